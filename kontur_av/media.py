@@ -1,0 +1,88 @@
+"""The values that travel: pictures, sound and coded pictures, each with its CaptureStamp."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.errors import ConfigError
+
+#: A planar YUV 4:2:0 picture: shape (height * 3 // 2, width), dtype uint8, C-contiguous.
+#: Rows 0..height-1 are luma; then the U plane (height/2 * width/2 octets), then the V plane.
+I420 = NDArray[np.uint8]
+
+#: Mono sound: shape (samples,), dtype int16.
+Pcm = NDArray[np.int16]
+
+VIDEO_CLOCK_HZ = 90_000  # RFC 6184 section 8.2.1
+AUDIO_CLOCK_HZ = 48_000  # RFC 7587 section 4.1
+
+
+@dataclass(frozen=True, slots=True)
+class CaptureStamp:
+    """When and where a picture or a block of sound was captured.
+
+    capture_ns: the instant of capture on the session's clock; for sound that of the first sample.
+    sequence: counts the captures of one source from 0 without a gap.
+    source: the name of the input, at most 15 ASCII characters.
+    """
+
+    capture_ns: int
+    sequence: int
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class VideoFrame:
+    """One picture, planar YUV 4:2:0 (`I420`)."""
+
+    data: I420
+    stamp: CaptureStamp
+
+    @property
+    def width(self) -> int:
+        return int(self.data.shape[1])
+
+    @property
+    def height(self) -> int:
+        return int(self.data.shape[0]) * 2 // 3
+
+
+@dataclass(frozen=True, slots=True)
+class AudioFrame:
+    """One block of mono sound at 48 kHz."""
+
+    samples: Pcm
+    stamp: CaptureStamp
+
+
+@dataclass(frozen=True, slots=True)
+class AccessUnit:
+    """One coded picture: an H.264 access unit as an Annex B byte stream (ITU-T H.264 Annex B)."""
+
+    data: bytes
+    stamp: CaptureStamp
+    keyframe: bool
+    encoded_ns: int
+
+
+def planes(picture: I420) -> tuple[I420, I420, I420]:
+    """Views of the Y, U and V planes, of shapes (h, w), (h/2, w/2), (h/2, w/2)."""
+    height, width = picture.shape[0] * 2 // 3, picture.shape[1]
+    chroma = picture[height:].reshape(2, height // 2, width // 2)
+    return picture[:height], chroma[0], chroma[1]
+
+
+def empty_picture(width: int, height: int) -> I420:
+    """An uninitialised I420 picture."""
+    check_size(width, height)
+    return np.empty((height * 3 // 2, width), np.uint8)
+
+
+def check_size(width: int, height: int) -> None:
+    """4:2:0 needs an even width and height; the chroma planes' fold needs 4 | height."""
+    if width < 16 or height < 16 or width % 2 or height % 4 or width > 4096 or height > 4096:
+        raise ConfigError(
+            f"size {width}x{height}: the width must be even, the height a multiple of 4, "
+            "both from 16 to 4096"
+        )

@@ -1,0 +1,1 @@
+"""RTP (RFC 3550): payload formats, sender, receiver, playout and SDP."""

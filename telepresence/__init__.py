@@ -1,0 +1,1 @@
+"""The radio link and the hand: what shares the channel with the media."""

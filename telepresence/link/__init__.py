@@ -1,0 +1,1 @@
+"""The radio link: transfer frames, queues, slot multiplexer, header compression, gateway."""
