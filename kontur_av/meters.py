@@ -1,0 +1,207 @@
+"""What a run is judged by: percentiles of latencies, and bit rates over sliding windows."""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+
+_SUB_BITS = 7
+_SUB = 1 << _SUB_BITS
+_LARGEST = (1 << 63) - 1
+_BUCKETS = (63 - _SUB_BITS) * _SUB + _SUB
+
+
+class Histogram:
+    """Counts of non-negative integers (nanoseconds) in log-linear buckets.
+
+    The layout is that of an HDR histogram: exact below 256, from there 128 buckets an octave.
+    A percentile is the middle of its bucket, so it is off by at most 1/256 (0.4 %); count, mean,
+    smallest and largest are exact. Memory is the same 57 kB however long a run lasts, and the
+    histograms of several processes can be merged.
+    """
+
+    def __init__(self) -> None:
+        self._counts: NDArray[np.int64] = np.zeros(_BUCKETS, np.int64)
+        self._count = 0
+        self._sum = 0
+        self._min = _LARGEST
+        self._max = 0
+        #: How many values were negative; each was counted as 0.
+        self.negative = 0
+
+    def add(self, values: int | NDArray[Any]) -> None:
+        """Count one value, or an array of integers of any shape."""
+        if isinstance(values, np.ndarray):
+            self._add_array(values)
+            return
+        value = int(values)
+        if value < 0:
+            self.negative += 1
+            value = 0
+        elif value > _LARGEST:
+            value = _LARGEST
+        shift = max(value.bit_length() - _SUB_BITS - 1, 0)
+        self._counts[shift * _SUB + (value >> shift)] += 1
+        self._count += 1
+        self._sum += value
+        self._min = min(self._min, value)
+        self._max = max(self._max, value)
+
+    def _add_array(self, values: NDArray[Any]) -> None:
+        if values.size == 0:
+            return
+        flat = values.astype(np.int64).ravel()
+        self.negative += int(np.count_nonzero(flat < 0))
+        flat = np.maximum(flat, 0)
+        # Above 2**53 the float may round up to the next octave: the index comes out the same.
+        exponent = np.frexp(flat.astype(np.float64))[1].astype(np.int64)
+        shift = np.maximum(exponent - _SUB_BITS - 1, 0)
+        np.add.at(self._counts, shift * _SUB + (flat >> shift), 1)
+        self._count += int(flat.size)
+        self._sum += int(flat.sum(dtype=object)) if flat.max() > 2**40 else int(flat.sum())
+        self._min = min(self._min, int(flat.min()))
+        self._max = max(self._max, int(flat.max()))
+
+    def merge(self, other: "Histogram") -> None:
+        """Count all that `other` has counted, too."""
+        self._counts += other._counts
+        self._count += other._count
+        self._sum += other._sum
+        self._min = min(self._min, other._min)
+        self._max = max(self._max, other._max)
+        self.negative += other.negative
+
+    @property
+    def count(self) -> int:
+        return self._count
+
+    @property
+    def min(self) -> int:
+        """The smallest value, exactly; 0 when nothing was counted."""
+        return self._min if self._count else 0
+
+    @property
+    def max(self) -> int:
+        """The largest value, exactly; 0 when nothing was counted."""
+        return self._max
+
+    @property
+    def mean(self) -> float:
+        """The mean; 0 when nothing was counted."""
+        return self._sum / self._count if self._count else 0.0
+
+    def percentile(self, p: float) -> float:
+        """The smallest counted value that at least `p` percent (0..100) of all do not exceed.
+
+        To within 0.4 %; 0 when nothing was counted.
+        """
+        if not 0 <= p <= 100:
+            raise ValueError(f"percentile {p}: from 0 to 100")
+        if not self._count:
+            return 0.0
+        rank = max(int(np.ceil(self._count * p / 100)), 1)
+        index = int(np.searchsorted(np.cumsum(self._counts), rank))
+        shift = max(index // _SUB - 1, 0)
+        lowest = (index - shift * _SUB) << shift
+        middle = lowest + ((1 << shift) - 1) / 2
+        return float(min(max(middle, self._min), self._max))
+
+    def summary_ms(self) -> dict[str, float]:
+        """p50, p95, p99 and the exact max in milliseconds, of values in nanoseconds."""
+        return {
+            "p50": self.percentile(50) / NS_PER_MS,
+            "p95": self.percentile(95) / NS_PER_MS,
+            "p99": self.percentile(99) / NS_PER_MS,
+            "max": self.max / NS_PER_MS,
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything counted, as plain values (for JSON or a pipe to another process)."""
+        used = np.flatnonzero(self._counts)
+        return {
+            "buckets": {str(i): int(self._counts[i]) for i in used},
+            "sum": self._sum,
+            "min": self.min,
+            "max": self._max,
+            "negative": self.negative,
+        }
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> "Histogram":
+        """The histogram that `to_dict` wrote."""
+        histogram = cls()
+        for index, count in plain["buckets"].items():
+            histogram._counts[int(index)] = count
+        histogram._count = int(histogram._counts.sum())
+        histogram._sum = plain["sum"]
+        histogram._max = plain["max"]
+        histogram.negative = plain["negative"]
+        if histogram._count:
+            histogram._min = plain["min"]
+        return histogram
+
+
+class _Window:
+    """The octets of the last `length_ns`, and the most there ever were."""
+
+    def __init__(self, length_ns: int) -> None:
+        self.length_ns = length_ns
+        self.octets = 0
+        self.most_octets = 0
+        self._events: deque[tuple[int, int]] = deque()
+
+    def add(self, now_ns: int, octets: int) -> None:
+        events = self._events
+        gone_ns = now_ns - self.length_ns
+        while events and events[0][0] <= gone_ns:
+            self.octets -= events.popleft()[1]
+        if events and events[-1][0] == now_ns:
+            events[-1] = (now_ns, events[-1][1] + octets)
+        else:
+            events.append((now_ns, octets))
+        self.octets += octets
+        self.most_octets = max(self.most_octets, self.octets)
+
+
+class RateMeter:
+    """The mean bit rate, and the largest over any sliding window of each length.
+
+    The largest is exact over all half-open windows (t - w, t] of real t: a window's content only
+    grows at an event, so looking at every event is looking everywhere. Memory is bounded by the
+    events of the last window.
+    """
+
+    def __init__(self, windows_ns: tuple[int, ...] = (NS_PER_S, 100_000_000)) -> None:
+        self._windows = {length_ns: _Window(length_ns) for length_ns in windows_ns}
+        self.octets = 0
+        self.events = 0
+        self.first_ns: int | None = None
+        self.last_ns: int | None = None
+
+    def add(self, now_ns: int, octets: int) -> None:
+        """`octets` passed at `now_ns`, which never runs backwards."""
+        if self.last_ns is not None and now_ns < self.last_ns:
+            raise ValueError("time does not run backwards")
+        if self.first_ns is None:
+            self.first_ns = now_ns
+        self.last_ns = now_ns
+        self.octets += octets
+        self.events += 1
+        for window in self._windows.values():
+            window.add(now_ns, octets)
+
+    def mean_bps(self, end_ns: int | None = None, start_ns: int | None = None) -> float:
+        """All octets over the time from `start_ns` (the first event) to `end_ns` (the last)."""
+        start = self.first_ns if start_ns is None else start_ns
+        end = self.last_ns if end_ns is None else end_ns
+        if start is None or end is None or end <= start:
+            return 0.0
+        return self.octets * 8 * NS_PER_S / (end - start)
+
+    def max_bps(self, window_ns: int = NS_PER_S) -> float:
+        """The largest rate over any window of `window_ns`, one of the lengths metered."""
+        return self._windows[window_ns].most_octets * 8 * NS_PER_S / window_ns

@@ -1,0 +1,86 @@
+"""Percentiles within their promised error, and sliding windows that miss nothing."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.meters import Histogram, RateMeter
+
+NS_PER_S = 1_000_000_000
+
+
+@given(
+    st.lists(st.integers(0, 2**62), min_size=1, max_size=60),
+    st.sampled_from([0, 1, 50, 95, 99, 100]),
+)
+def test_percentile_is_within_half_a_percent(values, p):
+    histogram = Histogram()
+    histogram.add(np.array(values, np.int64))
+    true = sorted(values)[max(int(np.ceil(len(values) * p / 100)), 1) - 1]
+    assert abs(histogram.percentile(p) - true) <= 0.005 * true
+    assert histogram.max == max(values)
+    assert histogram.min == min(values)
+    assert histogram.mean == pytest.approx(sum(values) / len(values))
+
+
+@given(st.lists(st.integers(-5, 2**63 - 1), max_size=40), st.integers(0, 40))
+def test_one_by_one_in_bulk_merged_and_revived_are_the_same(values, cut):
+    single, bulk, merged, rest = (Histogram() for _ in range(4))
+    for value in values:
+        single.add(value)
+    bulk.add(np.array(values, np.int64))
+    merged.add(np.array(values[:cut], np.int64))
+    rest.add(np.array(values[cut:], np.int64))
+    merged.merge(rest)
+    revived = Histogram.from_dict(json.loads(json.dumps(single.to_dict())))
+    for other in (bulk, merged, revived):
+        assert other.to_dict() == single.to_dict()
+        assert other.count == single.count == len(values)
+
+
+def test_negative_values_count_as_zero_and_show():
+    histogram = Histogram()
+    histogram.add(-7)
+    histogram.add(np.array([-1, 3]))
+    assert (histogram.negative, histogram.min, histogram.max, histogram.count) == (2, 0, 3, 3)
+
+
+def test_an_empty_histogram_has_a_summary():
+    assert Histogram().summary_ms() == {"p50": 0, "p95": 0, "p99": 0, "max": 0}
+
+
+events = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 100)), min_size=1, max_size=60)
+
+
+@given(events)
+def test_the_largest_window_is_exact(steps):
+    meter = RateMeter(windows_ns=(100, 30))
+    now, passed = 0, []
+    for step, octets in steps:
+        now += step
+        meter.add(now, octets)
+        passed.append((now, octets))
+    for window in (100, 30):
+        # Any window's end may be moved back to its last event without losing an octet.
+        largest = max(sum(o for t, o in passed if e - window < t <= e) for e, _ in passed)
+        assert meter.max_bps(window) == pytest.approx(largest * 8 * NS_PER_S / window)
+
+
+def test_the_mean_reaches_to_the_end_that_is_given():
+    meter = RateMeter()
+    meter.add(0, 500)
+    meter.add(NS_PER_S, 500)
+    assert meter.mean_bps() == 8000
+    assert meter.mean_bps(end_ns=2 * NS_PER_S) == 4000
+    assert RateMeter().mean_bps() == 0
+
+
+def test_an_old_window_is_forgotten():
+    meter = RateMeter()
+    for i in range(10_000):
+        meter.add(i * 1_000_000, 1)
+    assert meter.max_bps(NS_PER_S) == 8000
+    assert len(meter._windows[NS_PER_S]._events) == 1000
