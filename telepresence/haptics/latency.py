@@ -1,0 +1,58 @@
+"""How long each sample was on its way: both ends' stamps, matched by sequence number."""
+
+from collections import deque
+from collections.abc import Iterable
+
+from kontur_av.clock import NS_PER_S
+from telepresence.haptics.sample import SEQUENCE_MODULUS
+
+#: Half a turn of the sequence numbers at 1 kHz: beyond that a match would be a guess.
+_TURN_NS = 30 * NS_PER_S
+
+_PENDING_DEPTH = 65536
+
+
+class LatencyMatcher:
+    """Joins the stamps of both ends, which arrive in batches from two processes, in any order.
+
+    The instants are on one clock. `pending` received stamps wait for the sender's batch, at
+    most 65536 of them (the oldest goes) and at most `patience_ns`; `unmatched` counts those
+    that waited in vain.
+    """
+
+    def __init__(self, *, patience_ns: int = 5 * NS_PER_S) -> None:
+        self.patience_ns = patience_ns
+        self.unmatched = 0
+        self._sent_ns: list[int | None] = [None] * SEQUENCE_MODULUS
+        self._pending: deque[tuple[int, int]] = deque()
+
+    @property
+    def pending(self) -> int:
+        return len(self._pending)
+
+    def handle_sent(self, stamps: Iterable[tuple[int, int]]) -> None:
+        """(sequence, instant in ns) pairs of the sender: `HapticLink.take_sent_stamps`."""
+        for sequence, sent_ns in stamps:
+            self._sent_ns[sequence] = sent_ns
+
+    def handle_received(self, stamps: Iterable[tuple[int, int]]) -> None:
+        """(sequence, instant in ns) pairs of the receiver: `HapticLink.take_received_stamps`."""
+        self._pending.extend(stamps)
+        while len(self._pending) > _PENDING_DEPTH:
+            self._pending.popleft()
+            self.unmatched += 1
+
+    def take_latencies_ns(self, now_ns: int) -> list[int]:
+        """The delays (ns) of the samples that have both their stamps by now."""
+        latencies: list[int] = []
+        waiting: deque[tuple[int, int]] = deque()
+        for sequence, received_ns in self._pending:
+            sent_ns = self._sent_ns[sequence]
+            if sent_ns is not None and 0 <= received_ns - sent_ns < _TURN_NS:
+                latencies.append(received_ns - sent_ns)
+            elif now_ns - received_ns <= self.patience_ns:
+                waiting.append((sequence, received_ns))
+            else:
+                self.unmatched += 1
+        self._pending = waiting
+        return latencies

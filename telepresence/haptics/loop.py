@@ -1,0 +1,270 @@
+"""One end of the haptic exchange, as the loop at 1 kHz uses it: no queue, the newest wins."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ProtocolError
+from telepresence.haptics.sample import (
+    FLAG_HOLDING,
+    SEQUENCE_MODULUS,
+    Command,
+    Feedback,
+    pack_command,
+    pack_feedback,
+    unpack_command,
+    unpack_feedback,
+)
+from telepresence.haptics.schedule import PeriodicSchedule
+
+__all__ = [
+    "HapticLink",
+    "PeerFound",
+    "PeerLost",
+    "PeerRestarted",
+    "PeriodicSchedule",
+    "joystick_link",
+    "robot_link",
+]
+
+Out = TypeVar("Out")
+In = TypeVar("In")
+
+#: After this long without a sample the peer counts as silent: 20 slots.
+MAX_AGE_NS = 20 * NS_PER_MS
+
+#: Sequence numbers this far behind the newest are told apart as late or repeated, one by one.
+_WINDOW = 64
+_WINDOW_MASK = (1 << _WINDOW) - 1
+
+#: A path may deliver in bursts: a number may run this far ahead of the time that has passed.
+_SLACK = 1000
+
+#: So many samples in a row that fit no delay, but each other, are a peer that began anew
+#: (RFC 3550 appendix A.1 asks for two; a third costs 1 ms and spares a false alarm).
+_RESTART_RUN = 3
+
+#: Stamps kept for a latency meter that does not fetch them; then the oldest go.
+_STAMPS_DEPTH = 8192
+
+
+@dataclass(frozen=True, slots=True)
+class PeerFound:
+    """Samples arrive (again), `now_ns`."""
+
+    now_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class PeerLost:
+    """No sample since `last_ns`; noticed at `now_ns`."""
+
+    now_ns: int
+    last_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class PeerRestarted:
+    """The peer's sequence numbers begin anew, `now_ns`."""
+
+    now_ns: int
+
+
+HapticEvent = PeerFound | PeerLost | PeerRestarted
+
+
+class HapticLink(Generic[Out, In]):
+    """Sends one kind of sample, receives the other; see `joystick_link` and `robot_link`.
+
+    In each cycle: `handle_datagram` for all that has arrived, `latest` into the controller,
+    its answer into `handle_local`, then `poll_transmit` and send what it gives.
+
+    Counters: sent; received (samples that were the newest when they came), late (older than
+    the newest, unused), repeated, garbage, restarts (of the peer), lost (sequence numbers that
+    have not come so far; a late one is taken off again).
+    `peer_holds`: the newest sample said that the peer hears nothing from this end.
+    """
+
+    def __init__(
+        self,
+        pack: Callable[[int, Out, bool], bytes],
+        unpack: Callable[[bytes], tuple[int, int, In]],
+        *,
+        max_age_ns: int = MAX_AGE_NS,
+    ) -> None:
+        self.max_age_ns = max_age_ns
+        self.sent = 0
+        self.received = 0
+        self.late = 0
+        self.repeated = 0
+        self.garbage = 0
+        self.restarts = 0
+        self.lost = 0
+        self.peer_holds = False
+        self._pack: Callable[[int, Out, bool], bytes] = pack
+        self._unpack: Callable[[bytes], tuple[int, int, In]] = unpack
+        self._local: Out | None = None
+        self._newest: In | None = None
+        self._newest_ns = 0
+        self._newest_sequence = 0
+        self._seen = 0
+        self._strange_sequence = -1
+        self._strange_run = 0
+        self._hearing = False
+        self._events: deque[HapticEvent] = deque(maxlen=64)
+        self._sent_stamps: deque[tuple[int, int]] = deque(maxlen=_STAMPS_DEPTH)
+        self._received_stamps: deque[tuple[int, int]] = deque(maxlen=_STAMPS_DEPTH)
+
+    def handle_local(self, value: Out, now_ns: int) -> None:
+        """`value` is what this end has to say; one that was not sent yet is replaced."""
+        self._local = value
+
+    def handle_datagram(self, data: bytes, now_ns: int) -> None:
+        """`data` arrived. Garbage is counted; this never raises."""
+        try:
+            sequence, flags, value = self._unpack(data)
+        except ProtocolError:
+            self.garbage += 1
+            return
+        if self._accept(sequence, now_ns):
+            self.received += 1
+            self.peer_holds = bool(flags & FLAG_HOLDING)
+            self._newest = value
+            self._newest_ns = now_ns
+            self._received_stamps.append((sequence, now_ns))
+            if not self._hearing:
+                self._hearing = True
+                self._events.append(PeerFound(now_ns))
+
+    def latest(self, now_ns: int) -> In | None:
+        """The newest sample, or None when there is none or it is older than `max_age_ns`."""
+        if self._newest is None or now_ns - self._newest_ns > self.max_age_ns:
+            return None
+        return self._newest
+
+    def age_ns(self, now_ns: int) -> int | None:
+        """How long ago the newest sample came; None when none ever did."""
+        return None if self._newest is None else now_ns - self._newest_ns
+
+    def poll_transmit(self, now_ns: int) -> bytes | None:
+        """The 12 octets to send now; None when there is nothing new since the last call."""
+        self._watch_peer(now_ns)
+        if self._local is None:
+            return None
+        sequence = self.sent % SEQUENCE_MODULUS
+        data = self._pack(sequence, self._local, not self._hearing)
+        self._local = None
+        self.sent += 1
+        self._sent_stamps.append((sequence, now_ns))
+        return data
+
+    def poll_timeout(self) -> int | None:
+        """When `poll_transmit` should be called even if there is nothing to send."""
+        return self._newest_ns + self.max_age_ns + 1 if self._hearing else None
+
+    def next_event(self) -> HapticEvent | None:
+        """What happened, oldest first; None when nothing did."""
+        return self._events.popleft() if self._events else None
+
+    def take_sent_stamps(self) -> list[tuple[int, int]]:
+        """(sequence, instant in ns) of what was sent since the last call, for a latency meter."""
+        return _take(self._sent_stamps)
+
+    def take_received_stamps(self) -> list[tuple[int, int]]:
+        """(sequence, instant in ns) of what was received, and was the newest, since last time."""
+        return _take(self._received_stamps)
+
+    def report(self) -> dict[str, int]:
+        """The counters by name."""
+        return {
+            "sent": self.sent,
+            "received": self.received,
+            "lost": self.lost,
+            "late": self.late,
+            "repeated": self.repeated,
+            "garbage": self.garbage,
+            "restarts": self.restarts,
+        }
+
+    def _watch_peer(self, now_ns: int) -> None:
+        if self._hearing and now_ns - self._newest_ns > self.max_age_ns:
+            self._hearing = False
+            self._events.append(PeerLost(now_ns, self._newest_ns))
+
+    def _accept(self, sequence: int, now_ns: int) -> bool:
+        if self._newest is None:
+            self._begin(sequence)
+            return True
+        ahead = (sequence - self._newest_sequence) % SEQUENCE_MODULUS
+        if ahead == 1:
+            self._newest_sequence = sequence
+            self._seen = (self._seen << 1 | 1) & _WINDOW_MASK
+            self._strange_run = 0
+            return True
+        if ahead == 0:
+            self.repeated += 1
+            return False
+        if ahead > SEQUENCE_MODULUS - _WINDOW:
+            self._count_late(SEQUENCE_MODULUS - ahead)
+            return False
+        # The peer sends at most one sample a millisecond, so time bounds how far it can be.
+        if ahead <= (now_ns - self._newest_ns) // NS_PER_MS + _SLACK:
+            self.lost += ahead - 1
+            self._newest_sequence = sequence
+            self._seen = ((self._seen << ahead) | 1) & _WINDOW_MASK if ahead < _WINDOW else 1
+            self._strange_run = 0
+            return True
+        return self._probe(sequence, now_ns)
+
+    def _begin(self, sequence: int) -> None:
+        self._newest_sequence = sequence
+        # Nothing before the first sample is missed: all of it counts as seen.
+        self._seen = _WINDOW_MASK
+        self._strange_run = 0
+
+    def _count_late(self, behind: int) -> None:
+        bit = 1 << behind
+        if self._seen & bit:
+            self.repeated += 1
+        else:
+            self._seen |= bit
+            self.late += 1
+            self.lost -= 1
+
+    def _probe(self, sequence: int, now_ns: int) -> bool:
+        follows = sequence == (self._strange_sequence + 1) % SEQUENCE_MODULUS
+        self._strange_run = self._strange_run + 1 if follows and self._strange_run else 1
+        self._strange_sequence = sequence
+        if self._strange_run < _RESTART_RUN:
+            self.late += 1
+            return False
+        self._begin(sequence)
+        self.restarts += 1
+        self._events.append(PeerRestarted(now_ns))
+        return True
+
+
+def joystick_link(*, max_age_ns: int = MAX_AGE_NS) -> HapticLink[Command, Feedback]:
+    """The end at the joystick: sends commands, receives feedback."""
+    return HapticLink(_pack_command, unpack_feedback, max_age_ns=max_age_ns)
+
+
+def robot_link(*, max_age_ns: int = MAX_AGE_NS) -> HapticLink[Feedback, Command]:
+    """The end at the robot: sends feedback, receives commands."""
+    return HapticLink(_pack_feedback, unpack_command, max_age_ns=max_age_ns)
+
+
+def _pack_command(sequence: int, value: Command, holding: bool) -> bytes:
+    return pack_command(sequence, value, holding=holding)
+
+
+def _pack_feedback(sequence: int, value: Feedback, holding: bool) -> bytes:
+    return pack_feedback(sequence, value, holding=holding)
+
+
+def _take(stamps: deque[tuple[int, int]]) -> list[tuple[int, int]]:
+    taken = list(stamps)
+    stamps.clear()
+    return taken

@@ -1,0 +1,45 @@
+"""When the next cycle is due: absolute deadlines that neither drift nor catch up."""
+
+from kontur_av.clock import NS_PER_MS
+
+
+class PeriodicSchedule:
+    """Deadlines at `start_ns + k * period_ns`; a cycle that is missed is skipped and counted.
+
+    The caller sleeps until `next_deadline_ns`, then calls `handle_wakeup` with the present
+    instant, and then does one cycle's work.
+
+    next_deadline_ns: when to wake next.
+    cycles: how many cycles were done. slips: how many were skipped.
+    advance_ns: how far the schedule moved with the last wake-up: one period, or more after slips.
+    """
+
+    def __init__(self, *, start_ns: int, period_ns: int = NS_PER_MS) -> None:
+        if period_ns <= 0:
+            raise ValueError("a period is at least 1 ns")
+        self.period_ns = period_ns
+        self.next_deadline_ns = start_ns
+        self.advance_ns = period_ns
+        self.cycles = 0
+        self.slips = 0
+
+    def handle_wakeup(self, now_ns: int) -> int:
+        """How late this wake-up is (ns). Negative: too early, sleep on, nothing has changed.
+
+        A wake-up that is a whole period or more too late does one cycle only, and the next
+        deadline is the first that still lies ahead: a burst of catching up would be more than
+        the radio could have sent.
+        """
+        lateness_ns = now_ns - self.next_deadline_ns
+        if lateness_ns < 0:
+            return lateness_ns
+        skipped = lateness_ns // self.period_ns
+        self.advance_ns = (skipped + 1) * self.period_ns
+        self.next_deadline_ns += self.advance_ns
+        self.cycles += 1
+        self.slips += skipped
+        return lateness_ns
+
+    def poll_timeout(self) -> int:
+        """The same as `next_deadline_ns`, under the name that all cores share."""
+        return self.next_deadline_ns
