@@ -1,0 +1,33 @@
+"""Opus in RTP (RFC 7587): one Opus packet is one payload; its first octet says how long it is."""
+
+from kontur_av.errors import ProtocolError
+from kontur_av.media import AUDIO_CLOCK_HZ
+
+#: 120 ms, the longest Opus packet (RFC 6716 section 3.2.5).
+MAX_SAMPLES = AUDIO_CLOCK_HZ * 120 // 1000
+
+
+def opus_samples(payload: bytes) -> int:
+    """The number of samples per channel at 48 kHz in an Opus packet (RFC 6716 section 3.1).
+
+    Raises ProtocolError if the payload cannot be an Opus packet.
+    """
+    if not payload:
+        raise ProtocolError("an empty Opus packet")
+    config, code = payload[0] >> 3, payload[0] & 3
+    if config < 12:  # SILK
+        frame = (480, 960, 1920, 2880)[config & 3]
+    elif config < 16:  # hybrid
+        frame = (480, 960)[config & 1]
+    else:  # CELT
+        frame = (120, 240, 480, 960)[config & 3]
+    if code == 3:
+        if len(payload) < 2:
+            raise ProtocolError("an Opus packet of code 3 without its frame count")
+        count = payload[1] & 0x3F
+    else:
+        count = 1 if code == 0 else 2
+    samples = frame * count
+    if not 0 < samples <= MAX_SAMPLES:
+        raise ProtocolError(f"an Opus packet of {samples} samples; 120 ms is the most")
+    return samples

@@ -1,0 +1,342 @@
+"""The receiving side of one RTP stream: order, loss, statistics, and capture times.
+
+Counts after RFC 3550 appendix A.1 (sequence numbers), A.3 (loss) and A.8 (jitter).
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.errors import ProtocolError
+from kontur_av.rtp.wire import (
+    RtcpByePacket,
+    RtcpSenderInfo,
+    RtcpSrPacket,
+    RtpPacket,
+    parse_rtcp,
+    parse_rtp,
+    signed_32,
+)
+
+MAX_DROPOUT = 3000  # RFC 3550 appendix A.1
+MAX_MISORDER = 100
+#: How many packets may wait behind a gap; then the gap is given up at once.
+MAX_WAITING = 512
+
+
+@dataclass(frozen=True, slots=True)
+class RtpReceived:
+    """One packet in the order of its sequence.
+
+    extended_sequence: counts on across wrap-around of the 16 bits.
+    lost_before: packets given up directly before this one.
+    restart: it is the first of a new source; nothing that came before belongs to it.
+    """
+
+    packet: RtpPacket
+    payload: bytes
+    extended_sequence: int
+    timestamp: int
+    received_ns: int
+    lost_before: int
+    restart: bool
+
+    @property
+    def marker(self) -> bool:
+        return bool(self.packet.marker)
+
+    @property
+    def ssrc(self) -> int:
+        return self.packet.ssrc
+
+
+@dataclass(slots=True)
+class ReceiverCounts:
+    """What a receiver has counted since it was made, over all restarts of the sender.
+
+    received: packets of the accepted source, duplicates and late ones left out.
+    payload_octets: of those.  lost: given up and never seen (a late one counts as late instead).
+    reordered: came after a packet of a higher sequence number.  duplicates: came twice.
+    late: came after they had been given up; dropped.
+    garbage: no RTP, a foreign payload type or source, a malformed or foreign report.
+    sources: how often a source was accepted, so 1 + restarts.  reports: sender reports taken.
+    """
+
+    received: int = 0
+    payload_octets: int = 0
+    lost: int = 0
+    reordered: int = 0
+    duplicates: int = 0
+    late: int = 0
+    garbage: int = 0
+    sources: int = 0
+    reports: int = 0
+
+
+@dataclass(slots=True)
+class _Waiting:
+    packet: RtpPacket
+    received_ns: int
+
+
+class RtpReceiver:
+    """Puts the packets of one stream in order and says what is lost.
+
+    In-order packets come out of `next_event` at once. Behind a gap, packets wait until the
+    missing one comes or until `poll_timeout`, at which the caller calls `handle_timeout`.
+
+    A source is believed after two packets in sequence (probation, RFC 3550 appendix A.1); then
+    both come out. A new SSRC takes over if two of its packets follow each other after the old
+    source has been silent for `takeover_silence_ns` or has said goodbye: a stray or hostile packet
+    cannot take a living stream away.
+
+    payload_type: of the stream, 0..127; other packets are garbage.
+    clock_rate_hz: of the RTP timestamps.
+    reorder_depth_ns: how long a gap is waited for; 0 gives it up at once.
+    from_ntp: the clock's way from a 64-bit NTP timestamp to an instant in nanoseconds.
+    """
+
+    def __init__(
+        self,
+        *,
+        payload_type: int,
+        clock_rate_hz: int,
+        reorder_depth_ns: int = 10 * NS_PER_MS,
+        takeover_silence_ns: int = 100 * NS_PER_MS,
+        from_ntp: Callable[[int], int] | None = None,
+    ) -> None:
+        self.payload_type = payload_type
+        self.clock_rate_hz = clock_rate_hz
+        self.counts = ReceiverCounts()
+        self.ssrc: int | None = None
+        #: The source has said goodbye (RTCP BYE).
+        self.ended = False
+        self._reorder_depth_ns = reorder_depth_ns
+        self._takeover_silence_ns = takeover_silence_ns
+        self._from_ntp = from_ntp
+        self._events: deque[RtpReceived] = deque()
+        self._waiting: dict[int, _Waiting] = {}
+        self._gap_deadline_ns: int | None = None
+        self._candidate: _Waiting | None = None
+        self._reports: dict[int, RtcpSenderInfo] = {}
+        self._first = self._next = self._highest = 0
+        self._restart = False
+        self._last_heard_ns = 0
+        #: Given up, and perhaps still on the way: what tells a late packet from a duplicate.
+        self._given_up: set[int] = set()
+        self._transit: int | None = None
+        self._jitter_16 = 0
+
+    @property
+    def jitter_ns(self) -> int:
+        """Interarrival jitter (RFC 3550 appendix A.8)."""
+        return (self._jitter_16 >> 4) * NS_PER_S // self.clock_rate_hz
+
+    @property
+    def expected(self) -> int:
+        """Packets of the present source that should have come so far (appendix A.3)."""
+        return 0 if self.ssrc is None else self._highest - self._first + 1
+
+    @property
+    def waiting(self) -> int:
+        """Packets that wait behind a gap now (at most MAX_WAITING)."""
+        return len(self._waiting)
+
+    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
+        """Take a datagram from the RTP port. Garbage is counted and dropped."""
+        try:
+            packet = parse_rtp(datagram)
+        except ProtocolError:
+            self.counts.garbage += 1
+            return
+        if packet.payload_type != self.payload_type:
+            self.counts.garbage += 1
+            return
+        if packet.ssrc != self.ssrc:
+            self._try_candidate(packet, now_ns)
+            return
+        # Nothing may wait past its time because the caller woke late.
+        self.handle_timeout(now_ns)
+        ahead = (packet.sequence_number - self._highest) & 0xFFFF
+        if ahead < MAX_DROPOUT:
+            self._take(packet, self._highest + ahead, now_ns)
+        elif ahead >= 0x10000 - MAX_MISORDER:
+            self._take(packet, self._highest + ahead - 0x10000, now_ns)
+        else:
+            self._try_candidate(packet, now_ns)
+
+    def _take(self, packet: RtpPacket, extended: int, now_ns: int) -> None:
+        counts = self.counts
+        self._last_heard_ns = now_ns
+        self._drop_candidate()
+        self.ended = False
+        if extended < self._next:
+            if extended in self._given_up:
+                self._given_up.discard(extended)
+                counts.lost -= 1
+                counts.late += 1
+                counts.reordered += 1
+            elif extended < self._first:
+                counts.late += 1
+                counts.reordered += 1
+            else:
+                counts.duplicates += 1
+            return
+        if extended in self._waiting:
+            counts.duplicates += 1
+            return
+        if extended < self._highest:
+            counts.reordered += 1
+        self._highest = max(self._highest, extended)
+        counts.received += 1
+        counts.payload_octets += len(packet.payload)
+        self._update_jitter(packet.timestamp, now_ns)
+        if extended == self._next:
+            self._deliver(packet, extended, now_ns, lost_before=0)
+            self._drain(now_ns)
+            return
+        self._waiting[extended] = _Waiting(packet, now_ns)
+        if self._gap_deadline_ns is None:
+            self._gap_deadline_ns = now_ns + self._reorder_depth_ns
+        if self._reorder_depth_ns == 0 or len(self._waiting) > MAX_WAITING:
+            self._give_up_gap(now_ns)
+
+    def _deliver(
+        self, packet: RtpPacket, extended: int, received_ns: int, *, lost_before: int
+    ) -> None:
+        self._events.append(
+            RtpReceived(
+                packet,
+                packet.payload,
+                extended,
+                packet.timestamp,
+                received_ns,
+                lost_before,
+                self._restart,
+            )
+        )
+        self._restart = False
+        self._next = extended + 1
+
+    def _drain(self, now_ns: int) -> None:
+        """Deliver what has waited for nothing but its predecessor; time the next gap."""
+        while (ready := self._waiting.pop(self._next, None)) is not None:
+            self._deliver(ready.packet, self._next, ready.received_ns, lost_before=0)
+        if not self._waiting:
+            self._gap_deadline_ns = None
+        else:
+            # The next gap was seen when the packet behind it came, not when this one closed.
+            behind = self._waiting[min(self._waiting)]
+            self._gap_deadline_ns = behind.received_ns + self._reorder_depth_ns
+
+    def _give_up_gap(self, now_ns: int) -> None:
+        extended = min(self._waiting)
+        lost = extended - self._next
+        self.counts.lost += lost
+        self._given_up.update(range(self._next, extended))
+        oldest = extended - MAX_DROPOUT
+        self._given_up = {number for number in self._given_up if number >= oldest}
+        behind = self._waiting.pop(extended)
+        self._deliver(behind.packet, extended, behind.received_ns, lost_before=lost)
+        self._drain(now_ns)
+
+    def _try_candidate(self, packet: RtpPacket, now_ns: int) -> None:
+        """Probation: believe a new source, or a jump of this one, after two in sequence."""
+        before = self._candidate
+        follows = (
+            before is not None
+            and before.packet.ssrc == packet.ssrc
+            and (before.packet.sequence_number + 1) & 0xFFFF == packet.sequence_number
+        )
+        free = (
+            self.ssrc is None
+            or self.ended
+            or packet.ssrc == self.ssrc
+            or now_ns - self._last_heard_ns >= self._takeover_silence_ns
+        )
+        if before is None or not follows or not free:
+            self._drop_candidate()
+            self._candidate = _Waiting(packet, now_ns)
+            return
+        self._candidate = None
+        self._start_source(before.packet)
+        self._take(before.packet, before.packet.sequence_number, before.received_ns)
+        self._take(packet, before.packet.sequence_number + 1, now_ns)
+
+    def _drop_candidate(self) -> None:
+        if self._candidate is not None:
+            self.counts.garbage += 1
+            self._candidate = None
+
+    def _start_source(self, first: RtpPacket) -> None:
+        while self._waiting:
+            self._give_up_gap(0)
+        self.counts.sources += 1
+        self.ssrc = first.ssrc
+        self._first = self._next = self._highest = first.sequence_number
+        self._restart = True
+        self._given_up.clear()
+        self._transit = None
+        self._jitter_16 = 0
+        self._reports = {
+            ssrc: report for ssrc, report in self._reports.items() if ssrc == self.ssrc
+        }
+
+    def _update_jitter(self, timestamp: int, now_ns: int) -> None:
+        transit = now_ns * self.clock_rate_hz // NS_PER_S - timestamp
+        if self._transit is not None:
+            difference = abs(signed_32(transit - self._transit))
+            self._jitter_16 += difference - ((self._jitter_16 + 8) >> 4)
+        self._transit = transit
+
+    def handle_report(self, datagram: bytes, now_ns: int) -> None:
+        """Take a datagram from the RTCP port. Garbage and foreign reports are counted."""
+        try:
+            packets = parse_rtcp(datagram)
+        except ProtocolError:
+            self.counts.garbage += 1
+            return
+        for packet in packets:
+            if isinstance(packet, RtcpSrPacket):
+                self._take_report(packet)
+            elif isinstance(packet, RtcpByePacket) and self.ssrc in packet.sources:
+                self.ended = True
+
+    def _take_report(self, report: RtcpSrPacket) -> None:
+        if report.ssrc == self.ssrc:
+            self.counts.reports += 1
+        elif self.ssrc is not None:
+            # A restarted sender's report may overtake its second packet: keep one such.
+            self.counts.garbage += 1
+            self._reports = {
+                ssrc: kept for ssrc, kept in self._reports.items() if ssrc == self.ssrc
+            }
+        elif len(self._reports) >= 2:
+            self._reports.clear()
+        self._reports[report.ssrc] = report.sender_info
+
+    def handle_timeout(self, now_ns: int) -> None:
+        """Give up the gaps whose time has come (`poll_timeout`)."""
+        while self._gap_deadline_ns is not None and now_ns >= self._gap_deadline_ns:
+            self._give_up_gap(now_ns)
+
+    def poll_timeout(self) -> int | None:
+        """When `handle_timeout` has to be called; None if no packet waits."""
+        return self._gap_deadline_ns
+
+    def next_event(self) -> RtpReceived | None:
+        """The next packet in order, or None if nothing is ready."""
+        return self._events.popleft() if self._events else None
+
+    def capture_ns(self, timestamp: int) -> int | None:
+        """The instant of capture in nanoseconds of an RTP timestamp of the present source.
+
+        None before the first sender report. Right for timestamps within half their range
+        (6.6 hours at 90 kHz) of the last report, wrapped or not.
+        """
+        report = None if self.ssrc is None else self._reports.get(self.ssrc)
+        if report is None or self._from_ntp is None:
+            return None
+        ticks = signed_32(timestamp - report.rtp_timestamp)
+        return self._from_ntp(report.ntp_timestamp) + round(ticks * NS_PER_S / self.clock_rate_hz)

@@ -1,0 +1,159 @@
+"""The sending side of one RTP stream: numbers and stamps packets, and reports to the receiver."""
+
+from collections.abc import Callable
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS, packetize, split_annex_b
+from kontur_av.rtp.wire import (
+    SDES_CNAME,
+    RtcpByePacket,
+    RtcpSdesPacket,
+    RtcpSenderInfo,
+    RtcpSourceInfo,
+    RtcpSrPacket,
+    RtpPacket,
+)
+
+SAMPLES_PER_PACKET = 960  # 20 ms at 48 kHz
+
+
+class RtpSender:
+    """Turns access units or Opus packets into RTP packets (RFC 3550), and makes sender reports.
+
+    Send what `video_packets` or `audio_packets` returns in its order; then, and whenever
+    `poll_timeout` is due, send what `poll_report` returns to the RTCP port.
+
+    payload_type: 96..127.  clock_rate_hz: of the RTP timestamps.
+    ssrc, first_sequence, timestamp_offset: random numbers of 32, 16 and 32 bits (RFC 3550
+        section 5.1); the caller draws them, because a core draws no random numbers.
+    cname: the stream's lasting name (section 6.5.1), at most 255 octets.
+    """
+
+    def __init__(
+        self,
+        *,
+        payload_type: int,
+        clock_rate_hz: int,
+        ssrc: int,
+        first_sequence: int,
+        timestamp_offset: int,
+        cname: str,
+        report_interval_ns: int = NS_PER_S,
+        max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS,
+        samples_per_packet: int = SAMPLES_PER_PACKET,
+    ) -> None:
+        self.payload_type = payload_type
+        self.clock_rate_hz = clock_rate_hz
+        self.ssrc = ssrc
+        self.packets_sent = 0
+        #: Octets of payload, RTP headers left out (RFC 3550 section 6.4.1).
+        self.payload_octets_sent = 0
+        self._sequence = first_sequence & 0xFFFF
+        self._offset = timestamp_offset
+        self._cname = cname.encode()[:255]
+        self._report_interval_ns = report_interval_ns
+        self._max_payload_octets = max_payload_octets
+        self._samples_per_packet = samples_per_packet
+        self._last_stamp: CaptureStamp | None = None
+        self._last_timestamp = 0
+        self._sequence_base = 0
+        self._report_due_ns: int | None = None
+        self._report_now = False
+
+    def video_packets(self, access_unit: AccessUnit) -> list[bytes]:
+        """The RTP packets of one H.264 access unit, all of one timestamp; the last has the marker.
+
+        Raises ValueError if there is no NAL unit in it, or one that RTP cannot carry.
+        """
+        payloads = packetize(split_annex_b(access_unit.data), self._max_payload_octets)
+        if not payloads:
+            raise ValueError("an access unit without a NAL unit")
+        timestamp = self.timestamp(access_unit.stamp.capture_ns)
+        self._note(access_unit.stamp, timestamp)
+        last = len(payloads) - 1
+        return [
+            self._packet(payload, timestamp, marker=index == last)
+            for index, payload in enumerate(payloads)
+        ]
+
+    def audio_packets(self, opus: bytes, stamp: CaptureStamp) -> list[bytes]:
+        """The RTP packet (a list of one) of one Opus packet (RFC 7587 section 4).
+
+        The timestamp goes by `stamp.sequence`, not by the clock of the machine: the sound card
+        counts the samples. The marker shows the first packet after a gap (a talkspurt's).
+        """
+        last = self._last_stamp
+        gap = last is None or stamp.sequence != last.sequence + 1
+        if last is not None and stamp.sequence <= last.sequence:
+            # The source started anew and counts from 0: time goes on.
+            passed_ns = stamp.capture_ns - last.capture_ns
+            block_ns = self._samples_per_packet * NS_PER_S // self.clock_rate_hz
+            skipped = max(1, round(passed_ns / block_ns))
+            self._sequence_base += last.sequence + skipped - stamp.sequence
+        timestamp = (
+            self._offset + (self._sequence_base + stamp.sequence) * self._samples_per_packet
+        ) & 0xFFFF_FFFF
+        self._note(stamp, timestamp)
+        return [self._packet(opus, timestamp, marker=gap)]
+
+    def timestamp(self, capture_ns: int) -> int:
+        """The 32-bit RTP timestamp of an instant of capture (video)."""
+        ticks = (capture_ns * self.clock_rate_hz + NS_PER_S // 2) // NS_PER_S
+        return (self._offset + ticks) & 0xFFFF_FFFF
+
+    def _note(self, stamp: CaptureStamp, timestamp: int) -> None:
+        if self._last_stamp is None:
+            self._report_now = True
+        self._last_stamp, self._last_timestamp = stamp, timestamp
+
+    def _packet(self, payload: bytes, timestamp: int, *, marker: bool) -> bytes:
+        packet = RtpPacket(
+            payload_type=self.payload_type,
+            marker=int(marker),
+            sequence_number=self._sequence,
+            timestamp=timestamp,
+            ssrc=self.ssrc,
+            payload=payload,
+        )
+        self._sequence = (self._sequence + 1) & 0xFFFF
+        self.packets_sent += 1
+        self.payload_octets_sent += len(payload)
+        return packet.serialize()
+
+    def poll_timeout(self) -> int | None:
+        """When `poll_report` is due next; None as long as no media was sent."""
+        if self._report_now and self._last_stamp is not None:
+            return self._last_stamp.capture_ns
+        return self._report_due_ns
+
+    def poll_report(self, now_ns: int, ntp: Callable[[int], int]) -> bytes | None:
+        """A compound SR + SDES (RFC 3550 section 6.4.1) if one is due, else None.
+
+        Due with the first media packet, and then once each `report_interval_ns`. Its pair of NTP
+        and RTP time is the capture of the last unit sent: that is what a receiver asks for.
+        ntp: the clock's way from an instant in nanoseconds to a 64-bit NTP timestamp.
+        """
+        due = self._report_due_ns is not None and now_ns >= self._report_due_ns
+        if not (self._report_now or due):
+            return None
+        self._report_now = False
+        self._report_due_ns = now_ns + self._report_interval_ns
+        return self._report(ntp)
+
+    def goodbye(self, ntp: Callable[[int], int]) -> bytes | None:
+        """A last SR + SDES + BYE (RFC 3550 section 6.6); None if no media was ever sent."""
+        if self._last_stamp is None:
+            return None
+        return self._report(ntp) + bytes(RtcpByePacket([self.ssrc]))
+
+    def _report(self, ntp: Callable[[int], int]) -> bytes:
+        assert self._last_stamp is not None
+        info = RtcpSenderInfo(
+            ntp_timestamp=ntp(self._last_stamp.capture_ns),
+            rtp_timestamp=self._last_timestamp,
+            packet_count=self.packets_sent & 0xFFFF_FFFF,
+            octet_count=self.payload_octets_sent & 0xFFFF_FFFF,
+        )
+        name = RtcpSourceInfo(ssrc=self.ssrc, items=[(SDES_CNAME, self._cname)])
+        return bytes(RtcpSrPacket(self.ssrc, info)) + bytes(RtcpSdesPacket([name]))

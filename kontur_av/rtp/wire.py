@@ -1,0 +1,63 @@
+"""RTP and RTCP packets on the wire, parsed by aiortc; garbage becomes a ProtocolError."""
+
+import struct
+
+from aiortc.rtp import (
+    AnyRtcpPacket,
+    RtcpByePacket,
+    RtcpPacket,
+    RtcpSdesPacket,
+    RtcpSenderInfo,
+    RtcpSourceInfo,
+    RtcpSrPacket,
+    RtpPacket,
+)
+
+from kontur_av.errors import ProtocolError
+
+__all__ = [
+    "AnyRtcpPacket",
+    "RtcpByePacket",
+    "RtcpPacket",
+    "RtcpSdesPacket",
+    "RtcpSenderInfo",
+    "RtcpSourceInfo",
+    "RtcpSrPacket",
+    "RtpPacket",
+    "parse_rtcp",
+    "parse_rtp",
+    "signed_32",
+]
+
+SDES_CNAME = 1  # RFC 3550 section 6.5.1
+
+_MALFORMED = (ValueError, IndexError, struct.error)
+
+
+def parse_rtp(datagram: bytes) -> RtpPacket:
+    """The RTP packet (RFC 3550 section 5.1) in `datagram`.
+
+    Raises ProtocolError if it is none.
+    """
+    try:
+        return RtpPacket.parse(datagram)
+    except _MALFORMED as error:
+        raise ProtocolError(f"not an RTP packet: {error}") from error
+
+
+def parse_rtcp(datagram: bytes) -> list[AnyRtcpPacket]:
+    """The packets of one compound RTCP packet (RFC 3550 section 6.1); unknown types are left out.
+
+    Raises ProtocolError if `datagram` is none.
+    """
+    if not datagram:
+        raise ProtocolError("an empty datagram is no RTCP packet")
+    try:
+        return RtcpPacket.parse(datagram)
+    except _MALFORMED as error:
+        raise ProtocolError(f"not an RTCP packet: {error}") from error
+
+
+def signed_32(difference: int) -> int:
+    """The difference of two 32-bit timestamps, taken the short way round: -2^31 .. 2^31 - 1."""
+    return ((difference + 0x8000_0000) & 0xFFFF_FFFF) - 0x8000_0000
