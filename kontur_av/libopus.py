@@ -1,0 +1,101 @@
+"""Give opuslib a libopus: the system's, or else the one that PyAV's wheel carries.
+
+opuslib looks for a system library the moment it is imported and raises without one. A fresh
+machine often has none, yet PyAV, which we need anyway, brings a whole libopus along.
+"""
+
+import ctypes
+import ctypes.util
+import importlib
+import importlib.util
+import sys
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Literal
+
+from kontur_av.errors import ConfigError
+
+#: Where wheels keep their libraries, as seen from the `av` package: auditwheel's and delvewheel's
+#: folder beside it, delocate's inside it.
+_PLACES = (("../av.libs", "*opus*.so*"), (".dylibs", "*opus*.dylib"), ("../av.libs", "*opus*.dll"))
+
+
+@dataclass(frozen=True, slots=True)
+class LibOpus:
+    """The libopus in use. `path` is what the loader was given: a full path or a library's name."""
+
+    path: str
+    origin: Literal["system", "PyAV"]
+    version: str
+
+
+_loaded: LibOpus | None = None
+
+
+def load() -> LibOpus:
+    """Import opuslib with whichever libopus there is. Again: what the first call found.
+
+    Raises ConfigError, naming the mend, when there is neither a system libopus nor PyAV's.
+    """
+    global _loaded
+    if _loaded is None:
+        _loaded = _load()
+    return _loaded
+
+
+def opuslib() -> ModuleType:
+    """The imported opuslib, with its libopus loaded."""
+    load()
+    return sys.modules["opuslib"]
+
+
+def _load() -> LibOpus:
+    system = ctypes.util.find_library("opus")
+    carried = None if system else carried_by_pyav()
+    path = system or (str(carried) if carried else None)
+    if path is None:
+        raise ConfigError(
+            "no libopus: install Debian's libopus0, Homebrew's opus, "
+            "or PyAV from its wheel, which carries one"
+        )
+    _import_with(path)
+    version = sys.modules["opuslib.api.info"].get_version_string().decode()
+    return LibOpus(path, "system" if system else "PyAV", version)
+
+
+def carried_by_pyav() -> Path | None:
+    """The libopus in PyAV's wheel, or None (a PyAV that was built against the system's FFmpeg)."""
+    spec = importlib.util.find_spec("av")
+    if spec is None or spec.origin is None:
+        return None
+    package = Path(spec.origin).parent
+    for folder, pattern in _PLACES:
+        for found in sorted((package / folder).glob(pattern)):
+            return found.resolve()
+    return None
+
+
+def _import_with(path: str) -> None:
+    find_library = ctypes.util.find_library
+
+    def found(name: str) -> str | None:
+        return path if name == "opus" else find_library(name)
+
+    ctypes.util.find_library = found
+    try:
+        with warnings.catch_warnings():
+            # opuslib compares integers with `is`, which the compiler remarks on.
+            warnings.simplefilter("ignore", SyntaxWarning)
+            importlib.import_module("opuslib")
+    except OSError as error:
+        raise ConfigError(f"libopus {path} cannot be loaded ({error}): reinstall it") from error
+    finally:
+        ctypes.util.find_library = find_library
+    # opus_*_ctl are variadic. Told which arguments are not, ctypes passes the others as the
+    # platform wants it: on Apple's arm64 that is the stack, not the registers.
+    for name in ("encoder", "decoder"):
+        module = sys.modules[f"opuslib.api.{name}"]
+        pointer = getattr(module, f"{name.capitalize()}Pointer")
+        module.libopus_ctl.argtypes = (pointer, ctypes.c_int)
