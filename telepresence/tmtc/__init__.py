@@ -1,0 +1,41 @@
+"""Telecommands and telemetry: CCSDS space packets, and their repetition."""
+
+from telepresence.tmtc.exchange import (
+    SelectDone,
+    SelectFailed,
+    TelecommandReceiver,
+    TelecommandSender,
+)
+from telepresence.tmtc.packets import (
+    COMMAND_APID,
+    MAX_NAME_OCTETS,
+    MAX_PACKET_OCTETS,
+    TELEMETRY_APID,
+    Housekeeping,
+    Message,
+    SelectAck,
+    SelectCamera,
+    SpacePacket,
+    check_name,
+    pack_packet,
+    parse_packet,
+)
+
+__all__ = [
+    "COMMAND_APID",
+    "MAX_NAME_OCTETS",
+    "MAX_PACKET_OCTETS",
+    "TELEMETRY_APID",
+    "Housekeeping",
+    "Message",
+    "SelectAck",
+    "SelectCamera",
+    "SelectDone",
+    "SelectFailed",
+    "SpacePacket",
+    "TelecommandReceiver",
+    "TelecommandSender",
+    "check_name",
+    "pack_packet",
+    "parse_packet",
+]
