@@ -194,13 +194,13 @@ class RtpReceiver:
         self._update_jitter(packet.timestamp, now_ns)
         if extended == self._next:
             self._deliver(packet, extended, now_ns, lost_before=0)
-            self._drain(now_ns)
+            self._drain()
             return
         self._waiting[extended] = _Waiting(packet, now_ns)
         if self._gap_deadline_ns is None:
             self._gap_deadline_ns = now_ns + self._reorder_depth_ns
         if self._reorder_depth_ns == 0 or len(self._waiting) > MAX_WAITING:
-            self._give_up_gap(now_ns)
+            self._give_up_gap()
 
     def _deliver(
         self, packet: RtpPacket, extended: int, received_ns: int, *, lost_before: int
@@ -219,18 +219,19 @@ class RtpReceiver:
         self._restart = False
         self._next = extended + 1
 
-    def _drain(self, now_ns: int) -> None:
+    def _drain(self) -> None:
         """Deliver what has waited for nothing but its predecessor; time the next gap."""
         while (ready := self._waiting.pop(self._next, None)) is not None:
             self._deliver(ready.packet, self._next, ready.received_ns, lost_before=0)
         if not self._waiting:
             self._gap_deadline_ns = None
         else:
-            # The next gap was seen when the packet behind it came, not when this one closed.
-            behind = self._waiting[min(self._waiting)]
-            self._gap_deadline_ns = behind.received_ns + self._reorder_depth_ns
+            # Each packet that waits is a witness of the gap before the lowest: none may wait
+            # longer than the depth, whatever gaps came before.
+            seen_ns = min(waiting.received_ns for waiting in self._waiting.values())
+            self._gap_deadline_ns = seen_ns + self._reorder_depth_ns
 
-    def _give_up_gap(self, now_ns: int) -> None:
+    def _give_up_gap(self) -> None:
         extended = min(self._waiting)
         lost = extended - self._next
         self.counts.lost += lost
@@ -239,7 +240,7 @@ class RtpReceiver:
         self._given_up = {number for number in self._given_up if number >= oldest}
         behind = self._waiting.pop(extended)
         self._deliver(behind.packet, extended, behind.received_ns, lost_before=lost)
-        self._drain(now_ns)
+        self._drain()
 
     def _try_candidate(self, packet: RtpPacket, now_ns: int) -> None:
         """Probation: believe a new source, or a jump of this one, after two in sequence."""
@@ -271,7 +272,7 @@ class RtpReceiver:
 
     def _start_source(self, first: RtpPacket) -> None:
         while self._waiting:
-            self._give_up_gap(0)
+            self._give_up_gap()
         self.counts.sources += 1
         self.ssrc = first.ssrc
         self._first = self._next = self._highest = first.sequence_number
@@ -319,7 +320,7 @@ class RtpReceiver:
     def handle_timeout(self, now_ns: int) -> None:
         """Give up the gaps whose time has come (`poll_timeout`)."""
         while self._gap_deadline_ns is not None and now_ns >= self._gap_deadline_ns:
-            self._give_up_gap(now_ns)
+            self._give_up_gap()
 
     def poll_timeout(self) -> int | None:
         """When `handle_timeout` has to be called; None if no packet waits."""

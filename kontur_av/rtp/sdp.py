@@ -1,0 +1,232 @@
+"""The session description (SDP, RFC 8866) of one RTP stream: written and read.
+
+What aiortc.sdp reads is WebRTC's dialect; it refuses what GStreamer and FFmpeg write and read.
+"""
+
+import base64
+import binascii
+import ipaddress
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from kontur_av.errors import ConfigError
+from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
+
+VIDEO_PAYLOAD_TYPE = 96
+AUDIO_PAYLOAD_TYPE = 97
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamDescription:
+    """One stream of plain RTP over UDP.
+
+    kind: "video" is H.264 in packetization-mode 1 or 0, "audio" is Opus.
+    host: an IP address: where the stream is sent to.  port: of RTP.
+    rtcp_port: of RTCP, or None: port + 1.
+    bandwidth_bps: the cap of the stream with its headers, or None.
+    parameter_sets: SPS and PPS NAL units, if known (video).
+    """
+
+    kind: Literal["video", "audio"]
+    host: str
+    port: int
+    payload_type: int
+    rtcp_port: int | None = None
+    bandwidth_bps: int | None = None
+    parameter_sets: tuple[bytes, ...] = ()
+    name: str = "kontur-av"
+
+    @property
+    def clock_rate_hz(self) -> int:
+        return VIDEO_CLOCK_HZ if self.kind == "video" else AUDIO_CLOCK_HZ
+
+    @property
+    def control_port(self) -> int:
+        """The port of RTCP."""
+        return self.port + 1 if self.rtcp_port is None else self.rtcp_port
+
+
+def write_sdp(stream: StreamDescription) -> str:
+    """SDP text that GStreamer's sdpdemux, ffmpeg and ffplay open as it is."""
+    version = ipaddress.ip_address(stream.host).version
+    address = f"IN IP{version} {stream.host}"
+    payload_type = stream.payload_type
+    lines = [
+        "v=0",
+        f"o=- 0 0 {address}",
+        f"s={stream.name}",
+        f"c={address}",
+        "t=0 0",
+        f"m={stream.kind} {stream.port} RTP/AVP {payload_type}",
+    ]
+    if stream.bandwidth_bps is not None:
+        lines.append(f"b=AS:{-(-stream.bandwidth_bps // 1000)}")
+    if stream.rtcp_port is not None and stream.rtcp_port != stream.port + 1:
+        lines.append(f"a=rtcp:{stream.rtcp_port}")
+    if stream.kind == "video":
+        lines.append(f"a=rtpmap:{payload_type} H264/{VIDEO_CLOCK_HZ}")
+        lines.append(f"a=fmtp:{payload_type} {_h264_parameters(stream.parameter_sets)}")
+    else:
+        # RFC 7587 section 7: always 48000/2, whatever is coded; mono is said in fmtp.
+        lines.append(f"a=rtpmap:{payload_type} opus/{AUDIO_CLOCK_HZ}/2")
+        lines.append(f"a=fmtp:{payload_type} stereo=0;sprop-stereo=0;cbr=1")
+        lines.append("a=ptime:20")
+    lines.append("a=recvonly")
+    return "\r\n".join(lines) + "\r\n"
+
+
+def _h264_parameters(parameter_sets: tuple[bytes, ...]) -> str:
+    parameters = ["packetization-mode=1"]
+    if parameter_sets:
+        sps = next((unit for unit in parameter_sets if len(unit) >= 4 and unit[0] & 31 == 7), None)
+        if sps is not None:
+            parameters.append(f"profile-level-id={sps[1:4].hex().upper()}")
+        coded = ",".join(base64.b64encode(unit).decode() for unit in parameter_sets)
+        parameters.append(f"sprop-parameter-sets={coded}")
+    return ";".join(parameters)
+
+
+def parse_sdp(text: str) -> StreamDescription:
+    """The first H.264 or Opus stream that the SDP describes.
+
+    Raises ConfigError if there is none, or a line of it makes no sense.
+    """
+    if not text.lstrip("\ufeff").startswith("v="):
+        raise ConfigError("this is no SDP: its first line must begin with v=")
+    session_host: str | None = None
+    session_name = "-"
+    for block in _blocks(text):
+        host = session_host
+        for key, value in block:
+            if key == "c":
+                host = _address(value)
+        if block[0][0] != "m":
+            session_host = host
+            session_name = next((value for key, value in block if key == "s"), session_name)
+            continue
+        stream = _parse_media(block, host, session_name)
+        if stream is not None:
+            return stream
+    raise ConfigError(
+        "the SDP describes no stream that can be received: it needs "
+        "m=video with a=rtpmap H264/90000 or m=audio with a=rtpmap opus/48000/2"
+    )
+
+
+def _blocks(text: str) -> Iterator[list[tuple[str, str]]]:
+    """The session's lines, then those of each m= line, as (key, value)."""
+    block: list[tuple[str, str]] = []
+    for number, raw in enumerate(text.lstrip("\ufeff").splitlines(), 1):
+        line = raw.strip()
+        if not line:
+            continue
+        key, equals, value = line.partition("=")
+        if not equals or len(key) != 1:
+            raise ConfigError(f"SDP line {number}: {line[:60]!r} is not of the form x=value")
+        if key == "m" and block:
+            yield block
+            block = []
+        block.append((key, value.strip()))
+    yield block
+
+
+def _address(value: str) -> str:
+    fields = value.split()
+    try:
+        # A multicast address may carry its TTL: 224.1.1.1/127 (RFC 8866 section 5.7).
+        return str(ipaddress.ip_address(fields[2].partition("/")[0]))
+    except (IndexError, ValueError):
+        raise ConfigError(
+            f"SDP c={value[:60]}: write an IP address, as in c=IN IP4 127.0.0.1"
+        ) from None
+
+
+def _parse_media(
+    block: list[tuple[str, str]], host: str | None, name: str
+) -> StreamDescription | None:
+    fields = block[0][1].split()
+    if len(fields) < 4 or not fields[2].startswith("RTP/"):
+        return None
+    maps: dict[str, str] = {}
+    parameters: dict[str, str] = {}
+    rtcp_port: int | None = None
+    bandwidth_bps: int | None = None
+    for key, value in block[1:]:
+        attribute, _, rest = value.partition(":")
+        if key == "b" and attribute == "AS":
+            bandwidth_bps = 1000 * _number(rest, "b=AS", 1, 10**9)
+        elif key != "a":
+            continue
+        elif attribute == "rtpmap":
+            payload_type, _, encoding = rest.partition(" ")
+            maps[payload_type] = encoding.strip().lower()
+        elif attribute == "fmtp":
+            payload_type, _, formats = rest.partition(" ")
+            parameters[payload_type] = formats
+        elif attribute == "rtcp":
+            rtcp_port = _number((rest.split() or [""])[0], "a=rtcp", 1, 65535)
+    kind: Literal["video", "audio"]
+    for payload_type in fields[3:]:
+        encoding = maps.get(payload_type, "")
+        if fields[0] == "video" and encoding == f"h264/{VIDEO_CLOCK_HZ}":
+            kind = "video"
+        elif fields[0] == "audio" and encoding in (
+            f"opus/{AUDIO_CLOCK_HZ}/2",
+            f"opus/{AUDIO_CLOCK_HZ}",
+        ):
+            kind = "audio"
+        else:
+            continue
+        if host is None:
+            raise ConfigError("the SDP has no c= line: add c=IN IP4 and the receiver's address")
+        formats = _parse_formats(parameters.get(payload_type, ""))
+        if kind == "video" and formats.get("packetization-mode", "0") not in ("0", "1"):
+            raise ConfigError(
+                f"SDP packetization-mode={formats['packetization-mode'][:20]}: "
+                "interleaved H.264 is not received; use packetization-mode=1"
+            )
+        return StreamDescription(
+            kind=kind,
+            host=host,
+            # Several ports may be given as 5004/2: only the first is for this stream.
+            port=_number(fields[1].partition("/")[0], "m=", 1, 65534),
+            payload_type=_number(payload_type, "m=", 0, 127),
+            rtcp_port=rtcp_port,
+            bandwidth_bps=bandwidth_bps,
+            parameter_sets=_parse_parameter_sets(formats.get("sprop-parameter-sets", "")),
+            name=name,
+        )
+    return None
+
+
+def _number(text: str, where: str, lowest: int, highest: int) -> int:
+    value = int(text) if text.isascii() and text.isdigit() and len(text) < 12 else -1
+    if not lowest <= value <= highest:
+        raise ConfigError(
+            f"SDP {where}: {text[:20]!r} must be a whole number from {lowest} to {highest}"
+        )
+    return value
+
+
+def _parse_formats(text: str) -> dict[str, str]:
+    formats: dict[str, str] = {}
+    for part in text.split(";"):
+        key, equals, value = part.strip().partition("=")
+        if equals:
+            formats[key.strip().lower()] = value.strip().strip('"')
+    return formats
+
+
+def _parse_parameter_sets(text: str) -> tuple[bytes, ...]:
+    if not text:
+        return ()
+    try:
+        units = tuple(base64.b64decode(part, validate=True) for part in text.split(","))
+    except (binascii.Error, ValueError):
+        units = (b"",)
+    if not all(unit and unit[0] & 0x1F in (7, 8, 13) for unit in units):
+        raise ConfigError(
+            "SDP sprop-parameter-sets: must be SPS and PPS in base64, divided by a comma"
+        )
+    return units
