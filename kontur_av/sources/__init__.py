@@ -1,1 +1,28 @@
-"""Inputs: a camera, a file, a live pipe, a microphone, or a scene that someone else renders."""
+"""Where pictures and sound come from: files, live pipes, cameras, microphones, scenes."""
+
+from kontur_av.sources.scene import SceneAudio, SceneVideo
+from kontur_av.sources.source import (
+    BLOCK_NS,
+    BLOCK_SAMPLES,
+    AudioSceneFactory,
+    AudioSource,
+    SourceEnded,
+    VideoSceneFactory,
+    VideoSource,
+)
+from kontur_av.sources.spec import check_spec, open_audio, open_video
+
+__all__ = [
+    "BLOCK_NS",
+    "BLOCK_SAMPLES",
+    "AudioSceneFactory",
+    "AudioSource",
+    "SceneAudio",
+    "SceneVideo",
+    "SourceEnded",
+    "VideoSceneFactory",
+    "VideoSource",
+    "check_spec",
+    "open_audio",
+    "open_video",
+]

@@ -1,0 +1,151 @@
+"""A camera of this machine: Video4Linux2, through FFmpeg's device library."""
+
+import os
+import stat
+import threading
+import time
+from pathlib import Path
+
+import av
+
+from kontur_av.clock import NS_PER_S, Clock
+from kontur_av.errors import ConfigError
+from kontur_av.media import I420, CaptureStamp
+from kontur_av.sources.fit import Fitter
+from kontur_av.sources.source import RETRY_NS
+
+
+def check_camera(device: str) -> None:
+    """Raise ConfigError, one line that names the mend, where `device` is no usable camera."""
+    try:
+        mode = Path(device).stat().st_mode
+    except OSError:
+        raise ConfigError(
+            f"no camera {device!r}: plug one in, or choose from `kontur-av devices`"
+        ) from None
+    if not stat.S_ISCHR(mode):
+        raise ConfigError(f"{device!r} is no device: give one such as v4l2:/dev/video0")
+    if not os.access(device, os.R_OK | os.W_OK):
+        raise ConfigError(f"may not open {device!r}: add yourself to the group `video`")
+
+
+class CameraVideo:
+    """Pictures of a camera (a `VideoSource`): the newest one, stamped by the driver.
+
+    The driver is asked for the wanted size and rate; what it gives instead is scaled. A driver
+    can hang for ever in a read, so a thread does the reading and `read` waits for it. A camera
+    that goes away is asked for again twice a second.
+
+    demuxer: FFmpeg's name of the device library; tests put another one in.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        *,
+        name: str,
+        width: int,
+        height: int,
+        fps: int,
+        clock: Clock,
+        demuxer: str = "v4l2",
+    ) -> None:
+        if demuxer == "v4l2":
+            check_camera(device)
+        self.faults = 0
+        self.last_fault = ""
+        self._device = device
+        self._name = name
+        self._clock = clock
+        self._demuxer = demuxer
+        self._options = {"video_size": f"{width}x{height}", "framerate": str(fps)}
+        self._fitter = Fitter(width, height)
+        self._sequence = 0
+        self._last_capture_ns = -1
+        self._closed = False
+        self._arrived = threading.Condition()
+        self._newest: tuple[av.VideoFrame, int] | None = None
+        try:
+            container: av.container.InputContainer | None = self._open()
+        except (av.FFmpegError, OSError, ValueError) as error:
+            raise ConfigError(
+                f"camera {device!r} cannot be opened ({error}): is another program using it?"
+            ) from None
+        self._thread = threading.Thread(
+            target=self._run, args=(container,), name=f"camera {device}", daemon=True
+        )
+        self._thread.start()
+
+    def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
+        with self._arrived:
+            if self._newest is None:
+                self._arrived.wait_for(lambda: self._newest is not None, timeout_ns / NS_PER_S)
+            newest, self._newest = self._newest, None
+        if newest is None:
+            return None
+        frame, capture_ns = newest
+        try:
+            self._fitter.write(self._fitter.scale(frame), into)
+        except (av.FFmpegError, ValueError) as error:
+            self._fault(error)
+            return None
+        self._last_capture_ns = max(capture_ns, self._last_capture_ns + 1)
+        stamp = CaptureStamp(self._last_capture_ns, self._sequence, self._name)
+        self._sequence += 1
+        return stamp
+
+    def close(self) -> None:
+        self._closed = True
+        # A hung driver must not hang the end of the session: the thread is a daemon.
+        self._thread.join(timeout=1.0)
+
+    def _open(self) -> av.container.InputContainer:
+        try:
+            return av.open(self._device, format=self._demuxer, options=self._options)
+        except (av.FFmpegError, ValueError):
+            # This driver has no such rate: its own is better than nothing.
+            return av.open(self._device, format=self._demuxer)
+
+    def _run(self, container: av.container.InputContainer | None) -> None:
+        while not self._closed:
+            try:
+                container = container or self._open()
+                self._read_all(container)
+            except (av.FFmpegError, OSError, ValueError) as error:
+                self._fault(error)
+            if container is not None:
+                container.close()
+                container = None
+            if not self._closed:
+                time.sleep(RETRY_NS / NS_PER_S)
+
+    def _read_all(self, container: av.container.InputContainer) -> None:
+        stream = container.streams.video[0]
+        stream.codec_context.thread_count = 1
+        for packet in container.demux(stream):
+            now_ns = self._clock.now_ns()
+            if self._closed:
+                return
+            try:
+                frames = packet.decode()
+            except av.FFmpegError as error:
+                # A cable that is bent breaks single MJPEG pictures; the next one may be whole.
+                self._fault(error)
+                continue
+            for frame in frames:
+                if isinstance(frame, av.VideoFrame):
+                    with self._arrived:
+                        self._newest = (frame, self._captured_ns(packet, now_ns))
+                        self._arrived.notify()
+
+    def _captured_ns(self, packet: av.Packet[av.VideoStream], now_ns: int) -> int:
+        """The driver's own stamp, where it is of the monotonic clock; else the arrival."""
+        if packet.pts is not None and packet.time_base is not None:
+            stated_ns = int(packet.pts * packet.time_base * NS_PER_S)
+            if 0 <= now_ns - stated_ns < NS_PER_S // 2:
+                return stated_ns
+        return now_ns
+
+    def _fault(self, error: Exception) -> None:
+        self.faults += 1
+        self.last_fault = f"{self._device}: {error}"

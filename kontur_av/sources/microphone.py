@@ -1,0 +1,163 @@
+"""A microphone of this machine: ALSA, through the `arecord` of alsa-utils.
+
+FFmpeg's ALSA reader inside PyAV's wheels carries a libasound that was built with a path of
+the machine that built it: it finds neither the system's configuration nor the plug-ins (dmix,
+PipeWire, rate conversion). `arecord` is linked to the system's own library and has both.
+"""
+
+import contextlib
+import os
+import select
+import shutil
+import subprocess
+
+import numpy as np
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
+from kontur_av.errors import ConfigError
+from kontur_av.media import AUDIO_CLOCK_HZ, AudioFrame, CaptureStamp
+from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS
+
+_BLOCK_OCTETS = 2 * BLOCK_SAMPLES
+#: More than this waiting in the pipe is old sound: the reader was away.
+_BACKLOG_OCTETS = 5 * _BLOCK_OCTETS
+_OPEN_TIMEOUT_S = 5.0
+
+
+def check_microphone(device: str) -> None:
+    """Raise ConfigError, one line that names the mend, where ALSA cannot open `device`.
+
+    Opens it for a moment and records a single sample.
+    """
+    program = _arecord()
+    try:
+        done = subprocess.run(
+            [*_command(program, device), "-s", "1"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            timeout=_OPEN_TIMEOUT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise ConfigError(
+            f"microphone {device!r} gives no sound: is another program using it?"
+        ) from None
+    if done.returncode:
+        raise ConfigError(
+            f"microphone {device!r} cannot be opened ({_reason(done.stderr)}): "
+            "choose from `kontur-av devices`, or try alsa:plughw:0"
+        )
+
+
+def _arecord() -> str:
+    program = shutil.which("arecord")
+    if program is None:
+        raise ConfigError("alsa: needs the program `arecord`: apt install alsa-utils")
+    return program
+
+
+def _command(program: str, device: str) -> list[str]:
+    return [
+        *(program, "-q", "-D", device, "-t", "raw", "-f", "S16_LE", "-c", "1"),
+        *("-r", str(AUDIO_CLOCK_HZ), "--period-time=10000", "--buffer-time=80000"),
+    ]
+
+
+def _reason(stderr: bytes) -> str:
+    lines = [line for line in stderr.decode("utf-8", "replace").splitlines() if line.strip()]
+    return lines[-1].rsplit(": ", 1)[-1] if lines else "no reason given"
+
+
+class MicrophoneAudio:
+    """The sound of a microphone (an `AudioSource`).
+
+    A block is taken to end when its last sample comes out of the pipe; the device's own buffer
+    (10 ms a period) lies before that. Where the device goes away it is opened again twice a
+    second, and in between there is no sound.
+    """
+
+    def __init__(self, device: str, *, name: str, clock: Clock) -> None:
+        check_microphone(device)
+        self.faults = 0
+        self.last_fault = ""
+        self._device = device
+        self._name = name
+        self._clock = clock
+        self._sequence = 0
+        self._rest = b""
+        self._retry_ns = 0
+        self._process: subprocess.Popen[bytes] | None = None
+        self._start()
+
+    def read(self, timeout_ns: int) -> AudioFrame | None:
+        give_up_ns = self._clock.now_ns() + timeout_ns
+        while len(self._rest) < _BLOCK_OCTETS:
+            now_ns = self._clock.now_ns()
+            if self._process is None and now_ns >= self._retry_ns:
+                self._start()
+            if self._process is None or self._process.stdout is None:
+                self._clock.sleep_until_ns(min(give_up_ns, self._retry_ns))
+            else:
+                self._fetch(self._process.stdout.fileno(), give_up_ns - now_ns)
+            if len(self._rest) < _BLOCK_OCTETS and self._clock.now_ns() >= give_up_ns:
+                return None
+        if len(self._rest) > _BACKLOG_OCTETS:
+            old = (len(self._rest) - _BLOCK_OCTETS) & ~1
+            self._rest = self._rest[old:]
+        block, self._rest = self._rest[:_BLOCK_OCTETS], self._rest[_BLOCK_OCTETS:]
+        begun_ns = self._clock.now_ns() - BLOCK_NS - len(self._rest) * BLOCK_NS // _BLOCK_OCTETS
+        stamp = CaptureStamp(begun_ns, self._sequence, self._name)
+        self._sequence += 1
+        return AudioFrame(np.frombuffer(block, "<i2").astype(np.int16, copy=False), stamp)
+
+    def close(self) -> None:
+        self._stop()
+
+    def _fetch(self, fd: int, wait_ns: int) -> None:
+        poller = select.poll()
+        poller.register(fd, select.POLLIN)
+        if not poller.poll(max(0, -(-wait_ns // NS_PER_MS))):
+            return
+        octets = os.read(fd, 1 << 16)
+        self._rest += octets
+        if not octets:
+            reason = b""
+            if self._process is not None and self._process.stderr is not None:
+                with contextlib.suppress(OSError):
+                    reason = self._process.stderr.read() or b""
+            self._fault(_reason(reason))
+            self._stop()
+
+    def _start(self) -> None:
+        try:
+            self._process = subprocess.Popen(
+                _command(_arecord(), self._device),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                bufsize=0,
+            )
+        except (OSError, ConfigError) as error:
+            self._fault(str(error))
+            self._stop()
+
+    def _stop(self) -> None:
+        self._rest = b""
+        self._retry_ns = self._clock.now_ns() + RETRY_NS
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.terminate()
+        try:
+            process.wait(NS_PER_S // 2 / NS_PER_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        for pipe in (process.stdout, process.stderr):
+            if pipe is not None:
+                pipe.close()
+
+    def _fault(self, reason: str) -> None:
+        self.faults += 1
+        self.last_fault = f"{self._device}: {reason}"

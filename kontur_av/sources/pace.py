@@ -1,0 +1,54 @@
+"""Absolute deadlines at a fixed rate: late is skipped, never caught up in a burst."""
+
+from fractions import Fraction
+
+from kontur_av.clock import NS_PER_S
+
+
+class Pace:
+    """The instants k / rate (+ phase) of a clock, one after the other.
+
+    The grid hangs on the clock's zero, not on the moment when the source was opened: two
+    cameras of one rate and phase are then captured at the same instants, as if genlocked,
+    although they are separate processes that were started one after the other.
+
+    rate_hz: instants a second.
+    phase: where between two instants of phase 0 they lie, 0 <= phase < 1.
+    patience: how many periods late one may be before instants are skipped.
+    skipped: how many instants have been given up so far.
+    """
+
+    def __init__(
+        self, rate_hz: Fraction | int, now_ns: int, *, phase: float = 0.0, patience: int = 1
+    ) -> None:
+        self._period = Fraction(NS_PER_S) / Fraction(rate_hz)
+        self._phase_ns = int(self._period * Fraction(phase))
+        self._patience_ns = int(self._period * patience)
+        self._index = self._last_before(now_ns) + 1
+        self.skipped = 0
+
+    @property
+    def period_ns(self) -> int:
+        return int(self._period)
+
+    def due_ns(self, now_ns: int) -> int:
+        """The instant that comes next; the latest past one when too much was missed."""
+        due_ns = self._instant(self._index)
+        if now_ns - due_ns > self._patience_ns:
+            latest = self._last_before(now_ns)
+            self.skipped += latest - self._index
+            self._index = latest
+            due_ns = self._instant(latest)
+        return due_ns
+
+    def handle_taken(self) -> None:
+        """The instant that is due has been used."""
+        self._index += 1
+
+    def _instant(self, index: int) -> int:
+        return int(index * self._period) + self._phase_ns
+
+    def _last_before(self, now_ns: int) -> int:
+        index = (now_ns - self._phase_ns) // self._period
+        # int() in _instant rounds down, so the next instant may already lie at now_ns.
+        return index + 1 if self._instant(index + 1) <= now_ns else index

@@ -1,0 +1,179 @@
+"""Live pictures from somebody else's program: YUV4MPEG2 through a FIFO."""
+
+import contextlib
+import fcntl
+import os
+import select
+import stat
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
+from kontur_av.errors import ConfigError
+from kontur_av.media import I420, CaptureStamp
+from kontur_av.sources.fit import Fitter
+from kontur_av.sources.y4m import Y4mPicture, Y4mReader
+
+#: Asked of the kernel, so that a picture of 640x480 takes one wake-up, not eight.
+PIPE_OCTETS = 1 << 20
+
+
+def check_fifo(path: str) -> None:
+    """Raise ConfigError, one line that names the mend, where `path` is no readable FIFO."""
+    try:
+        mode = Path(path).stat().st_mode
+    except FileNotFoundError:
+        raise ConfigError(f"no FIFO {path!r}: make it with `mkfifo {path}`") from None
+    except OSError as error:
+        raise ConfigError(f"cannot look at FIFO {path!r} ({error.strerror})") from None
+    if not stat.S_ISFIFO(mode):
+        raise ConfigError(f"{path!r} is no FIFO: give a media file without `pipe:`, or mkfifo")
+    if not os.access(path, os.R_OK):
+        raise ConfigError(f"cannot read FIFO {path!r}: `chmod u+r {path}`")
+
+
+class PipeVideo:
+    """Pictures as they come through a FIFO (a `VideoSource`), captured when they have arrived.
+
+    The writer may go away and come back, and may come back with another size: what differs is
+    scaled. Garbage is counted (`faults`) and skipped up to the next header.
+    A writer that does not keep to the rate of its own header (a file piped through at full
+    speed) is held back by not reading; one that keeps to it never is.
+    """
+
+    def __init__(
+        self, path: str, *, name: str, width: int, height: int, fps: int, clock: Clock
+    ) -> None:
+        check_fifo(path)
+        self.faults = 0
+        self.last_fault = ""
+        self._path = path
+        self._name = name
+        self._size = (width, height)
+        self._fps = fps
+        self._clock = clock
+        self._fitter = Fitter(width, height)
+        self._reader = Y4mReader()
+        self._sequence = 0
+        self._paid_until_ns = clock.now_ns()
+        self._fd = self._open()
+
+    def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
+        give_up_ns = self._clock.now_ns() + timeout_ns
+        while True:
+            picture = self._newest()
+            if picture is not None and self._write(picture, into):
+                stamp = CaptureStamp(self._clock.now_ns(), self._sequence, self._name)
+                self._sequence += 1
+                return stamp
+            if not self._fetch(give_up_ns):
+                return None
+
+    def _newest(self) -> Y4mPicture | None:
+        """The last whole picture of those that have arrived."""
+        newest = None
+        while (event := self._reader.next_event()) is not None:
+            if isinstance(event, Y4mPicture):
+                newest = event
+            else:
+                self._fault(str(event))
+        return newest
+
+    def close(self) -> None:
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+    def _fetch(self, give_up_ns: int) -> bool:
+        """Wait for octets and take them; False when the time is over."""
+        free_ns = self._free_at_ns()
+        now_ns = self._clock.now_ns()
+        if free_ns > now_ns:
+            self._clock.sleep_until_ns(min(free_ns, give_up_ns))
+            now_ns = self._clock.now_ns()
+        wait_ns = give_up_ns - now_ns
+        if wait_ns <= 0:
+            return False
+        poller = select.poll()
+        poller.register(self._fd, select.POLLIN)
+        if not poller.poll(-(-wait_ns // NS_PER_MS)):
+            return False
+        try:
+            octets = os.readv(self._fd, [self._reader.write_view()])
+        except BlockingIOError:
+            return True
+        if octets:
+            self._reader.handle_written(octets)
+        else:
+            self._handle_writer_gone()
+        return True
+
+    def _period_ns(self) -> int:
+        """Of the writer by its own word; of the session where its word is worth nothing."""
+        header = self._reader.header
+        stated_hz = header.rate_hz if header else None
+        return int(NS_PER_S / (stated_hz if stated_hz and stated_hz >= 10 else self._fps))
+
+    def _free_at_ns(self) -> int:
+        """When the writer may be read from again."""
+        # Two pictures of credit: a live writer's jitter must never be held back.
+        return self._paid_until_ns - 2 * self._period_ns()
+
+    def _write(self, picture: Y4mPicture, into: I420) -> bool:
+        header = picture.header
+        # 5 % faster than stated: the writer's clock may run faster than ours.
+        cost_ns = self._period_ns() * 95 // 100
+        self._paid_until_ns = max(self._paid_until_ns, self._clock.now_ns()) + cost_ns
+        if (header.width, header.height) == self._size and header.pixel_format == "yuv420p":
+            into.reshape(-1)[:] = np.frombuffer(picture.octets, np.uint8)
+            return True
+        try:
+            frame = _as_frame(picture)
+            self._fitter.write(self._fitter.scale(frame, header.aspect), into)
+        except (av.FFmpegError, ValueError) as error:
+            self._fault(str(error))
+            return False
+        return True
+
+    def _handle_writer_gone(self) -> None:
+        if self._reader.header is not None:
+            self._fault("the writer has gone")
+        self._reader.handle_end()
+        # A FIFO whose writer has left reports its end for ever, until it is opened anew. The
+        # new end is opened before the old is closed: a writer that is just coming never sees
+        # a FIFO without a reader.
+        old = self._fd
+        self._fd = self._open()
+        os.close(old)
+
+    def _open(self) -> int:
+        fd = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        # Where it is above the user's limit, the default of 64 KiB only costs more wake-ups.
+        with contextlib.suppress(OSError):
+            fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, PIPE_OCTETS)
+        return fd
+
+    def _fault(self, reason: str) -> None:
+        self.faults += 1
+        self.last_fault = f"{self._path}: {reason}"
+
+
+def _as_frame(picture: Y4mPicture) -> av.VideoFrame:
+    """The planes as FFmpeg wants them: every line padded to its own line size."""
+    header = picture.header
+    frame = av.VideoFrame(header.width, header.height, header.pixel_format)
+    frame.color_range = 2 if header.full_range else 1
+    octets = np.frombuffer(picture.octets, np.uint8)
+    at = 0
+    planes: tuple[Any, ...] = frame.planes
+    for plane in planes:
+        target = np.frombuffer(plane, np.uint8)[: plane.line_size * plane.height]
+        size = plane.width * plane.height
+        target.reshape(plane.height, plane.line_size)[:, : plane.width] = octets[
+            at : at + size
+        ].reshape(plane.height, plane.width)
+        at += size
+    return frame

@@ -1,0 +1,86 @@
+"""Somebody else's renderer as a source: a function that draws, a function that sounds.
+
+A renderer needs to know neither the clock nor shared memory: it is called at the right
+instants, with the buffer to write to. The built-in world comes in through these two classes.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from kontur_av.clock import Clock
+from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm
+from kontur_av.sources.pace import Pace
+from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES
+
+#: draw(into, sequence, capture_ns): write the whole picture of that instant into `into`.
+Draw = Callable[[I420, int, int], None]
+
+#: sound(into, sequence, capture_ns): write 960 samples; the first is of that instant.
+Sound = Callable[[Pcm, int, int], None]
+
+
+class SceneVideo:
+    """Pictures from a drawing function at a fixed rate (a `VideoSource`).
+
+    phase shifts the camera's instants against those of cameras with phase 0, by that part
+    of a period: cameras that need not be captured together then don't all draw at once.
+    """
+
+    def __init__(
+        self, draw: Draw, *, name: str, fps: int, clock: Clock, phase: float = 0.0
+    ) -> None:
+        self.faults = 0
+        self.last_fault = ""
+        self._draw = draw
+        self._name = name
+        self._clock = clock
+        self._pace = Pace(fps, clock.now_ns(), phase=phase)
+        self._sequence = 0
+
+    def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
+        now_ns = self._clock.now_ns()
+        due_ns = self._pace.due_ns(now_ns)
+        if due_ns > now_ns + timeout_ns:
+            self._clock.sleep_until_ns(now_ns + timeout_ns)
+            return None
+        self._clock.sleep_until_ns(due_ns)
+        stamp = CaptureStamp(due_ns, self._sequence, self._name)
+        self._draw(into, self._sequence, due_ns)
+        self._pace.handle_taken()
+        self._sequence += 1
+        return stamp
+
+    def close(self) -> None:
+        pass
+
+
+class SceneAudio:
+    """Sound from a function, 20 ms at a time in real time (an `AudioSource`)."""
+
+    def __init__(self, sound: Sound, *, name: str, clock: Clock) -> None:
+        self.faults = 0
+        self.last_fault = ""
+        self._sound = sound
+        self._name = name
+        self._clock = clock
+        # Two blocks of patience: a late block of sound is still worth having.
+        self._pace = Pace(50, clock.now_ns(), patience=2)
+        self._sequence = 0
+
+    def read(self, timeout_ns: int) -> AudioFrame | None:
+        now_ns = self._clock.now_ns()
+        complete_ns = self._pace.due_ns(now_ns)
+        if complete_ns > now_ns + timeout_ns:
+            self._clock.sleep_until_ns(now_ns + timeout_ns)
+            return None
+        self._clock.sleep_until_ns(complete_ns)
+        stamp = CaptureStamp(complete_ns - BLOCK_NS, self._sequence, self._name)
+        samples = np.zeros(BLOCK_SAMPLES, np.int16)
+        self._sound(samples, stamp.sequence, stamp.capture_ns)
+        self._pace.handle_taken()
+        self._sequence += 1
+        return AudioFrame(samples, stamp)
+
+    def close(self) -> None:
+        pass

@@ -1,0 +1,142 @@
+"""What stands behind `--source NAME=SPEC`: from the words of the command line to a source.
+
+A SPEC is a path to a media file, or `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`, `scene:NAME`.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Literal
+
+from kontur_av.clock import Clock
+from kontur_av.errors import ConfigError
+from kontur_av.media import check_size
+from kontur_av.sources.source import (
+    AudioSceneFactory,
+    AudioSource,
+    VideoSceneFactory,
+    VideoSource,
+)
+
+# The kinds are imported where they are needed: a process that draws a scene loads no FFmpeg.
+
+_KINDS = ("pipe", "v4l2", "alsa", "scene")
+
+
+def open_video(
+    spec: str,
+    *,
+    name: str,
+    width: int,
+    height: int,
+    fps: int,
+    clock: Clock,
+    scenes: Mapping[str, VideoSceneFactory] | None = None,
+) -> VideoSource:
+    """Open the pictures that `spec` names, in the given size.
+
+    name: of the input, goes into every stamp. fps: of scenes and cameras (a file has its own).
+    scenes: what `scene:NAME` may name. Raises ConfigError as `check_spec` does.
+    """
+    check_size(width, height)
+    kind, rest = _split(spec)
+    if kind == "scene":
+        known = scenes or {}
+        _check_scene(rest, known)
+        return known[rest](name, width, height, fps, clock)
+    if kind == "pipe":
+        from kontur_av.sources.pipe import PipeVideo
+
+        return PipeVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
+    if kind == "v4l2":
+        from kontur_av.sources.camera import CameraVideo
+
+        return CameraVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
+    if kind == "alsa":
+        raise _no_pictures(spec)
+    from kontur_av.sources.file import FileVideo
+
+    return FileVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
+
+
+def open_audio(
+    spec: str,
+    *,
+    name: str,
+    clock: Clock,
+    scenes: Mapping[str, AudioSceneFactory] | None = None,
+) -> AudioSource:
+    """Open the sound that `spec` names. Arguments and errors as those of `open_video`."""
+    kind, rest = _split(spec)
+    if kind == "scene":
+        known = scenes or {}
+        _check_scene(rest, known)
+        return known[rest](name, clock)
+    if kind == "alsa":
+        from kontur_av.sources.microphone import MicrophoneAudio
+
+        return MicrophoneAudio(rest, name=name, clock=clock)
+    if kind in ("pipe", "v4l2"):
+        raise _no_sound(spec)
+    from kontur_av.sources.file import FileAudio
+
+    return FileAudio(rest, name=name, clock=clock)
+
+
+def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str] = ()) -> None:
+    """Refuse, before anything has started, a SPEC that cannot work.
+
+    scenes: the names that `scene:NAME` may have for this kind of input.
+    Raises ConfigError with one line that names the mend: a missing or unreadable file, one
+    without pictures (or sound), a FIFO that is none, a device that cannot be opened, a scene
+    that nobody knows.
+    """
+    family, rest = _split(spec)
+    if family == "scene":
+        _check_scene(rest, scenes)
+    elif kind == "video" and family == "alsa":
+        raise _no_pictures(spec)
+    elif kind == "audio" and family in ("pipe", "v4l2"):
+        raise _no_sound(spec)
+    elif family == "pipe":
+        from kontur_av.sources.pipe import check_fifo
+
+        check_fifo(rest)
+    elif family == "v4l2":
+        from kontur_av.sources.camera import check_camera
+
+        check_camera(rest)
+    elif family == "alsa":
+        from kontur_av.sources.microphone import check_microphone
+
+        check_microphone(rest)
+    else:
+        from kontur_av.sources.file import check_file
+
+        check_file(rest, kind)
+
+
+def _split(spec: str) -> tuple[str, str]:
+    kind, colon, rest = spec.partition(":")
+    if colon and kind in _KINDS:
+        if not rest:
+            raise ConfigError(f"source {spec!r} names nothing: write {kind}: and what to open")
+        return kind, rest
+    if not spec:
+        raise ConfigError(
+            "a source is empty: give a media file, pipe:PATH, v4l2:DEVICE, alsa:DEVICE "
+            "or scene:NAME"
+        )
+    return "file", spec
+
+
+def _check_scene(name: str, scenes: Iterable[str]) -> None:
+    known = sorted(scenes)
+    if name not in known:
+        raise ConfigError(f"no scene {name!r} for this input: choose one of {', '.join(known)}")
+
+
+def _no_pictures(spec: str) -> ConfigError:
+    return ConfigError(f"{spec!r} is sound, this input wants pictures: give a file, pipe: or v4l2:")
+
+
+def _no_sound(spec: str) -> ConfigError:
+    return ConfigError(f"{spec!r} is pictures, this input wants sound: give a file or alsa:DEVICE")

@@ -1,0 +1,172 @@
+"""YUV4MPEG2, the plain stream of raw pictures that FFmpeg, GStreamer and mjpegtools write.
+
+Format: mjpegtools' yuv4mpeg(5). A header line `YUV4MPEG2 W640 H480 F30:1 C420jpeg ...`, then
+for each picture a line `FRAME ...` and the planes.
+"""
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+from kontur_av.errors import ProtocolError
+
+MAGIC = b"YUV4MPEG2 "
+FRAME = b"FRAME"
+#: A line that is longer than this is garbage.
+LONGEST_LINE_OCTETS = 1024
+LARGEST_SIDE = 8192
+
+#: Colour tag -> (FFmpeg's pixel format, chroma width divisor, height divisor); 0: no chroma.
+COLOURS = {
+    "420": ("yuv420p", 2, 2),
+    "420jpeg": ("yuv420p", 2, 2),
+    "420mpeg2": ("yuv420p", 2, 2),
+    "420paldv": ("yuv420p", 2, 2),
+    "422": ("yuv422p", 2, 1),
+    "444": ("yuv444p", 1, 1),
+    "mono": ("gray", 0, 0),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Y4mHeader:
+    """What the header line says. rate_hz is None where it says "unknown" (F0:0)."""
+
+    width: int
+    height: int
+    rate_hz: Fraction | None
+    aspect: Fraction
+    pixel_format: str
+    full_range: bool
+    frame_octets: int
+
+
+def parse_header(line: bytes) -> Y4mHeader:
+    """Read a header line (without its newline). Raises ProtocolError."""
+    if not line.startswith(MAGIC):
+        raise ProtocolError("no YUV4MPEG2 header")
+    fields: dict[str, str] = {}
+    for word in line[len(MAGIC) :].decode("ascii", "replace").split():
+        fields["XCOLORRANGE" if word.startswith("XCOLORRANGE=") else word[0]] = word[1:]
+    colour = fields.get("C", "420jpeg")
+    if colour not in COLOURS:
+        raise ProtocolError(f"colour format C{colour} is not one of C{', C'.join(COLOURS)}")
+    width, height = _side(fields.get("W")), _side(fields.get("H"))
+    pixel_format, divide_x, divide_y = COLOURS[colour]
+    chroma = 2 * -(-width // divide_x) * -(-height // divide_y) if divide_x else 0
+    return Y4mHeader(
+        width,
+        height,
+        _ratio(fields.get("F"), ":"),
+        _ratio(fields.get("A"), ":") or Fraction(1),
+        pixel_format,
+        "FULL" in fields.get("XCOLORRANGE", ""),
+        width * height + chroma,
+    )
+
+
+def _side(text: str | None) -> int:
+    if text is None or not text.isascii() or not text.isdigit() or len(text) > 6:
+        raise ProtocolError("width or height is missing in the YUV4MPEG2 header")
+    side = int(text)
+    if not 2 <= side <= LARGEST_SIDE:
+        raise ProtocolError(f"a side of {side} pixels is not within 2 to {LARGEST_SIDE}")
+    return side
+
+
+def _ratio(text: str | None, mark: str) -> Fraction | None:
+    above, _, below = (text or "").partition(mark)
+    if not (above.isascii() and above.isdigit() and below.isascii() and below.isdigit()):
+        return None
+    if len(above) > 9 or len(below) > 9 or not int(above) or not int(below):
+        return None
+    return Fraction(int(above), int(below))
+
+
+@dataclass(frozen=True, slots=True)
+class Y4mPicture:
+    """One picture: its planes one after the other, and the header that it came under.
+
+    octets stays valid until the next call of `write_view` of the reader.
+    """
+
+    header: Y4mHeader
+    octets: memoryview
+
+
+class Y4mReader:
+    """Core: octets in, pictures out. Garbage is counted and skipped up to the next header.
+
+    Read into `write_view()`, tell `handle_written(n)` how much came, then call `next_event`
+    until it returns None. After the end of a writer, `handle_end` forgets what was begun.
+    """
+
+    def __init__(self) -> None:
+        self.header: Y4mHeader | None = None
+        self.garbage_octets = 0
+        self._buffer = bytearray(1 << 16)
+        self._begin = 0
+        self._fill = 0
+        self._in_frame = False
+
+    def write_view(self) -> memoryview:
+        """Where the next octets go: never empty."""
+        if self._begin:
+            rest = self._buffer[self._begin : self._fill]
+            self._buffer[: len(rest)] = rest
+            self._begin, self._fill = 0, len(rest)
+        wanted = LONGEST_LINE_OCTETS + (self.header.frame_octets if self.header else 1 << 16)
+        if len(self._buffer) < wanted:
+            # A new object, because a picture handed out before may still look at the old one.
+            larger = bytearray(wanted)
+            larger[: self._fill] = self._buffer[: self._fill]
+            self._buffer = larger
+        return memoryview(self._buffer)[self._fill :]
+
+    def handle_written(self, octets: int) -> None:
+        """`octets` octets have been written to the front of `write_view()`."""
+        self._fill += octets
+
+    def handle_end(self) -> None:
+        """The writer is gone: what it left unfinished is dropped, a new header must come."""
+        self.garbage_octets += self._fill - self._begin
+        self._begin = self._fill = 0
+        self.header = None
+        self._in_frame = False
+
+    def next_event(self) -> Y4mPicture | ProtocolError | None:
+        """A whole picture, or what was wrong with the stream, or None: more octets needed."""
+        while True:
+            if self._in_frame and self.header is not None:
+                if self._fill - self._begin < self.header.frame_octets:
+                    return None
+                end = self._begin + self.header.frame_octets
+                octets = memoryview(self._buffer)[self._begin : end]
+                self._begin, self._in_frame = end, False
+                return Y4mPicture(self.header, octets)
+            line_end = self._buffer.find(b"\n", self._begin, self._fill)
+            if line_end < 0:
+                if self._fill - self._begin > LONGEST_LINE_OCTETS:
+                    return self._resync("no line where a header or a picture should begin")
+                return None
+            if line_end - self._begin > LONGEST_LINE_OCTETS:
+                return self._resync("no line where a header or a picture should begin")
+            line = bytes(self._buffer[self._begin : line_end])
+            if self.header is not None and line.split(b" ", 1)[0] == FRAME:
+                self._in_frame = True
+                self._begin = line_end + 1
+                continue
+            try:
+                self.header = parse_header(line)
+            except ProtocolError as error:
+                return self._resync(str(error))
+            self._begin = line_end + 1
+
+    def _resync(self, reason: str) -> ProtocolError | None:
+        """Skip to the next octets that may begin a header."""
+        self.header = None
+        found = self._buffer.find(MAGIC, self._begin + 1, self._fill)
+        # The end of what is there may be the beginning of the magic word.
+        target = found if found >= 0 else max(self._begin + 1, self._fill - len(MAGIC) + 1)
+        self.garbage_octets += target - self._begin
+        self._begin = target
+        return ProtocolError(reason)

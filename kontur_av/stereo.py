@@ -1,0 +1,176 @@
+"""One picture from two cameras: the left part of the left one, the right part of the right one.
+
+A tool that stands between the cameras and the work hides something else from each of them.
+What it hides on the left is what the right camera sees, so one picture made of the outer
+halves shows both sides of the tool at the bit rate of one camera (Kontur-2).
+"""
+
+from dataclasses import dataclass
+
+from kontur_av.errors import ConfigError
+from kontur_av.media import I420, CaptureStamp, VideoFrame, planes
+
+
+def merge(left: I420 | None, right: I420 | None, into: I420, seam: float = 0.5) -> None:
+    """Write the left part of `left` and the right part of `right` into `into`.
+
+    All have the shape (height * 3 // 2, width), uint8. seam: where the parts meet, as a part
+    of the width from 0.0 to 1.0; it falls on an even column, so that no chroma sample belongs
+    to both. A camera that has never given a picture (None) leaves its part black.
+    Raises ConfigError when the sizes differ.
+    """
+    for side, picture in (("left", left), ("right", right)):
+        if picture is not None and picture.shape != into.shape:
+            raise ConfigError(
+                f"stereo: the {side} camera gives {picture.shape[1]}x{picture.shape[0] * 2 // 3}, "
+                f"the merged picture has {into.shape[1]}x{into.shape[0] * 2 // 3}: "
+                "set both cameras to one size"
+            )
+    if not 0.0 <= seam <= 1.0:
+        raise ConfigError(f"stereo: seam {seam} lies outside of 0.0 to 1.0")
+    column = int(into.shape[1] * seam) & ~1
+    targets = planes(into)
+    for index, target in enumerate(targets):
+        cut = column // 2 if index else column
+        blank = 128 if index else 16
+        target[:, :cut] = blank if left is None else planes(left)[index][:, :cut]
+        target[:, cut:] = blank if right is None else planes(right)[index][:, cut:]
+
+
+@dataclass(frozen=True, slots=True)
+class StereoPair:
+    """Two pictures that belong together.
+
+    left, right: None only for a camera that has never given a picture.
+    stamp: of the merged picture. capture_ns is the older of the two capture times; where one
+    camera is late or dead and its last picture is shown again, that of the fresh one.
+    left_stale, right_stale: that camera's picture is older than `stale_after_ns`.
+    """
+
+    left: VideoFrame | None
+    right: VideoFrame | None
+    stamp: CaptureStamp
+    left_stale: bool
+    right_stale: bool
+
+
+class StereoPairer:
+    """Core: joins the pictures of two cameras by capture time.
+
+    Two pictures belong together when their capture times differ by half a period at most.
+    A picture waits for its partner for `patience_ns` (default: half a period), then goes with
+    the last picture of the other camera. It does not wait for a camera that is stale.
+    Depth one each side, the newest wins. After each `handle_*` and each timeout, call
+    `next_event` until it returns None.
+
+    period_ns: of the cameras. stale_after_ns: age from which a picture is called stale.
+    source: name for the stamps of the pairs.
+    """
+
+    def __init__(
+        self,
+        *,
+        period_ns: int,
+        stale_after_ns: int = 250_000_000,
+        patience_ns: int | None = None,
+        source: str = "stereo",
+    ) -> None:
+        self._half_period_ns = period_ns // 2
+        self._stale_after_ns = stale_after_ns
+        self._patience_ns = self._half_period_ns if patience_ns is None else patience_ns
+        self._source = source
+        self._last: list[VideoFrame | None] = [None, None]
+        self._fresh = [False, False]
+        self._deadline_ns: int | None = None
+        self._begun_ns: int | None = None
+        self._ready: StereoPair | None = None
+        self._sequence = 0
+        self._last_capture_ns = -1
+        self.paired = 0
+        self.single = 0
+        self.dropped = 0
+
+    def handle_left(self, frame: VideoFrame, now_ns: int) -> None:
+        """The left camera has given a picture. It is kept until the next one replaces it."""
+        self._handle(0, frame, now_ns)
+
+    def handle_right(self, frame: VideoFrame, now_ns: int) -> None:
+        """The right camera has given a picture. It is kept until the next one replaces it."""
+        self._handle(1, frame, now_ns)
+
+    def handle_timeout(self, now_ns: int) -> None:
+        """Call when `poll_timeout` has passed: a picture goes without its partner."""
+        if self._deadline_ns is not None and now_ns >= self._deadline_ns:
+            self._emit(now_ns)
+
+    def poll_timeout(self) -> int | None:
+        """When `handle_timeout` wants to be called; None while no picture waits."""
+        return self._deadline_ns
+
+    def next_event(self) -> StereoPair | None:
+        """The next pair to merge, or None."""
+        pair, self._ready = self._ready, None
+        return pair
+
+    def _handle(self, side: int, frame: VideoFrame, now_ns: int) -> None:
+        if self._begun_ns is None:
+            self._begun_ns = now_ns
+        other = 1 - side
+        self.dropped += self._fresh[side]
+        self._last[side] = frame
+        self._fresh[side] = frame.stamp.capture_ns > self._last_capture_ns
+        if not self._fresh[side]:
+            # A newer picture has gone without it: it only serves as this camera's last one.
+            self.dropped += 1
+            return
+        partner = self._last[other]
+        if partner is not None and self._fresh[other]:
+            ahead_ns = frame.stamp.capture_ns - partner.stamp.capture_ns
+            if abs(ahead_ns) <= self._half_period_ns:
+                self._emit(now_ns)
+                return
+            self._fresh[other if ahead_ns > 0 else side] = False
+            self.dropped += 1
+            if ahead_ns < 0:
+                return
+        if self._is_stale(other, now_ns):
+            self._emit(now_ns)
+        else:
+            self._deadline_ns = now_ns + self._patience_ns
+
+    def _is_stale(self, side: int, now_ns: int) -> bool:
+        frame = self._last[side]
+        since_ns = self._begun_ns if frame is None else frame.stamp.capture_ns
+        return since_ns is not None and now_ns - since_ns > self._stale_after_ns
+
+    def _emit(self, now_ns: int) -> None:
+        fresh = [
+            frame.stamp.capture_ns
+            for frame, is_fresh in zip(self._last, self._fresh, strict=True)
+            if frame is not None and is_fresh
+        ]
+        self._deadline_ns = None
+        self._fresh = [False, False]
+        if not fresh:
+            return
+        left, right = self._last
+        if any(
+            frame is None and not self._is_stale(side, now_ns)
+            for side, frame in enumerate(self._last)
+        ):
+            # At the start the other camera gets a while before its part is shown black.
+            self.dropped += 1
+            return
+        capture_ns = min(fresh)
+        self.dropped += self._ready is not None
+        self.paired += len(fresh) == 2
+        self.single += len(fresh) == 1
+        self._ready = StereoPair(
+            left,
+            right,
+            CaptureStamp(capture_ns, self._sequence, self._source),
+            self._is_stale(0, now_ns),
+            self._is_stale(1, now_ns),
+        )
+        self._sequence += 1
+        self._last_capture_ns = capture_ns
