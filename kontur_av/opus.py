@@ -35,9 +35,7 @@ class OpusEncoder:
         sounds the same.
     """
 
-    def __init__(
-        self, *, bitrate_bps: int, frame_samples: int = 960, complexity: int = 5
-    ) -> None:
+    def __init__(self, *, bitrate_bps: int, frame_samples: int = 960, complexity: int = 5) -> None:
         if frame_samples not in FRAME_SAMPLES:
             raise ConfigError(f"Opus frame of {frame_samples} samples: take one of {FRAME_SAMPLES}")
         if not _LOWEST_BPS <= bitrate_bps <= _HIGHEST_BPS:

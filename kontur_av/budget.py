@@ -1,0 +1,186 @@
+"""The hard byte budget of a stream: what may leave now, and whether to encode one more picture.
+
+A rate control inside the encoder aims at a rate; it does not promise one. The promise is made
+here: the pacer releases packets so that over no sliding window the cap is exceeded, whatever the
+encoder did. A coded picture that would break the cap waits, in pieces; it is not dropped, because
+every later picture refers to it. What is given up instead is the next picture: it is not encoded
+while the channel is still busy with those before it.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
+from kontur_av.meters import RateMeter
+
+SHORT_WINDOW_NS = 100_000_000
+#: Over a window of 100 ms a stream may take this much of its share: one and a half times.
+SHORT_WINDOW_SHARE = (3, 2)
+
+
+class _Limit:
+    """At most `most_octets` over any window of `length_ns`."""
+
+    def __init__(self, length_ns: int, most_octets: int) -> None:
+        self.length_ns = length_ns
+        self.most_octets = most_octets
+        self._spent: deque[tuple[int, int]] = deque()
+        self._sum = 0
+
+    def spend(self, now_ns: int, octets: int) -> None:
+        self._forget(now_ns)
+        self._spent.append((now_ns, octets))
+        self._sum += octets
+
+    def room_ns(self, octets: int, now_ns: int) -> int:
+        """From when on `octets` fit: `now_ns`, or a later instant."""
+        self._forget(now_ns)
+        excess = self._sum + octets - self.most_octets
+        if excess <= 0:
+            return now_ns
+        for spent_ns, spent_octets in self._spent:
+            excess -= spent_octets
+            if excess <= 0:
+                return spent_ns + self.length_ns
+        # More than the window ever holds: as good a moment as there is.
+        return self._spent[-1][0] + self.length_ns if self._spent else now_ns
+
+    def _forget(self, now_ns: int) -> None:
+        gone_ns = now_ns - self.length_ns
+        while self._spent and self._spent[0][0] <= gone_ns:
+            self._sum -= self._spent.popleft()[1]
+
+
+class Pacer:
+    """Releases a stream's packets under a hard cap. A core: it is told the time.
+
+    cap_bps: over no window of `window_ns` do the payload bits of released packets exceed
+        `cap_bps * window_ns`; over no 100 ms do they exceed 1.5 times their share of it.
+    channel_bps: packets leave spaced as a channel of this rate would take their payload; the cap
+        where it is not given. The modelled channel is what `ready_for_picture` looks at.
+    guard_ns: the windows are kept this much longer than promised, so that the cap also holds for
+        an observer who sees each packet up to `guard_ns` early or late. It costs its share of the
+        rate: 10 ms of 1 s are 1 %.
+    slack_ns: a picture is encoded when it could start on the channel within this time; about one
+        frame period. More gives fewer gaps, less gives a lower latency.
+    picture_octets: the size that `ready_for_picture` expects of the next picture; the cap's share
+        of `slack_ns` where it is not given.
+
+    Queue: packets in order, no depth limit but the refusal of new pictures, nothing is dropped.
+    All arithmetic is in integers, so that a session may last for years.
+    """
+
+    def __init__(
+        self,
+        *,
+        cap_bps: int,
+        channel_bps: int | None = None,
+        window_ns: int = NS_PER_S,
+        guard_ns: int = 10_000_000,
+        slack_ns: int = NS_PER_S // 30,
+        picture_octets: int | None = None,
+    ) -> None:
+        if cap_bps < 1000:
+            raise ConfigError(f"a cap of {cap_bps} bit/s: at least 1000 bit/s are needed")
+        if channel_bps is not None and channel_bps < cap_bps:
+            raise ConfigError(
+                f"a channel of {channel_bps} bit/s cannot carry a cap of {cap_bps} bit/s: "
+                "lower the cap or give the channel more"
+            )
+        self.cap_bps = cap_bps
+        self.channel_bps = cap_bps if channel_bps is None else channel_bps
+        self._slack_ns = slack_ns
+        times, of = SHORT_WINDOW_SHARE
+        short_octets = cap_bps * SHORT_WINDOW_NS * times // (of * 8 * NS_PER_S)
+        self._limits = (
+            _Limit(SHORT_WINDOW_NS + guard_ns, short_octets),
+            _Limit(window_ns + guard_ns, cap_bps * window_ns // (8 * NS_PER_S)),
+        )
+        #: The largest payload of a packet that this cap lets through.
+        self.max_payload_octets = min(limit.most_octets for limit in self._limits)
+        share = cap_bps * slack_ns // (8 * NS_PER_S) if picture_octets is None else picture_octets
+        self._picture_octets = min(share, self.max_payload_octets)
+        self._queue: deque[tuple[bytes, int, int]] = deque()
+        self._backlog_octets = 0
+        self._free_ns = 0
+        #: What was released, by payload octets.
+        self.released = RateMeter(windows_ns=(window_ns, SHORT_WINDOW_NS))
+        self.released_packets = 0
+        #: How often `ready_for_picture` said no: pictures that were not encoded.
+        self.pictures_refused = 0
+        #: The longest that any packet waited for its release.
+        self.longest_wait_ns = 0
+
+    def handle_access_unit(
+        self, packets: Sequence[bytes], payload_octets: Sequence[int], now_ns: int
+    ) -> None:
+        """Queue one access unit's packets; `payload_octets` counts each one against the cap.
+
+        Then drain `poll_transmit`. Raises ValueError when a packet is larger than
+        `max_payload_octets`: it could never leave.
+        """
+        for packet, octets in zip(packets, payload_octets, strict=True):
+            if octets > self.max_payload_octets:
+                raise ValueError(f"payload of {octets} octets: at most {self.max_payload_octets}")
+            self._queue.append((packet, octets, now_ns))
+            self._backlog_octets += octets
+
+    def poll_transmit(self, now_ns: int) -> bytes | None:
+        """The next packet if it may leave now, else None. Call until None."""
+        if not self._queue:
+            return None
+        packet, octets, queued_ns = self._queue[0]
+        if self._release_ns(octets, now_ns) > now_ns:
+            return None
+        self._queue.popleft()
+        self._backlog_octets -= octets
+        for limit in self._limits:
+            limit.spend(now_ns, octets)
+        self._free_ns = max(self._free_ns, now_ns) + self._on_channel_ns(octets)
+        self.released.add(now_ns, octets)
+        self.released_packets += 1
+        self.longest_wait_ns = max(self.longest_wait_ns, now_ns - queued_ns)
+        return packet
+
+    def poll_timeout(self) -> int | None:
+        """When `poll_transmit` is worth the next call; None while nothing is queued."""
+        if not self._queue:
+            return None
+        _, octets, queued_ns = self._queue[0]
+        return self._release_ns(octets, max(queued_ns, self.released.last_ns or 0))
+
+    def ready_for_picture(self, now_ns: int) -> bool:
+        """Whether a picture that is encoded now would be on the channel within `slack_ns`.
+
+        Ask once for each captured picture: a no is counted as a picture not encoded.
+        """
+        wanted = self._backlog_octets + self._picture_octets
+        start_ns = max(self._free_ns, now_ns) + self._on_channel_ns(self._backlog_octets)
+        for limit in self._limits:
+            start_ns = max(start_ns, limit.room_ns(wanted, now_ns))
+        if start_ns - now_ns <= self._slack_ns:
+            return True
+        self.pictures_refused += 1
+        return False
+
+    @property
+    def backlog_octets(self) -> int:
+        """Payload octets that wait for their release."""
+        return self._backlog_octets
+
+    @property
+    def depth(self) -> int:
+        """Packets that wait for their release."""
+        return len(self._queue)
+
+    def oldest_age_ns(self, now_ns: int) -> int:
+        """How long the oldest packet has waited; 0 when none waits."""
+        return now_ns - self._queue[0][2] if self._queue else 0
+
+    def _release_ns(self, octets: int, now_ns: int) -> int:
+        earliest_ns = max(self._free_ns, now_ns)
+        return max(earliest_ns, *(limit.room_ns(octets, now_ns) for limit in self._limits))
+
+    def _on_channel_ns(self, octets: int) -> int:
+        return -(-octets * 8 * NS_PER_S // self.channel_bps)
