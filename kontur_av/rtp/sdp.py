@@ -92,7 +92,9 @@ def parse_sdp(text: str) -> StreamDescription:
 
     Raises ConfigError if there is none, or a line of it makes no sense.
     """
-    if not text.lstrip("\ufeff").startswith("v="):
+    # ffmpeg prints a line "SDP:" before the description that users copy.
+    text = text.removeprefix("\ufeff").lstrip().removeprefix("SDP:").lstrip()
+    if not text.startswith("v="):
         raise ConfigError("this is no SDP: its first line must begin with v=")
     session_host: str | None = None
     session_name = "-"
@@ -117,7 +119,7 @@ def parse_sdp(text: str) -> StreamDescription:
 def _blocks(text: str) -> Iterator[list[tuple[str, str]]]:
     """The session's lines, then those of each m= line, as (key, value)."""
     block: list[tuple[str, str]] = []
-    for number, raw in enumerate(text.lstrip("\ufeff").splitlines(), 1):
+    for number, raw in enumerate(text.splitlines(), 1):
         line = raw.strip()
         if not line:
             continue
@@ -162,8 +164,8 @@ def _parse_media(
             payload_type, _, encoding = rest.partition(" ")
             maps[payload_type] = encoding.strip().lower()
         elif attribute == "fmtp":
-            payload_type, _, formats = rest.partition(" ")
-            parameters[payload_type] = formats
+            payload_type, _, values = rest.partition(" ")
+            parameters[payload_type] = values
         elif attribute == "rtcp":
             rtcp_port = _number((rest.split() or [""])[0], "a=rtcp", 1, 65535)
     kind: Literal["video", "audio"]

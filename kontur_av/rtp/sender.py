@@ -6,16 +6,18 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS, packetize, split_annex_b
 from kontur_av.rtp.wire import (
-    SDES_CNAME,
     RtcpByePacket,
-    RtcpSdesPacket,
     RtcpSenderInfo,
-    RtcpSourceInfo,
     RtcpSrPacket,
     RtpPacket,
+    cname_packet,
 )
 
 SAMPLES_PER_PACKET = 960  # 20 ms at 48 kHz
+
+#: The header of every packet this sender makes (RFC 3550 section 5.1: no CSRC, no extension), so
+#: a packet's payload has `len(packet) - RTP_HEADER_OCTETS` octets.
+RTP_HEADER_OCTETS = 12
 
 
 class RtpSender:
@@ -155,5 +157,4 @@ class RtpSender:
             packet_count=self.packets_sent & 0xFFFF_FFFF,
             octet_count=self.payload_octets_sent & 0xFFFF_FFFF,
         )
-        name = RtcpSourceInfo(ssrc=self.ssrc, items=[(SDES_CNAME, self._cname)])
-        return bytes(RtcpSrPacket(self.ssrc, info)) + bytes(RtcpSdesPacket([name]))
+        return bytes(RtcpSrPacket(self.ssrc, info)) + cname_packet(self.ssrc, self._cname)

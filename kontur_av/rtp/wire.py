@@ -3,14 +3,14 @@
 import struct
 
 from aiortc.rtp import (
+    RTCP_SDES,
     AnyRtcpPacket,
     RtcpByePacket,
     RtcpPacket,
-    RtcpSdesPacket,
     RtcpSenderInfo,
-    RtcpSourceInfo,
     RtcpSrPacket,
     RtpPacket,
+    pack_rtcp_packet,
 )
 
 from kontur_av.errors import ProtocolError
@@ -19,18 +19,16 @@ __all__ = [
     "AnyRtcpPacket",
     "RtcpByePacket",
     "RtcpPacket",
-    "RtcpSdesPacket",
     "RtcpSenderInfo",
-    "RtcpSourceInfo",
     "RtcpSrPacket",
     "RtpPacket",
+    "cname_packet",
     "parse_rtcp",
     "parse_rtp",
     "signed_32",
 ]
 
 SDES_CNAME = 1  # RFC 3550 section 6.5.1
-
 _MALFORMED = (ValueError, IndexError, struct.error)
 
 
@@ -56,6 +54,15 @@ def parse_rtcp(datagram: bytes) -> list[AnyRtcpPacket]:
         return RtcpPacket.parse(datagram)
     except _MALFORMED as error:
         raise ProtocolError(f"not an RTCP packet: {error}") from error
+
+
+def cname_packet(ssrc: int, cname: bytes) -> bytes:
+    """An SDES packet of one chunk with one CNAME of at most 255 octets (RFC 3550 section 6.5).
+
+    Not aiortc's: its end of a chunk is one octet too long, a word too long for some names.
+    """
+    item = struct.pack("!LBB", ssrc, SDES_CNAME, len(cname)) + cname + b"\x00"
+    return pack_rtcp_packet(RTCP_SDES, 1, item + b"\x00" * (-len(item) % 4))
 
 
 def signed_32(difference: int) -> int:

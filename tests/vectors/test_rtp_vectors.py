@@ -1,0 +1,142 @@
+"""Bytes made by hand after the standards, so that an error in both directions cannot hide."""
+
+import pytest
+
+from kontur_av.clock import ManualClock
+from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.rtp.payload_h264 import packetize, parse_payload, split_annex_b
+from kontur_av.rtp.payload_opus import opus_samples
+from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
+from kontur_av.rtp.sender import RtpSender
+from kontur_av.rtp.wire import parse_rtp
+
+SPS = bytes.fromhex("6742c01e")
+PPS = bytes.fromhex("68ce3c80")
+IDR = bytes.fromhex("6588840102030405060708090a0b")
+
+
+def sender(**changes) -> RtpSender:
+    return RtpSender(
+        **{
+            "payload_type": 96,
+            "clock_rate_hz": 90_000,
+            "ssrc": 0xDEADBEEF,
+            "first_sequence": 0x1234,
+            "timestamp_offset": 0x01000000,
+            "cname": "robot",
+        }
+        | changes
+    )
+
+
+def test_an_rtp_packet_octet_for_octet():
+    # 1 s after the epoch of the clock: 90000 = 0x15F90 ticks behind the offset.
+    stamp = CaptureStamp(1_000_000_000, 0, "left")
+    unit = AccessUnit(b"\x00\x00\x00\x01\x41\x9a\x55", stamp, False, 0)
+    (packet,) = sender().video_packets(unit)
+    # V=2, no padding, extension or CSRC | marker, type 96 | sequence | timestamp | SSRC | NAL unit
+    assert packet == bytes.fromhex("80 e0 1234 01015f90 deadbeef 419a55")
+
+
+def test_a_sender_report_octet_for_octet():
+    rtp = sender()
+    clock = ManualClock()
+    capture_ns = 1_500_000_000  # 1.5 s after 1970: NTP 2208988801.5
+    rtp.video_packets(
+        AccessUnit(b"\x00\x00\x01\x41\x9a\x55", CaptureStamp(capture_ns, 0, "left"), False, 0)
+    )
+    assert rtp.poll_report(capture_ns, clock.ntp) == bytes.fromhex(
+        "80 c8 0006 deadbeef"  # V=2, no report blocks, SR, 7 words
+        "83aa7e81 80000000"  # NTP: 2208988801 s and a half
+        "01020f58"  # RTP: 0x01000000 + 135000
+        "00000001 00000003"  # one packet, three octets
+        "81 ca 0003 deadbeef"  # V=2, one chunk, SDES, 4 words in all
+        "01 05 726f626f74 00"  # CNAME "robot", end, padded to a word
+    )
+
+
+def test_small_nal_units_share_a_stap_a():
+    (payload,) = packetize([SPS, PPS, IDR])
+    # F=0, NRI=3, type 24; then a length of 16 bits before each
+    assert payload == bytes.fromhex("78 0004 6742c01e 0004 68ce3c80 000e") + IDR
+
+
+def test_a_large_nal_unit_is_cut_into_fu_a():
+    assert packetize([IDR], max_payload_octets=8) == [
+        # FU indicator: NRI=3, type 28; FU header: start, -, end | type 5; NAL header is left out
+        bytes.fromhex("7c 85 88840102"),
+        bytes.fromhex("7c 05 03040506"),
+        bytes.fromhex("7c 45 0708090a0b"),
+    ]
+
+
+def test_fu_a_gives_the_nal_header_back():
+    first = parse_payload(bytes.fromhex("7c858884"))
+    assert (first.nal_units, first.starts, first.ends) == ((bytes.fromhex("658884"),), True, False)
+
+
+def test_annex_b_with_start_codes_of_both_lengths_and_trailing_zeros():
+    stream = b"\x00\x00\x00\x01" + SPS + b"\x00\x00\x01" + PPS + b"\x00\x00\x00\x01" + IDR + b"\x00"
+    assert split_annex_b(stream) == [SPS, PPS, IDR]
+
+
+def test_padding_extension_and_csrc_are_no_payload():
+    packet = parse_rtp(
+        bytes.fromhex(
+            "b1 60 0001 00000002 00000003"  # V=2, P, X, one CSRC
+            "00000004"  # CSRC
+            "bede0001 10ff0000"  # RFC 8285 extension of one word
+            "4142 000003"  # payload, 3 octets of padding
+        )
+    )
+    assert (packet.payload, packet.csrc, packet.sequence_number) == (b"AB", [4], 1)
+
+
+@pytest.mark.parametrize(
+    ("toc", "samples"),
+    [
+        ("08", 960),  # config 1, SILK NB 20 ms, one frame
+        ("18", 2880),  # config 3, SILK NB 60 ms
+        ("78", 960),  # config 15, hybrid FB 20 ms
+        ("e0", 120),  # config 28, CELT FB 2.5 ms
+        ("f9", 1920),  # config 31, CELT FB 20 ms, two frames
+        ("fb06", 5760),  # six frames: 120 ms
+    ],
+)
+def test_the_length_of_an_opus_packet(toc, samples):
+    assert opus_samples(bytes.fromhex(toc)) == samples
+
+
+def test_sdp_of_a_video_stream():
+    stream = StreamDescription(
+        kind="video",
+        host="127.0.0.1",
+        port=5004,
+        payload_type=96,
+        bandwidth_bps=85_000,
+        parameter_sets=(SPS, PPS),
+    )
+    assert write_sdp(stream).splitlines() == [
+        "v=0",
+        "o=- 0 0 IN IP4 127.0.0.1",
+        "s=kontur-av",
+        "c=IN IP4 127.0.0.1",
+        "t=0 0",
+        "m=video 5004 RTP/AVP 96",
+        "b=AS:85",
+        "a=rtpmap:96 H264/90000",
+        "a=fmtp:96 packetization-mode=1;profile-level-id=42C01E;"
+        "sprop-parameter-sets=Z0LAHg==,aM48gA==",
+        "a=recvonly",
+    ]
+    assert parse_sdp(write_sdp(stream)) == stream
+
+
+def test_the_sdp_that_ffmpeg_writes():
+    text = (
+        "SDP:\nv=0\no=- 0 0 IN IP4 127.0.0.1\ns=No Name\nc=IN IP4 127.0.0.1\nt=0 0\n"
+        "a=tool:libavformat 59.27.100\nm=video 6000 RTP/AVP 96\nb=AS:200\n"
+        "a=rtpmap:96 H264/90000\na=fmtp:96 packetization-mode=1\n"
+    )
+    stream = parse_sdp(text)
+    assert (stream.port, stream.bandwidth_bps, stream.control_port) == (6000, 200_000, 6001)
