@@ -1,0 +1,83 @@
+"""Whatever a haptic port receives, in whatever order: it is counted once and never raises."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from telepresence.haptics.loop import robot_link
+from telepresence.haptics.sample import (
+    Command,
+    Feedback,
+    pack_command,
+    pack_feedback,
+    unpack_command,
+    unpack_feedback,
+)
+
+counts = st.integers(-32767, 32767)
+
+
+@given(st.integers(0, 65535), counts, counts, counts, counts)
+def test_command_round_trip(sequence: int, x: int, y: int, vx: int, vy: int) -> None:
+    octets = pack_command(sequence, Command(x * 20e-6, y * 20e-6, vx * 1e-4, vy * 1e-4))
+    sample = unpack_command(octets)
+    assert sample.sequence == sequence
+    assert pack_command(sample.sequence, sample.value) == octets
+
+
+@given(st.integers(0, 65535), counts, counts, counts, counts, st.booleans())
+def test_feedback_round_trip(
+    sequence: int, x: int, y: int, fx: int, fy: int, contact: bool
+) -> None:
+    octets = pack_feedback(sequence, Feedback(fx * 2e-3, fy * 2e-3, x * 20e-6, y * 20e-6, contact))
+    sample = unpack_feedback(octets)
+    assert sample.sequence == sequence
+    assert pack_feedback(sample.sequence, sample.value) == octets
+
+
+@given(st.lists(st.binary(max_size=14) | st.binary(min_size=12, max_size=12), max_size=50))
+def test_everything_is_counted_exactly_once(datagrams: list[bytes]) -> None:
+    link = robot_link()
+    for now_ns, data in enumerate(datagrams):
+        link.handle_datagram(data, now_ns * 1_000_000)
+    assert link.received + link.late + link.repeated + link.garbage == len(datagrams)
+
+
+@given(
+    st.integers(0, 65535),
+    st.lists(st.sampled_from(["deliver", "lose", "repeat", "swap"]), min_size=1, max_size=300),
+)
+def test_counters_are_true_for_any_path(first: int, path: list[str]) -> None:
+    """Against a plain reckoning with unbounded sequence numbers."""
+    link = robot_link()
+    arrivals: list[int] = []
+    for number, fate in enumerate(path):
+        if fate == "deliver":
+            arrivals.append(number)
+        elif fate == "repeat":
+            arrivals += [number, number]
+        elif fate == "swap":
+            arrivals.insert(max(0, len(arrivals) - 1), number)
+    newest, seen = -1, set()
+    received = late = repeated = 0
+    begin = arrivals[0] if arrivals else 0
+    for now, number in enumerate(arrivals):
+        link.handle_datagram(
+            pack_command(first + number, Command(0.0, 0.0, 0.0, 0.0)), now * 1_000_000
+        )
+        if number in seen or number < begin:
+            repeated += 1
+        elif number > newest:
+            received, newest = received + 1, number
+        else:
+            late += 1
+        seen.add(number)
+    numbers = {number for number in seen if number >= begin}
+    lost = newest - begin + 1 - len(numbers) if arrivals else 0
+    report = link.report()
+    assert (report["received"], report["late"], report["repeated"], report["lost"]) == (
+        received,
+        late,
+        repeated,
+        lost,
+    )
+    assert report["restarts"] == 0
