@@ -1,0 +1,250 @@
+"""The sending end: haptics in every frame, then the highest level that has something to say."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from telepresence.link.compression import RtpCompressor
+from telepresence.link.flows import Flow, FlowKind, Level, check_flows
+from telepresence.link.frame import (
+    CLOSED,
+    MAX_PACKET_OCTETS,
+    TAG_FILL,
+    TAG_PAD,
+    TAG_RESUME,
+    TYPE_RAW,
+    FrameCodec,
+    Pointers,
+    length_octets,
+)
+from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, LinkProfile
+from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
+
+
+class _InFlight:
+    """A packet of which a part has been sent. Its body is header and payload as on the link."""
+
+    __slots__ = ("body", "header_octets", "kind", "level", "offset", "tag")
+
+    def __init__(self, tag: int, body: bytes, header_octets: int, level: int, kind: str) -> None:
+        self.tag = tag
+        self.body = body
+        self.header_octets = header_octets
+        self.level = level
+        self.kind = kind
+        self.offset = 0
+
+
+class LinkSender:
+    """Packets and haptic samples in, exactly one transfer frame a slot out.
+
+    Give it packets with `handle_packet` and samples with `handle_haptic` at any time; call
+    `poll_transmit` once a slot and send what it returns. Strict priority: a packet of a higher
+    level goes into the very next frame, in the middle of a lower one if need be; the lower one
+    goes on afterwards where it stopped.
+    """
+
+    def __init__(
+        self,
+        profile: LinkProfile,
+        flows: Sequence[Flow],
+        *,
+        limits: Mapping[Level, QueueLimits] | None = None,
+        first_count: int = 0,
+    ) -> None:
+        self.profile = profile
+        self.flows = check_flows(flows)
+        self._codec = FrameCodec(profile)
+        self._pointers = Pointers(profile)
+        self._zone_octets = profile.packet_zone_octets
+        self._length_octets = length_octets(profile)
+        limits = {**DEFAULT_LIMITS, **(limits or {})}
+        self._queues = [PacketQueue(limits[level]) for level in Level]
+        self._numbers = {flow.name: number for number, flow in enumerate(self.flows)}
+        self._kinds = [
+            "rtcp" if flow.kind is FlowKind.RTCP else flow.level.name.lower() for flow in self.flows
+        ]
+        self._compressors = [
+            RtpCompressor(flow, profile.slot_ns) if flow.kind is FlowKind.RTP else None
+            for flow in self.flows
+        ]
+        self._first_count = first_count
+        self._count = first_count
+        self._sample: bytes | None = None
+        self._on_air: _InFlight | None = None
+        self._waiting: list[_InFlight | None] = [None] * len(Level)
+        self.haptic_sent = 0
+        self.haptic_superseded = 0
+        self.refused = {"garbage": 0, "oversize": 0, "haptic_length": 0}
+        levels = (level.name.lower() for level in Level)
+        kinds = (*levels, "rtcp", "packet_headers", "framing", "idle")
+        self._carried = dict.fromkeys(kinds, 0)
+
+    def handle_haptic(self, sample: bytes, now_ns: int) -> bool:
+        """The newest sample, of exactly `insert_octets`: it replaces one that has not gone yet.
+
+        False, and counted, where the length is wrong.
+        """
+        if len(sample) != self.profile.insert_octets:
+            self.refused["haptic_length"] += 1
+            return False
+        if self._sample is not None:
+            self.haptic_superseded += 1
+        self._sample = sample
+        return True
+
+    def handle_packet(self, flow: str, data: bytes, now_ns: int) -> bool:
+        """Queue the payload of a UDP datagram of `flow`; False, and counted, where it is refused.
+
+        What cannot be RTP or RTCP (RFC 3550) is refused on such flows: garbage from a port must
+        not take the channel from the media. `KeyError` for a flow that is not in the table.
+        """
+        number = self._numbers[flow]
+        if len(data) > MAX_PACKET_OCTETS:
+            self.refused["oversize"] += 1
+            return False
+        known = self.flows[number]
+        if known.kind is not FlowKind.RAW and not _plausible(known.kind, data):
+            self.refused["garbage"] += 1
+            return False
+        return self._queues[known.level].handle_packet(number, data, now_ns)
+
+    def poll_transmit(self, now_ns: int) -> bytes:
+        """The frame of this slot: `profile.frame_octets` octets, idle ones where nothing waits."""
+        sample, self._sample = self._sample, None
+        if sample is not None:
+            self.haptic_sent += 1
+        pointer, zone = self._fill_zone(now_ns)
+        frame = self._codec.pack(self._count, sample, pointer, zone)
+        self._count += 1
+        return frame
+
+    def _fill_zone(self, now_ns: int) -> tuple[int, bytes]:
+        """First header pointer and packet zone."""
+        size = self._zone_octets
+        pointers = self._pointers
+        packet = self._on_air
+        parts: list[bytes] = []
+        position = 0
+        pointer = 0
+        if packet is not None:
+            queues = self._queues
+            for level in range(packet.level):
+                if queues[level].waiting(now_ns):
+                    pointer = pointers.preempt
+                    self._waiting[packet.level] = packet
+                    break
+            else:
+                remaining = len(packet.body) - packet.offset
+                if remaining > size:
+                    return pointers.no_start, self._piece(packet, size)
+                self._on_air = None
+                if remaining == size:
+                    return pointers.ends, self._piece(packet, size)
+                parts.append(self._piece(packet, remaining))
+                pointer = position = remaining
+            self._on_air = None
+        while position < size:
+            rest = size - position
+            packet = self._next_packet(now_ns)
+            if packet is None:
+                self._carried["idle"] += rest
+                if not position:
+                    return pointers.idle, bytes(rest)
+                parts.append(bytes((TAG_FILL,)) + bytes(rest - 1))
+                break
+            parts.append(self._segment(packet, rest))
+            position += len(parts[-1])
+        return pointer, b"".join(parts)
+
+    def _segment(self, packet: _InFlight, rest: int) -> bytes:
+        """A tag and as much of the packet as goes into the `rest` of the zone."""
+        remaining = len(packet.body) - packet.offset
+        key = "framing" if packet.tag < TYPE_RAW else "packet_headers"
+        if remaining >= rest - 1:
+            self._carried[key] += 1
+            tag = bytes((packet.tag,))
+            segment = tag + self._piece(packet, rest - 1)
+            if remaining >= rest:
+                self._on_air = packet
+                packet.tag = TAG_RESUME + packet.level
+            # One that ends with the zone needs no more than the next frame's pointer.
+            return segment
+        if remaining + 1 + self._length_octets > rest:
+            # One octet too short to be left open, one too long for its length: one pad octet.
+            self._carried["framing"] += 1
+            self._waiting[packet.level] = packet
+            return bytes((TAG_PAD,))
+        self._carried[key] += 1
+        self._carried["framing"] += self._length_octets
+        head = bytes((packet.tag | CLOSED,)) + remaining.to_bytes(self._length_octets, "big")
+        return head + self._piece(packet, remaining)
+
+    def _piece(self, packet: _InFlight, octets: int) -> bytes:
+        """The next `octets` of the packet, entered into the ledger."""
+        offset = packet.offset
+        packet.offset = end = offset + octets
+        header = packet.header_octets
+        if offset < header:
+            of_header = min(end, header) - offset
+            self._carried["packet_headers"] += of_header
+            octets -= of_header
+        self._carried[packet.kind] += octets
+        return packet.body[offset:end]
+
+    def _next_packet(self, now_ns: int) -> _InFlight | None:
+        """The packet of the highest level: the one begun there, else the next of its queue."""
+        waiting = self._waiting
+        for level, queue in enumerate(self._queues):
+            begun = waiting[level]
+            if begun is not None:
+                waiting[level] = None
+                return begun
+            if queue.waiting(now_ns):
+                number, data = queue.take(now_ns)
+                compressor = self._compressors[number]
+                if compressor is None:
+                    tag_type, body, header_octets = TYPE_RAW, data, 0
+                else:
+                    tag_type, body, header_octets = compressor.compress(data, self._count)
+                return _InFlight(tag_type | number, body, header_octets, level, self._kinds[number])
+        return None
+
+    @property
+    def frames_sent(self) -> int:
+        return self._count - self._first_count
+
+    def octets(self) -> dict[str, int]:
+        """Octets of all frames by what they carried; they sum to frame_octets * frames exactly."""
+        frames, insert = self.frames_sent, self.profile.insert_octets
+        mpdu = self.profile.data_octets - self.profile.packet_zone_octets
+        return {
+            "header": frames * HEADER_OCTETS,
+            "fecf": frames * FECF_OCTETS,
+            "haptic": self.haptic_sent * insert,
+            "insert_idle": (frames - self.haptic_sent) * insert,
+            **self._carried,
+            "framing": self._carried["framing"] + frames * mpdu,
+        }
+
+    def report(self, now_ns: int) -> dict[str, Any]:
+        """Rates, the ledger of octets, and each level's queue."""
+        return {
+            "capacity_bps": self.profile.capacity_bps,
+            "frames": self.frames_sent,
+            "octets": self.octets(),
+            "queue": {level.name.lower(): self._queues[level].report(now_ns) for level in Level},
+            "haptic": {"sent": self.haptic_sent, "superseded": self.haptic_superseded},
+            "headers": {
+                flow.name: compressor.report()
+                for flow, compressor in zip(self.flows, self._compressors, strict=True)
+                if compressor is not None
+            },
+            "refused": dict(self.refused),
+        }
+
+
+def _plausible(kind: FlowKind, data: bytes) -> bool:
+    """RTP version 2 and a whole header; for RTCP also a packet type of RFC 3550 and after."""
+    if kind is FlowKind.RTP:
+        return len(data) >= 12 and data[0] >> 6 == 2
+    return len(data) >= 8 and data[0] >> 6 == 2 and 192 <= data[1] <= 223
