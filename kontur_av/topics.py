@@ -1,0 +1,372 @@
+"""Shared-memory topics: publish once, any number of readers, nobody waits for anybody.
+
+A thin front of iceoryx2 (https://iceoryx.io): the writer fills a buffer that lies in shared
+memory already, a reader sees the same octets without a copy. A slow reader loses the oldest
+samples and never holds up the writer; a process that is killed takes nobody else along, and
+what it held is taken back when the next one joins.
+
+Use::
+
+    with TopicBus("my-session") as bus:
+        writer = bus.writer("camera", max_octets=640 * 480 * 3 // 2)
+        loan = writer.loan_picture(640, 480)
+        loan.picture[:] = 128
+        loan.publish(CaptureStamp(now_ns, 0, "camera"))
+
+        reader = bus.reader("camera")
+        if reader.wait(100_000_000) and (lease := reader.latest()):
+            with lease:
+                show(lease.video())
+"""
+
+import ctypes
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import iceoryx2 as iox2
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
+from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, check_size
+
+MAX_READERS = 16
+#: A killed writer counts until somebody has cleaned up after it.
+_MAX_WRITERS = 4
+_MAX_NODES = 64
+_MAX_DEPTH = 8
+_MAX_LEASES = 2
+_SOURCE_OCTETS = 16
+
+SampleView = NDArray[np.uint8]
+
+
+class _Header(ctypes.Structure):
+    """What travels with every sample, in the machine's own byte order: it never leaves it."""
+
+    _fields_ = (
+        ("capture_ns", ctypes.c_int64),
+        ("sequence", ctypes.c_uint64),
+        ("width", ctypes.c_uint32),
+        ("height", ctypes.c_uint32),
+        ("source", ctypes.c_char * _SOURCE_OCTETS),
+    )
+
+
+class Loan:
+    """A buffer in shared memory that its writer fills and then publishes, or gives back."""
+
+    def __init__(
+        self, sample: Any, octets: int, width: int, height: int, published: Callable[[], None]
+    ) -> None:
+        self._sample = sample
+        self._published = published
+        self._width = width
+        self._height = height
+        self.payload: SampleView = _view(sample, octets)
+
+    @property
+    def picture(self) -> I420:
+        """The buffer as an I420 picture, shape (height * 3 // 2, width), uint8, writable."""
+        return self.payload.reshape(self._height * 3 // 2, self._width)
+
+    def publish(self, stamp: CaptureStamp) -> None:
+        """Hand the buffer to the readers. It may not be touched afterwards."""
+        header = self._sample.user_header().contents
+        header.capture_ns = stamp.capture_ns
+        header.sequence = stamp.sequence
+        header.width = self._width
+        header.height = self._height
+        header.source = stamp.source.encode("ascii", "replace")[: _SOURCE_OCTETS - 1]
+        self._sample.assume_init().send()
+        self._published()
+
+    def give_back(self) -> None:
+        """Return the buffer unpublished."""
+        self._sample.delete()
+
+
+class Writer:
+    """Publishes into one topic. Never blocks; the readers' oldest samples give way."""
+
+    def __init__(self, publisher: Any, notifier: Any) -> None:
+        self._publisher = publisher
+        self._notifier = notifier
+
+    def loan(self, octets: int, width: int = 0, height: int = 0) -> Loan:
+        """A buffer of `octets` octets in shared memory."""
+        sample = self._publisher.loan_slice_uninit(octets)
+        return Loan(sample, octets, width, height, self._wake)
+
+    def loan_picture(self, width: int, height: int) -> Loan:
+        """A buffer for one I420 picture; ConfigError when the size is unfit for 4:2:0."""
+        check_size(width, height)
+        return self.loan(width * height * 3 // 2, width, height)
+
+    def publish_octets(self, data: bytes, stamp: CaptureStamp) -> None:
+        """Copy `data` into the topic."""
+        loan = self.loan(len(data))
+        loan.payload[:] = np.frombuffer(data, np.uint8)
+        loan.publish(stamp)
+
+    def publish_video(self, frame: VideoFrame) -> None:
+        """Copy a picture into the topic."""
+        loan = self.loan_picture(frame.width, frame.height)
+        np.copyto(loan.picture, frame.data)
+        loan.publish(frame.stamp)
+
+    def publish_audio(self, frame: AudioFrame) -> None:
+        """Copy a block of sound into the topic."""
+        self.publish_octets(frame.samples.tobytes(), frame.stamp)
+
+    def _wake(self) -> None:
+        if self._notifier is not None:
+            self._notifier.notify()
+
+
+class Lease:
+    """A reader's hold on one sample. Views of it are valid until `release`."""
+
+    def __init__(self, sample: Any) -> None:
+        self._sample = sample
+        header = sample.user_header().contents
+        self.width = int(header.width)
+        self.height = int(header.height)
+        self.stamp = CaptureStamp(
+            int(header.capture_ns), int(header.sequence), bytes(header.source).decode("ascii")
+        )
+        self.payload: SampleView = _view(sample, sample.payload().number_of_elements)
+        self.payload.flags.writeable = False
+
+    def video(self) -> VideoFrame:
+        """The sample as a picture: a view, not a copy."""
+        return VideoFrame(self.payload.reshape(self.height * 3 // 2, self.width), self.stamp)
+
+    def audio(self) -> AudioFrame:
+        """The sample as sound: a view, not a copy."""
+        return AudioFrame(self.payload.view(np.int16), self.stamp)
+
+    def release(self) -> None:
+        """Give the sample back; its views may not be touched afterwards."""
+        if self._sample is not None:
+            self._sample.delete()
+            self._sample = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.release()
+
+
+class Reader:
+    """Reads one topic, either the newest sample (`latest`) or each in turn (`next`)."""
+
+    def __init__(self, subscriber: Any, listener: Any) -> None:
+        self._subscriber = subscriber
+        self.listener = listener
+        #: Samples passed over by `latest` because a newer one was there.
+        self.skipped = 0
+
+    def wait(self, timeout_ns: int) -> bool:
+        """Sleep until something is published or the time is over; whether something is there."""
+        timeout = iox2.Duration.from_nanos(max(0, timeout_ns))
+        if self._subscriber.has_samples():
+            self.drain_wakeups()
+            return True
+        while self.listener.timed_wait(timeout):
+            # A wake-up may be that of a sample which was read already: sleep on.
+            if self._subscriber.has_samples():
+                return True
+        return bool(self._subscriber.has_samples())
+
+    def drain_wakeups(self) -> None:
+        """Forget the wake-ups that have come in, so that the next wait really waits."""
+        self.listener.try_wait()
+
+    def next(self) -> Lease | None:
+        """The oldest sample not yet read, or None."""
+        sample = self._subscriber.receive()
+        return None if sample is None else Lease(sample)
+
+    def latest(self) -> Lease | None:
+        """The newest sample, or None; older ones are released and counted in `skipped`."""
+        newest = self._subscriber.receive()
+        if newest is None:
+            return None
+        while self._subscriber.has_samples():
+            newer = self._subscriber.receive()
+            if newer is None:
+                break
+            newest.delete()
+            newest = newer
+            self.skipped += 1
+        return Lease(newest)
+
+
+class TopicBus:
+    """One process's door to the topics of one session.
+
+    session: lower-case letters, digits and hyphens; it names the shared memory, so that two
+    sessions on one machine do not meet.
+    """
+
+    def __init__(self, session: str) -> None:
+        config = iox2.config.default()
+        config.global_cfg.prefix = iox2.FileName.new(_prefix(session))
+        root = session_root(session)
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        config.global_cfg.root_path = iox2.Path.new(str(root))
+        iox2.set_log_level(iox2.LogLevel.Error)
+        self._node: Any = (
+            iox2.NodeBuilder.new()
+            .config(config)
+            .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
+            .create(iox2.ServiceType.Ipc)
+        )
+        self._ports: list[Any] = []
+
+    def writer(self, topic: str, *, max_octets: int, wake: bool = True) -> Writer:
+        """A writer for samples of up to `max_octets` octets.
+
+        wake=False leaves the readers asleep: for state that is polled.
+        """
+        publisher = (
+            self._data_service(topic)
+            .publisher_builder()
+            .initial_max_slice_len(max_octets)
+            .allocation_strategy(iox2.AllocationStrategy.PowerOfTwo)
+            .max_loaned_samples(2)
+            .backpressure_strategy(iox2.BackpressureStrategy.DiscardData)
+            .create()
+        )
+        notifier = self._event_service(topic).notifier_builder().create() if wake else None
+        self._ports += [publisher] if notifier is None else [publisher, notifier]
+        return Writer(publisher, notifier)
+
+    def reader(self, topic: str, *, depth: int = 1) -> Reader:
+        """A reader that keeps at most `depth` unread samples; beyond that the oldest goes."""
+        if not 1 <= depth <= _MAX_DEPTH:
+            raise ValueError(f"depth {depth}: from 1 to {_MAX_DEPTH}")
+        subscriber = self._data_service(topic).subscriber_builder().buffer_size(depth).create()
+        listener = self._event_service(topic).listener_builder().create()
+        self._ports += [subscriber, listener]
+        return Reader(subscriber, listener)
+
+    def waiter(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> "Waiter":
+        """Waits for any of several readers and file descriptors at once."""
+        return Waiter(readers, sockets)
+
+    def close(self) -> None:
+        """Give the ports back, then the node."""
+        while self._ports:
+            self._ports.pop().delete()
+        self._node = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _data_service(self, topic: str) -> Any:
+        return (
+            self._node.service_builder(iox2.ServiceName.new(topic))
+            .publish_subscribe(iox2.Slice[ctypes.c_uint8])
+            .user_header(_Header)
+            .max_publishers(_MAX_WRITERS)
+            .max_subscribers(MAX_READERS)
+            .max_nodes(_MAX_NODES)
+            .subscriber_max_buffer_size(_MAX_DEPTH)
+            .subscriber_max_borrowed_samples(_MAX_LEASES)
+            .history_size(1)
+            .enable_safe_overflow(True)
+            .open_or_create()
+        )
+
+    def _event_service(self, topic: str) -> Any:
+        return (
+            self._node.service_builder(iox2.ServiceName.new(topic))
+            .event()
+            .max_notifiers(_MAX_WRITERS)
+            .max_listeners(MAX_READERS)
+            .max_nodes(_MAX_NODES)
+            .open_or_create()
+        )
+
+
+class Waiter:
+    """Sleeps until one of several readers has something, or a file descriptor is readable."""
+
+    def __init__(self, readers: Sequence[Reader], sockets: Sequence[int]) -> None:
+        self._readers = readers
+        self._set: Any = (
+            iox2.WaitSetBuilder.new()
+            .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
+            .create(iox2.ServiceType.Ipc)
+        )
+        # The guards detach when they are collected: they live as long as this object.
+        self._guards = [self._set.attach_notification(reader.listener) for reader in readers]
+        self._guards += [
+            self._set.attach_notification_fd(iox2.FileDescriptor.non_owning_new(fd))
+            for fd in sockets
+        ]
+
+    def wait(self, timeout_ns: int) -> None:
+        """Return when something may be there or the time is over."""
+        # The wait set takes milliseconds at the finest; below that a wait would spin.
+        timeout = iox2.Duration.from_nanos(max(NS_PER_MS, timeout_ns))
+        self._set.wait_and_process_with_timeout(timeout)
+        for reader in self._readers:
+            reader.drain_wakeups()
+
+
+def session_root(session: str) -> Path:
+    """The directory of a session's files other than shared memory."""
+    return Path(tempfile.gettempdir()) / f"kontur-av-{os.getuid()}" / session
+
+
+def remove_session(session: str) -> int:
+    """Remove what a session has left in shared memory and on disk; how many files it was.
+
+    For the launcher, once all processes of the session have ended.
+    """
+    removed = 0
+    for leftover in Path("/dev/shm").glob(f"{_prefix(session)}*"):
+        leftover.unlink(missing_ok=True)
+        removed += 1
+    shutil.rmtree(session_root(session), ignore_errors=True)
+    return removed
+
+
+def _prefix(session: str) -> str:
+    if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,30}", session):
+        raise ConfigError(
+            f"session name {session!r}: at most 31 lower-case letters, digits and hyphens"
+        )
+    return f"kontur-av-{session}_"
+
+
+def _view(sample: Any, octets: int) -> SampleView:
+    # From the address, because iceoryx2's own memoryview has a format that NumPy must convert.
+    view: SampleView = np.ctypeslib.as_array(
+        (ctypes.c_uint8 * octets).from_address(sample.payload_ptr)
+    )
+    return view

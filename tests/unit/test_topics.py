@@ -1,0 +1,151 @@
+"""Shared-memory topics: real shared memory, real processes, one of them killed."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kontur_av.errors import ConfigError
+from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame
+from kontur_av.topics import TopicBus, remove_session
+
+PICTURE_OCTETS = 64 * 48 * 3 // 2
+
+
+@pytest.fixture
+def session():
+    name = f"test-{os.getpid()}-{time.monotonic_ns() % 100000}"
+    yield name
+    remove_session(name)
+    assert not list(Path("/dev/shm").glob(f"kontur-av-{name}_*"))
+
+
+def stamp(sequence):
+    return CaptureStamp(1_000 + sequence, sequence, "left")
+
+
+def test_latest_gives_the_newest_and_next_gives_each_in_turn(session):
+    with TopicBus(session) as bus:
+        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+        newest, each = bus.reader("pictures"), bus.reader("pictures", depth=4)
+        for sequence in range(3):
+            loan = writer.loan_picture(64, 48)
+            loan.picture[:] = sequence
+            loan.publish(stamp(sequence))
+        assert newest.wait(0)
+        with newest.latest() as lease:
+            frame = lease.video()
+            assert frame.stamp == stamp(2)
+            assert (frame.width, frame.height) == (64, 48)
+            assert (frame.data == 2).all()
+        seen = []
+        while (lease := each.next()) is not None:
+            with lease:
+                seen.append((lease.stamp.sequence, int(lease.video().data[0, 0])))
+        assert seen == [(0, 0), (1, 1), (2, 2)]
+
+
+def test_sound_comes_back_as_it_went_in(session):
+    with TopicBus(session) as bus:
+        writer = bus.writer("voice", max_octets=1920)
+        reader = bus.reader("voice", depth=8)
+        samples = np.arange(-480, 480, dtype=np.int16)
+        writer.publish_audio(AudioFrame(samples, stamp(7)))
+        with reader.next() as lease:
+            assert (lease.audio().samples == samples).all()
+            assert lease.audio().stamp == stamp(7)
+
+
+def test_a_slow_reader_loses_the_oldest_and_never_blocks_the_writer(session):
+    with TopicBus(session) as bus:
+        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+        slow = bus.reader("pictures", depth=2)
+        data = np.zeros((72, 64), np.uint8)
+        for sequence in range(100):
+            writer.publish_video(VideoFrame(data, stamp(sequence)))
+        seen = []
+        while (lease := slow.next()) is not None:
+            with lease:
+                seen.append(lease.stamp.sequence)
+        assert seen == [98, 99]
+
+
+def test_a_reader_that_joins_late_sees_the_last_sample(session):
+    with TopicBus(session) as bus:
+        writer = bus.writer("state", max_octets=8, wake=False)
+        writer.publish_octets(b"12345678", stamp(0))
+        reader = bus.reader("state")
+        writer.publish_octets(b"87654321", stamp(1))
+        with reader.latest() as lease:
+            assert lease.payload.tobytes() == b"87654321"
+
+
+def test_a_waiter_wakes_for_a_socket_and_for_a_topic(session):
+    read_fd, write_fd = os.pipe()
+    with TopicBus(session) as bus:
+        writer = bus.writer("a", max_octets=8)
+        readers = [bus.reader("a"), bus.reader("b")]
+        waiter = bus.waiter(readers, [read_fd])
+        writer.publish_octets(b"x", stamp(0))
+        waiter.wait(20_000_000_000)  # returns at once, or the test hangs
+        assert readers[0].latest() is not None
+        os.write(write_fd, b"!")
+        waiter.wait(20_000_000_000)
+        assert os.read(read_fd, 1) == b"!"
+        del waiter
+    os.close(read_fd)
+    os.close(write_fd)
+
+
+def _in_child(work):
+    pid = os.fork()
+    if pid == 0:
+        try:
+            work()
+        finally:
+            os._exit(0)
+    return pid
+
+
+def test_a_killed_writer_and_a_killed_reader_leave_the_others_running(session):
+    """Many more kills than writers are allowed at once: what the dead held is taken back."""
+
+    def publish_for_ever():
+        bus = TopicBus(session)
+        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+        for sequence in range(10_000):
+            writer.publish_video(VideoFrame(np.zeros((72, 64), np.uint8), stamp(sequence)))
+            time.sleep(0.002)
+
+    def read_for_ever():
+        bus = TopicBus(session)
+        reader = bus.reader("pictures")
+        held = []
+        while True:
+            if reader.wait(1_000_000_000) and len(held) < 2:
+                held.append(reader.latest())
+
+    with TopicBus(session) as bus:
+        reader = bus.reader("pictures")
+        for _ in range(7):
+            children = [_in_child(read_for_ever), _in_child(publish_for_ever)]
+            try:
+                for _ in range(5):
+                    assert reader.wait(20_000_000_000)
+                    reader.latest().release()
+            finally:
+                for child in children:
+                    os.kill(child, signal.SIGKILL)
+                    os.waitpid(child, 0)
+            while (lease := reader.latest()) is not None:
+                lease.release()
+
+
+def test_an_unfit_session_name_or_size_is_refused(session):
+    with pytest.raises(ConfigError, match="session name"):
+        TopicBus("../etc")
+    with TopicBus(session) as bus, pytest.raises(ConfigError, match="size 63x48"):
+        bus.writer("x", max_octets=10).loan_picture(63, 48)
