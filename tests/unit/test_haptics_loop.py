@@ -1,0 +1,148 @@
+"""The ends of the haptic exchange: newest wins, restarts, silence, and the schedule."""
+
+import pytest
+
+from telepresence.haptics.latency import LatencyMatcher
+from telepresence.haptics.loop import PeerFound, PeerLost, PeerRestarted, joystick_link, robot_link
+from telepresence.haptics.sample import (
+    FLAG_HOLDING,
+    Command,
+    Feedback,
+    pack_command,
+    unpack_command,
+    unpack_feedback,
+)
+from telepresence.haptics.schedule import PeriodicSchedule
+
+MS = 1_000_000
+
+
+def command(x_m: float) -> Command:
+    return Command(x_m, 0.0, 0.0, 0.0)
+
+
+def test_the_newest_sample_wins_and_a_late_one_is_not_used() -> None:
+    link = robot_link()
+    for now_ms, sequence in enumerate([65534, 65535, 1, 0, 1]):
+        link.handle_datagram(pack_command(sequence, command(sequence * 1e-5)), now_ms * MS)
+    newest = link.latest(4 * MS)
+    assert newest is not None
+    assert newest.x_m == pytest.approx(0.0)  # sequence 1 is half a count
+    assert link.report() == {
+        "sent": 0,
+        "received": 3,
+        "lost": 0,
+        "late": 1,
+        "repeated": 1,
+        "garbage": 0,
+        "restarts": 0,
+    }
+    assert [sequence for sequence, _ in link.take_received_stamps()] == [65534, 65535, 1]
+    assert link.take_received_stamps() == []
+
+
+def test_an_outage_is_counted_as_loss_even_when_it_is_long() -> None:
+    link = robot_link()
+    link.handle_datagram(pack_command(0, command(0.0)), 0)
+    link.handle_datagram(pack_command(30_000, command(0.0)), 30_000 * MS)
+    assert (link.received, link.lost, link.restarts) == (2, 29_999, 0)
+
+
+@pytest.mark.parametrize("newest", [100, 20_000, 50_000, 65_500])
+def test_a_restarted_peer_is_heard_within_a_tenth_of_a_second(newest: int) -> None:
+    link = robot_link()
+    now_ns = 0
+    for sequence in range(newest - 50, newest + 1):
+        now_ns += MS
+        link.handle_datagram(pack_command(sequence, command(0.0)), now_ns)
+    now_ns += 500 * MS
+    link.poll_transmit(now_ns)
+    heard_after = None
+    for sequence in range(200):
+        now_ns += MS
+        link.handle_datagram(pack_command(sequence, command(0.5)), now_ns)
+        if heard_after is None and link.latest(now_ns) == command(0.5):
+            heard_after = sequence
+    assert heard_after is not None
+    assert heard_after <= 100
+    assert link.lost < 100
+
+
+def test_silence_is_told_once_and_to_the_peer_too() -> None:
+    link = joystick_link(max_age_ns=20 * MS)
+    robot = robot_link()
+    robot.handle_local(Feedback(0.0, 0.0, 0.0, 0.0, False), 0)
+    data = robot.poll_transmit(0)
+    assert data is not None
+    assert unpack_feedback(data).flags & FLAG_HOLDING
+
+    link.handle_datagram(data, 5 * MS)
+    assert link.peer_holds
+    assert link.poll_timeout() == 25 * MS + 1
+    assert link.latest(25 * MS) is not None
+    assert link.latest(25 * MS + 1) is None
+    for now_ms in (25, 26, 27):
+        link.handle_local(command(0.1), now_ms * MS)
+        sent = link.poll_transmit(now_ms * MS)
+        assert sent is not None
+        assert bool(unpack_command(sent).flags & FLAG_HOLDING) is (now_ms > 25)
+    assert link.next_event() == PeerFound(5 * MS)
+    assert link.next_event() == PeerLost(26 * MS, 5 * MS)
+    assert link.next_event() is None
+
+
+def test_a_sample_is_sent_once_and_only_the_newest() -> None:
+    link = joystick_link()
+    assert link.poll_transmit(0) is None
+    link.handle_local(command(0.1), 0)
+    link.handle_local(command(0.2), 0)
+    data = link.poll_transmit(0)
+    assert data is not None
+    assert unpack_command(data).value.x_m == pytest.approx(0.2)
+    assert link.poll_transmit(1) is None
+
+
+def test_restart_is_an_event() -> None:
+    link = robot_link()
+    for sequence in (40_000, 7, 8, 9):
+        link.handle_datagram(pack_command(sequence, command(0.0)), 0)
+    assert link.next_event() == PeerFound(0)
+    assert link.next_event() == PeerRestarted(0)
+    assert (link.received, link.late, link.lost) == (2, 2, 0)
+
+
+def test_a_missed_cycle_is_skipped_and_never_caught_up() -> None:
+    schedule = PeriodicSchedule(start_ns=10 * MS)
+    assert schedule.handle_wakeup(10 * MS - 1) == -1
+    assert schedule.cycles == 0
+    assert schedule.handle_wakeup(10 * MS + 50_000) == 50_000
+    assert (schedule.next_deadline_ns, schedule.slips, schedule.advance_ns) == (11 * MS, 0, MS)
+    assert schedule.handle_wakeup(14 * MS + 1) == 3 * MS + 1
+    assert (schedule.next_deadline_ns, schedule.slips) == (15 * MS, 3)
+    assert schedule.advance_ns == 4 * MS
+    assert schedule.handle_wakeup(14 * MS + 2) < 0
+    assert schedule.cycles == 2
+
+
+def test_deadlines_do_not_drift() -> None:
+    schedule = PeriodicSchedule(start_ns=0)
+    for _ in range(1000):
+        schedule.handle_wakeup(schedule.next_deadline_ns + 70_000)
+    assert (schedule.next_deadline_ns, schedule.slips) == (1000 * MS, 0)
+
+
+def test_latencies_match_across_a_wrap_and_in_any_order_of_batches() -> None:
+    matcher = LatencyMatcher()
+    matcher.handle_received([(65535, 7 * MS), (0, 9 * MS)])
+    assert matcher.take_latencies_ns(9 * MS) == []
+    matcher.handle_sent([(65535, 2 * MS), (0, 3 * MS)])
+    assert matcher.take_latencies_ns(10 * MS) == [5 * MS, 6 * MS]
+
+    a_turn_later = 65_536 * MS
+    matcher.handle_received([(0, a_turn_later + 9 * MS)])
+    assert matcher.take_latencies_ns(a_turn_later + 9 * MS) == []
+    matcher.handle_sent([(0, a_turn_later + 3 * MS)])
+    assert matcher.take_latencies_ns(a_turn_later + 10 * MS) == [6 * MS]
+    matcher.handle_received([(5, a_turn_later)])
+    assert matcher.take_latencies_ns(a_turn_later + 6_000 * MS) == []
+    assert (matcher.unmatched, matcher.pending) == (1, 0)
