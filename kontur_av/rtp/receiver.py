@@ -94,6 +94,9 @@ class RtpReceiver:
     payload_type: of the stream, 0..127; other packets are garbage.
     clock_rate_hz: of the RTP timestamps.
     reorder_depth_ns: how long a gap is waited for; 0 gives it up at once.
+    ordered: False for a voice, whose PlayoutBuffer puts it in order by time: each packet comes out
+        as soon as it comes in, also one that was given up (then it is lost no more; the
+        `lost_before` of its successor had counted it).
     from_ntp: the clock's way from a 64-bit NTP timestamp to an instant in nanoseconds.
     """
 
@@ -103,6 +106,7 @@ class RtpReceiver:
         payload_type: int,
         clock_rate_hz: int,
         reorder_depth_ns: int = 10 * NS_PER_MS,
+        ordered: bool = True,
         takeover_silence_ns: int = 100 * NS_PER_MS,
         from_ntp: Callable[[int], int] | None = None,
     ) -> None:
@@ -112,7 +116,8 @@ class RtpReceiver:
         self.ssrc: int | None = None
         #: The source has said goodbye (RTCP BYE).
         self.ended = False
-        self._reorder_depth_ns = reorder_depth_ns
+        self._reorder_depth_ns = reorder_depth_ns if ordered else 0
+        self._ordered = ordered
         self._takeover_silence_ns = takeover_silence_ns
         self._from_ntp = from_ntp
         self._events: deque[RtpReceived] = deque()
@@ -172,16 +177,7 @@ class RtpReceiver:
         self._drop_candidate()
         self.ended = False
         if extended < self._next:
-            if extended in self._given_up:
-                self._given_up.discard(extended)
-                counts.lost -= 1
-                counts.late += 1
-                counts.reordered += 1
-            elif extended < self._first:
-                counts.late += 1
-                counts.reordered += 1
-            else:
-                counts.duplicates += 1
+            self._take_old(packet, extended, now_ns)
             return
         if extended in self._waiting:
             counts.duplicates += 1
@@ -202,7 +198,30 @@ class RtpReceiver:
         if self._reorder_depth_ns == 0 or len(self._waiting) > MAX_WAITING:
             self._give_up_gap()
 
+    def _take_old(self, packet: RtpPacket, extended: int, now_ns: int) -> None:
+        counts = self.counts
+        if extended in self._given_up:
+            self._given_up.discard(extended)
+            counts.lost -= 1
+        elif extended >= self._first:
+            counts.duplicates += 1
+            return
+        counts.reordered += 1
+        if self._ordered or extended < self._first:
+            counts.late += 1
+            return
+        counts.received += 1
+        counts.payload_octets += len(packet.payload)
+        self._update_jitter(packet.timestamp, now_ns)
+        self._emit(packet, extended, now_ns, lost_before=0)
+
     def _deliver(
+        self, packet: RtpPacket, extended: int, received_ns: int, *, lost_before: int
+    ) -> None:
+        self._emit(packet, extended, received_ns, lost_before=lost_before)
+        self._next = extended + 1
+
+    def _emit(
         self, packet: RtpPacket, extended: int, received_ns: int, *, lost_before: int
     ) -> None:
         self._events.append(
@@ -217,7 +236,6 @@ class RtpReceiver:
             )
         )
         self._restart = False
-        self._next = extended + 1
 
     def _drain(self) -> None:
         """Deliver what has waited for nothing but its predecessor; time the next gap."""
@@ -283,6 +301,7 @@ class RtpReceiver:
         self._reports = {
             ssrc: report for ssrc, report in self._reports.items() if ssrc == self.ssrc
         }
+        self.counts.reports += len(self._reports)
 
     def _update_jitter(self, timestamp: int, now_ns: int) -> None:
         transit = now_ns * self.clock_rate_hz // NS_PER_S - timestamp

@@ -1,0 +1,265 @@
+"""Invariants: an access unit that comes out whole is octet for octet what went in, whatever the
+network did; and no octets from outside make a parser do anything but refuse.
+"""
+
+import contextlib
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_MS, ManualClock
+from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.rtp.payload_h264 import (
+    H264Depacketizer,
+    join_annex_b,
+    packetize,
+    parse_payload,
+    split_annex_b,
+)
+from kontur_av.rtp.payload_opus import opus_samples
+from kontur_av.rtp.playout import PlayoutBuffer
+from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
+from kontur_av.rtp.sender import RtpSender
+from kontur_av.rtp.wire import parse_rtcp, parse_rtp
+
+# A slice that begins a picture; its body has no zeros, so it holds no start code.
+BODY = st.integers(1, 6000).map(lambda n: bytes(1 + (n * i) % 255 for i in range(n)))
+SLICE = BODY.map(lambda body: b"\x41\x88" + body)
+SETS = st.just([b"\x67\x42\xc0\x1e\x11", b"\x68\xce\x3c\x80"])
+PICTURE = st.one_of(
+    SLICE.map(lambda unit: [unit]),
+    st.tuples(SETS, SLICE).map(lambda both: [*both[0], b"\x65" + both[1][1:]]),
+    # Two slices: the second does not begin a picture.
+    st.tuples(SLICE, BODY).map(lambda both: [both[0], b"\x41\x22" + both[1]]),
+)
+
+
+class Stream:
+    """Sender to depacketizer, over whatever `network` makes of the packets."""
+
+    def __init__(self, pictures, first_sequence, offset, max_payload_octets):
+        sender = RtpSender(
+            payload_type=96,
+            clock_rate_hz=90_000,
+            ssrc=7,
+            first_sequence=first_sequence,
+            timestamp_offset=offset,
+            cname="fuzz",
+            max_payload_octets=max_payload_octets,
+        )
+        self.sent = {}
+        self.packets = []
+        for number, units in enumerate(pictures):
+            stamp = CaptureStamp(number * 33 * NS_PER_MS, number, "fuzz")
+            data = join_annex_b(units)
+            self.packets += sender.video_packets(AccessUnit(data, stamp, False, 0))
+            self.sent[sender.timestamp(stamp.capture_ns)] = data
+        self.receiver = RtpReceiver(
+            payload_type=96, clock_rate_hz=90_000, reorder_depth_ns=10 * NS_PER_MS
+        )
+        self.depacketizer = H264Depacketizer()
+
+    def deliver(self, packets):
+        now_ns = 0
+        for packet in packets:
+            now_ns += NS_PER_MS
+            self.receiver.handle_packet(packet, now_ns)
+            self._pass_on()
+        self.receiver.handle_timeout(now_ns + 10**9)
+        self._pass_on()
+        received = []
+        while (unit := self.depacketizer.next_event()) is not None:
+            received.append(unit)
+        return received
+
+    def _pass_on(self):
+        while (event := self.receiver.next_event()) is not None:
+            self.depacketizer.handle_packet(event)
+
+
+STREAM = st.builds(
+    Stream,
+    st.lists(PICTURE, min_size=2, max_size=12),
+    st.integers(0, 65_535),
+    st.integers(0, 2**32 - 1),
+    st.integers(64, 1400),
+)
+
+
+@settings(max_examples=80, deadline=None)
+@given(STREAM)
+def test_a_clean_network_gives_every_picture_back(stream):
+    received = stream.deliver(stream.packets)
+    assert [unit.data for unit in received] == list(stream.sent.values())
+    assert not any(unit.damaged or unit.lost_before for unit in received)
+    assert stream.receiver.counts.lost == 0
+
+
+@settings(max_examples=80, deadline=None)
+@given(STREAM, st.data())
+def test_small_reordering_and_duplicates_are_repaired(stream, data):
+    # The first two stay in order: a source is believed only after two in sequence.
+    head, rest = stream.packets[:2], stream.packets[2:]
+    shuffled = []
+    for start in range(0, len(rest), 4):
+        shuffled += data.draw(st.permutations(rest[start : start + 4]))
+    copies = data.draw(st.lists(st.sampled_from(stream.packets), max_size=5))
+    received = stream.deliver([*head, *shuffled, *copies])
+    assert [unit.data for unit in received] == list(stream.sent.values())
+    assert stream.receiver.counts.lost == 0
+
+
+@settings(max_examples=120, deadline=None)
+@given(STREAM, st.data())
+def test_what_comes_out_whole_is_what_was_sent(stream, data):
+    packets = stream.packets[:2]
+    for packet in stream.packets[2:]:
+        fate = data.draw(st.sampled_from(["come", "come", "come", "lost", "late"]))
+        if fate == "come":
+            packets.append(packet)
+        elif fate == "late":
+            packets.insert(max(2, len(packets) - data.draw(st.integers(0, 3))), packet)
+    received = stream.deliver(packets)
+    order = list(stream.sent)
+    places = [order.index(unit.timestamp) for unit in received]
+    assert places == sorted(set(places))
+    for unit in received:
+        if not unit.damaged and not unit.lost_before:
+            assert unit.data == stream.sent[unit.timestamp]
+    counts = stream.receiver.counts
+    assert counts.received == len(packets)
+    # Those lost at the end have no successor that could show it.
+    assert counts.received + counts.lost <= len(stream.packets)
+    assert counts.received + counts.lost == stream.receiver.expected
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=80))
+def test_every_parser_refuses_or_accepts_any_octets(octets):
+    for parse in (parse_rtp, parse_rtcp, parse_payload, opus_samples):
+        with contextlib.suppress(ProtocolError):
+            parse(octets)
+    for unit in split_annex_b(octets):
+        assert unit
+
+
+# Octets that look right at the beginning get further into the parsers.
+RTP = st.builds(
+    lambda first, number, stamp, payload: (
+        bytes((first, 0x60 | 0x80 * (number & 1)))
+        + number.to_bytes(2, "big")
+        + stamp.to_bytes(4, "big")
+        + b"\x00\x00\x00\x07"
+        + payload
+    ),
+    st.sampled_from([0x80, 0x80, 0x80, 0x90, 0xA0, 0x81, 0xB3]),
+    st.one_of(st.integers(0, 40), st.integers(0, 65_535)),
+    st.one_of(st.integers(0, 9), st.integers(0, 2**32 - 1)),
+    st.one_of(
+        st.binary(max_size=40),
+        st.binary(max_size=40).map(lambda rest: b"\x7c" + rest),
+        st.binary(max_size=40).map(lambda rest: b"\x78" + rest),
+    ),
+)
+RTCP = st.builds(
+    lambda kind, count, body: (
+        bytes((0x80 | count, kind)) + (len(body) // 4).to_bytes(2, "big") + body
+    ),
+    st.integers(200, 207),
+    st.integers(0, 3),
+    st.binary(max_size=60),
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.one_of(RTP, st.binary(max_size=30)), max_size=40), st.lists(RTCP, max_size=5))
+def test_a_whole_receiver_survives_any_datagrams(datagrams, reports):
+    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000, from_ntp=ManualClock().from_ntp)
+    depacketizer, playout = H264Depacketizer(), PlayoutBuffer()
+    for index, datagram in enumerate(datagrams):
+        now_ns = index * 3 * NS_PER_MS
+        receiver.handle_packet(datagram, now_ns)
+        if index < len(reports):
+            receiver.handle_report(reports[index], now_ns)
+        while (event := receiver.next_event()) is not None:
+            receiver.capture_ns(event.timestamp)
+            depacketizer.handle_packet(event)
+            playout.handle_packet(event)
+        playout.handle_timeout(now_ns)
+        while (unit := depacketizer.next_event()) is not None:
+            assert unit.data
+        while playout.next_event() is not None:
+            pass
+    counts = receiver.counts
+    assert receiver.waiting <= 512
+    assert counts.received + counts.duplicates + counts.late + counts.garbage <= (
+        len(datagrams) + len(reports) * 15
+    )
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.text(max_size=200))
+def test_any_sdp_is_refused_in_one_line_or_understood(text):
+    for candidate in (
+        text,
+        "v=0\n" + text,
+        "v=0\nc=IN IP4 127.0.0.1\nm=video 5004 RTP/AVP 96\n" + text,
+    ):
+        try:
+            parse_sdp(candidate)
+        except ConfigError as error:
+            assert str(error)
+            assert "\n" not in str(error)
+
+
+LINE = st.sampled_from(
+    [
+        "c=IN IP4 1.2.3.4", "c=IN IP6 ::1", "c=IN IP4 name", "c=", "t=0 0", "m=video 9 RTP/AVP 96",
+        "m=video x RTP/AVP 96 97", "m=audio 0 RTP/AVP 97", "m=audio 5004/2 RTP/AVP 111", "m=",
+        "a=rtpmap:96 H264/90000", "a=rtpmap:97 opus/48000/2", "a=rtpmap:",
+        "a=rtpmap:111 OPUS/48000/2",
+        "a=fmtp:96 packetization-mode=2", "a=fmtp:96 sprop-parameter-sets=Z0LAHg==,aM48gA==",
+        "a=fmtp:96 sprop-parameter-sets=!", "a=fmtp:96 sprop-parameter-sets=,", "a=rtcp:",
+        "a=rtcp:7",
+        "b=AS:85", "b=AS:many", "a=", "x", "=", "s=\u00e9",
+    ]
+)  # fmt: skip
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(LINE, max_size=12))
+def test_any_mixture_of_sdp_lines_is_refused_or_understood(lines):
+    try:
+        stream = parse_sdp("\n".join(["v=0", *lines]))
+    except ConfigError as error:
+        assert "\n" not in str(error)
+    else:
+        assert parse_sdp(write_sdp(stream)).port == stream.port
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from(["video", "audio"]),
+    st.integers(1, 65_534),
+    st.integers(96, 127),
+    st.none() | st.integers(1, 65_535),
+    st.none() | st.integers(1, 4000).map(lambda k: k * 1000),
+)
+def test_sdp_survives_the_way_there_and_back(kind, port, payload_type, rtcp_port, bandwidth_bps):
+    stream = StreamDescription(
+        kind=kind,
+        host="::1" if port % 2 else "10.0.0.1",
+        port=port,
+        payload_type=payload_type,
+        rtcp_port=None if rtcp_port == port + 1 else rtcp_port,
+        bandwidth_bps=bandwidth_bps,
+    )
+    assert parse_sdp(write_sdp(stream)) == stream
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(BODY.map(lambda b: b"\x41\x88" + b), min_size=1, max_size=6), st.integers(8, 1500))
+def test_no_payload_is_larger_than_allowed(units, most):
+    assert all(len(payload) <= most for payload in packetize(units, most))

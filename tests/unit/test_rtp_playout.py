@@ -1,0 +1,156 @@
+"""The jitter buffer: in time, in order, and what it does about what is missing."""
+
+import itertools
+import random
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import CaptureStamp
+from kontur_av.rtp.playout import PlayoutBuffer
+from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.rtp.sender import RtpSender
+
+BLOCK_NS = 20 * NS_PER_MS
+
+
+class Line:
+    """A voice through a network: (arrival, packet number) pairs go in, blocks come out."""
+
+    def __init__(self, **playout):
+        self.buffer = PlayoutBuffer(**playout)
+        self.receiver = RtpReceiver(payload_type=97, clock_rate_hz=48_000, ordered=False)
+        self.sender = RtpSender(
+            payload_type=97,
+            clock_rate_hz=48_000,
+            ssrc=5,
+            first_sequence=65_500,
+            timestamp_offset=2**32 - 48_000,
+            cname="voice",
+        )
+        self.blocks = []
+
+    def run(self, arrivals, sequences=None, until_ns=None):
+        """arrivals: ns per packet number, or None: lost. Steps to whatever is due next."""
+        events = []
+        for number, arrival_ns in enumerate(arrivals):
+            sequence = number if sequences is None else sequences[number]
+            stamp = CaptureStamp(sequence * BLOCK_NS, sequence, "mic")
+            # TOC of 20 ms SILK, then the number of the block.
+            (packet,) = self.sender.audio_packets(b"\x08" + number.to_bytes(2, "big"), stamp)
+            if arrival_ns is not None:
+                events.append((arrival_ns, packet))
+        for arrival_ns, packet in sorted(events):
+            self._advance(arrival_ns)
+            self.receiver.handle_packet(packet, arrival_ns)
+            self._pass_on()
+        self._advance(until_ns or max(time for time, _ in events) + NS_PER_S)
+        return self.blocks
+
+    def _advance(self, now_ns):
+        while True:
+            due = [self.receiver.poll_timeout(), self.buffer.poll_timeout()]
+            due_ns = min((time for time in due if time is not None), default=None)
+            if due_ns is None or due_ns > now_ns:
+                return
+            self.receiver.handle_timeout(due_ns)
+            self._pass_on()
+            self.buffer.handle_timeout(due_ns)
+            self._drain()
+
+    def _pass_on(self):
+        while (event := self.receiver.next_event()) is not None:
+            self.buffer.handle_packet(event)
+            self._drain()
+
+    def _drain(self):
+        while (block := self.buffer.next_event()) is not None:
+            self.blocks.append(block)
+
+
+def heard(blocks) -> list:
+    return [b.payload and int.from_bytes(b.payload[1:], "big") for b in blocks]
+
+
+def test_a_steady_voice_is_played_at_a_steady_pace_across_wrap_around():
+    line = Line()
+    blocks = line.run([n * BLOCK_NS for n in range(100)])
+    assert heard(blocks)[:100] == list(range(100))
+    times = [block.play_ns for block in blocks]
+    assert {b - a for a, b in itertools.pairwise(times)} == {BLOCK_NS}
+    # The first block waits for the second (probation), and then for the least delay.
+    assert line.buffer.delay_ns <= 30 * NS_PER_MS
+    assert line.buffer.counts.late == 0
+
+
+def test_jitter_raises_the_delay_until_nothing_is_late():
+    rng = random.Random(1)
+    arrivals = [n * BLOCK_NS + rng.randrange(40 * NS_PER_MS) for n in range(1500)]
+    line = Line(window_ns=5 * NS_PER_S)
+    blocks = line.run(arrivals)
+    late_half = heard(blocks)[750:1450]
+    assert late_half.count(None) == 0
+    assert 35 * NS_PER_MS <= line.buffer.delay_ns <= 50 * NS_PER_MS
+
+
+def test_the_delay_goes_down_again_and_no_block_is_skipped():
+    arrivals = [n * BLOCK_NS + (60 * NS_PER_MS if n == 50 else 0) for n in range(1500)]
+    line = Line(window_ns=5 * NS_PER_S)
+    blocks = line.run(arrivals)
+    assert [n for n in heard(blocks) if n is not None] == [n for n in range(1500) if n != 50]
+    assert line.buffer.delay_ns <= 15 * NS_PER_MS
+    times = [block.play_ns for block in blocks]
+    steps = [b - a for a, b in itertools.pairwise(times)]
+    assert min(steps) >= BLOCK_NS * 39 // 40 - 1
+
+
+def test_a_lost_block_is_concealed_at_its_time():
+    line = Line()
+    blocks = line.run([None if n in (10, 20, 21) else n * BLOCK_NS for n in range(40)])
+    assert heard(blocks)[:40] == [None if n in (10, 20, 21) else n for n in range(40)]
+    times = [block.play_ns for block in blocks]
+    assert {b - a for a, b in itertools.pairwise(times)} == {BLOCK_NS}
+
+
+def test_silence_is_concealed_briefly_and_then_the_voice_goes_on():
+    line = Line()
+    sequences = list(range(20)) + list(range(120, 140))
+    blocks = line.run([s * BLOCK_NS for s in sequences], sequences)
+    assert heard(blocks)[:45] == [*range(20), *[None] * 5, *range(20, 40)]
+    assert line.buffer.counts.concealed == 10  # five in the silence, five after the end
+    assert blocks[25].play_ns - blocks[19].play_ns == 101 * BLOCK_NS
+
+
+def test_after_a_stall_the_oldest_goes_and_the_delay_stays_bounded():
+    line = Line(max_delay_ns=200 * NS_PER_MS)
+    # Blocks 50..124 come at once, up to 1.5 s late.
+    arrivals = [max(n, 125) * BLOCK_NS + n if 50 <= n < 125 else n * BLOCK_NS for n in range(300)]
+    blocks = line.run(arrivals)
+    assert line.buffer.counts.late + line.buffer.counts.dropped > 40
+    for block in blocks:
+        if block.payload is not None:
+            number = int.from_bytes(block.payload[1:], "big")
+            if number >= 125:
+                assert block.play_ns - number * BLOCK_NS <= 250 * NS_PER_MS
+    assert heard(blocks)[-105:-5] == list(range(200, 300))
+
+
+def test_the_buffer_is_bounded():
+    line = Line(max_blocks=10, min_delay_ns=NS_PER_S, max_delay_ns=2 * NS_PER_S)
+    line.run([n * BLOCK_NS for n in range(30)], until_ns=30 * BLOCK_NS)
+    assert len(line.buffer) <= 10
+    assert line.buffer.counts.dropped > 0
+
+
+def test_garbage_and_a_new_time_line():
+    line = Line()
+    line.run([n * BLOCK_NS for n in range(10)])
+    line.sender.ssrc = 6
+    start_ns = 5 * NS_PER_S
+    for n in range(10, 20):
+        stamp = CaptureStamp(start_ns + n * BLOCK_NS, n + 10_000, "mic")
+        (packet,) = line.sender.audio_packets(b"\x08" + n.to_bytes(2, "big"), stamp)
+        line._advance(start_ns + n * BLOCK_NS)
+        line.receiver.handle_packet(packet, start_ns + n * BLOCK_NS)
+        line._pass_on()
+    line._advance(start_ns + NS_PER_S)
+    assert [n for n in heard(line.blocks) if n is not None] == list(range(20))
+    assert line.buffer.counts.resyncs == 1

@@ -1,0 +1,282 @@
+"""Sequence numbers, timestamps, markers, loss, order and restarts of an RTP stream."""
+
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
+from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.rtp.payload_h264 import H264Depacketizer
+from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.rtp.sender import RtpSender
+from kontur_av.rtp.wire import parse_rtp
+
+FRAME_NS = 33_333_333
+
+
+def make_sender(**changes) -> RtpSender:
+    return RtpSender(
+        **{
+            "payload_type": 96,
+            "clock_rate_hz": 90_000,
+            "ssrc": 1,
+            "first_sequence": 65_530,
+            "timestamp_offset": 2**32 - 5000,
+            "cname": "test",
+        }
+        | changes
+    )
+
+
+def make_receiver(**changes) -> RtpReceiver:
+    return RtpReceiver(
+        **{"payload_type": 96, "clock_rate_hz": 90_000, "from_ntp": ManualClock().from_ntp}
+        | changes
+    )
+
+
+def picture(number: int, octets: int = 100) -> AccessUnit:
+    # A slice whose first_mb_in_slice is 0 (0x88 begins with a one bit).
+    data = b"\x00\x00\x00\x01\x41\x88" + bytes([1 + number % 255]) * octets
+    return AccessUnit(data, CaptureStamp(number * FRAME_NS, number, "test"), False, 0)
+
+
+def singles(count: int, **changes) -> list[bytes]:
+    """`count` packets, each one picture."""
+    rtp = make_sender(**changes)
+    return [packet for number in range(count) for packet in rtp.video_packets(picture(number))]
+
+
+def drain(receiver: RtpReceiver) -> list:
+    events = []
+    while (event := receiver.next_event()) is not None:
+        events.append(event)
+    return events
+
+
+def numbers(events) -> list[int]:
+    return [event.extended_sequence - 65_530 for event in events]
+
+
+def test_sequence_numbers_and_timestamps_wrap_around():
+    packets = [parse_rtp(packet) for packet in singles(20)]
+    assert [packet.sequence_number for packet in packets] == [
+        (65_530 + index) % 65_536 for index in range(20)
+    ]
+    assert [packet.timestamp for packet in packets] == [
+        (2**32 - 5000 + 3000 * index) % 2**32 for index in range(20)
+    ]
+    receiver = make_receiver()
+    for index, packet in enumerate(singles(20)):
+        receiver.handle_packet(packet, index * FRAME_NS)
+    assert numbers(drain(receiver)) == list(range(20))
+    assert (receiver.expected, receiver.counts.lost) == (20, 0)
+
+
+def test_the_marker_is_on_the_last_packet_of_a_picture_and_only_there():
+    packets = [parse_rtp(p) for p in make_sender().video_packets(picture(0, octets=5000))]
+    assert len(packets) == 5
+    assert [packet.marker for packet in packets] == [0, 0, 0, 0, 1]
+    assert len({packet.timestamp for packet in packets}) == 1
+
+
+def test_a_gap_of_the_microphone_is_a_jump_of_the_timestamp_and_a_marker():
+    rtp = make_sender(clock_rate_hz=48_000, timestamp_offset=0)
+    stamps = [CaptureStamp(n * 20 * NS_PER_MS, n, "mic") for n in (0, 1, 2, 5, 6)]
+    packets = [parse_rtp(rtp.audio_packets(b"\x08", stamp)[0]) for stamp in stamps]
+    assert [packet.timestamp // 960 for packet in packets] == [0, 1, 2, 5, 6]
+    assert [packet.marker for packet in packets] == [1, 0, 0, 1, 0]
+
+
+def test_a_restarted_microphone_does_not_turn_time_back():
+    rtp = make_sender(clock_rate_hz=48_000, timestamp_offset=0)
+    rtp.audio_packets(b"\x08", CaptureStamp(0, 100, "mic"))
+    (packet,) = rtp.audio_packets(b"\x08", CaptureStamp(2 * NS_PER_S, 0, "mic"))
+    assert parse_rtp(packet).timestamp == (100 + 100) * 960
+    (packet,) = rtp.audio_packets(b"\x08", CaptureStamp(2 * NS_PER_S + 20 * NS_PER_MS, 1, "mic"))
+    assert parse_rtp(packet).timestamp == (100 + 101) * 960
+
+
+def test_reports_come_with_the_first_packet_and_then_each_second():
+    rtp, clock = make_sender(), ManualClock()
+    assert rtp.poll_report(0, clock.ntp) is None
+    assert rtp.poll_timeout() is None
+    rtp.video_packets(picture(0))
+    assert rtp.poll_timeout() == 0
+    assert rtp.poll_report(5, clock.ntp) is not None
+    assert rtp.poll_report(NS_PER_S, clock.ntp) is None
+    assert rtp.poll_timeout() == NS_PER_S + 5
+    assert rtp.poll_report(NS_PER_S + 5, clock.ntp) is not None
+
+
+def test_loss_is_counted_when_the_gap_is_given_up_and_not_before():
+    receiver = make_receiver()
+    packets = singles(6)
+    for index in (0, 1, 4):
+        receiver.handle_packet(packets[index], index)
+    assert numbers(drain(receiver)) == [0, 1]
+    assert receiver.poll_timeout() == 4 + 10 * NS_PER_MS
+    receiver.handle_timeout(receiver.poll_timeout() - 1)
+    assert (drain(receiver), receiver.counts.lost) == ([], 0)
+    receiver.handle_timeout(receiver.poll_timeout())
+    (event,) = drain(receiver)
+    assert (event.lost_before, receiver.counts.lost) == (2, 2)
+    assert receiver.poll_timeout() is None
+
+    receiver.handle_packet(packets[2], 11 * NS_PER_MS)
+    receiver.handle_packet(packets[5], 11 * NS_PER_MS)
+    assert numbers(drain(receiver)) == [5]
+    counts = receiver.counts
+    assert (counts.lost, counts.late, counts.reordered, counts.received) == (1, 1, 1, 4)
+
+
+def test_reordering_is_repaired_and_duplicates_are_dropped():
+    receiver = make_receiver()
+    packets = singles(8)
+    for index in (0, 1, 3, 3, 2, 2, 6, 4, 5, 7, 0):
+        receiver.handle_packet(packets[index], index)
+    events = drain(receiver)
+    assert numbers(events) == list(range(8))
+    assert all(event.lost_before == 0 for event in events)
+    counts = receiver.counts
+    assert (counts.reordered, counts.duplicates, counts.lost, counts.late) == (3, 3, 0, 0)
+
+
+def test_unordered_packets_come_out_as_they_come_in_and_are_counted_alike():
+    receiver = make_receiver(ordered=False)
+    packets = singles(8)
+    for index in (0, 1, 4, 2, 2, 7):
+        receiver.handle_packet(packets[index], index)
+    assert numbers(drain(receiver)) == [0, 1, 4, 2, 7]
+    counts = receiver.counts
+    assert (counts.received, counts.lost, counts.reordered) == (5, 3, 1)
+    assert (counts.duplicates, counts.late) == (1, 0)
+
+
+def test_no_packet_waits_longer_than_the_depth_behind_several_gaps():
+    receiver = make_receiver()
+    packets = singles(10)
+    for index, now_ms in ((0, 0), (1, 0), (3, 0), (5, 4), (7, 8)):
+        receiver.handle_packet(packets[index], now_ms * NS_PER_MS)
+    waited = {}
+    while (deadline_ns := receiver.poll_timeout()) is not None:
+        receiver.handle_timeout(deadline_ns)
+        for event in drain(receiver):
+            waited[event.extended_sequence - 65_530] = deadline_ns - event.received_ns
+    assert waited == {0: 10 * NS_PER_MS, 1: 10 * NS_PER_MS, 3: 10 * NS_PER_MS} | {
+        5: 10 * NS_PER_MS,
+        7: 10 * NS_PER_MS,
+    }
+
+
+def test_a_source_is_believed_after_two_packets_and_both_come_out():
+    receiver = make_receiver()
+    first, second = singles(2)
+    receiver.handle_packet(first, 0)
+    assert (drain(receiver), receiver.counts.sources) == ([], 0)
+    receiver.handle_packet(second, 1)
+    assert [event.restart for event in drain(receiver)] == [True, False]
+
+
+def test_a_stranger_cannot_take_a_living_stream():
+    receiver = make_receiver()
+    strange = singles(100, ssrc=666)
+    for index, packet in enumerate(singles(50)):
+        now_ns = index * FRAME_NS
+        receiver.handle_packet(packet, now_ns)
+        if index == 0:
+            continue
+        receiver.handle_packet(strange[2 * index], now_ns + 1)
+        receiver.handle_packet(strange[2 * index + 1], now_ns + 2)
+    assert {event.ssrc for event in drain(receiver)} == {1}
+    assert (receiver.counts.received, receiver.counts.sources) == (50, 1)
+    assert receiver.counts.garbage >= 97
+
+
+def test_a_restarted_sender_is_taken_within_two_packets():
+    receiver = make_receiver()
+    for index, packet in enumerate(singles(10)):
+        receiver.handle_packet(packet, index * FRAME_NS)
+    drain(receiver)
+    start_ns = 2 * NS_PER_S
+    for index, packet in enumerate(singles(3, ssrc=2, first_sequence=77)):
+        receiver.handle_packet(packet, start_ns + index * FRAME_NS)
+    events = drain(receiver)
+    assert [(event.ssrc, event.restart) for event in events] == [(2, True), (2, False), (2, False)]
+    counts = receiver.counts
+    assert (counts.sources, counts.lost, counts.garbage, counts.received) == (2, 0, 0, 13)
+
+
+def test_a_jump_of_the_sequence_starts_anew_and_is_no_loss():
+    receiver = make_receiver()
+    for index, packet in enumerate(singles(5) + singles(5, first_sequence=30_000)):
+        receiver.handle_packet(packet, index * FRAME_NS)
+    assert [event.extended_sequence for event in drain(receiver)][5:] == list(range(30_000, 30_005))
+    assert (receiver.counts.lost, receiver.counts.sources) == (0, 2)
+
+
+def test_garbage_is_counted():
+    receiver = make_receiver()
+    other_type = make_sender(payload_type=97).video_packets(picture(0))[0]
+    for datagram in (b"", b"\x80", b"\x00" * 40, other_type):
+        receiver.handle_packet(datagram, 0)
+    receiver.handle_report(b"", 0)
+    receiver.handle_report(b"\x80\xc8\x00\x06short", 0)
+    assert receiver.counts.garbage == 6
+    assert receiver.next_event() is None
+
+
+@pytest.mark.parametrize("octets", [100, 3000])
+def test_the_receiver_knows_when_a_picture_was_captured_across_wrap_around(octets):
+    rtp, receiver, clock = make_sender(), make_receiver(), ManualClock()
+    depacketizer = H264Depacketizer()
+    captured = []
+    for number in range(40):
+        unit = picture(number, octets)
+        sent_ns = unit.stamp.capture_ns + 20 * NS_PER_MS
+        for packet in rtp.video_packets(unit):
+            receiver.handle_packet(packet, sent_ns)
+        if (report := rtp.poll_report(sent_ns, clock.ntp)) is not None:
+            receiver.handle_report(report, sent_ns)
+        for event in drain(receiver):
+            depacketizer.handle_packet(event)
+        while (received := depacketizer.next_event()) is not None:
+            captured.append(receiver.capture_ns(received.timestamp))
+    assert len(captured) == 40
+    for number, capture_ns in enumerate(captured):
+        # Half a tick of 90 kHz for the report's timestamp, half a tick for this one's.
+        assert abs(capture_ns - number * FRAME_NS) <= 11_112
+    assert receiver.counts.reports == 2
+
+
+def test_an_unknown_or_foreign_report_gives_no_capture_time():
+    receiver, clock = make_receiver(), ManualClock()
+    for index, packet in enumerate(singles(3)):
+        receiver.handle_packet(packet, index)
+    assert receiver.capture_ns(0) is None
+    stranger = make_sender(ssrc=9)
+    stranger.video_packets(picture(0))
+    receiver.handle_report(stranger.poll_report(0, clock.ntp), 0)
+    assert receiver.capture_ns(0) is None
+    assert (receiver.counts.garbage, receiver.counts.reports) == (1, 0)
+
+
+def test_goodbye_lets_a_successor_in_at_once():
+    rtp, receiver, clock = make_sender(), make_receiver(), ManualClock()
+    for number in range(3):
+        receiver.handle_packet(rtp.video_packets(picture(number))[0], number)
+    receiver.handle_report(rtp.goodbye(clock.ntp), 3)
+    assert receiver.ended
+    for packet in singles(2, ssrc=2):
+        receiver.handle_packet(packet, 4)
+    assert receiver.ssrc == 2
+    assert not receiver.ended
+
+
+def test_jitter_is_that_of_the_arrivals():
+    receiver = make_receiver()
+    for number, packet in enumerate(singles(200)):
+        receiver.handle_packet(packet, number * FRAME_NS + (number % 2) * 10 * NS_PER_MS)
+    assert receiver.jitter_ns == pytest.approx(10 * NS_PER_MS, rel=0.02)
+    steady = make_receiver()
+    for number, packet in enumerate(singles(50)):
+        steady.handle_packet(packet, number * FRAME_NS)
+    assert steady.jitter_ns < 50_000
