@@ -221,6 +221,9 @@ class TopicBus:
 
     session: lower-case letters, digits and hyphens; it names the shared memory, so that two
     sessions on one machine do not meet.
+
+    A process that has a bus may not fork: the child would hold the locks by which the others
+    tell whether the parent is alive. Fork first, then open the bus in the child.
     """
 
     def __init__(self, session: str) -> None:

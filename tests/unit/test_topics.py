@@ -106,42 +106,54 @@ def _in_child(work):
         try:
             work()
         finally:
-            os._exit(0)
+            os._exit(1)
     return pid
+
+
+def _kill(pid):
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
 
 
 def test_a_killed_writer_and_a_killed_reader_leave_the_others_running(session):
     """Many more kills than writers are allowed at once: what the dead held is taken back."""
+    told, tell = os.pipe()
 
     def publish_for_ever():
-        bus = TopicBus(session)
-        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
-        for sequence in range(10_000):
+        writer = TopicBus(session).writer("pictures", max_octets=PICTURE_OCTETS)
+        for sequence in range(1_000_000):
             writer.publish_video(VideoFrame(np.zeros((72, 64), np.uint8), stamp(sequence)))
             time.sleep(0.002)
 
-    def read_for_ever():
-        bus = TopicBus(session)
-        reader = bus.reader("pictures")
+    def hold_for_ever():
+        reader = TopicBus(session).reader("pictures")
         held = []
-        while True:
-            if reader.wait(1_000_000_000) and len(held) < 2:
+        while reader.wait(20_000_000_000):
+            if len(held) < 2:
                 held.append(reader.latest())
 
-    with TopicBus(session) as bus:
-        reader = bus.reader("pictures")
+    def tell_what_arrives():
+        reader = TopicBus(session).reader("pictures")
+        while reader.wait(20_000_000_000):
+            if lease := reader.latest():
+                with lease:
+                    os.write(tell, b"%8d" % lease.stamp.sequence)
+
+    survivor = _in_child(tell_what_arrives)
+    os.close(tell)
+    try:
         for _ in range(7):
-            children = [_in_child(read_for_ever), _in_child(publish_for_ever)]
+            children = [_in_child(hold_for_ever), _in_child(publish_for_ever)]
             try:
-                for _ in range(5):
-                    assert reader.wait(20_000_000_000)
-                    reader.latest().release()
+                # A new writer begins at 0 and comes through: sequences fall, then rise.
+                last = [int(os.read(told, 8)) for _ in range(30)]
+                assert last[-1] > last[-20]
             finally:
                 for child in children:
-                    os.kill(child, signal.SIGKILL)
-                    os.waitpid(child, 0)
-            while (lease := reader.latest()) is not None:
-                lease.release()
+                    _kill(child)
+    finally:
+        _kill(survivor)
+        os.close(told)
 
 
 def test_an_unfit_session_name_or_size_is_refused(session):
