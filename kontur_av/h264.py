@@ -7,7 +7,6 @@ Every wave begins with SPS, PPS and a recovery point SEI (clause D.2.8), where a
 late may start.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -29,9 +28,8 @@ from kontur_av.media import (
     empty_picture,
     planes,
 )
+from kontur_av.rtp.payload_h264 import NAL_SEI, join_annex_b, nal_type, split_annex_b
 
-_START_CODE = re.compile(b"\x00\x00\x00?\x01")
-_NAL_SEI = 6
 _SEI_USER_DATA_UNREGISTERED = 5
 
 #: x264's buffer model holds one picture, so that none is larger than its share, and the rate it
@@ -135,11 +133,6 @@ def _open_encoder(
     return codec
 
 
-def nal_units(access_unit: bytes) -> list[bytes]:
-    """The NAL units of an Annex B byte stream, without start codes (H.264 clause B.1)."""
-    return [nal.rstrip(b"\x00") for nal in _START_CODE.split(access_unit)[1:]]
-
-
 def without_user_data(access_unit: bytes) -> bytes:
     """The access unit without its user data SEI (clause D.2.7).
 
@@ -147,10 +140,10 @@ def without_user_data(access_unit: bytes) -> bytes:
     """
     kept = [
         nal
-        for nal in nal_units(access_unit)
-        if not (nal[0] & 0x1F == _NAL_SEI and nal[1] == _SEI_USER_DATA_UNREGISTERED)
+        for nal in split_annex_b(access_unit)
+        if not (nal_type(nal) == NAL_SEI and nal[1] == _SEI_USER_DATA_UNREGISTERED)
     ]
-    return b"".join(b"\x00\x00\x00\x01" + nal for nal in kept)
+    return join_annex_b(kept)
 
 
 @dataclass(frozen=True, slots=True)

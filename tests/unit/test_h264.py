@@ -1,0 +1,175 @@
+"""Pictures survive the way through the coder; late joiners, losses and garbage do no harm."""
+
+import numpy as np
+import pytest
+
+from kontur_av import h264
+from kontur_av.errors import ConfigError
+from kontur_av.h264 import H264Decoder, H264Encoder
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
+from kontur_av.rtp.payload_h264 import nal_type, split_annex_b
+
+SIZE = (320, 240)
+
+
+def moving(count, width=SIZE[0], height=SIZE[1]):
+    """A smooth slope of luma with a bright square that wanders through it."""
+    slope = np.linspace(40, 160, width, dtype=np.float32)[None, :].repeat(height, axis=0)
+    for i in range(count):
+        picture = empty_picture(width, height)
+        y, u, v = planes(picture)
+        y[:] = slope
+        x = 4 * i % (width - 32)
+        y[height // 3 : height // 3 + 24, x : x + 24] = 230
+        u[:], v[:] = 110, 150
+        yield picture
+
+
+def encode(pictures, *, size=SIZE, keyframes=(), **options):
+    settings = {"fps": 30, "cap_bps": 85_000, **options}
+    encoder = H264Encoder(width=size[0], height=size[1], **settings)
+    return [
+        encoder.encode(
+            VideoFrame(picture, CaptureStamp(i, i, "test")),
+            lambda i=i: 100 + i,
+            force_keyframe=i in keyframes,
+        )
+        for i, picture in enumerate(pictures)
+    ]
+
+
+def psnr_db(a, b):
+    error = np.mean((a.astype(np.float64) - b) ** 2)
+    return 10 * np.log10(255**2 / max(error, 1e-9))
+
+
+def test_each_picture_comes_back_at_once_with_its_timestamp():
+    pictures = list(moving(45))
+    decoder = H264Decoder()
+    for i, (picture, unit) in enumerate(zip(pictures, encode(pictures), strict=True)):
+        (decoded,) = decoder.decode(unit.data, 3000 * i)
+        assert (decoded.timestamp, decoded.corrupt) == (3000 * i, False)
+        assert (unit.stamp, unit.encoded_ns) == (CaptureStamp(i, i, "test"), 100 + i)
+        if i > 10:
+            assert psnr_db(decoded.to_i420(), picture) > 30
+
+
+def test_a_picture_is_written_into_the_callers_memory():
+    (decoded,) = H264Decoder().decode(encode(moving(1))[0].data, 0)
+    shared = np.full((2, 360, 320), 7, np.uint8)
+    decoded.copy_to(shared[1])
+    assert (shared[1] == decoded.to_i420()).all()
+    assert (shared[0] == 7).all()
+    with pytest.raises(ValueError, match="room for"):
+        decoded.copy_to(np.empty((240, 320), np.uint8))
+
+
+@pytest.mark.parametrize("size", [(640, 480), (176, 144), (322, 244), (16, 16)])
+def test_sizes_that_are_no_multiple_of_a_macroblock(size):
+    picture = next(moving(1, *size)) if size[0] > 32 else np.full((24, 16), 90, np.uint8)
+    units = encode([picture] * 20, size=size)
+    decoder = H264Decoder()
+    shown = [decoded for i, u in enumerate(units) for decoded in decoder.decode(u.data, i)]
+    assert (shown[-1].width, shown[-1].height) == size
+    assert psnr_db(shown[-1].to_i420(), picture) > 28
+
+
+def test_headers_and_a_recovery_point_open_every_refresh_and_no_text_is_sent():
+    units = encode(moving(95))
+    kinds = [[nal_type(nal) for nal in split_annex_b(unit.data)] for unit in units]
+    assert kinds[0] == [7, 8, 5]
+    assert [i for i, found in enumerate(kinds) if 7 in found] == [0, 30, 60, 90]
+    assert all(found == [7, 8, 6, 1] for found in kinds[30::30])
+    assert [unit.keyframe for unit in units] == [i % 30 == 0 for i in range(95)]
+
+
+def test_access_units_are_of_one_size_key_pictures_too(pictures):
+    units = encode(pictures("bikes.mp4", 90), size=(640, 480), keyframes=(45,))
+    share = 85_000 / 30 / 8
+    assert max(len(unit.data) for unit in units) < 1.15 * share
+    assert nal_type(split_annex_b(units[45].data)[-1]) == 5
+
+
+def test_a_late_joiner_starts_clean_after_one_refresh_wave():
+    pictures = list(moving(100))
+    units = encode(pictures)
+    decoder = H264Decoder()
+    shown = [p for i in range(10, 100) for p in decoder.decode(units[i].data, i)]
+    assert 30 <= shown[0].timestamp <= 60
+    assert [p.timestamp for p in shown] == list(range(shown[0].timestamp, 100))
+    assert psnr_db(shown[0].to_i420(), pictures[shown[0].timestamp]) > 28
+    assert decoder.corrupt_units == 0
+    assert decoder.units_before_start == 20
+
+
+def test_a_key_picture_lets_a_late_joiner_start_at_once():
+    units = encode(moving(50), keyframes=(40,))
+    decoder = H264Decoder()
+    shown = [p.timestamp for i in range(35, 50) for p in decoder.decode(units[i].data, i)]
+    assert shown == list(range(40, 50))
+
+
+def test_after_a_loss_pictures_go_on_and_the_next_wave_cleans_them():
+    pictures = list(moving(130))
+    units = encode(pictures)
+    whole, hurt = H264Decoder(), H264Decoder()
+    shown = {}
+    for i, unit in enumerate(units):
+        (reference,) = whole.decode(unit.data, i)
+        if 40 <= i < 45:
+            continue
+        for decoded in hurt.decode(unit.data, i):
+            shown[i] = psnr_db(decoded.to_i420(), reference.to_i420())
+    assert sorted(shown) == [i for i in range(130) if not 40 <= i < 45]
+    assert shown[45] < 40
+    assert shown[125] > 60
+
+
+def test_garbage_is_counted_and_the_stream_goes_on():
+    units = encode(moving(60))
+    rng = np.random.default_rng(3)
+    decoder = H264Decoder()
+    shown = 0
+    for i, unit in enumerate(units):
+        shown += len(decoder.decode(unit.data, i))
+        if i % 10 == 5:
+            decoder.decode(rng.integers(0, 256, 400, np.uint8).tobytes(), i)
+            decoder.decode(b"", i)
+            hurt = bytearray(unit.data)
+            hurt[len(hurt) // 2] ^= 0xFF
+            decoder.decode(bytes(hurt[: len(hurt) - 7]), i)
+    assert shown >= 55
+    assert decoder.corrupt_units >= 6
+
+
+def test_a_change_of_size_in_mid_stream_is_followed():
+    decoder = H264Decoder()
+    sizes = []
+    for size in ((320, 240), (640, 480), (176, 144)):
+        for i, unit in enumerate(encode(moving(3, *size), size=size)):
+            sizes += [(p.width, p.height) for p in decoder.decode(unit.data, i)]
+    assert sizes == [(320, 240)] * 3 + [(640, 480)] * 3 + [(176, 144)] * 3
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"width": 321}, "must be even"),
+        ({"fps": 0}, "pictures a second"),
+        ({"cap_bps": 100}, "at least 10000"),
+        ({"preset": "swift"}, "swift"),
+    ],
+)
+def test_what_cannot_be_encoded_is_refused(wrong, text):
+    right = {"width": 320, "height": 240, "fps": 30, "cap_bps": 85_000}
+    with pytest.raises(ConfigError, match=text):
+        H264Encoder(**{**right, **wrong})
+
+
+def test_a_pyav_without_libx264_names_the_mend(monkeypatch):
+    def unknown(name, mode):
+        raise h264.av.codec.codec.UnknownCodecError(name)
+
+    monkeypatch.setattr(h264.av.CodecContext, "create", unknown, raising=False)
+    with pytest.raises(ConfigError, match="libx264"):
+        H264Encoder(width=320, height=240, fps=30, cap_bps=85_000)
