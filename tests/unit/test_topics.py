@@ -1,7 +1,7 @@
 """Shared-memory topics: real shared memory, real processes, one of them killed."""
 
+import multiprocessing
 import os
-import signal
 import time
 from pathlib import Path
 
@@ -100,60 +100,59 @@ def test_a_waiter_wakes_for_a_socket_and_for_a_topic(session):
     os.close(write_fd)
 
 
-def _in_child(work):
-    pid = os.fork()
-    if pid == 0:
-        try:
-            work()
-        finally:
-            os._exit(1)
-    return pid
+def _publish_for_ever(session):
+    writer = TopicBus(session).writer("pictures", max_octets=PICTURE_OCTETS)
+    for sequence in range(1_000_000):
+        writer.publish_video(VideoFrame(np.zeros((72, 64), np.uint8), stamp(sequence)))
+        time.sleep(0.002)
 
 
-def _kill(pid):
-    os.kill(pid, signal.SIGKILL)
-    os.waitpid(pid, 0)
+def _hold_for_ever(session):
+    reader = TopicBus(session).reader("pictures")
+    held = []
+    while reader.wait(20_000_000_000):
+        if len(held) < 2:
+            held.append(reader.latest())
+
+
+def _tell_what_arrives(session, tell):
+    reader = TopicBus(session).reader("pictures")
+    while reader.wait(20_000_000_000):
+        if lease := reader.latest():
+            with lease:
+                tell.send(lease.stamp.sequence)
 
 
 def test_a_killed_writer_and_a_killed_reader_leave_the_others_running(session):
-    """Many more kills than writers are allowed at once: what the dead held is taken back."""
-    told, tell = os.pipe()
+    """More kills than writers are allowed at once: what the dead held is taken back."""
+    # Not forked: this process has had a bus, and a child would inherit its locks.
+    spawn = multiprocessing.get_context("spawn")
+    told, tell = spawn.Pipe(duplex=False)
 
-    def publish_for_ever():
-        writer = TopicBus(session).writer("pictures", max_octets=PICTURE_OCTETS)
-        for sequence in range(1_000_000):
-            writer.publish_video(VideoFrame(np.zeros((72, 64), np.uint8), stamp(sequence)))
-            time.sleep(0.002)
+    def start(work, *arguments):
+        process = spawn.Process(target=work, args=(session, *arguments), daemon=True)
+        process.start()
+        return process
 
-    def hold_for_ever():
-        reader = TopicBus(session).reader("pictures")
-        held = []
-        while reader.wait(20_000_000_000):
-            if len(held) < 2:
-                held.append(reader.latest())
-
-    def tell_what_arrives():
-        reader = TopicBus(session).reader("pictures")
-        while reader.wait(20_000_000_000):
-            if lease := reader.latest():
-                with lease:
-                    os.write(tell, b"%8d" % lease.stamp.sequence)
-
-    survivor = _in_child(tell_what_arrives)
-    os.close(tell)
+    running = [start(_tell_what_arrives, tell)]
     try:
-        for _ in range(7):
-            children = [_in_child(hold_for_ever), _in_child(publish_for_ever)]
-            try:
-                # A new writer begins at 0 and comes through: sequences fall, then rise.
-                last = [int(os.read(told, 8)) for _ in range(30)]
-                assert last[-1] > last[-20]
-            finally:
-                for child in children:
-                    _kill(child)
+        for _ in range(5):
+            running += [start(_hold_for_ever), start(_publish_for_ever)]
+            seen = []
+            while len(seen) < 20:
+                assert told.poll(20), "nothing comes through any more"
+                seen.append(told.recv())
+            assert seen[-1] > seen[-10]
+            for _ in range(2):
+                victim = running.pop()
+                victim.kill()
+                victim.join()
+            while told.poll(0.05):
+                told.recv()
     finally:
-        _kill(survivor)
-        os.close(told)
+        for process in running:
+            process.kill()
+            process.join()
 
 
 def test_an_unfit_session_name_or_size_is_refused(session):
