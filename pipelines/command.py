@@ -1,0 +1,82 @@
+"""What the commands of a single stream share: options, addresses, files and signals."""
+
+import argparse
+import ipaddress
+import re
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from kontur_av.errors import ConfigError
+from kontur_av.media import check_size
+
+
+def check_options(args: argparse.Namespace) -> None:
+    """Raise ConfigError for numbers that make no sense."""
+    for option in ("cap_kbps", "channel_kbps", "seconds"):
+        value = getattr(args, option, None)
+        if value is not None and not 0 < value < 1e9:
+            name = option.replace("_", "-")
+            raise ConfigError(f"--{name} {value:g}: give a number above 0")
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """The IP address and the port in HOST:PORT or [IPv6]:PORT; ConfigError if there are none."""
+    match = re.fullmatch(r"(\[[^\]]+\]|[^:]+):(\d{1,5})", text)
+    if match is None or not 1 <= int(match[2]) <= 65534:
+        raise ConfigError(f"--to {text!r}: write HOST:PORT with a port from 1 to 65534")
+    host, port = match[1].strip("[]"), int(match[2])
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError):
+        raise ConfigError(f"--to {text!r}: no host is known by the name {host!r}") from None
+    return str(found[0][4][0]), port
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height in WxH; ConfigError if they are none."""
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if match is None:
+        raise ConfigError(f"--size {text!r}: write WIDTHxHEIGHT, as in 640x480")
+    width, height = int(match[1]), int(match[2])
+    check_size(width, height)
+    return width, height
+
+
+@contextmanager
+def open_socket(address: tuple[str, int]) -> Iterator[socket.socket]:
+    """A UDP socket that can reach `address`."""
+    version = ipaddress.ip_address(address[0].partition("%")[0]).version
+    family = socket.AF_INET6 if version == 6 else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(address)
+        except OSError as error:
+            raise ConfigError(
+                f"--to {address[0]}:{address[1]} cannot be reached: {error.strerror}"
+            ) from None
+    with socket.socket(family, socket.SOCK_DGRAM) as channel:
+        yield channel
+
+
+def write_text(path: str, text: str, option: str) -> None:
+    """Write a file that the user asked for; ConfigError if that cannot be done."""
+    try:
+        Path(path).write_text(text, newline="")
+    except OSError as error:
+        raise ConfigError(f"{option} {path!r} cannot be written: {error.strerror}") from None
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[Callable[[], bool]]:
+    """Within it, Ctrl-C and SIGTERM do not interrupt: they make the given function say True."""
+    caught: list[int] = []
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, lambda got, _: caught.append(got)) for number in signals]
+    try:
+        yield lambda: bool(caught)
+    finally:
+        for number, handler in zip(signals, before, strict=True):
+            signal.signal(number, handler)
