@@ -247,6 +247,13 @@ def check_players() -> Verdict:
     return Verdict("ok", ", ".join(there))
 
 
+def check_sound_capture() -> Verdict:
+    found = shutil.which("arecord")
+    if found is None:
+        return Verdict("advice", "no arecord", "for --source NAME=alsa:DEVICE install alsa-utils")
+    return Verdict("ok", found)
+
+
 def _user() -> str:
     import getpass
 
@@ -268,5 +275,6 @@ CHECKS: tuple[Check, ...] = (
     ("timer", check_timer),
     ("real time", check_real_time),
     ("memory lock", check_memory_lock),
+    ("sound capture", check_sound_capture),
     ("other players", check_players),
 )

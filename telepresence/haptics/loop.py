@@ -81,9 +81,9 @@ class HapticLink(Generic[Out, In]):
     In each cycle: `handle_datagram` for all that has arrived, `latest` into the controller,
     its answer into `handle_local`, then `poll_transmit` and send what it gives.
 
-    Counters: sent; received (samples that were the newest when they came), late (older than
-    the newest, unused), repeated, garbage, restarts (of the peer), lost (sequence numbers that
-    have not come so far; a late one is taken off again).
+    Counters: sent; received (samples that were the newest when they came); late (older than
+    the newest, unused); repeated (or older than the first one); garbage; restarts (of the peer);
+    lost (sequence numbers that have not come so far; a late one is taken off again).
     `peer_holds`: the newest sample said that the peer hears nothing from this end.
     """
 

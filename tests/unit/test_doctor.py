@@ -1,5 +1,6 @@
 """The doctor's verdicts: what is missing, what is only advice, and the exit code."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -48,14 +49,14 @@ def test_too_little_shared_memory_is_missing_and_says_what_to_do() -> None:
 
 def test_the_topic_check_leaves_nothing_behind() -> None:
     assert check_topics().state == "ok"
-    assert not list(Path("/dev/shm").glob("kontur-av-doctor-*"))
+    assert not list(Path("/dev/shm").glob(f"kontur-av-doctor-{os.getpid()}_*"))
 
 
 def test_a_topic_that_does_not_work_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("kontur_av.topics.Reader.wait", lambda self, timeout_ns: False)
     monkeypatch.setattr("kontur_av.topics.Reader.latest", lambda self: None)
     assert check_topics().state == "missing"
-    assert not list(Path("/dev/shm").glob("kontur-av-doctor-*"))
+    assert not list(Path("/dev/shm").glob(f"kontur-av-doctor-{os.getpid()}_*"))
 
 
 class LateClock(ManualClock):

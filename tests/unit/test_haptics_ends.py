@@ -28,6 +28,17 @@ def test_the_robot_goes_where_it_is_told_and_the_wall_stops_it() -> None:
     assert WALL_X_M < robot.x_m < WALL_X_M + 0.01
 
 
+def test_the_wall_pushes_and_never_pulls() -> None:
+    robot = Robot()
+    for _ in range(1000):
+        robot.step(Command(0.08, 0.0, 0.0, 0.0), MS)
+    assert robot.contact
+    while robot.contact:
+        robot.step(Command(-0.15, 0.0, -3.0, 0.0), MS)
+        assert robot.force_n >= 0.0
+    assert robot.x_m < WALL_X_M
+
+
 def test_without_commands_the_robot_stays_and_its_press_decays() -> None:
     robot = Robot()
     for _ in range(1000):

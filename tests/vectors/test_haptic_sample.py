@@ -48,6 +48,15 @@ def test_values_out_of_range_saturate_and_say_so() -> None:
     assert data == bytes.fromhex("0000 82 00 0000 0000 8001 0000")
 
 
+@pytest.mark.parametrize("field", range(4))
+def test_each_value_saturates_for_itself(field: int) -> None:
+    values = [0.0] * 4
+    values[field] = 9.0
+    sample = unpack_command(pack_command(0, Command(*values)))
+    assert sample.flags == FLAG_SATURATED
+    assert sample.value[field] == pytest.approx(0.65534 if field < 2 else 3.2767)
+
+
 def test_not_a_number_is_refused() -> None:
     with pytest.raises(ValueError):
         pack_command(0, Command(math.nan, 0.0, 0.0, 0.0))
