@@ -30,8 +30,9 @@ RTP_HEADER = struct.Struct(">BBHII")
 PLAIN_RTP = 0x80
 
 GENERATIONS = 4
-CONTEXT_LIFE_SLOTS = 11_000
 REFRESH_SLOTS = 1_000
+#: A gap of 10 s, with a refresh just missed before it and one just not due yet after it.
+CONTEXT_LIFE_SLOTS = 12_200
 
 _SEQUENCE_BITS = 9
 _SEQUENCE_MASK = (1 << _SEQUENCE_BITS) - 1
@@ -124,7 +125,7 @@ class RtpCompressor:
 
     def __init__(self, flow: Flow, slot_ns: int) -> None:
         self._form = form_of(flow, slot_ns)
-        self._generation = 0
+        self._generation = GENERATIONS - 1
         self._contexts: list[Context] = []
         self._last_context_count: list[int | None] = [None] * GENERATIONS
         self.compressed = 0

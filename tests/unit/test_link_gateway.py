@@ -1,0 +1,84 @@
+"""Two gateways with a radio between them."""
+
+from telepresence.link.flows import Level, packet_flow
+from telepresence.link.gateway import Gateway
+from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.radio import RadioPath
+from telepresence.link.receiver import HapticReceived, PacketReceived
+
+MS = 1_000_000
+UP = [packet_flow("tc", Level.TMTC)]
+DOWN = [packet_flow("tm", Level.TMTC)]
+
+
+def segments(delay_ns):
+    ground = Gateway(
+        transmit=UPLINK,
+        transmit_flows=UP,
+        receive=DOWNLINK,
+        receive_flows=DOWN,
+        radio=RadioPath(delay_ns=delay_ns),
+    )
+    space = Gateway(
+        transmit=DOWNLINK,
+        transmit_flows=DOWN,
+        receive=UPLINK,
+        receive_flows=UP,
+        radio=RadioPath(delay_ns=delay_ns),
+    )
+    return ground, space
+
+
+def test_both_ways_with_a_delay():
+    ground, space = segments(delay_ns=12_500_000)
+    ground.handle_datagram("tc", b"select", 0)
+    space.handle_datagram("tm", b"telemetry", 0)
+    space.handle_haptic(bytes(range(12)), 0)
+    arrived = []
+    for now_ns in range(0, 20 * MS, 500_000):
+        if now_ns % MS == 0:
+            ground.handle_slot(now_ns)
+            space.handle_slot(now_ns)
+        for name, one, other in (("space", ground, space), ("ground", space, ground)):
+            while frame := one.poll_transmit(now_ns):
+                other.handle_radio(frame, now_ns)
+            while event := other.next_event():
+                arrived.append((name, event))
+    assert [(name, event.now_ns) for name, event in arrived] == [
+        ("space", 12_500_000),
+        ("ground", 12_500_000),
+        ("ground", 12_500_000),
+    ]
+    first, second, third = (event for _, event in arrived)
+    assert isinstance(first, PacketReceived)
+    assert first.data == b"select"
+    assert second == HapticReceived(bytes(range(12)), 12_500_000)
+    assert isinstance(third, PacketReceived)
+    assert third.flow.name == "tm"
+    report = ground.report(20 * MS)
+    assert report["transmit"]["name"] == "uplink"
+    assert report["transmit"]["octets"]["tmtc"] == 6
+    assert report["receive"]["haptic"] == {"received": 1}
+    assert report["radio"]["frames_under_way"] == 12
+
+
+def test_poll_timeout_is_when_the_next_frame_arrives():
+    ground, _ = segments(delay_ns=3 * MS)
+    assert ground.poll_timeout() is None
+    ground.handle_slot(MS)
+    ground.handle_slot(2 * MS)
+    assert ground.poll_timeout() == 4 * MS
+    assert ground.poll_transmit(4 * MS - 1) is None
+    assert ground.poll_transmit(4 * MS) is not None
+    assert ground.poll_timeout() == 5 * MS
+
+
+def test_radio_loss_is_repeatable():
+    def survivors(seed):
+        radio = RadioPath(loss=0.3, seed=seed)
+        for k in range(200):
+            radio.handle_frame(bytes([k]), 0)
+        return list(iter(lambda: radio.poll_transmit(0), None))
+
+    assert survivors(1) == survivors(1) != survivors(2)
+    assert 100 < len(survivors(1)) < 180

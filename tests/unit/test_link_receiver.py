@@ -1,0 +1,139 @@
+"""What the receiver counts: losses, restarts, late frames, frames that are none."""
+
+import pytest
+
+from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow
+from telepresence.link.frame import FrameCodec
+from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.receiver import LinkReceiver, PacketReceived
+from telepresence.link.sender import LinkSender
+
+MS = 1_000_000
+FLOWS = [packet_flow("tmtc", Level.TMTC), video_flow("video"), rtcp_flow("rtcp")]
+
+
+def frames(count, first_count=0, profile=UPLINK):
+    sender = LinkSender(profile, FLOWS, first_count=first_count)
+    return [sender.poll_transmit(k * MS) for k in range(count)]
+
+
+def feed(receiver, many, now_ns=0):
+    for frame in many:
+        receiver.handle_frame(frame, now_ns)
+        now_ns += MS
+    return now_ns
+
+
+def test_gaps_are_counted_across_the_wrap():
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    sent = frames(20, first_count=0xFFFFFA)
+    feed(receiver, sent[:4] + sent[9:])
+    assert receiver.frames_lost == 5
+    assert receiver.frames_received == 15
+    assert receiver.restarts == 0
+
+
+def test_restarted_peer_is_followed_at_once():
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    now_ns = feed(receiver, frames(50, first_count=1_000_000))
+    feed(receiver, frames(10), now_ns)
+    assert (receiver.frames_received, receiver.restarts, receiver.frames_lost) == (60, 1, 0)
+
+
+def test_restart_whose_first_frames_are_lost():
+    """Be it far below or just below the last count, at most one frame goes before it shows."""
+    for first_count in (1_000_000, 0):
+        receiver = LinkReceiver(UPLINK, FLOWS)
+        now_ns = feed(receiver, frames(20, first_count))
+        feed(receiver, frames(12)[3:], now_ns)
+        assert receiver.restarts == 1
+        assert receiver.frames_lost == 0
+        assert receiver.frames_received >= 20 + 8
+
+
+def test_jump_ahead_that_no_time_explains_is_a_restart():
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    now_ns = feed(receiver, frames(5, 7_000_000))
+    feed(receiver, frames(5, 9_000_000), now_ns)
+    assert (receiver.restarts, receiver.frames_lost) == (1, 0)
+
+
+def test_repeated_and_late_frames_are_dropped():
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    sent = frames(10, 100)
+    feed(receiver, [*sent[:5], sent[4], sent[6], sent[5], *sent[7:]])
+    assert receiver.frames_dropped == {"late": 2}
+    assert (receiver.frames_received, receiver.frames_lost, receiver.restarts) == (9, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("reason", "mutate"),
+    [
+        ("length", lambda frame: frame[:-1]),
+        ("length", lambda frame: b""),
+        ("fecf", lambda frame: frame[:9] + bytes([frame[9] ^ 4]) + frame[10:]),
+        ("version", lambda frame: resealed(b"\x12" + frame[1:-2])),
+        ("vcid", lambda frame: resealed(frame[:1] + bytes([frame[1] ^ 1]) + frame[2:-2])),
+        ("scid", lambda frame: frames(1, profile=OTHER_CRAFT)[0]),
+        ("signaling", lambda frame: resealed(frame[:5] + bytes([frame[5] | 0x80]) + frame[6:-2])),
+    ],
+)
+def test_frames_that_are_none_of_ours(reason, mutate):
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    receiver.handle_frame(mutate(frames(1)[0]), 0)
+    assert receiver.frames_dropped == {reason: 1}
+    assert receiver.frames_received == 0
+
+
+OTHER_CRAFT = LinkProfile(name="other", frame_octets=32, scid=9, pointer_in_signaling=True)
+
+
+def resealed(body):
+    from binascii import crc_hqx
+
+    return body + crc_hqx(body, 0xFFFF).to_bytes(2, "big")
+
+
+def test_tags_that_mean_nothing_are_counted():
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    codec = FrameCodec(UPLINK)
+    zones = ["0f" + "00" * 11, "1e" + "00" * 11, "90ff" + "00" * 10, "31" + "00" * 11]
+    for count, zone in enumerate(zones):
+        receiver.handle_frame(codec.pack(count, None, 0, bytes.fromhex(zone)), 0)
+    receiver.handle_frame(codec.pack(len(zones), None, 0, bytes(12)), 0)
+    assert receiver.packets_dropped["malformed"] == 3
+    assert receiver.next_event() is None
+    assert receiver.frames_received == len(zones) + 1
+
+
+@pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
+def test_every_length_from_every_position(profile):
+    """A packet of each length, begun at each place of the zone, arrives as it was sent."""
+    zone = profile.packet_zone_octets
+    positions = range(zone) if zone < 20 else (0, 1, zone - 5, zone - 4, zone - 3, zone - 2)
+    lengths = range(40) if zone < 20 else [*range(8), *range(zone - 12, zone + 4), 2 * zone]
+    for before in positions:
+        for length in lengths:
+            sender, receiver = LinkSender(profile, FLOWS), LinkReceiver(profile, FLOWS)
+            packets = [bytes([7]) * before, bytes(range(256)) * 8, b"last"]
+            packets[1] = packets[1][:length]
+            for packet in packets:
+                assert sender.handle_packet("tmtc", packet, 0)
+            for slot in range(6 + (before + length) // (zone - 2)):
+                receiver.handle_frame(sender.poll_transmit(slot), slot)
+            out = []
+            while event := receiver.next_event():
+                assert isinstance(event, PacketReceived)
+                out.append(event.data)
+            assert out == packets, (before, length)
+            assert sum(sender.octets().values()) == sender.frames_sent * profile.frame_octets
+
+
+def test_garbage_at_the_door_does_not_take_the_channel():
+    sender = LinkSender(UPLINK, FLOWS)
+    assert not sender.handle_packet("video", b"no RTP at all", 0)
+    assert not sender.handle_packet("rtcp", b"\x80\x60" + bytes(20), 0)
+    assert not sender.handle_packet("tmtc", bytes(3000), 0)
+    assert not sender.handle_haptic(bytes(13), 0)
+    assert sender.refused == {"garbage": 2, "oversize": 1, "haptic_length": 1}
+    assert sender.handle_packet("rtcp", b"\x80\xc8" + bytes(26), 0)
