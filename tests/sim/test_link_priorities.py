@@ -1,0 +1,178 @@
+"""Half a minute of a full uplink on virtual time: who waits for whom, and what the octets did."""
+
+import struct
+from random import Random
+
+import pytest
+
+from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow, voice_flow
+from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.receiver import HapticReceived, LinkReceiver
+from telepresence.link.sender import LinkSender
+
+MS = 1_000_000
+FLOWS = [
+    video_flow("video"),
+    voice_flow("voice"),
+    rtcp_flow("video_rtcp"),
+    rtcp_flow("voice_rtcp"),
+    packet_flow("tmtc", Level.TMTC),
+    packet_flow("maintenance", Level.MAINTENANCE),
+]
+
+
+class Run:
+    """Traffic at its caps through one direction, slot by slot; what was put in and came out."""
+
+    def __init__(self, profile, slots, *, video_bps, voice_octets, packets_a_picture=1, flood=()):
+        self.profile, self.slots = profile, slots
+        self.sender, self.receiver = LinkSender(profile, FLOWS), LinkReceiver(profile, FLOWS)
+        self.sent = {flow.name: [] for flow in FLOWS}
+        self.received = {flow.name: [] for flow in FLOWS}
+        self.delay_slots = {flow.name: [] for flow in FLOWS}
+        self.haptic_slots = []
+        random = Random(1)
+        for slot in range(slots):
+            self.sender.handle_haptic(struct.pack(">QI", slot, 0), slot * MS)
+            if slot % 100 in (0, 33, 66):
+                for _ in range(packets_a_picture):
+                    self.put_video(slot, random, video_bps // 8 // 30 // packets_a_picture)
+            if slot % 20 == 7:
+                number = slot // 20
+                header = struct.pack(">BBHII", 0x80, 97, number & 0xFFFF, number * 960, 2)
+                self.put("voice", header + random.randbytes(voice_octets), slot)
+            if slot % 1000 == 500:
+                self.put("tmtc", random.randbytes(20), slot)
+            if slot % 5000 == 100:
+                self.put("video_rtcp", b"\x80\xc8" + random.randbytes(58), slot)
+                self.put("voice_rtcp", b"\x80\xc8" + random.randbytes(58), slot)
+            for name, octets in flood:
+                self.put(name, random.randbytes(octets), slot)
+            self.step(slot)
+
+    def put_video(self, slot, random, octets):
+        number = len(self.sent["video"])
+        captured = slot * 90 - random.randrange(40 * 90)
+        fields = (0x80, 0x80 | 96, number & 0xFFFF, captured & 0xFFFFFFFF, 1)
+        self.put("video", struct.pack(">BBHII", *fields) + random.randbytes(octets), slot)
+
+    def put(self, name, data, slot):
+        if self.sender.handle_packet(name, data, slot * MS):
+            self.sent[name].append((data, slot))
+
+    def step(self, slot):
+        frame = self.sender.poll_transmit(slot * MS)
+        assert len(frame) == self.profile.frame_octets
+        self.receiver.handle_frame(frame, slot * MS)
+        while event := self.receiver.next_event():
+            if isinstance(event, HapticReceived):
+                self.haptic_slots.append(struct.unpack_from(">Q", event.sample)[0])
+                continue
+            name = event.flow.name
+            data, since = self.sent[name][len(self.received[name])]
+            assert event.data == data
+            self.received[name].append(data)
+            self.delay_slots[name].append(slot - since)
+
+
+@pytest.fixture(scope="module")
+def uplink():
+    return Run(UPLINK, 30_000, video_bps=85_000, voice_octets=20)
+
+
+def test_haptics_go_in_every_slot(uplink):
+    assert uplink.haptic_slots == list(range(30_000))
+
+
+def test_everything_fits_at_its_cap(uplink):
+    for name, sent in uplink.sent.items():
+        assert len(sent) - len(uplink.received[name]) <= 2, name
+    queues = uplink.sender.report(30_000 * MS)["queue"]
+    assert all(not any(queue["drops"].values()) for queue in queues.values())
+    assert max(uplink.delay_slots["video"]) <= 60
+
+
+def test_voice_and_telecommands_overtake_video_in_its_middle(uplink):
+    # 20 octets are two slots; the third is for a telecommand on the way.
+    assert max(uplink.delay_slots["tmtc"]) <= 1
+    assert max(uplink.delay_slots["voice"]) <= 3
+    assert min(uplink.delay_slots["video"]) >= 28
+
+
+def test_headers_cost_at_most_four_octets_a_packet(uplink):
+    headers = uplink.sender.report(0)["headers"]
+    octets = uplink.sender.octets()
+    packets = {name: len(received) for name, received in uplink.received.items()}
+    rtp = packets["video"] + packets["voice"]
+    contexts = headers["video"]["context"] + headers["voice"]["context"]
+    assert headers["video"]["raw"] == headers["voice"]["raw"] == 0
+    assert contexts <= 60  # one a second and stream
+    others = sum(packets.values()) - rtp
+    # The lengths of pieces are counted as framing, as are the tags that resume.
+    steady = octets["packet_headers"] - 13 * contexts - others
+    assert steady <= 4 * headers["video"]["compressed"] + 2 * headers["voice"]["compressed"] + 4
+    assert octets["packet_headers"] + octets["framing"] <= 4 * sum(packets.values())
+
+
+def test_ledger_is_exact(uplink):
+    octets = uplink.sender.octets()
+    assert sum(octets.values()) == 30_000 * 32
+    assert octets["haptic"] == 30_000 * 12
+    assert octets["header"] == 30_000 * 6
+    assert octets["fecf"] == 30_000 * 2
+    assert octets["tmtc"] == 30 * 20
+    assert octets["voice"] == 1500 * 20
+
+
+def test_a_telecommand_goes_in_the_next_slot_and_the_video_goes_on():
+    sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
+    video = struct.pack(">BBHII", 0x80, 96, 1, 2, 3) + bytes(range(100))
+    sender.handle_packet("video", video, 0)
+    arrived = {}
+    for slot in range(20):
+        if slot == 4:
+            sender.handle_packet("tmtc", b"now", slot)
+        receiver.handle_frame(sender.poll_transmit(slot), slot)
+        while event := receiver.next_event():
+            arrived[event.flow.name] = (slot, event.data)
+    assert arrived["tmtc"] == (4, b"now")
+    # 113 octets alone take ten slots; the telecommand costs five and its resumption one.
+    assert arrived["video"] == (9, video)
+
+
+def test_levels_below_a_flooded_one_wait_and_voice_still_flows():
+    run = Run(UPLINK, 5_000, video_bps=85_000, voice_octets=20, flood=[("maintenance", 40)])
+    assert max(run.delay_slots["voice"]) <= 3
+    assert max(run.delay_slots["video"]) <= 60
+    assert len(run.received["maintenance"]) > 0
+    assert sum(run.sender.octets().values()) == 5_000 * 32
+
+
+def test_telecommands_that_take_all_starve_even_voice_which_says_so():
+    run = Run(UPLINK, 2_000, video_bps=85_000, voice_octets=20, flood=[("tmtc", 20)])
+    queues = run.sender.report(2_000 * MS)["queue"]
+    assert queues["voice"]["drops"]["expired"] > 80
+    assert queues["voice"]["max_age_ns"] == 100 * MS
+    assert queues["tmtc"]["drops"]["full"] > 0
+    assert queues["tmtc"]["max_octets"] <= 8192
+    assert run.haptic_slots == list(range(2_000))
+
+
+def test_downlink_at_its_caps_waits_for_nobody():
+    run = Run(DOWNLINK, 10_000, video_bps=512_000, voice_octets=160, packets_a_picture=2)
+    assert max(max(delays, default=0) for delays in run.delay_slots.values()) <= 5
+    assert len(run.received["video"]) >= 10 * 60 - 2
+    assert sum(run.sender.octets().values()) == 10_000 * 500
+    assert run.sender.octets()["voice"] == 500 * 160
+
+
+def test_the_newest_sample_wins():
+    sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
+    for octet in range(3):
+        sender.handle_haptic(bytes([octet]) * 12, 0)
+    receiver.handle_frame(sender.poll_transmit(0), 0)
+    receiver.handle_frame(sender.poll_transmit(MS), MS)
+    assert receiver.next_event() == HapticReceived(bytes([2]) * 12, 0)
+    assert receiver.next_event() is None
+    assert (sender.haptic_sent, sender.haptic_superseded) == (1, 2)
+    assert sender.octets()["insert_idle"] == 12
