@@ -8,7 +8,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.receiver import RtpReceived
-from kontur_av.rtp.wire import signed_32
+from kontur_av.rtp.wire import TimestampUnwrapper
 
 #: A transit that differs by more than this from the last one is a new time line, not jitter.
 _RESYNC_NS = 2 * NS_PER_S
@@ -87,8 +87,8 @@ class PlayoutBuffer:
     def _reset(self) -> None:
         # Media times count samples since an arbitrary first packet, without wrap-around.
         self._blocks: dict[int, _Block] = {}
+        self._unwrapper = TimestampUnwrapper()
         self._origin: int | None = None
-        self._latest = 0
         # Candidates for the largest and the smallest transit of the window, as (when, transit):
         # only those that no later one outdoes are kept, so both ends are found at the front.
         self._largest: deque[tuple[int, int]] = deque()
@@ -128,18 +128,19 @@ class PlayoutBuffer:
         self.handle_timeout(now_ns)
         if packet.restart:
             self._resync()
-        media = self._media(packet.timestamp)
+        media = self._unwrapper.unwrap(packet.timestamp)
         transit_ns = now_ns - _ns(media)
         if self._largest and abs(transit_ns - self._last_transit_ns) > _RESYNC_NS:
             self._resync()
-            media = self._media(packet.timestamp)
+            media = self._unwrapper.unwrap(packet.timestamp)
             transit_ns = now_ns - _ns(media)
         self._observe(now_ns, transit_ns)
+        if self._origin is None:
+            self._origin = (packet.timestamp - media) & 0xFFFF_FFFF
         if self._played_up_to is not None and media < self._played_up_to:
             self.counts.late += 1
             return
         self._blocks[media] = _Block(packet.payload, samples, now_ns)
-        self._latest = max(self._latest, media)
         if self._next is None:
             self._next = min(self._blocks)
         elif media < self._next:
@@ -155,13 +156,6 @@ class PlayoutBuffer:
         self.counts.resyncs += 1
         self.counts.dropped += len(self._blocks)
         self._reset()
-
-    def _media(self, timestamp: int) -> int:
-        if self._origin is None:
-            self._origin = timestamp
-            self._latest = 0
-        ahead = signed_32(timestamp - self._origin - self._latest)
-        return self._latest + ahead
 
     def _observe(self, now_ns: int, transit_ns: int) -> None:
         self._last_transit_ns = transit_ns

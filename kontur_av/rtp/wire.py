@@ -22,6 +22,7 @@ __all__ = [
     "RtcpSenderInfo",
     "RtcpSrPacket",
     "RtpPacket",
+    "TimestampUnwrapper",
     "cname_packet",
     "parse_rtcp",
     "parse_rtp",
@@ -68,3 +69,19 @@ def cname_packet(ssrc: int, cname: bytes) -> bytes:
 def signed_32(difference: int) -> int:
     """The difference of two 32-bit timestamps, taken the short way round: -2^31 .. 2^31 - 1."""
     return ((difference + 0x8000_0000) & 0xFFFF_FFFF) - 0x8000_0000
+
+
+class TimestampUnwrapper:
+    """Makes 32-bit timestamps count on across wrap-around, from 0 at the first one."""
+
+    def __init__(self) -> None:
+        self._origin: int | None = None
+        self._latest = 0
+
+    def unwrap(self, timestamp: int) -> int:
+        """Ticks since the first timestamp; right within half the range of the latest one."""
+        if self._origin is None:
+            self._origin = timestamp
+        ticks = self._latest + signed_32(timestamp - self._origin - self._latest)
+        self._latest = max(self._latest, ticks)
+        return ticks

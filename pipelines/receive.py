@@ -1,0 +1,384 @@
+"""`kontur-av receive`: take one stream that an SDP describes, decode it, count, perhaps save."""
+
+import argparse
+import contextlib
+import ipaddress
+import json
+import selectors
+import socket
+import struct
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.h264 import H264Decoder
+from kontur_av.meters import Histogram, RateMeter
+from kontur_av.opus import OpusDecoder
+from kontur_av.rtp.payload_h264 import H264Depacketizer
+from kontur_av.rtp.playout import PlayoutBuffer
+from kontur_av.rtp.receiver import RtpReceived, RtpReceiver
+from kontur_av.rtp.sdp import StreamDescription, parse_sdp
+from kontur_av.rtp.wire import TimestampUnwrapper
+from pipelines.command import check_options, stopped_by_signals, write_text
+from pipelines.remux import MatroskaWriter
+
+_SILENCE_NS = 5 * NS_PER_S
+_SILENCE_AFTER_GOODBYE_NS = NS_PER_S
+_LONGEST_WAIT_NS = 200 * NS_PER_MS
+_RECEIVE_BUFFER_OCTETS = 1 << 20
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av receive`."""
+    parser.add_argument("--sdp", metavar="FILE", required=True, help="describes the stream")
+    parser.add_argument("--save", metavar="FILE.mkv", help="write the stream as it comes")
+    parser.add_argument("--report", metavar="FILE", help="write a JSON report")
+    parser.add_argument(
+        "--seconds",
+        metavar="S",
+        type=float,
+        help="default: until Ctrl-C, or until a stream that had begun is silent for 5 s",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Receive until the time is over, the stream has ended or Ctrl-C. Exit code 0 or 1.
+
+    Raises ConfigError for what cannot work.
+    """
+    check_options(args)
+    stream = parse_sdp(_read_text(args.sdp))
+    with ExitStack() as stack:
+        sockets = stack.enter_context(open_sockets(stream))
+        if args.report:
+            write_text(args.report, "", "--report")
+        writer: MatroskaWriter | None = None
+        if args.save:
+            writer = MatroskaWriter(args.save, stream.kind)
+            stack.callback(writer.close)
+        clock = MonotonicClock()
+        sink = _VideoSink(stream, writer) if stream.kind == "video" else _AudioSink(writer)
+        report = _Shell(stream, sink, sockets, clock).run(args.seconds)
+    if args.save:
+        report["saved"] = {"file": args.save, "packets": 0 if writer is None else writer.written}
+    if args.report:
+        write_text(args.report, json.dumps(report, indent=2) + "\n", "--report")
+    for failure in report["failed"]:
+        print(f"failed: {failure}", file=sys.stderr)
+    return 1 if report["failed"] else 0
+
+
+def _read_text(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise ConfigError(f"--sdp {path!r} cannot be read: {error.strerror}") from None
+
+
+@contextmanager
+def open_sockets(stream: StreamDescription) -> Iterator[tuple[socket.socket, socket.socket]]:
+    """The bound UDP sockets for RTP and RTCP. ConfigError if a port is taken."""
+    with ExitStack() as stack:
+        rtp, rtcp = (
+            stack.enter_context(_bound(stream.host, port))
+            for port in (stream.port, stream.control_port)
+        )
+        yield rtp, rtcp
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    address = ipaddress.ip_address(host)
+    family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
+    udp = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_OCTETS)
+        udp.setblocking(False)
+        # The SDP may name another host's view of us: only a loopback address narrows the port.
+        udp.bind((host if address.is_loopback else "", port))
+        if address.is_multicast:
+            _join(udp, address)
+    except OSError as error:
+        udp.close()
+        raise ConfigError(
+            f"UDP port {port} cannot be opened ({error.strerror}): end the program that uses it, "
+            "or choose another port in the SDP"
+        ) from None
+    return udp
+
+
+def _join(udp: socket.socket, group: ipaddress.IPv4Address | ipaddress.IPv6Address) -> None:
+    if group.version == 4:
+        membership = group.packed + socket.inet_aton("0.0.0.0")
+        udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+    else:
+        membership = group.packed + struct.pack("@I", 0)
+        udp.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, membership)
+
+
+class _TimeLine:
+    """RTP timestamps as ticks since the first one; a restarted sender's go on where they were."""
+
+    def __init__(self, rate_hz: int) -> None:
+        self._rate_hz = rate_hz
+        self._unwrapper = TimestampUnwrapper()
+        self._base = self._last = 0
+        self._last_ns: int | None = None
+
+    def ticks(self, timestamp: int, now_ns: int) -> int:
+        ticks = self._base + self._unwrapper.unwrap(timestamp)
+        if self._last_ns is not None:
+            passed = (now_ns - self._last_ns) * self._rate_hz // NS_PER_S
+            if abs(ticks - self._last - passed) > 10 * self._rate_hz:
+                self._unwrapper = TimestampUnwrapper()
+                self._base = self._last + max(passed, 1)
+                ticks = self._base + self._unwrapper.unwrap(timestamp)
+        self._last, self._last_ns = ticks, now_ns
+        return ticks
+
+
+class _VideoSink:
+    """Packets in order to access units, to pictures."""
+
+    def __init__(self, stream: StreamDescription, writer: MatroskaWriter | None) -> None:
+        self.receiver: RtpReceiver
+        self.decoded_ns = Histogram()
+        self.received_ns = Histogram()
+        self._depacketizer = H264Depacketizer(stream.parameter_sets)
+        self._decoder = H264Decoder()
+        self._time_line = _TimeLine(stream.clock_rate_hz)
+        self._writer = writer
+        self._size: tuple[int, int] | None = None
+
+    @property
+    def decoded(self) -> int:
+        return self._decoder.decoded
+
+    def handle_packet(self, packet: RtpReceived, clock: MonotonicClock) -> None:
+        self._depacketizer.handle_packet(packet)
+        while (unit := self._depacketizer.next_event()) is not None:
+            pictures = self._decoder.decode(unit.data, unit.timestamp)
+            capture_ns = self.receiver.capture_ns(unit.timestamp)
+            if capture_ns is not None:
+                self.received_ns.add(unit.received_ns - capture_ns)
+            for picture in pictures:
+                self._size = (picture.width, picture.height)
+                shown_ns = self.receiver.capture_ns(picture.timestamp)
+                if shown_ns is not None:
+                    self.decoded_ns.add(clock.now_ns() - shown_ns)
+            if self._writer is not None:
+                ticks = self._time_line.ticks(unit.timestamp, unit.received_ns)
+                self._writer.add_unit(unit.data, ticks, keyframe=unit.keyframe)
+
+    def poll_timeout(self) -> int | None:
+        return None
+
+    def handle_timeout(self, now_ns: int) -> None:
+        pass
+
+    def report(self) -> dict[str, Any]:
+        return {
+            "size": self._size,
+            "frames_received": self._depacketizer.units,
+            "frames_damaged": self._depacketizer.units_damaged,
+            "frames_decoded": self._decoder.decoded,
+            "frames_corrupt": self._decoder.corrupt_units,
+            "frames_before_start": self._decoder.units_before_start,
+        }
+
+
+class _AudioSink:
+    """Packets through the jitter buffer to sound."""
+
+    def __init__(self, writer: MatroskaWriter | None) -> None:
+        self.receiver: RtpReceiver
+        self.decoded_ns = Histogram()
+        self.received_ns = Histogram()
+        self.decoded = 0
+        self._concealed = self._corrupt = 0
+        self._playout = PlayoutBuffer()
+        self._decoder = OpusDecoder()
+        self._time_line = _TimeLine(48_000)
+        self._writer = writer
+
+    def handle_packet(self, packet: RtpReceived, clock: MonotonicClock) -> None:
+        capture_ns = self.receiver.capture_ns(packet.timestamp)
+        if capture_ns is not None:
+            self.received_ns.add(packet.received_ns - capture_ns)
+        self._playout.handle_packet(packet)
+        self._drain()
+
+    def poll_timeout(self) -> int | None:
+        return self._playout.poll_timeout()
+
+    def handle_timeout(self, now_ns: int) -> None:
+        self._playout.handle_timeout(now_ns)
+        self._drain()
+
+    def _drain(self) -> None:
+        while (block := self._playout.next_event()) is not None:
+            if block.payload is None:
+                # libopus has nothing to go on before the first packet.
+                if self.decoded:
+                    self._decoder.conceal()
+                    self._concealed += 1
+                continue
+            try:
+                samples = self._decoder.decode(block.payload)
+            except ProtocolError:
+                self._corrupt += 1
+                continue
+            self.decoded += 1
+            capture_ns = self.receiver.capture_ns(block.timestamp)
+            if capture_ns is not None:
+                self.decoded_ns.add(block.play_ns - capture_ns)
+            if self._writer is not None:
+                ticks = self._time_line.ticks(block.timestamp, block.play_ns)
+                self._writer.add_opus(block.payload, ticks, samples.size)
+
+    def report(self) -> dict[str, Any]:
+        counts = self._playout.counts
+        return {
+            "frames_received": counts.played + counts.late + counts.dropped,
+            "frames_decoded": self.decoded,
+            "frames_corrupt": self._corrupt + counts.garbage,
+            "frames_concealed": self._concealed,
+            "frames_late": counts.late,
+            "frames_dropped": counts.dropped,
+            "playout_delay_ms": self._playout.delay_ns / NS_PER_MS,
+        }
+
+
+class _Shell:
+    """Drives sockets, receiver and sink in real time."""
+
+    def __init__(
+        self,
+        stream: StreamDescription,
+        sink: _VideoSink | _AudioSink,
+        sockets: tuple[socket.socket, socket.socket],
+        clock: MonotonicClock,
+    ) -> None:
+        self._stream = stream
+        self._clock = clock
+        self._sink = sink
+        self._sockets = sockets
+        self._rate = RateMeter()
+        self._last_packet_ns: int | None = None
+        self._receiver = sink.receiver = RtpReceiver(
+            payload_type=stream.payload_type,
+            clock_rate_hz=stream.clock_rate_hz,
+            ordered=stream.kind == "video",
+            from_ntp=clock.from_ntp,
+        )
+
+    def run(self, seconds: float | None) -> dict[str, Any]:
+        """Receive until the end; the report."""
+        start_ns = self._clock.now_ns()
+        end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
+        next_line_ns = start_ns + NS_PER_S
+        print(f"waiting for {self._stream.kind} on UDP port {self._stream.port}", flush=True)
+        with stopped_by_signals() as stopped, selectors.DefaultSelector() as selector:
+            for udp in self._sockets:
+                selector.register(udp, selectors.EVENT_READ)
+            while not stopped():
+                now_ns = self._clock.now_ns()
+                if (end_ns is not None and now_ns >= end_ns) or self._has_ended(now_ns):
+                    break
+                if now_ns >= next_line_ns:
+                    next_line_ns += NS_PER_S
+                    self._line(now_ns - start_ns)
+                due = [self._receiver.poll_timeout(), self._sink.poll_timeout(), end_ns]
+                until_ns = min([next_line_ns, *(d for d in due if d is not None)])
+                wait_ns = min(max(until_ns - now_ns, 0), _LONGEST_WAIT_NS)
+                selector.select(wait_ns / NS_PER_S)
+                self._take_datagrams()
+        return self._report(start_ns)
+
+    def _has_ended(self, now_ns: int) -> bool:
+        if self._last_packet_ns is None:
+            return False
+        ended = self._receiver.ended
+        patience_ns = _SILENCE_AFTER_GOODBYE_NS if ended else _SILENCE_NS
+        return now_ns - self._last_packet_ns > patience_ns
+
+    def _take_datagrams(self) -> None:
+        rtp, rtcp = self._sockets
+        receiver = self._receiver
+        for datagram in _datagrams(rtcp):
+            receiver.handle_report(datagram, self._clock.now_ns())
+        for datagram in _datagrams(rtp):
+            receiver.handle_packet(datagram, self._clock.now_ns())
+            self._pass_on()
+        now_ns = self._clock.now_ns()
+        receiver.handle_timeout(now_ns)
+        self._pass_on()
+        self._sink.handle_timeout(now_ns)
+
+    def _pass_on(self) -> None:
+        while (packet := self._receiver.next_event()) is not None:
+            # In the order of their sequence, packets may have come the other way round.
+            self._last_packet_ns = max(packet.received_ns, self._last_packet_ns or 0)
+            self._rate.add(self._last_packet_ns, len(packet.payload))
+            self._sink.handle_packet(packet, self._clock)
+
+    def _line(self, passed_ns: int) -> None:
+        counts = self._receiver.counts
+        latency = self._sink.decoded_ns
+        print(
+            f"{passed_ns / NS_PER_S:6.0f} s  {counts.received} packets, {counts.lost} lost, "
+            f"{self._sink.decoded} decoded, {self._rate.mean_bps() / 1000:.1f} kbit/s"
+            + (
+                f", latency {latency.percentile(95) / NS_PER_MS:.1f} ms (95 %)"
+                if latency.count
+                else ""
+            ),
+            flush=True,
+        )
+
+    def _report(self, start_ns: int) -> dict[str, Any]:
+        counts, rate, sink = self._receiver.counts, self._rate, self._sink
+        report: dict[str, Any] = {
+            "stream": self._stream.kind,
+            "seconds": (self._clock.now_ns() - start_ns) / NS_PER_S,
+            "seconds_of_stream": ((rate.last_ns or 0) - (rate.first_ns or 0)) / NS_PER_S,
+            "payload_bps_mean": rate.mean_bps(),
+            "payload_bps_max_1s": rate.max_bps(NS_PER_S),
+            "payload_bps_max_100ms": rate.max_bps(100 * NS_PER_MS),
+            "rtp_packets": counts.received,
+            "rtp_lost": counts.lost,
+            "rtp_reordered": counts.reordered,
+            "rtp_duplicates": counts.duplicates,
+            "rtp_late": counts.late,
+            "rtp_garbage": counts.garbage,
+            "rtp_restarts": max(counts.sources - 1, 0),
+            "rtcp_reports": counts.reports,
+            "jitter_ms": self._receiver.jitter_ns / NS_PER_MS,
+            **sink.report(),
+            "latency_ms": None,
+            "cpu_s": time.process_time(),
+        }
+        if sink.decoded_ns.count:
+            report["latency_ms"] = {
+                **sink.decoded_ns.summary_ms(),
+                "stages": {"capture_to_received": sink.received_ns.summary_ms()},
+                "clock": "the wall clocks of both hosts",
+            }
+        failed = []
+        if not counts.received:
+            failed.append(f"no packet came to UDP port {self._stream.port}: is the sender running?")
+        elif not sink.decoded:
+            failed.append(f"{counts.received} packets came, but nothing could be decoded")
+        report["failed"] = failed
+        return report
+
+
+def _datagrams(udp: socket.socket) -> Iterator[bytes]:
+    """What lies in the socket now, at most 256 datagrams, so that time is looked at again."""
+    with contextlib.suppress(BlockingIOError):
+        for _ in range(256):
+            yield udp.recv(65_536)
