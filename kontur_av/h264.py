@@ -44,8 +44,9 @@ class H264Encoder:
 
     width, height: what `media.check_size` admits. fps: pictures a second that will be given; when
         some are left out, each access unit keeps its size.
-    refresh_s: the time in which the whole picture is renewed; a decoder that joins without asking
-        for a key picture has a whole picture after one to two of these.
+    refresh_s: the time in which the whole picture is renewed; a decoder that joins without a key
+        picture has a whole picture after one to two of these. Half a second instead of a whole
+        one costs 0.3 dB at 512 kbit/s and nothing that can be measured at 85.
     preset: libx264's. `superfast` costs 2 ms of a core a picture at 640x480 and 85 kbit/s (3 ms at
         512); `veryfast` costs a half more and looks the same at these rates.
 
@@ -59,7 +60,7 @@ class H264Encoder:
         height: int,
         fps: float | Fraction,
         cap_bps: int,
-        refresh_s: float = 1.0,
+        refresh_s: float = 0.5,
         preset: str = "superfast",
     ) -> None:
         check_size(width, height)
@@ -116,7 +117,6 @@ def _open_encoder(
     codec.options = {
         "preset": preset,
         "tune": "zerolatency",
-        "forced-idr": "1",
         "intra-refresh": "1",
         "maxrate": str(aim_bps),
         "bufsize": str(int(aim_bps / rate)),
