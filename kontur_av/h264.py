@@ -32,6 +32,8 @@ from kontur_av.rtp.payload_h264 import NAL_SEI, join_annex_b, nal_type, split_an
 
 _SEI_USER_DATA_UNREGISTERED = 5
 
+_MOST_PIXELS = 4096 * 4096  # as media.check_size has it
+
 #: x264's buffer model holds one picture, so that none is larger than its share, and the rate it
 #: is given lies this much above the cap, because in that mode it leaves about a tenth unused.
 #: Measured at 640x480, 30 Hz on film footage: 80 of 85 kbit/s and 482 of 512 kbit/s, the 95th
@@ -195,6 +197,8 @@ class H264Decoder:
         self._codec: VideoCodecContext = av.CodecContext.create("h264", "r")
         self._codec.thread_count = 1
         self._codec.flags |= Flags.low_delay
+        # A forged SPS must not make the decoder fill the memory.
+        self._codec.options = {"max_pixels": str(_MOST_PIXELS)}
 
     def decode(self, data: bytes, timestamp: int) -> list[DecodedPicture]:
         """The pictures that `data` (Annex B, one access unit) completes: most often one.

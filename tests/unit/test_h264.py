@@ -1,7 +1,13 @@
 """Pictures survive the way through the coder; late joiners, losses and garbage do no harm."""
 
+from fractions import Fraction
+from functools import lru_cache
+
+import av
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from kontur_av import h264
 from kontur_av.errors import ConfigError
@@ -36,6 +42,11 @@ def encode(pictures, *, size=SIZE, keyframes=(), **options):
         )
         for i, picture in enumerate(pictures)
     ]
+
+
+@lru_cache
+def stored_units():
+    return encode(moving(90))
 
 
 def psnr_db(a, b):
@@ -140,6 +151,34 @@ def test_garbage_is_counted_and_the_stream_goes_on():
             decoder.decode(bytes(hurt[: len(hurt) - 7]), i)
     assert shown >= 55
     assert decoder.corrupt_units >= 6
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_whatever_happens_to_the_octets_nothing_is_raised(data):
+    units = [unit.data for unit in stored_units()]
+    decoder = H264Decoder()
+    for i in range(30):
+        octets = bytearray(units[i])
+        for _ in range(data.draw(st.integers(0, 2))):
+            at = data.draw(st.integers(0, len(octets) - 1))
+            octets[at : at + data.draw(st.integers(0, 4))] = data.draw(st.binary(max_size=4))
+            octets = octets or bytearray(1)
+        for decoded in decoder.decode(bytes(octets), i):
+            decoded.to_i420()
+    shown = [p for i in range(30, 90) for p in decoder.decode(units[i], i)]
+    assert shown[-1].timestamp == 89
+
+
+def test_a_picture_beyond_all_measure_is_not_decoded():
+    giant = av.CodecContext.create("libx264", "w")
+    giant.width, giant.height, giant.pix_fmt = 4352, 4096, "yuv420p"
+    giant.time_base, giant.options = Fraction(1, 30), {"preset": "ultrafast", "tune": "zerolatency"}
+    (packet,) = giant.encode(av.VideoFrame(4352, 4096, "yuv420p"))
+    decoder = H264Decoder()
+    decoder.decode(encode(moving(1))[0].data, 0)
+    assert decoder.decode(bytes(packet), 1) == []
+    assert decoder.corrupt_units == 1
 
 
 def test_a_change_of_size_in_mid_stream_is_followed():
