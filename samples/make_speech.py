@@ -34,8 +34,7 @@ SPEAKERS = (
         "en-us",
         160,
         62,
-        "Station here. I see the green light, and I feel the contact. "
-        "Moving on to target three.",
+        "Station here. I see the green light, and I feel the contact. Moving on to target three.",
     ),
 )
 
@@ -46,12 +45,12 @@ def speak(voice: str, words_a_minute: int, pitch: int, text: str) -> NDArray[np.
     wav = subprocess.run([*command, "--stdout", text], check=True, capture_output=True).stdout
     resampler = av.AudioResampler("s16", "mono", RATE_HZ)
     pieces = []
-    with av.open(io.BytesIO(wav)) as container:
+    with av.open(io.BytesIO(wav), "r") as container:
         for frame in container.decode(audio=0):
             pieces += [piece.to_ndarray()[0] for piece in resampler.resample(frame)]
     pieces += [piece.to_ndarray()[0] for piece in resampler.resample(None)]
     samples = np.concatenate([*pieces, np.zeros(RATE_HZ // 2, np.int16)]).astype(np.float64)
-    return (samples * PEAK / np.abs(samples).max()).astype(np.int16)
+    return np.asarray((samples * PEAK / np.abs(samples).max()).astype(np.int16))
 
 
 def write_flac(path: Path, samples: NDArray[np.int16]) -> None:

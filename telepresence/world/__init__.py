@@ -1,0 +1,33 @@
+"""The simulated task board: what the cameras see and the microphone hears.
+
+`video_scenes` and `audio_scenes` give the factories behind `scene:NAME`; `DEFAULT_SCENES` says
+which scene each input of a setup shows when the user names nothing else.
+"""
+
+from telepresence.world.scenes import DEFAULT_SCENES, VIEWS, audio_scenes, render, video_scenes
+from telepresence.world.state import (
+    BOARD_HEIGHT_M,
+    BOARD_WIDTH_M,
+    LED_REACH_M,
+    LEDS_M,
+    WALL_X_M,
+    StateAt,
+    WorldState,
+    scripted_state,
+)
+
+__all__ = [
+    "BOARD_HEIGHT_M",
+    "BOARD_WIDTH_M",
+    "DEFAULT_SCENES",
+    "LEDS_M",
+    "LED_REACH_M",
+    "VIEWS",
+    "WALL_X_M",
+    "StateAt",
+    "WorldState",
+    "audio_scenes",
+    "render",
+    "scripted_state",
+    "video_scenes",
+]

@@ -1,0 +1,190 @@
+"""What the board and the table around it look like from above: drawn once, in RGB."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from telepresence.world.state import BOARD_HEIGHT_M, BOARD_WIDTH_M, LEDS_M, WALL_X_M
+
+Rgb = tuple[int, int, int]
+Image = NDArray[np.uint8]
+
+#: Resolution of the drawing and how much of the table it shows, each way from the centre.
+PX_PER_M = 4000
+REACH_X_M, REACH_Y_M = 0.32, 0.26
+
+LED_RADIUS_M = 0.0065
+#: (dark, lit) of each target.
+LED_COLOURS: tuple[tuple[Rgb, Rgb], ...] = (
+    ((92, 24, 22), (255, 70, 52)),
+    ((20, 84, 34), (70, 255, 96)),
+    ((24, 48, 104), (92, 160, 255)),
+    ((96, 72, 16), (255, 206, 64)),
+    ((96, 72, 16), (255, 206, 64)),
+)
+LED_NAMES = ("1", "2", "3", "A", "B")
+
+_PANEL: Rgb = (62, 74, 88)
+_INK: Rgb = (206, 212, 216)
+_TRACK: Rgb = (226, 148, 54)
+
+
+def to_px(x_m: float, y_m: float) -> tuple[int, int]:
+    """Board metres -> pixels of the drawing."""
+    return round((x_m + REACH_X_M) * PX_PER_M), round((REACH_Y_M - y_m) * PX_PER_M)
+
+
+def homography() -> NDArray[np.float64]:
+    """(3, 3): pixels of the drawing -> board metres."""
+    return np.array(((1 / PX_PER_M, 0, -REACH_X_M), (0, -1 / PX_PER_M, REACH_Y_M), (0, 0, 1.0)))
+
+
+def contour_m() -> NDArray[np.float64]:
+    """(n, 2) metres: the curve that the stylus is to follow, on the left of the wall."""
+    t = np.linspace(0, 2 * np.pi, 240)
+    return np.stack(
+        (
+            -0.045 + 0.068 * np.cos(t) - 0.008 * np.cos(3 * t),
+            0.070 * np.sin(t) + 0.006 * np.sin(3 * t),
+        ),
+        1,
+    )
+
+
+def draw_board() -> Image:
+    """The table and the board from above: (height, width, 3) RGB."""
+    width, height = round(2 * REACH_X_M * PX_PER_M), round(2 * REACH_Y_M * PX_PER_M)
+    image = _table(width, height)
+    _box(image, -0.5, 0.5, -0.5, 0.5, 0.010, (34, 36, 38), soften_m=0.008)
+    _box(image, -0.5, 0.5, -0.5, 0.5, 0.0, (142, 150, 156))
+    _box(image, -0.5, 0.5, -0.5, 0.5, -0.004, _PANEL)
+    _sheen(image)
+    for x in (-0.142, 0.142):
+        for y in (-0.092, 0.092):
+            _screw(image, x, y)
+    _scales(image)
+    points = np.array([to_px(x, y) for x, y in contour_m()], np.int32)
+    cv2.polylines(image, [points], True, (36, 42, 50), _px(0.0062), cv2.LINE_AA)
+    cv2.polylines(image, [points], True, _TRACK, _px(0.0030), cv2.LINE_AA)
+    _wall(image)
+    for (x, y), (dark, _), name in zip(LEDS_M, LED_COLOURS, LED_NAMES, strict=True):
+        _led(image, x, y, dark)
+        _text(image, name, x + (0.030 if x > 0 else 0.015), y - 0.006, 0.012)
+    _text(image, "KONTUR  TASK BOARD", -0.134, 0.079, 0.0085)
+    _text(image, "CONTACT WALL", 0.084, 0.079, 0.0062)
+    _connectors(image)
+    return image
+
+
+def _px(metres: float) -> int:
+    return max(1, round(metres * PX_PER_M))
+
+
+def _table(width: int, height: int) -> Image:
+    """Brushed metal: fine lines along x, darker towards the edges."""
+    rng = np.random.default_rng(2)
+    grain = cv2.GaussianBlur(
+        rng.normal(0, 9, (height, width)).astype(np.float32), (0, 0), 9, sigmaY=1
+    )
+    ramp = np.linspace(112, 84, height, dtype=np.float32)[:, None]
+    luma = np.clip(ramp + grain * 2.0, 0, 255)
+    return np.stack((luma * 0.97, luma, luma * 1.03), 2).clip(0, 255).astype(np.uint8)
+
+
+def _box(
+    image: Image,
+    left: float,
+    right: float,
+    bottom: float,
+    top: float,
+    grow_m: float,
+    colour: Rgb,
+    soften_m: float = 0.0,
+) -> None:
+    """A rectangle given in parts of the board's size, grown by `grow_m` each way."""
+    a = to_px(left * BOARD_WIDTH_M - grow_m, top * BOARD_HEIGHT_M + grow_m)
+    b = to_px(right * BOARD_WIDTH_M + grow_m, bottom * BOARD_HEIGHT_M - grow_m)
+    if not soften_m:
+        cv2.rectangle(image, a, b, colour, cv2.FILLED)
+        return
+    mask = np.zeros(image.shape[:2], np.float32)
+    cv2.rectangle(mask, a, b, 0.8, cv2.FILLED)
+    soft = np.asarray(cv2.GaussianBlur(mask, (0, 0), soften_m * PX_PER_M))[..., None]
+    image[:] = (image * (1 - soft) + np.array(colour) * soft).astype(np.uint8)
+
+
+def _sheen(image: Image) -> None:
+    """The lamp's broad reflection on the panel, from the upper left."""
+    (x0, y0), (x1, y1) = to_px(-0.146, 0.096), to_px(0.146, -0.096)
+    panel = image[y0:y1, x0:x1]
+    ys, xs = np.mgrid[0 : y1 - y0, 0 : x1 - x0].astype(np.float32)
+    light = np.exp(-(((xs / (x1 - x0) - 0.25) / 0.6) ** 2) - ((ys / (y1 - y0) - 0.1) / 0.8) ** 2)
+    panel[:] = np.clip(panel * (0.86 + 0.36 * light[..., None]), 0, 255).astype(np.uint8)
+
+
+def _screw(image: Image, x: float, y: float) -> None:
+    centre = to_px(x, y)
+    cv2.circle(image, centre, _px(0.0044), (40, 46, 52), cv2.FILLED, cv2.LINE_AA)
+    cv2.circle(image, centre, _px(0.0036), (150, 156, 160), cv2.FILLED, cv2.LINE_AA)
+    for angle in (0.6, 0.6 + np.pi / 2):
+        dx, dy = int(np.cos(angle) * _px(0.0024)), int(np.sin(angle) * _px(0.0024))
+        a, b = (centre[0] - dx, centre[1] - dy), (centre[0] + dx, centre[1] + dy)
+        cv2.line(image, a, b, (60, 64, 68), _px(0.0009), cv2.LINE_AA)
+
+
+def _scales(image: Image) -> None:
+    """Ticks every centimetre along the lower and the left edge, longer every five."""
+    for step in range(-13, 14):
+        length = 0.006 if step % 5 == 0 else 0.003
+        x = step / 100
+        cv2.line(image, to_px(x, -0.096), to_px(x, -0.096 + length), _INK, _px(0.0007), cv2.LINE_AA)
+    for step in range(-8, 9):
+        length = 0.006 if step % 5 == 0 else 0.003
+        y = step / 100
+        cv2.line(image, to_px(-0.146, y), to_px(-0.146 + length, y), _INK, _px(0.0007), cv2.LINE_AA)
+
+
+def _wall(image: Image) -> None:
+    """The bar that the stylus pushes against: its face at WALL_X_M, lit from the left."""
+    face = WALL_X_M
+    cv2.rectangle(image, to_px(face + 0.004, 0.088), to_px(face + 0.024, -0.090), (36, 42, 50), -1)
+    cv2.rectangle(image, to_px(face, 0.090), to_px(face + 0.018, -0.088), (164, 168, 170), -1)
+    cv2.rectangle(image, to_px(face, 0.090), to_px(face + 0.004, -0.088), (222, 224, 224), -1)
+    for step in range(-8, 9, 2):
+        y = step / 100
+        a, b = to_px(face + 0.006, y - 0.006), to_px(face + 0.016, y + 0.006)
+        cv2.line(image, a, b, (118, 122, 126), _px(0.0016), cv2.LINE_AA)
+
+
+def _led(image: Image, x: float, y: float, dark: Rgb) -> None:
+    centre = to_px(x, y)
+    cv2.circle(image, centre, _px(LED_RADIUS_M * 1.75), (28, 32, 38), cv2.FILLED, cv2.LINE_AA)
+    cv2.circle(image, centre, _px(LED_RADIUS_M * 1.45), (176, 180, 182), cv2.FILLED, cv2.LINE_AA)
+    cv2.circle(image, centre, _px(LED_RADIUS_M), dark, cv2.FILLED, cv2.LINE_AA)
+    glint = to_px(x - LED_RADIUS_M * 0.35, y + LED_RADIUS_M * 0.4)
+    bright = tuple(min(255, channel + 90) for channel in dark)
+    cv2.circle(image, glint, _px(LED_RADIUS_M * 0.28), bright, cv2.FILLED, cv2.LINE_AA)
+
+
+def _text(image: Image, text: str, x: float, y: float, height_m: float) -> None:
+    scale = height_m * PX_PER_M / 22
+    thickness = max(1, round(height_m * PX_PER_M / 8))
+    cv2.putText(
+        image, text, to_px(x, y), cv2.FONT_HERSHEY_SIMPLEX, scale, _INK, thickness, cv2.LINE_AA
+    )
+
+
+def _connectors(image: Image) -> None:
+    """Two sockets and a rotary switch on the right of the wall."""
+    for y in (0.050, 0.0):
+        centre = to_px(0.119, y)
+        cv2.circle(image, centre, _px(0.013), (30, 34, 40), cv2.FILLED, cv2.LINE_AA)
+        cv2.circle(image, centre, _px(0.011), (120, 126, 130), cv2.FILLED, cv2.LINE_AA)
+        cv2.circle(image, centre, _px(0.008), (38, 42, 48), cv2.FILLED, cv2.LINE_AA)
+        for angle in np.arange(5) * 2 * np.pi / 5:
+            pin = to_px(0.119 + 0.0047 * np.cos(angle), y + 0.0047 * np.sin(angle))
+            cv2.circle(image, pin, _px(0.0012), (206, 178, 96), cv2.FILLED, cv2.LINE_AA)
+    centre = to_px(0.119, -0.050)
+    cv2.circle(image, centre, _px(0.015), (36, 40, 46), cv2.FILLED, cv2.LINE_AA)
+    cv2.circle(image, centre, _px(0.012), (92, 98, 104), cv2.FILLED, cv2.LINE_AA)
+    cv2.line(image, centre, to_px(0.126, -0.041), (232, 232, 226), _px(0.0024), cv2.LINE_AA)

@@ -1,0 +1,273 @@
+"""The camera in the station: a cosmonaut at the joystick, talking.
+
+The module is drawn once, in RGB. The hand of the clock, a lamp, a pen that floats, the arm at
+the joystick, the head and the mouth move.
+"""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.media import I420
+from telepresence.world.brush import Brush, Points, ball, disc, rod, yuv
+from telepresence.world.lettering import Caption
+from telepresence.world.speech import loudness_at
+from telepresence.world.state import WorldState
+
+Image = NDArray[np.uint8]
+
+_SUIT = yuv(52, 84, 140)
+_SKIN = yuv(222, 176, 146)
+_HAIR = yuv(84, 62, 46)
+_STICK = yuv(60, 64, 70)
+_KNOB = yuv(196, 52, 40)
+_PEN = yuv(214, 182, 70)
+_DARK = yuv(44, 34, 32)
+_LIPS = yuv(168, 96, 88)
+_WHITE = yuv(236, 234, 228)
+_HEADSET = yuv(46, 50, 56)
+_HAND = yuv(200, 44, 36)
+_LAMP_ON, _LAMP_OFF = yuv(110, 255, 120), yuv(28, 66, 34)
+
+_CLOCK = complex(548, 92)
+_CLOCK_RADIUS = 40.0
+_LAMP = complex(608, 306)
+_NECK = complex(300, 262)
+_SHOULDER = complex(392, 330)
+_JOYSTICK = complex(500, 452)
+
+
+class CabinView:
+    """The picture of the cabin at one size. `draw` writes a whole picture."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self._scale = min(width / 640, height / 480)
+        self._origin = complex(width - 640 * self._scale, height - 480 * self._scale) / 2
+        image = _draw_still(width, height, self._scale, self._origin)
+        self._background: I420 = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420), np.uint8)
+        self._height = height
+        one = np.ones((height, width), np.uint8)
+        cv2.subtract(self._background[:height], one, dst=self._background[:height])
+        self._caption = Caption("cabin", width, height)
+        self._caption.paint(self._background)
+        rng = np.random.default_rng(11)
+        levels = np.array((0, 1, 1, 1, 1, 1, 1, 2), np.uint8)
+        self._grain = levels[rng.integers(0, 8, (height + 16, width + 16))]
+
+    def draw(self, state: WorldState, into: I420, frame: int) -> None:
+        """Write the picture of `state` into `into`; `frame` is the number burned in."""
+        height, width = self._height, into.shape[1]
+        left, top = frame * 7 % 16, frame * 11 % 16
+        grain = self._grain[top : top + height, left : left + width]
+        cv2.add(self._background[:height], grain, dst=into[:height])
+        into[height:] = self._background[height:]
+        brush = Brush(into)
+        self._clock_and_lamp(brush, state.time_ns)
+        self._pen(brush, state.time_ns)
+        self._head(brush, state.time_ns)
+        self._arm(brush, state)
+        self._caption.count(brush.y, frame)
+
+    def _at(self, place: complex) -> complex:
+        return self._origin + place * self._scale
+
+    def _rod(
+        self, brush: Brush, ends: tuple[complex, complex], radii: tuple[float, float],
+        colour: tuple[int, int, int],
+    ) -> None:  # fmt: skip
+        scaled = (radii[0] * self._scale, radii[1] * self._scale)
+        rod(brush, self._at(ends[0]), self._at(ends[1]), scaled, colour)
+
+    def _shape(self, outline: Points) -> Points:
+        return np.asarray(self._origin + outline * self._scale)
+
+    def _clock_and_lamp(self, brush: Brush, time_ns: int) -> None:
+        seconds = time_ns // NS_PER_S
+        for turn, length, thickness in (
+            (seconds / 43_200, 0.5, 2.6),
+            (seconds / 3_600, 0.72, 2.0),
+        ):
+            self._hand(brush, turn, length, thickness, _DARK)
+        # It jumps once a second, which an eye can count in the picture.
+        self._hand(brush, seconds % 60 / 60, 0.86, 1.2, _HAND)
+        lit = (time_ns // (NS_PER_S // 2)) % 2 == 0
+        brush.fill(self._shape(disc(_LAMP, 6.0)), _LAMP_ON if lit else _LAMP_OFF)
+
+    def _hand(
+        self, brush: Brush, turn: float, length: float, thickness: float,
+        colour: tuple[int, int, int],
+    ) -> None:  # fmt: skip
+        direction = complex(math.sin(2 * math.pi * turn), -math.cos(2 * math.pi * turn))
+        end, side = _CLOCK + direction * _CLOCK_RADIUS * length, direction * 1j * thickness
+        back = _CLOCK - direction * 5
+        outline = np.array((back + side, back - side, end - side * 0.5, end + side * 0.5))
+        brush.fill(self._shape(outline), colour)
+
+    def _pen(self, brush: Brush, time_ns: int) -> None:
+        t = time_ns / NS_PER_S
+        middle = complex(112 + 26 * math.sin(t / 3.1), 318 + 18 * math.sin(t / 2.3 + 1))
+        axis = complex(math.cos(t / 4.7), math.sin(t / 4.7)) * 24
+        self._rod(brush, (middle - axis, middle + axis), (3.6, 3.0), _PEN)
+
+    def _head(self, brush: Brush, time_ns: int) -> None:
+        t = time_ns / NS_PER_S
+        loud = loudness_at("cabin", time_ns)
+        # The head sways slowly, nods a little while it talks, and looks down at the hand.
+        tilt = complex(math.cos(a := 0.05 * math.sin(t / 1.9)), math.sin(a))
+        place = _NECK + complex(4 * math.sin(t / 2.7), 2 * math.sin(t / 1.3) + 3 * loud)
+
+        def on(x: float, y: float) -> complex:
+            return self._at(place + complex(x, y - 86) * tilt)
+
+        def oval(x: float, y: float, across: float, up: float) -> Points:
+            circle = disc(0j, 1.0)
+            shape = circle.real * across + 1j * circle.imag * up
+            return np.asarray(self._at(place) + (shape + complex(x, y - 86)) * tilt * self._scale)
+
+        s = self._scale
+        self._rod(brush, (_NECK + 8j, place - 40j), (24, 23), _SKIN)
+        brush.fill(oval(0, -16, 61, 66), _HAIR)
+        brush.fill(oval(0, 6, 55, 68), _shaded(_SKIN, 0.80))
+        brush.shade(oval(-4, 3, 49, 63), _SKIN[0])
+        brush.shade(oval(-14, -8, 28, 40), min(235, _SKIN[0] + 10))
+        brush.fill(oval(0, -44, 52, 24), _HAIR)
+        for side in (-1, 1):
+            brush.fill(oval(side * 21, -6, 10.5, 6.2), _WHITE)
+            glance = 2.5 + 2.0 * math.sin(t / 2.1)
+            brush.fill(oval(side * 21 + glance, -5, 5, 5.4), _DARK)
+            brow = _shaded(_HAIR, 0.8)
+            rod(brush, on(side * 12, -19), on(side * 31, -20), (2.6 * s, 2.2 * s), brow)
+        if time_ns % (4 * NS_PER_S) < 130_000_000:
+            for side in (-1, 1):
+                brush.fill(oval(side * 21, -6, 11, 6.8), _shaded(_SKIN, 0.9))
+        rod(brush, on(1, -2), on(3, 17), (4.5 * s, 6.5 * s), _shaded(_SKIN, 0.97))
+        brush.fill(oval(1, 40, 17, 4.5 + 8 * loud), _LIPS)
+        brush.fill(oval(1, 40, 13, 1.2 + 7 * loud), _DARK)
+        ball(brush, on(-57, 4), 14 * s, _HEADSET)
+        rod(brush, on(-55, 14), on(-22, 52), (3 * s, 3 * s), _HEADSET)
+
+    def _arm(self, brush: Brush, state: WorldState) -> None:
+        """The right arm and the joystick, deflected as the stylus is."""
+        lean = complex(state.x_m / 0.15, -state.y_m / 0.10)
+        knob = _JOYSTICK + complex(0, -56) + complex(lean.real * 26, lean.imag * 12)
+        elbow = complex(438, 424) + lean.real * 8
+        self._rod(brush, (_JOYSTICK, knob), (7, 6), _STICK)
+        ball(brush, self._at(knob), 15 * self._scale, _KNOB)
+        self._rod(brush, (_SHOULDER, elbow), (34, 27), _SUIT)
+        self._rod(brush, (elbow, knob + complex(-16, 4)), (26, 18), _SUIT)
+        ball(brush, self._at(knob + complex(-3, 1)), 17 * self._scale, _SKIN)
+        for finger in range(3):
+            begin = knob + complex(2, -9 + 8 * finger)
+            self._rod(brush, (begin, begin + complex(13, 4)), (5.5, 4.5), _SKIN)
+
+
+def _shaded(colour: tuple[int, int, int], gain: float) -> tuple[int, int, int]:
+    return round(16 + (colour[0] - 16) * gain), colour[1], colour[2]
+
+
+def _draw_still(width: int, height: int, scale: float, origin: complex) -> Image:
+    """The module's inside as RGB: drawn at twice the size, then made small."""
+    zoom = 2 * scale
+    image = np.zeros((height * 2, width * 2, 3), np.uint8)
+    ys, xs = np.mgrid[0 : height * 2, 0 : width * 2].astype(np.float32)
+    x, y = (xs / 2 - origin.real) / scale, (ys / 2 - origin.imag) / scale
+    light = 0.62 + 0.38 * np.exp(-(((x - 300) / 330) ** 2) - ((y - 60) / 330) ** 2)
+    image[:] = np.clip(light[..., None] * np.array((186, 190, 188)), 0, 255)
+
+    def at(px: float, py: float) -> tuple[int, int]:
+        return round((px + origin.real / scale) * zoom), round((py + origin.imag / scale) * zoom)
+
+    def size(length: float) -> int:
+        return max(1, round(length * zoom))
+
+    def box(left: float, top: float, right: float, bottom: float, *rgb: int) -> None:
+        cv2.rectangle(image, at(left, top), at(right, bottom), rgb, cv2.FILLED)
+
+    def line(ax: float, ay: float, bx: float, by: float, thick: float, *rgb: int) -> None:
+        cv2.line(image, at(ax, ay), at(bx, by), rgb, size(thick), cv2.LINE_AA)
+
+    def circle(cx: float, cy: float, radius: float, *rgb: int) -> None:
+        cv2.circle(image, at(cx, cy), size(radius), rgb, cv2.FILLED, cv2.LINE_AA)
+
+    # Racks with their seams, the ceiling light, blue handrails, cables, a net of bags.
+    for column in range(-1, 6):
+        line(column * 150 + 20, 0, column * 118 + 84, 480, 2.4, 122, 126, 126)
+    for row in (150, 330):
+        line(-400, row, 1040, row, 2.0, 126, 130, 130)
+    box(180, 0, 430, 16, 250, 250, 240)
+    for rail in (40, 436):
+        line(rail, 178, rail + 80, 178, 7, 40, 84, 156)
+        line(rail, 178, rail, 190, 7, 40, 84, 156)
+        line(rail + 80, 178, rail + 80, 190, 7, 40, 84, 156)
+    for k, rgb in enumerate(((60, 64, 70), (178, 112, 44), (196, 196, 190))):
+        t = np.linspace(0, 1, 40)
+        cable = [at(10 + 150 * a, 226 + 9 * k + 26 * math.sin(math.pi * a)) for a in t]
+        cv2.polylines(image, [np.array(cable, np.int32)], False, rgb, size(3), cv2.LINE_AA)
+    _window(image, at, size)
+    # Clock.
+    cx, cy = _CLOCK.real, _CLOCK.imag
+    circle(cx, cy, _CLOCK_RADIUS + 6, 52, 56, 62)
+    circle(cx, cy, _CLOCK_RADIUS + 1, 244, 244, 238)
+    for tick in range(12):
+        a = math.pi * tick / 6
+        inner, outer = _CLOCK_RADIUS * (0.80 if tick % 3 else 0.70), _CLOCK_RADIUS * 0.92
+        sa, ca = math.sin(a), math.cos(a)
+        line(cx + sa * inner, cy - ca * inner, cx + sa * outer, cy - ca * outer, 2.2, 40, 40, 44)
+    # A screen with a plot of the force, below the clock.
+    box(476, 196, 628, 290, 34, 38, 44)
+    box(483, 203, 621, 283, 18, 44, 60)
+    plot = [at(486 + k * 2.2, 256 - 30 * math.exp(-(((k - 30) / 10) ** 2)) - 6 * math.sin(k / 5))
+            for k in range(61)]  # fmt: skip
+    for level in (223, 243, 263):
+        line(486, level, 618, level, 0.6, 40, 86, 104)
+    cv2.polylines(image, [np.array(plot, np.int32)], False, (96, 226, 180), size(2), cv2.LINE_AA)
+    cv2.putText(image, "FORCE", at(487, 217), cv2.FONT_HERSHEY_SIMPLEX, 0.42 * zoom,
+                (190, 220, 226), size(1), cv2.LINE_AA)  # fmt: skip
+    box(560, 296, 628, 316, 44, 48, 54)
+    for k, rgb in enumerate(((196, 60, 44), (214, 170, 52))):
+        circle(572 + 18 * k, 306, 6, *rgb)
+    # The cosmonaut's body and the shelf with the joystick.
+    for thick, rgb in ((0, (34, 56, 98)), (7, (52, 84, 140))):
+        cv2.ellipse(image, at(300, 500), (size(140 - thick), size(236 - thick)), 0, 180, 360, rgb,
+                    cv2.FILLED, cv2.LINE_AA)  # fmt: skip
+    line(300, 290, 300, 480, 2.4, 34, 54, 92)
+    cv2.ellipse(
+        image, at(300, 268), (size(42), size(17)), 0, 0, 360, (36, 58, 100), -1, cv2.LINE_AA
+    )
+    box(214, 356, 262, 386, 222, 226, 230)
+    box(216, 358, 260, 371, 60, 104, 180)
+    circle(350, 366, 17, 226, 228, 230)
+    circle(350, 366, 14, 24, 44, 96)
+    line(340, 372, 358, 358, 2.2, 232, 96, 60)
+    box(418, 450, 1040, 800, 74, 80, 86)
+    box(418, 446, 1040, 454, 120, 126, 132)
+    circle(_JOYSTICK.real, _JOYSTICK.imag, 24, 34, 37, 42)
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    dither = np.random.default_rng(5).random((height, width, 1))
+    return np.clip(small + dither, 0, 255).astype(np.uint8)
+
+
+def _window(image: Image, at: object, size: object) -> None:
+    """A round window: the Earth's edge, thin blue air, black above it."""
+    assert callable(at) and callable(size)
+    centre, radius = at(100, 92), size(58)
+    view = image.copy()
+    cv2.circle(view, centre, radius, (4, 6, 12), cv2.FILLED)
+    for shrink, rgb in ((0, (40, 92, 190)), (4, (104, 168, 236)), (8, (36, 92, 160))):
+        cv2.circle(view, at(150, 282), size(190 - shrink), rgb, cv2.FILLED, cv2.LINE_AA)
+    for x, y, a, b, turn in ((92, 118, 26, 5, 14), (120, 138, 22, 4, -10), (70, 136, 20, 4, 20)):
+        axes = (size(a), size(b))
+        cv2.ellipse(view, at(x, y), axes, turn, 0, 360, (206, 220, 230), cv2.FILLED, cv2.LINE_AA)
+    mask = np.zeros(image.shape[:2], np.uint8)
+    cv2.circle(mask, centre, radius, 255, cv2.FILLED, cv2.LINE_AA)
+    weight = (mask / 255.0)[..., None]
+    cv2.circle(image, centre, size(70), (98, 102, 106), cv2.FILLED, cv2.LINE_AA)
+    cv2.circle(image, centre, size(63), (54, 58, 62), cv2.FILLED, cv2.LINE_AA)
+    image[:] = (view * weight + image * (1 - weight)).astype(np.uint8)
+    for k in range(12):
+        angle = math.pi * k / 6 + 0.2
+        bolt = at(100 + 66.5 * math.cos(angle), 92 + 66.5 * math.sin(angle))
+        cv2.circle(image, bolt, size(2.2), (150, 154, 158), cv2.FILLED, cv2.LINE_AA)

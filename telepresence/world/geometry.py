@@ -1,0 +1,90 @@
+"""Pinhole cameras over the board. Metres in, pixels out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera without distortion.
+
+    position: (3,) metres. rotation: (3, 3), rows are the camera's right, down and forward.
+    focal: pixels. centre: (2,) pixels, where the optical axis meets the picture.
+    """
+
+    position: Vector
+    rotation: Vector
+    focal: float
+    centre: Vector
+
+    def project(self, points: Vector) -> Vector:
+        """(n, 3) metres -> (n, 2) pixels. What lies behind the camera is pushed before it."""
+        local = (points - self.position) @ self.rotation.T
+        depth = np.maximum(local[:, 2:], 0.02)
+        return np.asarray(local[:, :2] / depth * self.focal + self.centre)
+
+    def see(self, points: Vector) -> tuple[NDArray[np.complex128], Vector]:
+        """(n, 3) metres -> (n,) pixels as x + iy, and (n,) pixels per metre at each of them."""
+        local = (points - self.position) @ self.rotation.T
+        scale = self.focal / np.maximum(local[:, 2], 0.02)
+        pixels = np.empty(len(points), np.complex128)
+        pixels.real = local[:, 0] * scale + self.centre[0]
+        pixels.imag = local[:, 1] * scale + self.centre[1]
+        return pixels, scale
+
+    def in_front(self, near: Vector, far: Vector, nearest_m: float = 0.06) -> Vector:
+        """`far`, or the point on the way there where the camera would be hit."""
+        depth_near = float((near - self.position) @ self.rotation[2])
+        depth_far = float((far - self.position) @ self.rotation[2])
+        if depth_far >= nearest_m or depth_near <= nearest_m:
+            return far
+        return near + (far - near) * ((depth_near - nearest_m) / (depth_near - depth_far))
+
+    def plane_homography(self) -> Vector:
+        """(3, 3): board metres (x, y, 1) at z = 0 -> homogeneous pixels."""
+        intrinsic = np.array(
+            ((self.focal, 0, self.centre[0]), (0, self.focal, self.centre[1]), (0, 0, 1.0))
+        )
+        columns = np.column_stack(
+            (self.rotation[:, 0], self.rotation[:, 1], -self.rotation @ self.position)
+        )
+        return np.asarray(intrinsic @ columns)
+
+
+def looking_at(
+    position: tuple[float, float, float],
+    target: tuple[float, float, float],
+    focal: float,
+    width: int,
+    height: int,
+) -> Camera:
+    """A camera that looks at `target`, its upper side towards +z (or +y when it looks down)."""
+    eye, goal = np.array(position), np.array(target)
+    forward = (goal - eye) / np.linalg.norm(goal - eye)
+    up = np.array((0.0, 0.0, 1.0)) if abs(forward[2]) < 0.999 else np.array((0.0, 1.0, 0.0))
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    down = np.cross(forward, right)
+    return Camera(
+        eye,
+        np.stack((right, down, forward)),
+        focal,
+        np.array((width / 2 - 0.5, height / 2 - 0.5)),
+    )
+
+
+def looking_down(
+    position: tuple[float, float, float], focal: float, width: int, height: int
+) -> Camera:
+    """A camera that looks straight down, its picture shifted so that the origin is its centre.
+
+    Two of these at one height see the plane z = 0 alike to the pixel, and everything above it
+    displaced: so the two halves of a merged stereo picture join on the board without a step.
+    """
+    straight = looking_at(position, (position[0], position[1], 0.0), focal, width, height)
+    (shift,) = straight.centre - straight.project(np.zeros((1, 3)))
+    return Camera(straight.position, straight.rotation, focal, straight.centre + shift)

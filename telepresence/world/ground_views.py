@@ -1,0 +1,262 @@
+"""The four cameras on the ground: left and right above the board, static, and the robot's head.
+
+What stands still is drawn once, in RGB and at twice the size; for each picture only the
+light of an LED, the shadow, the arm and the counter are drawn over a copy of it.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.media import I420
+from telepresence.world.arm import SHOULDER_M, draw_arm, draw_shadow, pose
+from telepresence.world.board import (
+    LED_COLOURS,
+    LED_RADIUS_M,
+    Image,
+    draw_board,
+    homography,
+)
+from telepresence.world.brush import Brush
+from telepresence.world.geometry import Camera, looking_at, looking_down
+from telepresence.world.lettering import Caption
+from telepresence.world.state import LEDS_M, WorldState
+
+#: Half the distance between the eyes of the stereo pair, and their place above the board.
+EYE_X_M, EYE_Y_M, EYE_Z_M = 0.115, -0.055, 0.56
+
+
+@dataclass(frozen=True)
+class _Mount:
+    """How a camera is mounted. sway: the farthest it turns, in pixels of a 640x480 picture."""
+
+    from_above: bool
+    sway: int = 0
+
+
+MOUNTS = {
+    "left": _Mount(True),
+    "right": _Mount(True),
+    "static": _Mount(False),
+    "head": _Mount(False, sway=14),
+}
+
+
+def camera_of(view: str, width: int, height: int) -> Camera:
+    """Where the camera of that name is, for pictures of that size."""
+    scale = min(width / 640, height / 480)
+    if view in ("left", "right"):
+        side = -EYE_X_M if view == "left" else EYE_X_M
+        return looking_down((side, EYE_Y_M, EYE_Z_M), 1010 * scale, width, height)
+    if view == "static":
+        return looking_at((-0.50, -0.66, 0.50), (0.04, 0.10, 0.14), 700 * scale, width, height)
+    return looking_at((-0.02, -0.40, 0.50), (0.01, 0.035, 0.03), 800 * scale, width, height)
+
+
+class GroundView:
+    """One camera's picture at one size. `draw` writes a whole picture."""
+
+    def __init__(self, view: str, width: int, height: int) -> None:
+        self._mount = MOUNTS[view]
+        scale = min(width / 640, height / 480)
+        self._sway = 2 * round(self._mount.sway * scale / 2)
+        self._width, self._height = width, height
+        self._camera = camera_of(view, width, height)
+        self._still = _draw_still(view, width, height, self._sway)
+        self._caption = Caption(view, width, height)
+        rng = np.random.default_rng(7)
+        levels = np.array((0, 1, 1, 1, 1, 1, 1, 2), np.uint8)
+        self._grain = levels[rng.integers(0, 8, (height + 16, width + 16))]
+        # One entry a lit LED and chroma phase, made when it is first seen.
+        self._backgrounds: dict[tuple[int | None, int, int], I420] = {}
+
+    def draw(self, state: WorldState, into: I420, frame: int, *, stylus: bool = True) -> None:
+        """Write the picture of `state` into `into`; `frame` is the number burned in.
+
+        stylus: without it, there is no arm either: only the board.
+        """
+        across, down = self._turned(state.time_ns)
+        self._copy_background(state.lit, across, down, into, frame)
+        brush = Brush(into)
+        if stylus:
+            arm = pose(state.x_m, state.y_m)
+            offset = complex(self._sway - across, self._sway - down)
+            draw_shadow(brush, self._camera, arm, offset)
+            draw_arm(brush, self._camera, arm, offset, from_above=self._mount.from_above)
+        self._caption.paint(into)
+        self._caption.count(brush.y, frame)
+
+    def _turned(self, time_ns: int) -> tuple[int, int]:
+        """How far the head has turned: pixels, each from 0 to twice the sway."""
+        if not self._sway:
+            return 0, 0
+        t = time_ns / NS_PER_S
+        # It looks around now and then and holds still in between, as heads do.
+        glance = math.tanh(6 * math.sin(2 * math.pi * t / 11)) * 0.7
+        breath = 0.15 * math.sin(2 * math.pi * t / 3.7)
+        across = round(self._sway * (1 + glance + breath))
+        down = round(self._sway * (1 + 0.25 * math.sin(2 * math.pi * t / 5.3) + breath))
+        return across, down
+
+    def _copy_background(
+        self, lit: int | None, across: int, down: int, into: I420, frame: int
+    ) -> None:
+        width, height = self._width, self._height
+        key = (lit, across & 1, down & 1)
+        background = self._backgrounds.get(key)
+        if background is None:
+            background = self._backgrounds[key] = self._background(*key)
+        full_height = background.shape[0] * 2 // 3
+        # A new piece of one field of grain for each picture: noise at the price of a copy.
+        left, top = frame * 7 % 16, frame * 11 % 16
+        cv2.add(
+            background[down & ~1 :, across & ~1 :][:height, :width],
+            self._grain[top : top + height, left : left + width],
+            dst=into[:height],
+        )
+        chroma = background[full_height:].reshape(2, full_height // 2, -1)
+        target = into[height:].reshape(2, height // 2, width // 2)
+        target[:] = chroma[:, down // 2 :, across // 2 :][:, : height // 2, : width // 2]
+
+    def _background(self, lit: int | None, odd_across: int, odd_down: int) -> I420:
+        """The board with one LED lit, as I420; shifted by a pixel so that chroma fits, too."""
+        image = self._still if lit is None else _lighten(self._still, self._camera, lit, self._sway)
+        height, width = image.shape[:2]
+        shifted = np.zeros_like(image)
+        shifted[: height - odd_down, : width - odd_across] = image[odd_down:, odd_across:]
+        picture = np.asarray(cv2.cvtColor(shifted, cv2.COLOR_RGB2YUV_I420), np.uint8)
+        # The grain that is added later is 1 on average.
+        cv2.subtract(picture[:height], np.ones((height, width), np.uint8), dst=picture[:height])
+        return picture
+
+
+@lru_cache(maxsize=1)
+def _board() -> Image:
+    return draw_board()
+
+
+def _draw_still(view: str, width: int, height: int, margin: int) -> Image:
+    """All that never moves, as RGB, with `margin` pixels more on each side."""
+    camera = camera_of(view, width, height)
+    # Drawn at twice the size and made small: the cheapest good anti-aliasing.
+    twice = np.array(((2.0, 0, 2 * margin + 0.5), (0, 2.0, 2 * margin + 0.5), (0, 0, 1.0)))
+    size = (2 * (width + 2 * margin), 2 * (height + 2 * margin))
+    if MOUNTS[view].from_above:
+        image = np.full((size[1], size[0], 3), 70, np.uint8)
+    else:
+        image = _room(camera, twice, size)
+    board = _board()
+    alpha = np.zeros(board.shape[:2], np.float32)
+    edge = 130
+    alpha[edge:-edge, edge:-edge] = 1.0
+    alpha = np.asarray(cv2.blur(alpha, (2 * edge - 1, 2 * edge - 1)))
+    matrix = twice @ camera.plane_homography() @ homography()
+    # Far away the drawing is made much smaller: soften it first, or its lines would crawl.
+    soft = np.asarray(cv2.GaussianBlur(board, (0, 0), 1.2), np.uint8)
+    warped = cv2.warpPerspective(soft, matrix, size, flags=cv2.INTER_LINEAR)
+    weight = cv2.warpPerspective(alpha, matrix, size, flags=cv2.INTER_LINEAR)[..., None]
+    image = (image * (1 - weight) + warped * weight).astype(np.uint8)
+    small = cv2.resize(image, (size[0] // 2, size[1] // 2), interpolation=cv2.INTER_AREA)
+    return _expose(np.asarray(small, np.uint8), view)
+
+
+def _expose(image: Image, view: str) -> Image:
+    """Darker corners, and for each camera its own exposure: no two lenses are alike."""
+    height, width = image.shape[:2]
+    ys, xs = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+    gain = {"right": 1.13}.get(view, 1.15) * (1 - 0.13 * (xs**2 + ys**2))
+    # Half a level of noise before rounding, or the slow gradients would show as rings.
+    dither = np.random.default_rng(3).random((height, width, 1))
+    return np.asarray(np.clip(image * gain[..., None] + dither, 0, 255).astype(np.uint8))
+
+
+def _room(camera: Camera, twice: NDArray[np.float64], size: tuple[int, int]) -> Image:
+    """The laboratory behind the table, the table, and the foot of the robot."""
+    width, height = size
+    ramp = np.linspace(58, 96, height, dtype=np.float32)[:, None, None]
+    tint = np.array((0.94, 0.98, 1.04), np.float32)
+    image = np.tile((ramp * tint).astype(np.uint8), (1, width, 1))
+
+    def at(*points: tuple[float, float, float]) -> NDArray[np.int32]:
+        pixels = camera.project(np.array(points))
+        homogeneous = np.column_stack((pixels, np.ones(len(pixels)))) @ twice.T
+        return np.round(homogeneous[:, :2]).astype(np.int32)
+
+    for x in np.arange(-2.4, 2.5, 0.6):
+        seam = at((x, 1.3, -0.4), (x, 1.3, 1.6))
+        cv2.line(image, seam[0].tolist(), seam[1].tolist(), (70, 76, 84), 3, cv2.LINE_AA)
+    for x, z, colour in ((-0.55, 0.42, (52, 82, 120)), (0.85, 0.50, (104, 92, 60))):
+        panel = at((x, 1.29, z), (x + 0.6, 1.29, z), (x + 0.6, 1.29, z - 0.3), (x, 1.29, z - 0.3))
+        cv2.fillConvexPoly(image, panel, colour, cv2.LINE_AA)
+        cv2.polylines(image, [panel], True, (38, 42, 48), 5, cv2.LINE_AA)
+    table = ((-1.1, -0.6), (1.1, -0.6), (1.1, 0.66), (-1.1, 0.66))
+    edge = at((-1.1, 0.66, 0.0), (1.1, 0.66, 0.0), (1.1, 0.66, -0.05), (-1.1, 0.66, -0.05))
+    cv2.fillConvexPoly(image, edge, (46, 48, 52), cv2.LINE_AA)
+    cv2.fillConvexPoly(image, at(*((x, y, 0.0) for x, y in table)), (96, 99, 102), cv2.LINE_AA)
+    x, y, top = SHOULDER_M
+    for radius, low, high, colour in (
+        (0.085, 0.0, 0.02, (60, 64, 70)),
+        (0.050, 0.02, float(top) + 0.02, (188, 192, 196)),
+    ):
+        _column(image, at, (float(x), float(y)), radius, (low, high), colour)
+    return image
+
+
+def _column(
+    image: Image,
+    at: Callable[..., NDArray[np.int32]],
+    centre: tuple[float, float],
+    radius: float,
+    span: tuple[float, float],
+    colour: tuple[int, int, int],
+) -> None:
+    """An upright cylinder, lit from the left."""
+    (x, y), (low, high) = centre, span
+    strips = 24
+    for k in range(strips):
+        a, b = (-math.pi + math.pi * j / strips for j in (k, k + 1))
+        light = 0.45 + 0.55 * max(0.0, math.cos((a + b) / 2 + math.pi * 0.68))
+        p, q = ((x + radius * math.cos(t), y + radius * math.sin(t)) for t in (a, b))
+        face = at((*p, low), (*q, low), (*q, high), (*p, high))
+        cv2.fillConvexPoly(image, face, [int(c * light) for c in colour])
+    circle = [2 * math.pi * k / 40 for k in range(40)]
+    lid = at(*((x + radius * math.cos(t), y + radius * math.sin(t), high) for t in circle))
+    cv2.fillConvexPoly(image, lid, [min(255, int(c * 1.05)) for c in colour], cv2.LINE_AA)
+
+
+def _lighten(still: Image, camera: Camera, lit: int, margin: int) -> Image:
+    """The same picture with one LED alight: a bright core, and its light on the panel."""
+    x, y = LEDS_M[lit]
+    point = np.array((x, y, 0.0))
+    (centre,) = camera.project(point[None]) + margin
+    # The circle on the board is seen as an ellipse: measured along both axes of the board.
+    rim = camera.project(point + LED_RADIUS_M * np.array(((1.0, 0, 0), (0, 1.0, 0)))) + margin
+    basis = np.linalg.inv(np.column_stack((rim[0] - centre, rim[1] - centre)))
+    reach = 1.2 * 16 * max(float(np.hypot(*(end - centre))) for end in rim)
+    left, top = (max(0, int(value - reach)) for value in centre)
+    right, bottom = (int(value + reach) for value in centre)
+    image = still.copy()
+    region = image[top:bottom, left:right]
+    ys, xs = np.mgrid[top : top + region.shape[0], left : left + region.shape[1]]
+    u = basis[0, 0] * (xs - centre[0]) + basis[0, 1] * (ys - centre[1])
+    v = basis[1, 0] * (xs - centre[0]) + basis[1, 1] * (ys - centre[1])
+    radius = np.sqrt(u * u + v * v)[..., None]
+    colour = np.array(LED_COLOURS[lit][1], np.float64)
+    halo = 0.75 * np.exp(-((radius / 2.6) ** 2)) + 0.22 * np.exp(-((radius / 6.0) ** 2))
+    core = np.clip((1.12 - radius) * 6, 0, 1)
+    white = np.clip(1 - radius / 0.85, 0, 1) * 0.7
+    shining = (region + colour * halo) * (1 - core) + (colour * (1 - white) + 255 * white) * core
+    region[:] = np.clip(shining, 0, 255)
+    return image
+
+
+def targets_px(view: str, width: int, height: int) -> NDArray[np.float64]:
+    """(5, 2) pixels: where the LED targets are in the pictures of a camera that does not turn."""
+    points = np.array([(x, y, 0.0) for x, y in LEDS_M])
+    return camera_of(view, width, height).project(points)

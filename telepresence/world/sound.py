@@ -1,0 +1,93 @@
+"""What the microphones hear: a voice, the room, and the stylus when it meets the wall."""
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.media import AUDIO_CLOCK_HZ, Pcm
+from telepresence.world.speech import Speaker, position_at, speech
+from telepresence.world.state import StateAt
+
+#: The room's level (RMS of int16) and the click's peak.
+ROOM_LEVEL = 22.0
+FAN_LEVEL = 120.0
+CLICK_PEAK = 9000.0
+CLICK_S = 0.030
+
+_NOISE_SAMPLES = 7 * AUDIO_CLOCK_HZ
+
+_Number = TypeVar("_Number", np.int16, np.float64)
+
+
+class Room:
+    """Sound of one place, block by block: a function of time and of the state of the world.
+
+    speaker: whose voice. fan: ventilation, as in the station. state_at: given where the click
+    of the stylus is to be heard, else None.
+    """
+
+    def __init__(self, speaker: Speaker, *, fan: bool, state_at: StateAt | None, seed: int) -> None:
+        self._speaker = speaker
+        self._state_at = state_at
+        self._noise = _ventilation(seed) if fan else _hiss(seed)
+        self._click = _click(seed)
+        self._touching = True
+        self._tail: NDArray[np.float64] = np.zeros(0)
+
+    def fill(self, samples: Pcm, sequence: int, capture_ns: int) -> None:
+        """Write the block whose first sample is captured at `capture_ns` into `samples`."""
+        count = len(samples)
+        voice = speech(self._speaker)
+        mixed = _looped(voice, position_at(self._speaker, capture_ns), count).astype(np.float64)
+        at = capture_ns * AUDIO_CLOCK_HZ // NS_PER_S % _NOISE_SAMPLES
+        mixed += _looped(self._noise, at, count)
+        if self._state_at is not None:
+            self._add_clicks(mixed, capture_ns, self._state_at)
+        samples[:] = np.clip(mixed, -32768, 32767).astype(np.int16)
+
+    def _add_clicks(self, mixed: NDArray[np.float64], capture_ns: int, state_at: StateAt) -> None:
+        count = len(mixed)
+        state = state_at(capture_ns + count * NS_PER_S // AUDIO_CLOCK_HZ)
+        sounding = np.zeros(max(count + len(self._click), len(self._tail)))
+        sounding[: len(self._tail)] = self._tail
+        if state.contact and not self._touching:
+            since_ns = state.contact_since_ns
+            late = 0 if since_ns is None else (since_ns - capture_ns) * AUDIO_CLOCK_HZ // NS_PER_S
+            begin = max(0, min(count - 1, late))
+            sounding[begin : begin + len(self._click)] += self._click
+        self._touching = state.contact
+        mixed += sounding[:count]
+        rest = sounding[count:]
+        self._tail = rest if rest.any() else np.zeros(0)
+
+
+def _looped(sound: NDArray[_Number], at: int, count: int) -> NDArray[_Number]:
+    if at + count <= len(sound):
+        return sound[at : at + count]
+    return np.take(sound, np.arange(at, at + count), mode="wrap")
+
+
+def _click(seed: int) -> NDArray[np.float64]:
+    """Steel on steel: two damped tones and a touch of noise."""
+    t = np.arange(int(CLICK_S * AUDIO_CLOCK_HZ)) / AUDIO_CLOCK_HZ
+    noise = np.random.default_rng(seed).normal(0, 0.25, len(t))
+    ring = np.sin(2 * np.pi * 2100 * t) + 0.6 * np.sin(2 * np.pi * 3370 * t)
+    click = ring * np.exp(-t / 0.005) + noise * np.exp(-t / 0.0015)
+    return np.asarray(click * (CLICK_PEAK / np.abs(click).max()))
+
+
+def _hiss(seed: int) -> NDArray[np.float64]:
+    return np.random.default_rng(seed).normal(0, ROOM_LEVEL, _NOISE_SAMPLES)
+
+
+def _ventilation(seed: int) -> NDArray[np.float64]:
+    """Broad noise, louder towards the low end, and the fans' hum; its ends meet."""
+    spectrum = np.fft.rfft(np.random.default_rng(seed).normal(0, 1, _NOISE_SAMPLES))
+    hertz = np.fft.rfftfreq(_NOISE_SAMPLES, 1 / AUDIO_CLOCK_HZ)
+    noise = np.fft.irfft(spectrum / (1 + (hertz / 260) ** 2) ** 0.5, _NOISE_SAMPLES)
+    noise *= FAN_LEVEL / noise.std()
+    t = np.arange(_NOISE_SAMPLES) / AUDIO_CLOCK_HZ
+    hum = np.sin(2 * np.pi * 117 * t) + 0.5 * np.sin(2 * np.pi * 234 * t)
+    return np.asarray(noise + 0.6 * FAN_LEVEL * hum)

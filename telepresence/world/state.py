@@ -1,0 +1,89 @@
+"""The task board and what happens on it. All lengths in metres, board coordinates.
+
+The board lies in the plane z = 0; the origin is its centre, x to the right, y up (away from
+whoever stands before it), z towards the viewer.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from kontur_av.clock import NS_PER_S
+
+BOARD_WIDTH_M = 0.30
+BOARD_HEIGHT_M = 0.20
+#: The contact wall: the stylus comes from smaller x and cannot go beyond.
+WALL_X_M = 0.06
+#: Centres of the LED targets: three on the wall, two for the eye.
+LEDS_M: tuple[tuple[float, float], ...] = (
+    (WALL_X_M, -0.05),
+    (WALL_X_M, 0.0),
+    (WALL_X_M, 0.05),
+    (-0.06, 0.05),
+    (-0.06, -0.05),
+)
+#: Touching within this distance of an LED's centre lights it.
+LED_REACH_M = 0.012
+
+
+@dataclass(frozen=True, slots=True)
+class WorldState:
+    """What the cameras see and the microphone hears at one instant.
+
+    time_ns: the instant. x_m, y_m: the tip of the stylus. force_n: reaction of the wall, >= 0.
+    contact: the tip pushes against the wall. contact_since_ns: since when, where that is known:
+    the click in the microphone then begins at that very sample.
+    """
+
+    time_ns: int
+    x_m: float = 0.0
+    y_m: float = 0.0
+    force_n: float = 0.0
+    contact: bool = False
+    contact_since_ns: int | None = None
+
+    @property
+    def lit(self) -> int | None:
+        """Index into LEDS_M of the target that is lit: touched, in contact. None: all dark."""
+        if not self.contact:
+            return None
+        distances = [math.hypot(self.x_m - x, self.y_m - y) for x, y in LEDS_M]
+        nearest = min(range(len(LEDS_M)), key=distances.__getitem__)
+        return nearest if distances[nearest] <= LED_REACH_M else None
+
+
+#: now_ns -> the newest state. The robot's process writes it, the cameras ask for it.
+StateAt = Callable[[int], WorldState]
+
+_TOUR_NS = 12 * NS_PER_S
+_PRESS_S = 0.7
+_STIFFNESS_N_PER_M = 800.0
+_DEEPEST_M = 0.004
+
+
+def scripted_state(now_ns: int) -> WorldState:
+    """What the stylus does when no robot moves it: it follows the contour and taps each target.
+
+    A tour of 12 s: three taps, 4 s apart, one on each target of the wall; in between it goes
+    along a Lissajous figure on the left of the wall.
+    """
+    tour, in_tour_ns = divmod(now_ns, _TOUR_NS)
+    leg, in_leg_ns = divmod(in_tour_ns, _TOUR_NS // 3)
+    leg_s = _TOUR_NS / 3 / NS_PER_S
+    t = in_leg_ns / NS_PER_S
+    target_y = LEDS_M[leg][1]
+    press_begin_s = (leg_s - _PRESS_S) / 2
+    if press_begin_s <= t < press_begin_s + _PRESS_S:
+        depth = _DEEPEST_M * math.sin(math.pi * (t - press_begin_s) / _PRESS_S)
+        since_ns = tour * _TOUR_NS + leg * (_TOUR_NS // 3) + int(press_begin_s * NS_PER_S)
+        return WorldState(now_ns, WALL_X_M, target_y, _STIFFNESS_N_PER_M * depth, True, since_ns)
+    # Free motion: from the target that was touched to the next one, by way of a loop.
+    free_s = leg_s - _PRESS_S
+    after = t >= press_begin_s + _PRESS_S
+    s = (t - press_begin_s - _PRESS_S if after else t + free_s / 2) / free_s
+    y_from = LEDS_M[leg if after else (leg - 1) % 3][1]
+    y_to = LEDS_M[(leg + 1) % 3 if after else leg][1]
+    ease = s * s * (3 - 2 * s)
+    x = WALL_X_M - 0.065 * (1 - math.cos(2 * math.pi * s))
+    y = y_from + (y_to - y_from) * ease + 0.035 * math.sin(4 * math.pi * s)
+    return WorldState(now_ns, min(x, WALL_X_M), y)
