@@ -1,0 +1,301 @@
+"""`send` and `receive` against GStreamer and FFmpeg, over real sockets, with real codecs."""
+
+import contextlib
+import json
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import wave
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+
+from kontur_av.rtp.sdp import StreamDescription, write_sdp
+
+pytestmark = pytest.mark.interop
+
+WIDTH, HEIGHT, FPS = 320, 240, 30
+COMMAND = """
+import argparse, importlib, sys
+module = importlib.import_module("pipelines." + sys.argv.pop(1))
+parser = argparse.ArgumentParser()
+module.add_arguments(parser)
+sys.exit(module.run(parser.parse_args()))
+"""
+
+
+def needs(*elements: str) -> None:
+    if shutil.which("gst-launch-1.0") is None:
+        pytest.skip("gst-launch-1.0 is missing: install gstreamer1.0-tools")
+    for element in elements:
+        if subprocess.run(["gst-inspect-1.0", "--exists", element], check=False).returncode:
+            pytest.skip(f"GStreamer has no {element}")
+
+
+def needs_ffmpeg() -> None:
+    if shutil.which("ffmpeg") is None:
+        pytest.skip("ffmpeg is missing: install it")
+
+
+def free_ports() -> int:
+    """The first of two neighbouring UDP ports that are free."""
+    for _ in range(50):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as first:
+            first.bind(("127.0.0.1", 0))
+            port = first.getsockname()[1]
+            with (
+                contextlib.suppress(OSError, OverflowError),
+                socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second,
+            ):
+                second.bind(("127.0.0.1", port + 1))
+                return port
+    raise AssertionError("no two free ports")
+
+
+@contextlib.contextmanager
+def started(*command: object):
+    process = subprocess.Popen(
+        [str(part) for part in command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def ours(name: str, *options: object):
+    return started(sys.executable, "-c", COMMAND, name, *options)
+
+
+def finish(process, seconds: float = 30) -> str:
+    output, _ = process.communicate(timeout=seconds)
+    assert process.returncode == 0, output
+    return output
+
+
+def wait_for_line(process, text: str) -> None:
+    for line in process.stdout:
+        if text in line:
+            return
+    raise AssertionError(f"never said {text!r}")
+
+
+def scene(number: int) -> np.ndarray:
+    """A bright square that moves over a gradient: shape (360, 320), I420."""
+    picture = np.full((HEIGHT * 3 // 2, WIDTH), 128, np.uint8)
+    picture[:HEIGHT] = np.linspace(30, 150, WIDTH, dtype=np.uint8)
+    left, top = 4 * (number % 60), 2 * (number % 60)
+    picture[top : top + 60, left : left + 60] = 235
+    return picture
+
+
+def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
+    error = np.mean((one[:HEIGHT].astype(float) - other[:HEIGHT].astype(float)) ** 2)
+    return 10 * np.log10(255**2 / max(error, 1e-9))
+
+
+def assert_is_the_film(path) -> None:
+    """Each picture in the raw file is one of the film, and the last ones come in its order."""
+    pictures = np.fromfile(path, np.uint8).reshape(-1, HEIGHT * 3 // 2, WIDTH)
+    film = [scene(number) for number in range(60)]
+    shown = []
+    for picture in pictures[-10:]:
+        quality = [psnr_db(picture, candidate) for candidate in film]
+        assert max(quality) > 30
+        shown.append(int(np.argmax(quality)))
+    steps = np.diff(shown) % 60
+    assert set(steps) <= {1, 2}, shown
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    path = tmp_path_factory.mktemp("film") / "film.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=FPS, options={"crf": "8"})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        for number in range(60):
+            frame = av.VideoFrame.from_ndarray(scene(number), format="yuv420p")
+            frame.pts, frame.time_base = number, Fraction(1, FPS)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.fixture(scope="module")
+def tone(tmp_path_factory):
+    path = tmp_path_factory.mktemp("tone") / "tone.wav"
+    sound = 8000 * np.sin(2 * np.pi * 440 * np.arange(48_000 * 2) / 48_000)
+    with wave.open(str(path), "wb") as file:
+        file.setparams((1, 2, 48_000, 0, "NONE", ""))
+        file.writeframes(sound.astype("<i2").tobytes())
+    return path
+
+
+def send_film(film, port, sdp, seconds=6):
+    return ours(
+        *("send", "--video", film, "--to", f"127.0.0.1:{port}", "--cap-kbps", 400),
+        *("--size", f"{WIDTH}x{HEIGHT}", "--fps", FPS, "--seconds", seconds, "--sdp", sdp),
+    )
+
+
+def wait_for_file(path) -> None:
+    deadline = time.monotonic() + 10
+    while not (path.exists() and path.stat().st_size):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_gstreamer_shows_what_we_send(film, tmp_path):
+    needs("sdpdemux", "rtph264depay", "avdec_h264")
+    port, sdp, raw = free_ports(), tmp_path / "x.sdp", tmp_path / "x.yuv"
+    with send_film(film, port, sdp):
+        wait_for_file(sdp)
+        pipeline = (
+            f"filesrc location={sdp} ! sdpdemux latency=50 ! rtph264depay ! avdec_h264 ! "
+            "videoconvert ! video/x-raw,format=I420 ! identity eos-after=45 ! "
+            f"filesink location={raw}"
+        )
+        with started("gst-launch-1.0", "-q", *pipeline.split()) as player:
+            finish(player)
+    assert_is_the_film(raw)
+
+
+def test_ffmpeg_shows_what_we_send(film, tmp_path):
+    needs_ffmpeg()
+    port, sdp, raw = free_ports(), tmp_path / "x.sdp", tmp_path / "x.yuv"
+    with send_film(film, port, sdp):
+        wait_for_file(sdp)
+        with started(
+            *("ffmpeg", "-v", "error", "-protocol_whitelist", "file,udp,rtp", "-i", sdp),
+            *("-frames:v", 45, "-f", "rawvideo", "-pix_fmt", "yuv420p", raw),
+        ) as player:
+            finish(player)
+    assert_is_the_film(raw)
+
+
+def test_gstreamer_plays_the_voice_we_send(tone, tmp_path):
+    needs("sdpdemux", "rtpopusdepay", "opusdec")
+    port, sdp, raw = free_ports(), tmp_path / "a.sdp", tmp_path / "a.raw"
+    with ours(
+        *("send", "--audio", tone, "--to", f"127.0.0.1:{port}", "--cap-kbps", 64),
+        *("--seconds", 5, "--sdp", sdp),
+    ):
+        wait_for_file(sdp)
+        pipeline = (
+            f"filesrc location={sdp} ! sdpdemux latency=50 ! rtpopusdepay ! opusdec ! "
+            "audioconvert ! audio/x-raw,format=S16LE,rate=48000,channels=1 ! "
+            f"identity eos-after=60 ! filesink location={raw}"
+        )
+        with started("gst-launch-1.0", "-q", *pipeline.split()) as player:
+            finish(player)
+    sound = np.fromfile(raw, "<i2")[-48_000:].astype(float)
+    loudest = np.argmax(np.abs(np.fft.rfft(sound * np.hanning(sound.size))))
+    assert loudest * 48_000 / sound.size == pytest.approx(440, abs=3)
+
+
+def receive(tmp_path, port, kind, seconds=20, **description):
+    """Start `receive` on a stream; its process and the path of its report."""
+    sdp, report = tmp_path / "r.sdp", tmp_path / "r.json"
+    stream = StreamDescription(
+        kind=kind, host="127.0.0.1", port=port, payload_type=96, **description
+    )
+    sdp.write_text(write_sdp(stream))
+    options = ("--sdp", sdp, "--report", report, "--seconds", seconds)
+    return ours("receive", *options, "--save", tmp_path / "r.mkv"), report
+
+
+@pytest.mark.parametrize("aggregate", ["none", "zero-latency"])
+def test_we_play_what_gstreamer_sends(tmp_path, aggregate):
+    needs("x264enc", "rtph264pay", "rtpbin")
+    port = free_ports()
+    process, report_file = receive(tmp_path, port, "video")
+    # rtpbin sends reports and a goodbye, so that latency and end are known.
+    pipeline = (
+        "rtpbin name=r videotestsrc is-live=true num-buffers=75 pattern=ball ! "
+        f"video/x-raw,width={WIDTH},height={HEIGHT},framerate={FPS}/1 ! "
+        "x264enc tune=zerolatency bitrate=300 key-int-max=30 ! "
+        f"rtph264pay pt=96 aggregate-mode={aggregate} ! r.send_rtp_sink_0 "
+        f"r.send_rtp_src_0 ! udpsink host=127.0.0.1 port={port} "
+        f"r.send_rtcp_src_0 ! udpsink host=127.0.0.1 port={port + 1} sync=false async=false"
+    )
+    with process as receiver:
+        wait_for_line(receiver, "waiting")
+        with started("gst-launch-1.0", "-q", *pipeline.split()) as player:
+            finish(player)
+        finish(receiver)
+    report = json.loads(report_file.read_text())
+    assert report["frames_decoded"] >= 74
+    assert (report["rtp_lost"], report["frames_damaged"], report["frames_corrupt"]) == (0, 0, 0)
+    assert report["size"] == [WIDTH, HEIGHT]
+    assert report["rtcp_reports"] >= 1
+    with av.open(str(tmp_path / "r.mkv")) as saved:
+        assert sum(1 for _ in saved.decode(video=0)) == report["frames_decoded"]
+
+
+def test_we_play_the_opus_that_gstreamer_sends(tmp_path):
+    needs("opusenc", "rtpopuspay")
+    port = free_ports()
+    process, report_file = receive(tmp_path, port, "audio", seconds=4)
+    pipeline = (
+        "audiotestsrc is-live=true num-buffers=100 samplesperbuffer=960 ! "
+        "audio/x-raw,rate=48000,channels=1 ! opusenc bitrate=32000 ! rtpopuspay pt=96 ! "
+        f"udpsink host=127.0.0.1 port={port}"
+    )
+    with process as receiver:
+        wait_for_line(receiver, "waiting")
+        with started("gst-launch-1.0", "-q", *pipeline.split()) as player:
+            finish(player)
+        finish(receiver)
+    report = json.loads(report_file.read_text())
+    assert report["rtp_lost"] == 0
+    assert report["frames_decoded"] + report["frames_late"] >= 99
+    with av.open(str(tmp_path / "r.mkv")) as saved:
+        assert sum(frame.samples for frame in saved.decode(audio=0)) >= 90 * 960
+
+
+def test_we_play_what_ffmpeg_sends_by_its_own_sdp(tmp_path):
+    needs_ffmpeg()
+    port, sdp, report_file = free_ports(), tmp_path / "f.sdp", tmp_path / "f.json"
+    # With a global header SPS and PPS are in the SDP alone.
+    with started(
+        *("ffmpeg", "-v", "error", "-re", "-f", "lavfi"),
+        *("-i", f"testsrc=size={WIDTH}x{HEIGHT}:rate={FPS}", "-t", 4, "-pix_fmt", "yuv420p"),
+        *("-c:v", "libx264", "-tune", "zerolatency", "-g", 15, "-flags", "+global_header"),
+        *("-f", "rtp", "-sdp_file", sdp, f"rtp://127.0.0.1:{port}"),
+    ) as player:
+        wait_for_file(sdp)
+        with ours("receive", "--sdp", sdp, "--report", report_file, "--seconds", 20) as receiver:
+            finish(receiver)
+        finish(player)
+    report = json.loads(report_file.read_text())
+    assert report["frames_decoded"] >= 45
+    assert (report["rtp_lost"], report["frames_corrupt"]) == (0, 0)
+
+
+def test_our_own_two_ends_lose_nothing_and_keep_the_cap(film, tmp_path):
+    port = free_ports()
+    process, report_file = receive(tmp_path, port, "video")
+    sent_file = tmp_path / "s.json"
+    with process as receiver:
+        wait_for_line(receiver, "waiting")
+        with ours(
+            *("send", "--video", film, "--to", f"127.0.0.1:{port}", "--cap-kbps", 120),
+            *("--size", f"{WIDTH}x{HEIGHT}", "--seconds", 3, "--report", sent_file),
+        ) as sender:
+            finish(sender)
+        finish(receiver)
+    sent, received = json.loads(sent_file.read_text()), json.loads(report_file.read_text())
+    assert received["rtp_packets"] == sent["rtp_packets"]
+    assert received["rtp_lost"] == 0
+    assert received["frames_decoded"] == sent["frames_sent"] >= 60
+    assert sent["payload_bps_max_1s"] <= 120_000
+    assert received["latency_ms"]["p50"] > 0
