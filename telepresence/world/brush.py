@@ -17,6 +17,9 @@ Points = NDArray[np.complex128]
 _SHIFT = 4
 _FIXED = 1 << _SHIFT
 
+#: Chroma is coarse anyhow: smoothing its edges would cost and not be seen.
+_PLAIN = cv2.LINE_8
+
 
 def yuv(red: int, green: int, blue: int) -> Yuv:
     """An sRGB colour (0..255 each) in narrow-range BT.601."""
@@ -50,8 +53,8 @@ class Brush:
         cv2.fillConvexPoly(self.y, points, colour[0], cv2.LINE_AA, _SHIFT)
         # A chroma sample lies between two luma samples each way: a quarter pixel of its own.
         points = (points >> 1) - _FIXED // 4
-        cv2.fillConvexPoly(self.u, points, colour[1], cv2.LINE_AA, _SHIFT)
-        cv2.fillConvexPoly(self.v, points, colour[2], cv2.LINE_AA, _SHIFT)
+        cv2.fillConvexPoly(self.u, points, colour[1], _PLAIN, _SHIFT)
+        cv2.fillConvexPoly(self.v, points, colour[2], _PLAIN, _SHIFT)
 
     def shade(self, outline: Points, luma: int) -> None:
         """A convex shape in luma alone: light and shade on what has its colour already."""
@@ -62,8 +65,8 @@ class Brush:
         points = fixed(layers)
         luma = colour[0]
         chroma = (points[0] >> 1) - _FIXED // 4
-        cv2.fillConvexPoly(self.u, chroma, colour[1], cv2.LINE_AA, _SHIFT)
-        cv2.fillConvexPoly(self.v, chroma, colour[2], cv2.LINE_AA, _SHIFT)
+        cv2.fillConvexPoly(self.u, chroma, colour[1], _PLAIN, _SHIFT)
+        cv2.fillConvexPoly(self.v, chroma, colour[2], _PLAIN, _SHIFT)
         for outline, gain in zip(points, _GAIN, strict=True):
             level = 16 + (luma - 16) * gain
             cv2.fillConvexPoly(self.y, outline, min(235, int(level)), cv2.LINE_AA, _SHIFT)
@@ -78,6 +81,16 @@ _CAP = np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, 12))
 _CIRCLE = np.exp(2j * np.pi * np.arange(28) / 28)
 #: Where the light comes from in the picture: above, a little from the left.
 _LIGHT = (-0.5 - 0.87j) / abs(-0.5 - 0.87j)
+
+
+def _rod_ends(turned: int) -> tuple[Points, Points]:
+    caps = _PART[:, None] * _CAP
+    across = (turned * 1j * _OFFSET)[:, None]
+    return across + caps, across - caps
+
+
+_ROD_ENDS = {turned: _rod_ends(turned) for turned in (-1, 1)}
+_BALL = (_LIGHT * _OFFSET)[:, None] + _PART[:, None] * _CIRCLE
 
 
 def disc(centre: complex, radius: float) -> Points:
@@ -97,21 +110,17 @@ def rod(
 ) -> None:
     """A round rod, lit from above."""
     along = (end - begin) / max(abs(end - begin), 1e-9)
-    across = along * 1j
-    if (across * _LIGHT.conjugate()).real < 0:
-        across = -across
+    turned = 1 if (along * 1j * _LIGHT.conjugate()).real >= 0 else -1
+    # Each layer is the same shape, smaller and moved across: turned and sized in one product.
+    far, near = _ROD_ENDS[turned]
     layers = np.empty((len(_PART), 2 * len(_CAP)), np.complex128)
-    cap = _CAP * along
-    for half, centre, sign, radius in (
-        (slice(None, len(_CAP)), end, 1, radii[1]),
-        (slice(len(_CAP), None), begin, -1, radii[0]),
-    ):
-        middle = centre + across * (radius * _OFFSET)
-        layers[:, half] = middle[:, None] + cap * (sign * radius * _PART)[:, None]
+    np.multiply(far, along * radii[1], out=layers[:, : len(_CAP)])
+    layers[:, : len(_CAP)] += end
+    np.multiply(near, along * radii[0], out=layers[:, len(_CAP) :])
+    layers[:, len(_CAP) :] += begin
     brush.body(layers, colour)
 
 
 def ball(brush: Brush, centre: complex, radius: float, colour: Yuv) -> None:
     """A sphere, lit from above."""
-    middle = centre + _LIGHT * (radius * _OFFSET)
-    brush.body(middle[:, None] + _CIRCLE * (radius * _PART)[:, None], colour)
+    brush.body(_BALL * radius + centre, colour)

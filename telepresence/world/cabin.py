@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
-from telepresence.world.brush import Brush, Points, ball, disc, rod, yuv
+from telepresence.world.brush import Brush, Points, ball, capsule, disc, rod, yuv
 from telepresence.world.lettering import Caption
 from telepresence.world.speech import loudness_at
 from telepresence.world.state import WorldState
@@ -139,18 +139,20 @@ class CabinView:
             glance = 2.5 + 2.0 * math.sin(t / 2.1)
             brush.fill(oval(side * 21 + glance, -5, 5, 5.4), _DARK)
             brow = _shaded(_HAIR, 0.8)
-            rod(brush, on(side * 12, -19), on(side * 31, -20), (2.6 * s, 2.2 * s), brow)
+            brush.fill(capsule(on(side * 12, -19), on(side * 31, -20), 2.6 * s, 2.2 * s), brow)
         if time_ns % (4 * NS_PER_S) < 130_000_000:
             for side in (-1, 1):
                 brush.fill(oval(side * 21, -6, 11, 6.8), _shaded(_SKIN, 0.9))
-        rod(brush, on(1, -2), on(3, 17), (4.5 * s, 6.5 * s), _shaded(_SKIN, 0.97))
+        brush.fill(capsule(on(3, -2), on(4, 17), 4.5 * s, 6.5 * s), _shaded(_SKIN, 0.86))
+        brush.shade(capsule(on(1, -2), on(2, 16), 3.5 * s, 5.5 * s), _SKIN[0] + 4)
         brush.fill(oval(1, 40, 17, 4.5 + 8 * loud), _LIPS)
         brush.fill(oval(1, 40, 13, 1.2 + 7 * loud), _DARK)
         ball(brush, on(-57, 4), 14 * s, _HEADSET)
-        rod(brush, on(-55, 14), on(-22, 52), (3 * s, 3 * s), _HEADSET)
+        brush.fill(capsule(on(-55, 14), on(-22, 52), 3 * s, 3 * s), _HEADSET)
 
     def _arm(self, brush: Brush, state: WorldState) -> None:
         """The right arm and the joystick, deflected as the stylus is."""
+        s = self._scale
         lean = complex(state.x_m / 0.15, -state.y_m / 0.10)
         knob = _JOYSTICK + complex(0, -56) + complex(lean.real * 26, lean.imag * 12)
         elbow = complex(438, 424) + lean.real * 8
@@ -161,7 +163,9 @@ class CabinView:
         ball(brush, self._at(knob + complex(-3, 1)), 17 * self._scale, _SKIN)
         for finger in range(3):
             begin = knob + complex(2, -9 + 8 * finger)
-            self._rod(brush, (begin, begin + complex(13, 4)), (5.5, 4.5), _SKIN)
+            ends = self._at(begin), self._at(begin + complex(13, 4))
+            brush.fill(capsule(*ends, 5.5 * s, 4.5 * s), _shaded(_SKIN, 0.7))
+            brush.shade(capsule(*ends, 4.3 * s, 3.4 * s), _SKIN[0])
 
 
 def _shaded(colour: tuple[int, int, int], gain: float) -> tuple[int, int, int]:
