@@ -1,5 +1,8 @@
 """What the receiver counts: losses, restarts, late frames, frames that are none."""
 
+import struct
+from binascii import crc_hqx
+
 import pytest
 
 from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow
@@ -58,6 +61,24 @@ def test_jump_ahead_that_no_time_explains_is_a_restart():
     assert (receiver.restarts, receiver.frames_lost) == (1, 0)
 
 
+def test_contexts_of_a_former_life_are_not_used():
+    """The new peer numbers its contexts anew; the frame with its first one is lost."""
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    former, present = (LinkSender(UPLINK, FLOWS) for _ in range(2))
+    for life, sender in enumerate((former, present)):
+        for slot in range(100):
+            if slot % 10 == 0:
+                header = struct.pack(">BBHII", 0x80, 96, slot // 10, slot * 90, life)
+                sender.handle_packet("video", header + b"picture", slot * MS)
+            frame = sender.poll_transmit(slot * MS)
+            if not (life and slot == 1):
+                receiver.handle_frame(frame, (life * 100 + slot) * MS)
+    assert receiver.restarts == 1
+    assert receiver.packets_received[1] == 10
+    assert receiver.packets_dropped == {"incomplete": 1, "no_context": 9}
+    assert all(event.data[8:12] == bytes(4) for event in iter(receiver.next_event, None))
+
+
 def test_repeated_and_late_frames_are_dropped():
     receiver = LinkReceiver(UPLINK, FLOWS)
     sent = frames(10, 100)
@@ -89,8 +110,6 @@ OTHER_CRAFT = LinkProfile(name="other", frame_octets=32, scid=9, pointer_in_sign
 
 
 def resealed(body):
-    from binascii import crc_hqx
-
     return body + crc_hqx(body, 0xFFFF).to_bytes(2, "big")
 
 
