@@ -138,7 +138,7 @@ class CameraVideo:
                         self._newest = (frame, self._captured_ns(packet, now_ns))
                         self._arrived.notify()
 
-    def _captured_ns(self, packet: av.Packet[av.VideoStream], now_ns: int) -> int:
+    def _captured_ns(self, packet: "av.Packet[av.VideoStream]", now_ns: int) -> int:
         """The driver's own stamp, where it is of the monotonic clock; else the arrival."""
         if packet.pts is not None and packet.time_base is not None:
             stated_ns = int(packet.pts * packet.time_base * NS_PER_S)

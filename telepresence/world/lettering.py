@@ -37,9 +37,13 @@ class Caption:
         self._left = 4
         self._counter_left = self._left + label
         self._strip = (label + digit * DIGITS + 5) & ~1
+        # A thumbnail has no room for it, and nobody could read it there.
+        self._fits = self._left + self._strip <= width
 
     def paint(self, picture: I420) -> None:
         """The strip with the name, without the number: once, into a background."""
+        if not self._fits:
+            return
         luma, u, v = planes(picture)
         bottom, right = self._top + self._row, self._left + self._strip
         luma[self._top : bottom, self._left : right] = _PAPER
@@ -49,6 +53,8 @@ class Caption:
 
     def count(self, luma: NDArray[np.uint8], number: int) -> None:
         """The number of the picture, modulo a million, into the luma plane."""
+        if not self._fits:
+            return
         at = self._counter_left
         for character in f"{number % 10**DIGITS:0{DIGITS}d}":
             luma[self._top : self._top + self._row, at : at + self._digit] = self._digits[

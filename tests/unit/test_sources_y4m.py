@@ -1,0 +1,106 @@
+"""YUV4MPEG2: octets in any portions, garbage in any place."""
+
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.errors import ProtocolError
+from kontur_av.sources.y4m import Y4mPicture, Y4mReader, parse_header
+
+
+def feed(reader, octets, portion):
+    pictures, faults = [], []
+    while octets:
+        view = reader.write_view()
+        part = octets[: min(portion, len(view))]
+        octets = octets[len(part) :]
+        view[: len(part)] = part
+        view.release()
+        reader.handle_written(len(part))
+        while (event := reader.next_event()) is not None:
+            if isinstance(event, Y4mPicture):
+                pictures.append((event.header.width, bytes(event.octets)))
+                event.octets.release()
+            else:
+                faults.append(event)
+    return pictures, faults
+
+
+def stream(width, height, pictures, tail=b""):
+    octets = b"YUV4MPEG2 W%d H%d F30:1 Ip A1:1 C420jpeg%s\n" % (width, height, tail)
+    return octets + b"".join(b"FRAME\n" + picture for picture in pictures)
+
+
+def pictures_of(width, height, seed, count):
+    size = width * height * 3 // 2
+    return [bytes((seed + k * 31 + i) % 251 for i in range(size)) for k in range(count)]
+
+
+def test_header_as_ffmpeg_writes_it():
+    header = parse_header(
+        b"YUV4MPEG2 W640 H480 F30000:1001 Ip A12:11 C420mpeg2 XYSCSS=420MPEG2 XCOLORRANGE=LIMITED"
+    )
+    assert (header.width, header.height, header.pixel_format) == (640, 480, "yuv420p")
+    assert header.rate_hz == Fraction(30000, 1001)
+    assert header.aspect == Fraction(12, 11)
+    assert not header.full_range
+    assert header.frame_octets == 640 * 480 * 3 // 2
+
+
+def test_unknown_rate_and_odd_sizes():
+    header = parse_header(b"YUV4MPEG2 W7 H5 F0:0 A0:0")
+    assert header.rate_hz is None
+    assert header.aspect == 1
+    assert header.frame_octets == 7 * 5 + 2 * 4 * 3
+
+
+@pytest.mark.parametrize(
+    "line", [b"", b"YUV4MPEG2 ", b"YUV4MPEG2 W0 H2", b"YUV4MPEG2 W9 H9 C420p10", b"FRAME",
+             b"YUV4MPEG2 W99999999999 H2", b"YUV4MPEG2 W-4 H4", "YUV4MPEG2 W\u00b2 H4".encode()]
+)  # fmt: skip
+def test_bad_headers_are_protocol_errors(line):
+    with pytest.raises(ProtocolError):
+        parse_header(line)
+
+
+@given(st.integers(1, 400), st.integers(1, 4))
+def test_any_portion_gives_the_same_pictures(portion, count):
+    sent = pictures_of(8, 6, 3, count)
+    pictures, faults = feed(Y4mReader(), stream(8, 6, sent), portion)
+    assert [octets for _, octets in pictures] == sent
+    assert not faults
+
+
+@given(st.binary(max_size=3000), st.integers(1, 700))
+def test_garbage_is_skipped_up_to_the_next_header(garbage, portion):
+    sent = pictures_of(8, 6, 9, 2)
+    reader = Y4mReader()
+    pictures, _ = feed(reader, garbage + b"\n" + stream(8, 6, sent), portion)
+    assert [octets for _, octets in pictures][-2:] == sent
+
+
+@given(st.binary(max_size=4000), st.integers(1, 4000))
+def test_no_garbage_crashes_it_or_fills_the_memory(garbage, portion):
+    reader = Y4mReader()
+    feed(reader, b"YUV4MPEG2 W16 H16\n" + garbage, portion)
+    assert len(reader.write_view()) > 0
+
+
+def test_a_new_header_changes_the_size():
+    small, large = pictures_of(8, 6, 1, 2), pictures_of(32, 24, 5, 2)
+    pictures, faults = feed(Y4mReader(), stream(8, 6, small) + stream(32, 24, large), 100)
+    assert [w for w, _ in pictures] == [8, 8, 32, 32]
+    assert not faults
+
+
+def test_a_writer_that_leaves_in_the_middle_spoils_nothing_that_follows():
+    reader = Y4mReader()
+    sent = pictures_of(8, 6, 1, 2)
+    feed(reader, stream(8, 6, sent)[:-10], 64)
+    reader.handle_end()
+    pictures, faults = feed(reader, stream(8, 6, sent), 64)
+    assert [octets for _, octets in pictures] == sent
+    assert not faults
+    assert reader.garbage_octets == 72 - 10
