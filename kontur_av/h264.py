@@ -40,6 +40,12 @@ _MOST_PIXELS = 4096 * 4096  # as media.check_size has it
 #: percentile of capture-to-sent at 34 ms. A buffer of two pictures gives 0.4 dB more, and 60 ms.
 _RATE_OVER_CAP = Fraction(11, 10)
 
+#: Flat scaling lists (clause 7.4.2.2.1) of 24 instead of 16 make every quantiser step 1.5 times as
+#: coarse. A thin channel drives x264 to its coarsest step, and past that it can save bits only by
+#: leaving blocks as they were: ghosts behind all that moves. Measured at 85 kbit/s on the worst
+#: twentieth of the pictures: 1 to 2 dB better on motion, 0.9 dB worse at most, the same at 512.
+_COARSE_STEPS = f"cqm4={','.join(['24'] * 16)}:cqm8={','.join(['24'] * 64)}"
+
 
 class H264Encoder:
     """libx264, set up for a thin channel. The hard cap is `kontur_av.budget.Pacer`'s to keep.
@@ -124,7 +130,7 @@ def _open_encoder(
         "bufsize": str(int(aim_bps / rate)),
         # One slice a picture, because each has its header and forgets its contexts; a cut must not
         # become an IDR picture; psy keeps grain, for which there are no bits here.
-        "x264-params": "sliced-threads=0:scenecut=0:psy=0",
+        "x264-params": f"sliced-threads=0:scenecut=0:psy=0:{_COARSE_STEPS}",
     }
     try:
         codec.open()
