@@ -9,7 +9,7 @@ HEADER_OCTETS = 6
 FECF_OCTETS = 2
 MPDU_HEADER_OCTETS = 2
 
-#: The narrowest packet zone whose first header pointer needs more than four bits.
+#: Four bits hold the positions 0..11, the end 12, and three codes more.
 _LARGEST_ZONE_OF_SIGNALING_POINTER = 12
 
 
