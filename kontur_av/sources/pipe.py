@@ -127,7 +127,8 @@ class PipeVideo:
         # 5 % faster than stated: the writer's clock may run faster than ours.
         cost_ns = self._period_ns() * 95 // 100
         self._paid_until_ns = max(self._paid_until_ns, self._clock.now_ns()) + cost_ns
-        if (header.width, header.height) == self._size and header.pixel_format == "yuv420p":
+        as_wanted = header.pixel_format == "yuv420p" and not header.full_range
+        if as_wanted and (header.width, header.height) == self._size:
             into.reshape(-1)[:] = np.frombuffer(picture.octets, np.uint8)
             return True
         try:

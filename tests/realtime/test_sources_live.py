@@ -1,0 +1,240 @@
+"""Live sources on real time: FIFOs with real writers, a camera thread, a real ALSA device."""
+
+import itertools
+import os
+import shutil
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.errors import ConfigError
+from kontur_av.media import empty_picture, planes
+from kontur_av.sources import check_spec, open_audio, open_video
+from kontur_av.sources.camera import CameraVideo
+
+pytestmark = pytest.mark.realtime
+
+CLOCK = MonotonicClock()
+SIZE = (64, 48)
+
+
+def y4m_header(width, height, colour="420jpeg", rate="30:1"):
+    return b"YUV4MPEG2 W%d H%d F%s Ip A1:1 C%s\n" % (
+        width, height, rate.encode(), colour.encode()
+    )  # fmt: skip
+
+
+def y4m_picture(width, height, level, chroma=2):
+    """chroma: how many chroma samples for each four of luma."""
+    return (
+        b"FRAME\n"
+        + bytes([level]) * (width * height)
+        + bytes([128]) * (width * height * chroma // 4)
+    )
+
+
+@pytest.fixture
+def fifo(tmp_path):
+    path = tmp_path / "live.y4m"
+    os.mkfifo(path)
+    return path
+
+
+def opened(path, size=SIZE, fps=30):
+    return open_video(f"pipe:{path}", name="head", width=size[0], height=size[1], fps=fps,
+                        clock=CLOCK)  # fmt: skip
+
+
+def levels(source, count, size=SIZE, timeout_ns=2 * NS_PER_S):
+    picture, result = empty_picture(*size), []
+    for _ in range(count):
+        stamp = source.read(picture, timeout_ns)
+        result.append(None if stamp is None else round(float(planes(picture)[0].mean())))
+    return result
+
+
+def write_later(path, chunks, pause_s=0.035):
+    def run():
+        with path.open("wb", buffering=0) as pipe:
+            for chunk in chunks:
+                pipe.write(chunk)
+                time.sleep(pause_s)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_no_writer_means_no_picture_and_no_busy_loop(fifo):
+    source = opened(fifo)
+    cpu_s = time.thread_time()
+    assert source.read(empty_picture(*SIZE), 200 * NS_PER_MS) is None
+    assert time.thread_time() - cpu_s < 0.05
+    assert source.faults == 0
+    source.close()
+    source.close()
+
+
+def test_pictures_are_captured_when_they_arrive(fifo):
+    source = opened(fifo)
+    before_ns = CLOCK.now_ns()
+    writer = write_later(fifo, [y4m_header(*SIZE), *(y4m_picture(*SIZE, k) for k in (50, 90, 130))])
+    picture = empty_picture(*SIZE)
+    stamps = [source.read(picture, 2 * NS_PER_S) for _ in range(3)]
+    assert [s.sequence for s in stamps] == [0, 1, 2]
+    assert before_ns < stamps[0].capture_ns < stamps[1].capture_ns < stamps[2].capture_ns
+    assert (planes(picture)[0] == 130).all()
+    writer.join()
+
+
+def test_the_writer_goes_and_comes_back_with_another_size(fifo):
+    source = opened(fifo)
+    first = write_later(
+        fifo, [y4m_header(*SIZE), y4m_picture(*SIZE, 60), y4m_picture(*SIZE, 61)[:99]]
+    )
+    assert levels(source, 1) == [60]
+    first.join()
+    cpu_s = time.thread_time()
+    assert source.read(empty_picture(*SIZE), 200 * NS_PER_MS) is None
+    assert time.thread_time() - cpu_s < 0.05
+    assert "writer has gone" in source.last_fault
+    second = write_later(fifo, [y4m_header(128, 48), y4m_picture(128, 48, 200)])
+    picture = empty_picture(*SIZE)
+    assert source.read(picture, 2 * NS_PER_S).sequence == 1
+    assert (planes(picture)[0][:12] == 16).all()
+    assert abs(int(planes(picture)[0][24, 32]) - 200) < 3
+    second.join()
+
+
+def test_size_changes_and_garbage_in_the_middle_of_one_stream(fifo):
+    source = opened(fifo)
+    garbage = bytes(range(256)) * 40
+    writer = write_later(fifo, [
+        y4m_header(*SIZE), y4m_picture(*SIZE, 70),
+        y4m_header(32, 24), y4m_picture(32, 24, 110),
+        garbage, y4m_header(*SIZE), y4m_picture(*SIZE, 150),
+    ])  # fmt: skip
+    assert levels(source, 3) == [70, 110, 150]
+    assert source.faults >= 1
+    writer.join()
+
+
+@pytest.mark.parametrize(
+    ("colour", "chroma"), [("420mpeg2", 2), ("422", 4), ("444", 8), ("mono", 0)]
+)
+def test_other_colour_formats_are_converted(fifo, colour, chroma):
+    source = opened(fifo)
+    writer = write_later(fifo, [y4m_header(*SIZE, colour), y4m_picture(*SIZE, 120, chroma)])
+    picture = empty_picture(*SIZE)
+    assert source.read(picture, 2 * NS_PER_S) is not None
+    luma, u, v = planes(picture)
+    assert np.abs(luma.astype(int) - 120).max() <= 20
+    assert np.abs(u.astype(int) - 128).max() <= 1
+    assert np.abs(v.astype(int) - 128).max() <= 1
+    writer.join()
+
+
+def test_a_writer_at_full_speed_is_held_to_the_rate_it_states(fifo):
+    source = opened(fifo)
+    chunk = y4m_header(*SIZE) + y4m_picture(*SIZE, 80) * 3000
+    command = "import os,sys; p=open(sys.argv[1],'wb',0); d=sys.stdin.buffer.read(); p.write(d)"
+    writer = subprocess.Popen([sys.executable, "-c", command, fifo], stdin=subprocess.PIPE)
+    feeder = threading.Thread(target=lambda: (writer.stdin.write(chunk), writer.stdin.close()))
+    feeder.start()
+    assert levels(source, 1, timeout_ns=10 * NS_PER_S) == [80]
+    end_ns, seen = CLOCK.now_ns() + NS_PER_S, 0
+    picture = empty_picture(*SIZE)
+    while CLOCK.now_ns() < end_ns:
+        seen += source.read(picture, 100 * NS_PER_MS) is not None
+    feeder.join()
+    writer.kill()
+    writer.wait()
+    assert seen < 60
+
+
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs the program ffmpeg")
+@pytest.mark.interop
+def test_what_ffmpeg_pipes_is_shown(fifo):
+    source = opened(fifo, (160, 120))
+    command = ["ffmpeg", "-v", "error", "-re", "-f", "lavfi", "-i", "testsrc=size=320x240:rate=30"]
+    writer = subprocess.Popen(
+        [*command, "-t", "1", "-pix_fmt", "yuv420p", "-f", "yuv4mpegpipe", "-y", fifo]
+    )
+    seen = levels(source, 25, (160, 120), 5 * NS_PER_S)
+    assert None not in seen
+    assert source.faults == 0
+    writer.wait(10)
+
+
+def test_a_camera_gives_its_newest_picture_and_ends_in_time():
+    # No camera is at hand on a build machine: FFmpeg's test picture comes through the same door.
+    camera = CameraVideo("testsrc=size=128x48:rate=30,realtime", name="head", width=64, height=48,
+                         fps=30, clock=CLOCK, demuxer="lavfi")  # fmt: skip
+    picture = empty_picture(*SIZE)
+    stamps = [camera.read(picture, 2 * NS_PER_S) for _ in range(5)]
+    assert [s.sequence for s in stamps] == list(range(5))
+    assert all(a.capture_ns < b.capture_ns for a, b in itertools.pairwise(stamps))
+    assert (planes(picture)[0][:12] == 16).all()
+    assert planes(picture)[0][16:32].std() > 10
+    camera.close()
+
+
+@pytest.fixture
+def alsa_file(tmp_path, monkeypatch):
+    """A real ALSA device without hardware: the `file` plug-in plays a file into the `null` one."""
+    if shutil.which("arecord") is None:
+        pytest.skip("needs arecord (apt install alsa-utils)")
+    t = np.arange(48_000 * 20)
+    (tmp_path / "in.raw").write_bytes((np.sin(t / 20) * 9_000).astype("<i2").tobytes())
+    config = tmp_path / "asound.conf"
+    config.write_text(
+        textwrap.dedent(
+            f"""
+            </usr/share/alsa/alsa.conf>
+            pcm.played {{
+                type file
+                slave.pcm null
+                file /dev/null
+                infile {tmp_path}/in.raw
+                format raw
+            }}
+            """
+        )
+    )
+    monkeypatch.setenv("ALSA_CONFIG_PATH", str(config))
+    return "alsa:played"
+
+
+def test_a_microphone_gives_blocks_of_20_ms(alsa_file):
+    check_spec(alsa_file, "audio")
+    source = open_audio(alsa_file, name="ground_mic", clock=CLOCK)
+    blocks = [source.read(2 * NS_PER_S) for _ in range(10)]
+    assert {b.samples.shape for b in blocks} == {(960,)}
+    assert [b.stamp.sequence for b in blocks] == list(range(10))
+    assert max(np.abs(b.samples).max() for b in blocks) > 8_000
+    source.close()
+
+
+def test_a_microphone_that_goes_away_comes_back(alsa_file):
+    source = open_audio(alsa_file, name="ground_mic", clock=CLOCK)
+    assert source.read(2 * NS_PER_S) is not None
+    source._process.kill()
+    end_ns, seen = CLOCK.now_ns() + 5 * NS_PER_S, None
+    while source.faults == 0 and CLOCK.now_ns() < end_ns:
+        source.read(100 * NS_PER_MS)
+    assert source.faults == 1
+    while seen is None and CLOCK.now_ns() < end_ns:
+        seen = source.read(100 * NS_PER_MS)
+    assert seen is not None
+    source.close()
+
+
+def test_a_microphone_that_is_not_there_is_refused():
+    with pytest.raises(ConfigError, match="nosuchcard"):
+        open_audio("alsa:nosuchcard", name="ground_mic", clock=CLOCK)
