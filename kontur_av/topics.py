@@ -196,6 +196,11 @@ class Reader:
         """Forget the wake-ups that have come in, so that the next wait really waits."""
         self.listener.try_wait()
 
+    def close(self) -> None:
+        """Leave the topic."""
+        self._subscriber.delete()
+        self.listener.delete()
+
     def next(self) -> Lease | None:
         """The oldest sample not yet read, or None."""
         sample = self._subscriber.receive()
@@ -240,6 +245,7 @@ class TopicBus:
             .create(iox2.ServiceType.Ipc)
         )
         self._ports: list[Any] = []
+        self._readers: list[Reader] = []
 
     def writer(self, topic: str, *, max_octets: int, wake: bool = True) -> Writer:
         """A writer for samples of up to `max_octets` octets.
@@ -265,8 +271,9 @@ class TopicBus:
             raise ValueError(f"depth {depth}: from 1 to {_MAX_DEPTH}")
         subscriber = self._data_service(topic).subscriber_builder().buffer_size(depth).create()
         listener = self._event_service(topic).listener_builder().create()
-        self._ports += [subscriber, listener]
-        return Reader(subscriber, listener)
+        reader = Reader(subscriber, listener)
+        self._readers.append(reader)
+        return reader
 
     def waiter(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> "Waiter":
         """Waits for any of several readers and file descriptors at once."""
@@ -274,6 +281,8 @@ class TopicBus:
 
     def close(self) -> None:
         """Give the ports back, then the node."""
+        while self._readers:
+            self._readers.pop().close()
         while self._ports:
             self._ports.pop().delete()
         self._node = None

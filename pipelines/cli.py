@@ -1,0 +1,88 @@
+"""The `kontur-av` command."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from kontur_av import __version__
+from kontur_av.errors import ConfigError
+
+WELL, FAILED, MISTAKE = 0, 1, 2
+
+
+class _Parser(argparse.ArgumentParser):
+    """Mistakes in the command line are one line, like all others."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        raise ConfigError(f"{message}; see `{self.prog} --help`")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="kontur-av",
+        description="Video, voice and force feedback through one thin radio link.",
+    )
+    parser.add_argument("--version", action="version", version=f"kontur-av {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    from pipelines import receive, send, stream
+
+    for name, module, text in (
+        ("stream", stream, "run a whole telepresence session on this machine"),
+        ("send", send, "send one stream as plain RTP, under a hard cap"),
+        ("receive", receive, "receive one stream of plain RTP"),
+    ):
+        command = commands.add_parser(name, help=text, description=text)
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    select = commands.add_parser("select", help="switch the camera of a running session")
+    select.add_argument("camera", metavar="CAMERA", help="for example stereo, static or head")
+    select.add_argument("--session", metavar="NAME", help="where several sessions are running")
+    select.set_defaults(run=_select)
+    doctor = commands.add_parser("doctor", help="check what this machine can do")
+    doctor.set_defaults(run=_doctor)
+    devices = commands.add_parser("devices", help="list cameras, microphones and scenes")
+    devices.set_defaults(run=_devices)
+    return parser
+
+
+def _select(args: argparse.Namespace) -> int:
+    from pipelines.control import ask
+
+    answer = ask({"select": args.camera}, args.session)
+    if answer.get("mistake"):
+        raise ConfigError(str(answer["error"]))
+    if not answer.get("ok"):
+        print(f"kontur-av: {answer.get('error', 'refused on the ground')}", file=sys.stderr)
+        return FAILED
+    print(f"{answer['camera']} is selected; acknowledged after {answer['round_trip_ms']:.1f} ms")
+    return WELL
+
+
+def _doctor(args: argparse.Namespace) -> int:
+    from pipelines.doctor import doctor
+
+    return doctor()
+
+
+def _devices(args: argparse.Namespace) -> int:
+    from pipelines.devices import devices
+
+    return devices()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 0 well, 1 something failed, 2 the user's mistake."""
+    try:
+        args = _parser().parse_args(arguments)
+        result: int = args.run(args)
+    except ConfigError as error:
+        print(f"kontur-av: {error}", file=sys.stderr)
+        return MISTAKE
+    except KeyboardInterrupt:
+        return WELL
+    return result
+
+
+if __name__ == "__main__":
+    sys.exit(main())

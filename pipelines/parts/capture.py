@@ -1,0 +1,90 @@
+"""An input's process: from its source into its topic."""
+
+from collections.abc import Callable
+
+from kontur_av.sources import SourceEnded, open_audio, open_video
+from kontur_av.sources.source import BLOCK_SAMPLES, AudioSource, VideoSource
+from pipelines.names import input_topic
+from pipelines.parts.robot_state import newest_state
+from pipelines.process import PATIENCE_NS, Context
+from pipelines.setup import VideoStream
+from telepresence.world import audio_scenes, video_scenes
+
+
+def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
+    """Capture the pictures of the input `name` in the size and rate of `stream`."""
+    clock = context.clock
+    with context.open_bus() as bus:
+        writer = bus.writer(input_topic(name), max_octets=stream.width * stream.height * 3 // 2)
+        source = open_video(
+            context.setup.source(name),
+            name=name,
+            width=stream.width,
+            height=stream.height,
+            fps=stream.fps,
+            clock=clock,
+            scenes=video_scenes(newest_state(bus)),
+        )
+        captured = 0
+        _report_faults(context, source, lambda: captured)
+        loan = writer.loan_picture(stream.width, stream.height)
+        while not context.stopping:
+            try:
+                stamp = source.read(loan.picture, PATIENCE_NS)
+            except SourceEnded:
+                _sleep_out(context, "ended")
+                break
+            if stamp is not None:
+                loan.publish(stamp)
+                loan = writer.loan_picture(stream.width, stream.height)
+                captured += 1
+            context.tick(clock.now_ns())
+        loan.give_back()
+        source.close()
+
+
+def run_microphone(context: Context, *, name: str) -> None:
+    """Capture the sound of the input `name`, 20 ms a sample of the topic."""
+    clock = context.clock
+    with context.open_bus() as bus:
+        writer = bus.writer(input_topic(name), max_octets=BLOCK_SAMPLES * 2)
+        source = open_audio(
+            context.setup.source(name),
+            name=name,
+            clock=clock,
+            scenes=audio_scenes(newest_state(bus)),
+        )
+        captured = 0
+        _report_faults(context, source, lambda: captured)
+        while not context.stopping:
+            try:
+                frame = source.read(PATIENCE_NS)
+            except SourceEnded:
+                _sleep_out(context, "ended")
+                break
+            if frame is not None:
+                writer.publish_audio(frame)
+                captured += 1
+            context.tick(clock.now_ns())
+        source.close()
+
+
+def _report_faults(
+    context: Context, source: VideoSource | AudioSource, captured: Callable[[], int]
+) -> None:
+    def fill() -> None:
+        context.probe.total("captured", captured())
+        context.probe.total("source_faults", source.faults)
+        if source.last_fault:
+            context.probe.gauge("source_fault", source.last_fault)
+
+    context.on_flush(fill)
+
+
+def _sleep_out(context: Context, why: str) -> None:
+    """A source that has ended ends no session: its process stays, and says so."""
+    context.probe.gauge("source", why)
+    while not context.stopping:
+        now_ns = context.clock.now_ns()
+        context.tick(now_ns)
+        context.clock.sleep_until_ns(now_ns + PATIENCE_NS)

@@ -1,0 +1,135 @@
+"""The operator's console in space: sends telecommands, receives telemetry, answers `select`."""
+
+import json
+import os
+import secrets
+import select
+import socket
+from contextlib import suppress
+from typing import Any
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.control import MAX_LINE_OCTETS, console_path
+from pipelines.process import LOOPBACK, PATIENCE_NS, Context
+from pipelines.setup import TELECOMMAND, TELEMETRY
+from telepresence.tmtc import Housekeeping, SelectDone, SelectFailed, TelecommandSender
+
+#: How many terminals may ask at once; a further one is turned away.
+_MOST_CLIENTS = 8
+
+
+class _Client:
+    """A terminal that asks; `token` names the telecommand it waits for."""
+
+    def __init__(self, link: socket.socket) -> None:
+        self.link = link
+        self.line = b""
+        self.token: int | None = None
+
+
+def run_console(context: Context) -> None:
+    """Turn requests from the control socket into telecommands, and their ends into answers."""
+    clock, probe, setup = context.clock, context.probe, context.setup
+    udp = context.listen(setup.ports.exit(TELEMETRY))
+    gateway = (LOOPBACK, setup.ports.entry(TELECOMMAND))
+    sender = TelecommandSender(first_token=secrets.randbits(16))
+    listener = _listen(context)
+    clients: list[_Client] = []
+    housekeeping = 0
+
+    def fill() -> None:
+        probe.total("telecommands", sender.sent)
+        probe.total("telecommands_repeated", sender.repeated)
+        probe.total("garbage", sender.garbage)
+        probe.total("housekeeping", housekeeping)
+
+    def answer(token: int, **content: Any) -> None:
+        for client in [client for client in clients if client.token == token]:
+            _answer(client, **content)
+            clients.remove(client)
+
+    context.on_flush(fill)
+    while not context.stopping:
+        now_ns = clock.now_ns()
+        context.tick(now_ns)
+        due_ns = sender.poll_timeout()
+        wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, max(0, due_ns - now_ns))
+        asking = [client.link for client in clients if client.token is None]
+        ready = select.select([udp, listener, *asking], [], [], wait_ns / NS_PER_S)[0]
+        now_ns = clock.now_ns()
+        if listener in ready:
+            link, _ = listener.accept()
+            link.setblocking(False)
+            if len(clients) < _MOST_CLIENTS:
+                clients.append(_Client(link))
+            else:
+                link.close()
+        for client in [client for client in clients if client.link in ready]:
+            request = _read(client)
+            if request is None:
+                continue
+            camera = request.get("select")
+            if camera not in setup.cameras:
+                known = ", ".join(setup.cameras)
+                error = f"unknown camera {camera}: choose one of {known}"
+                _answer(client, ok=False, error=error, mistake=True)
+                clients.remove(client)
+            else:
+                client.token = sender.select(camera, now_ns)
+        while (datagram := context.receive(udp)) is not None:
+            sender.handle_packet(datagram, now_ns)
+        while (packet := sender.poll_transmit(now_ns)) is not None:
+            udp.sendto(packet, gateway)
+        while (event := sender.next_event()) is not None:
+            if isinstance(event, SelectDone):
+                round_trip_ms = event.round_trip_ns / NS_PER_MS
+                answer(event.token, ok=event.ok, camera=event.name, round_trip_ms=round_trip_ms)
+            elif isinstance(event, SelectFailed):
+                why = "a later request came" if event.superseded else "no acknowledgement came"
+                answer(event.token, ok=False, error=f"select {event.name}: {why}")
+            elif isinstance(event, Housekeeping):
+                housekeeping += 1
+                probe.gauge("camera", event.name)
+                probe.gauge("force_n", event.force_n)
+        gone = [client for client in clients if client.link.fileno() < 0]
+        for client in gone:
+            clients.remove(client)
+    console_path(context.session).unlink(missing_ok=True)
+
+
+def _listen(context: Context) -> socket.socket:
+    path = console_path(context.session)
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)  # of a console that was killed
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    listener.setblocking(False)
+    listener.bind(os.fspath(path))
+    listener.listen(_MOST_CLIENTS)
+    return listener
+
+
+def _read(client: _Client) -> dict[str, Any] | None:
+    """The request if its line is complete; a client that sends anything else is let go."""
+    try:
+        data = client.link.recv(MAX_LINE_OCTETS)
+    except BlockingIOError:
+        return None
+    except OSError:
+        data = b""
+    client.line += data
+    if b"\n" not in client.line and data and len(client.line) < MAX_LINE_OCTETS:
+        return None
+    try:
+        request = json.loads(client.line)
+    except ValueError:
+        request = None
+    if isinstance(request, dict):
+        return request
+    client.link.close()
+    return None
+
+
+def _answer(client: _Client, **content: Any) -> None:
+    with suppress(OSError):  # the terminal may have gone
+        client.link.sendall(json.dumps(content).encode() + b"\n")
+    client.link.close()

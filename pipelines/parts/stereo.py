@@ -1,0 +1,53 @@
+"""The process that merges the pictures of the robot's two cameras into one."""
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.media import VideoFrame
+from kontur_av.stereo import StereoPairer, merge
+from kontur_av.topics import Lease
+from pipelines.names import STEREO_TOPIC, input_topic
+from pipelines.process import PATIENCE_NS, Context
+from pipelines.setup import STEREO_INPUTS
+
+
+def run_stereo(context: Context) -> None:
+    """Left part of the left camera, right part of the right camera, into one topic."""
+    clock, video = context.clock, context.setup.uplink_video
+    pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
+
+    def fill() -> None:
+        context.probe.total("paired", pairer.paired)
+        context.probe.total("single", pairer.single)
+
+    context.on_flush(fill)
+    with context.open_bus() as bus:
+        writer = bus.writer(STEREO_TOPIC, max_octets=video.width * video.height * 3 // 2)
+        readers = [bus.reader(input_topic(name)) for name in STEREO_INPUTS]
+        # The pairer shows a camera's last picture again: its lease is kept until the next one.
+        leases: list[Lease | None] = [None, None]
+        waiter = bus.waiter(readers)
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            due_ns = pairer.poll_timeout()
+            waiter.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
+            for side, reader in enumerate(readers):
+                lease = reader.latest()
+                if lease is None:
+                    continue
+                frame: VideoFrame = lease.video()
+                handle = pairer.handle_right if side else pairer.handle_left
+                handle(frame, clock.now_ns())
+                previous, leases[side] = leases[side], lease
+                if previous is not None:
+                    previous.release()
+            pairer.handle_timeout(clock.now_ns())
+            while (pair := pairer.next_event()) is not None:
+                loan = writer.loan_picture(video.width, video.height)
+                left, right = pair.left, pair.right
+                merge(
+                    None if left is None else left.data,
+                    None if right is None else right.data,
+                    loan.picture,
+                )
+                loan.publish(pair.stamp)
+        del waiter

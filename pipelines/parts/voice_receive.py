@@ -1,0 +1,72 @@
+"""A voice stream's receiving process: RTP from the gateway -> playout -> Opus -> topic."""
+
+import select
+
+from kontur_av.errors import ProtocolError
+from kontur_av.media import AUDIO_CLOCK_HZ, AudioFrame, CaptureStamp
+from kontur_av.opus import MAX_PACKET_SAMPLES, OpusDecoder
+from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
+from kontur_av.rtp.receiver import RtpReceiver
+from pipelines.names import VOICE_PAYLOAD_TYPE, received_topic
+from pipelines.parts.reception import report_reception
+from pipelines.process import PATIENCE_NS, Context
+from pipelines.setup import VoiceStream
+
+
+def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
+    """Publish each block of sound at the instant at which it shall be heard."""
+    clock, probe, ports = context.clock, context.probe, context.setup.ports
+    udp = context.listen(ports.exit(stream.name))
+    udp_rtcp = context.listen(ports.exit(f"{stream.name}_rtcp"))
+    receiver = RtpReceiver(
+        payload_type=VOICE_PAYLOAD_TYPE,
+        clock_rate_hz=AUDIO_CLOCK_HZ,
+        ordered=False,
+        from_ntp=clock.from_ntp,
+    )
+    playout = PlayoutBuffer()
+    decoder = OpusDecoder()
+    undated = 0
+
+    def fill() -> None:
+        report_reception(probe, receiver)
+        probe.total("frames_decoded", playout.counts.played)
+        probe.total("frames_concealed", playout.counts.concealed)
+        probe.total("frames_late", playout.counts.late)
+        probe.total("frames_undated", undated)
+        probe.gauge("playout_delay_ns", playout.delay_ns)
+
+    def decode(block: PlayoutBlock) -> AudioFrame | None:
+        nonlocal undated
+        try:
+            samples = decoder.conceal() if block.payload is None else decoder.decode(block.payload)
+        except ProtocolError:
+            samples = decoder.conceal()
+        capture_ns = receiver.capture_ns(block.timestamp)
+        if capture_ns is None:
+            undated += 1
+            return None
+        return AudioFrame(samples, CaptureStamp(capture_ns, block.timestamp, stream.name))
+
+    context.on_flush(fill)
+    with context.open_bus() as bus:
+        writer = bus.writer(received_topic(stream.name), max_octets=MAX_PACKET_SAMPLES * 2)
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            due_ns = playout.poll_timeout()
+            wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, max(0, due_ns - now_ns))
+            select.select([udp, udp_rtcp], [], [], wait_ns / 1e9)
+            now_ns = clock.now_ns()
+            while (datagram := context.receive(udp_rtcp)) is not None:
+                receiver.handle_report(datagram, now_ns)
+            while (datagram := context.receive(udp)) is not None:
+                receiver.handle_packet(datagram, now_ns)
+            while (packet := receiver.next_event()) is not None:
+                probe.row("rx", packet.timestamp, packet.received_ns)
+                playout.handle_packet(packet)
+            playout.handle_timeout(clock.now_ns())
+            while (block := playout.next_event()) is not None:
+                frame = decode(block)
+                if frame is not None:
+                    writer.publish_audio(frame)

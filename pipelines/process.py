@@ -1,0 +1,123 @@
+"""What every process of a session has: its part of the setup, a clock, a probe, a way to end."""
+
+import ctypes
+import gc
+import os
+import signal
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+from kontur_av.clock import NS_PER_MS, MonotonicClock
+from kontur_av.topics import TopicBus
+from pipelines.probe import Probe
+from pipelines.setup import Setup
+
+LOOPBACK = "127.0.0.1"
+MAX_DATAGRAM_OCTETS = 65_535
+#: The longest that a part sleeps before it looks whether it shall end.
+PATIENCE_NS = 100 * NS_PER_MS
+
+_PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
+
+
+class Segment(Enum):
+    """Where a process stands."""
+
+    GROUND = "ground"
+    SPACE = "space"
+
+
+@dataclass
+class Context:
+    """What a part is given.
+
+    A part runs until `stopping`; it calls `tick` at least every PATIENCE_NS.
+    """
+
+    name: str
+    session: str
+    setup: Setup
+    clock: MonotonicClock
+    probe: Probe
+    snapshots: Path | None = None
+    stopping: bool = False
+    _fill: list[Callable[[], None]] = field(default_factory=list)
+
+    def open_bus(self) -> TopicBus:
+        """This process's door to shared memory."""
+        return TopicBus(self.session)
+
+    def listen(self, port: int) -> socket.socket:
+        """A UDP socket on loopback that never blocks."""
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        udp.setblocking(False)
+        udp.bind((LOOPBACK, port))
+        return udp
+
+    @staticmethod
+    def receive(udp: socket.socket) -> bytes | None:
+        """The next datagram, or None; an ICMP error of an earlier send is nobody's concern."""
+        while True:
+            try:
+                return udp.recv(MAX_DATAGRAM_OCTETS)
+            except BlockingIOError:
+                return None
+            except ConnectionError:
+                continue
+
+    def on_flush(self, fill: Callable[[], None]) -> None:
+        """Have `fill` put its totals and gauges into the probe before each flush."""
+        self._fill.append(fill)
+
+    def tick(self, now_ns: int) -> None:
+        """Flush the probe when it is time."""
+        if self.probe.due(now_ns):
+            self.flush(now_ns)
+
+    def flush(self, now_ns: int) -> None:
+        """Flush the probe now."""
+        for fill in self._fill:
+            fill()
+        self.probe.flush(now_ns)
+
+
+@dataclass(frozen=True)
+class Part:
+    """One process of a session: what it is called, where it stands and what it runs.
+
+    realtime: it has a 1 kHz loop, and gets real-time priority where the system permits.
+    """
+
+    name: str
+    segment: Segment
+    run: Callable[[Context], None]
+    realtime: bool = False
+
+
+def become(part: Part, context: Context) -> None:
+    """In a fresh child: take the part's name, its priority and its way to end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's
+    signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
+    prctl = ctypes.CDLL(None, use_errno=True).prctl
+    # A launcher that is killed takes its processes along.
+    prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    prctl(_PR_SET_NAME, f"kav {part.name}".encode()[:15])
+    if part.realtime:
+        context.probe.gauge("scheduler", _take_realtime(prctl))
+
+
+def _take_realtime(prctl: Callable[..., int]) -> str:
+    # No collection in the middle of a slot: these loops make no reference cycles.
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+    except OSError:
+        # Without permission at least no timer is rounded up (the default is 50 µs).
+        prctl(_PR_SET_TIMERSLACK, 1)
+        return "other"
+    return "fifo"

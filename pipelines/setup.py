@@ -1,0 +1,356 @@
+"""The typed table that describes a setup. What cannot work is refused when it is built.
+
+A user's own setup is a TOML file with the same fields (`load_setup`); docs/setups.md has an
+annotated one.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from kontur_av.errors import ConfigError
+from kontur_av.media import check_size
+from pipelines.command import parse_size
+from telepresence.link.arithmetic import ChannelNeed, StreamNeed, check_fit
+from telepresence.link.flows import (
+    Flow,
+    Level,
+    packet_flow,
+    rtcp_flow,
+    video_flow,
+    voice_flow,
+)
+from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.tmtc.packets import check_name
+from telepresence.world import DEFAULT_SCENES
+
+#: The camera that is merged from the inputs `left` and `right`.
+STEREO = "stereo"
+STEREO_INPUTS = ("left", "right")
+
+VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
+#: How many ports a session takes, from its base port on.
+PORTS = 40
+
+TELEMETRY = "telemetry"
+TELECOMMAND = "telecommand"
+MAINTENANCE = "maintenance"
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoStream:
+    """An H.264 stream: its hard cap of RTP payload in bit/s, picture size and rate."""
+
+    name: str
+    cap_bps: int
+    width: int = 640
+    height: int = 480
+    fps: int = 30
+
+    def __post_init__(self) -> None:
+        if not 20_000 <= self.cap_bps <= 20_000_000:
+            raise ConfigError(
+                f"{self.name}: cap of {self.cap_bps / 1000:g} kbit/s; video takes 20 to 20000"
+            )
+        if not 1 <= self.fps <= 120:
+            raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
+        check_size(self.width, self.height)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VoiceStream:
+    """An Opus stream in voice mode, mono 48 kHz, constant bit rate: RTP payload in bit/s."""
+
+    name: str
+    cap_bps: int
+
+    def __post_init__(self) -> None:
+        if not 6_000 <= self.cap_bps <= 128_000 or self.cap_bps % 400:
+            raise ConfigError(
+                f"{self.name}: cap of {self.cap_bps / 1000:g} kbit/s; Opus voice takes 6 to 128 "
+                "in steps of 0.4 (whole octets in 20 ms)"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ports:
+    """Which UDP port is whose, all on loopback, counted from `base`.
+
+    A stream has four: where its sender reaches the gateway (RTP, RTCP) and where the other
+    segment's gateway reaches its receiver (RTP, RTCP).
+    """
+
+    base: int
+
+    def __post_init__(self) -> None:
+        if not 1024 <= self.base <= 65_536 - PORTS:
+            raise ConfigError(f"base port {self.base}: take 1024 to {65_536 - PORTS}")
+
+    @property
+    def ground_radio(self) -> int:
+        return self.base
+
+    @property
+    def space_radio(self) -> int:
+        return self.base + 1
+
+    @property
+    def ground_haptic(self) -> int:
+        """The ground gateway takes the robot's samples here."""
+        return self.base + 2
+
+    @property
+    def robot(self) -> int:
+        return self.base + 3
+
+    @property
+    def space_haptic(self) -> int:
+        """The space gateway takes the joystick's samples here."""
+        return self.base + 4
+
+    @property
+    def joystick(self) -> int:
+        return self.base + 5
+
+    def entry(self, flow: str) -> int:
+        """Where the gateway of the sending segment takes the datagrams of `flow`."""
+        return self.base + _PORT_OFFSETS[flow]
+
+    def exit(self, flow: str) -> int:
+        """Where the consumer of `flow` in the receiving segment listens."""
+        offset = 2 if flow.startswith(("uplink_", "downlink_")) else 1
+        return self.entry(flow) + offset
+
+    def all(self) -> range:
+        """Every port that a session may take."""
+        return range(self.base, self.base + PORTS)
+
+
+_PORT_OFFSETS = {
+    "uplink_video": 10,
+    "uplink_video_rtcp": 11,
+    "uplink_voice": 14,
+    "uplink_voice_rtcp": 15,
+    "downlink_video": 18,
+    "downlink_video_rtcp": 19,
+    "downlink_voice": 22,
+    "downlink_voice_rtcp": 23,
+    TELEMETRY: 30,
+    TELECOMMAND: 32,
+    f"uplink_{MAINTENANCE}": 34,
+    f"downlink_{MAINTENANCE}": 37,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """A telepresence session: who sees, hears and feels what, at which rates, through what.
+
+    cameras: what can be selected for the uplink video; the first is on at the start. `stereo` is
+        merged from the inputs `left` and `right`; any other is the input of the same name.
+    sources: for each input its source, as on the command line (`--source NAME=SPEC`).
+    radio_delay_ms: one way, both ways alike.
+    """
+
+    name: str
+    uplink_video: VideoStream
+    cameras: tuple[str, ...]
+    uplink_voice: VoiceStream | None = None
+    downlink_video: VideoStream | None = None
+    downlink_voice: VoiceStream | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+    uplink: LinkProfile = UPLINK
+    downlink: LinkProfile = DOWNLINK
+    radio_delay_ms: float = 0.0
+    base_port: int = 47_000
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise ConfigError(f"setup {self.name}: cameras is empty; name at least one")
+        for camera in self.cameras:
+            if self.cameras.count(camera) > 1:
+                raise ConfigError(f"setup {self.name}: camera {camera} is named twice")
+            check_name(camera)
+        if not 0 <= self.radio_delay_ms <= 10_000:
+            raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
+        Ports(base=self.base_port)
+        for name in self.sources:
+            if name not in self.inputs:
+                raise ConfigError(
+                    f"source {name}: setup {self.name} has no such input; it has "
+                    + ", ".join(self.inputs)
+                )
+        for name in self.inputs:
+            self.source(name)
+        self.need_up()
+        self.need_down()
+
+    @property
+    def ports(self) -> Ports:
+        return Ports(base=self.base_port)
+
+    @property
+    def camera_inputs(self) -> tuple[str, ...]:
+        """The ground's cameras."""
+        names: list[str] = []
+        for camera in self.cameras:
+            names += STEREO_INPUTS if camera == STEREO else (camera,)
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """All inputs, cameras first."""
+        return (
+            *self.camera_inputs,
+            *(("ground_mic",) if self.uplink_voice else ()),
+            *(("iss_camera",) if self.downlink_video else ()),
+            *(("iss_mic",) if self.downlink_voice else ()),
+        )
+
+    def source(self, name: str) -> str:
+        """The source of the input `name`; ConfigError when it has none."""
+        spec = self.sources.get(name, DEFAULT_SCENES.get(name))
+        if spec is None:
+            raise ConfigError(f"input {name} has no built-in scene: give --source {name}=SPEC")
+        return spec
+
+    @property
+    def streams(self) -> tuple[VideoStream | VoiceStream, ...]:
+        """The media streams that this setup has."""
+        every = (self.uplink_video, self.uplink_voice, self.downlink_video, self.downlink_voice)
+        return tuple(stream for stream in every if stream is not None)
+
+    @property
+    def uplink_flows(self) -> tuple[Flow, ...]:
+        """What travels from the ground to space."""
+        return (
+            packet_flow(TELEMETRY, Level.TMTC),
+            *_flows(self.uplink_voice),
+            *_flows(self.uplink_video),
+            packet_flow(f"uplink_{MAINTENANCE}", Level.MAINTENANCE),
+        )
+
+    @property
+    def downlink_flows(self) -> tuple[Flow, ...]:
+        """What travels from space to the ground."""
+        return (
+            packet_flow(TELECOMMAND, Level.TMTC),
+            *_flows(self.downlink_voice),
+            *_flows(self.downlink_video),
+            packet_flow(f"downlink_{MAINTENANCE}", Level.MAINTENANCE),
+        )
+
+    def need_up(self) -> ChannelNeed:
+        """What the uplink carries at the caps; ConfigError when it does not fit."""
+        return check_fit(self.uplink, _needs(self.uplink_voice, self.uplink_video))
+
+    def need_down(self) -> ChannelNeed:
+        """What the downlink carries at the caps; ConfigError when it does not fit."""
+        return check_fit(self.downlink, _needs(self.downlink_voice, self.downlink_video))
+
+
+def _flows(stream: VideoStream | VoiceStream | None) -> tuple[Flow, ...]:
+    if stream is None:
+        return ()
+    make = video_flow if isinstance(stream, VideoStream) else voice_flow
+    return (make(stream.name), rtcp_flow(f"{stream.name}_rtcp"))
+
+
+def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:
+    return [
+        StreamNeed(
+            name=stream.name,
+            payload_bps=stream.cap_bps,
+            packets_per_s=stream.fps if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S,
+            level=Level.VIDEO if isinstance(stream, VideoStream) else Level.VOICE,
+        )
+        for stream in streams
+        if stream is not None
+    ]
+
+
+def load_setup(name: str) -> Setup:
+    """A built-in setup by its name, or a user's own from a TOML file; ConfigError otherwise."""
+    from pipelines.setups import BUILT_IN
+
+    if name in BUILT_IN:
+        return BUILT_IN[name]
+    path = Path(name)
+    if path.suffix != ".toml":
+        raise ConfigError(
+            f"unknown setup {name}: take {' or '.join(sorted(BUILT_IN))}, or a file NAME.toml"
+        )
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read setup {name}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"setup {name} is not TOML: {error}") from None
+    return setup_from_table({"name": path.stem, **table})
+
+
+def setup_from_table(table: Mapping[str, Any]) -> Setup:
+    """A setup from the table that a TOML file holds."""
+    known = {entry.name for entry in fields(Setup)}
+    values = dict(table)
+    for name in values:
+        if name not in known:
+            raise ConfigError(f"unknown field {name}: a setup has {', '.join(sorted(known))}")
+    for name in ("uplink_video", "downlink_video"):
+        if name in values:
+            values[name] = _video(name, values[name])
+    for name in ("uplink_voice", "downlink_voice"):
+        if name in values:
+            entries = _checked(name, values[name], {"cap_kbps": (int, float)})
+            values[name] = VoiceStream(name=name, cap_bps=_cap_bps(name, entries))
+    for name, profile in (("uplink", UPLINK), ("downlink", DOWNLINK)):
+        if name in values:
+            values[name] = replace(profile, **_checked(name, values[name], {"frame_octets": int}))
+    if "uplink_video" not in values or "cameras" not in values:
+        raise ConfigError("a setup needs at least the fields uplink_video and cameras")
+    if not _is_strings(values["cameras"]):
+        raise ConfigError('cameras must be a list of names, like ["stereo", "static"]')
+    values["cameras"] = tuple(values["cameras"])
+    sources = values.get("sources", {})
+    if not isinstance(sources, Mapping) or not _is_strings(list(sources.values())):
+        raise ConfigError('sources must be a table of strings, like left = "v4l2:/dev/video0"')
+    kinds: dict[str, Any] = {"name": str, "radio_delay_ms": (int, float), "base_port": int}
+    for name, kind in kinds.items():
+        value = values.get(name)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, kind)):
+            raise ConfigError(f"{name} must be a {'text' if kind is str else 'number'}")
+    return Setup(**values)
+
+
+def _video(name: str, table: object) -> VideoStream:
+    entries = _checked(name, table, {"cap_kbps": (int, float), "size": str, "fps": int})
+    options: dict[str, Any] = {}
+    if "size" in entries:
+        options["width"], options["height"] = parse_size(entries["size"])
+    if "fps" in entries:
+        options["fps"] = entries["fps"]
+    return VideoStream(name=name, cap_bps=_cap_bps(name, entries), **options)
+
+
+def _cap_bps(name: str, entries: Mapping[str, Any]) -> int:
+    if "cap_kbps" not in entries:
+        raise ConfigError(f"{name} needs cap_kbps")
+    cap_kbps: float = entries["cap_kbps"]
+    return round(cap_kbps * 1000)
+
+
+def _checked(name: str, table: object, kinds: Mapping[str, Any]) -> dict[str, Any]:
+    if not isinstance(table, Mapping):
+        raise ConfigError(f"{name} must be a table [{name}] with {', '.join(kinds)}")
+    for key, value in table.items():
+        if key not in kinds:
+            raise ConfigError(f"unknown field {name}.{key}: it has {', '.join(kinds)}")
+        if isinstance(value, bool) or not isinstance(value, kinds[key]):
+            raise ConfigError(f"{name}.{key} must be a {'text' if kinds[key] is str else 'number'}")
+    return dict(table)
+
+
+def _is_strings(values: object) -> bool:
+    return isinstance(values, list) and all(isinstance(value, str) for value in values)

@@ -1,0 +1,46 @@
+"""The processes in space: joystick, console, gateway, and what the operator sees and hears."""
+
+from functools import partial
+
+from pipelines.names import input_topic
+from pipelines.parts.capture import run_camera, run_microphone
+from pipelines.parts.console import run_console
+from pipelines.parts.display import run_display
+from pipelines.parts.gateway import run_gateway
+from pipelines.parts.haptic_ends import run_joystick
+from pipelines.parts.video_receive import run_video_receive
+from pipelines.parts.video_send import run_video_send
+from pipelines.parts.voice_receive import run_voice_receive
+from pipelines.parts.voice_send import run_voice_send
+from pipelines.process import Part, Segment
+from pipelines.setup import Setup
+
+_HERE = Segment.SPACE
+
+
+def space_parts(setup: Setup) -> list[Part]:
+    """What runs in space for `setup`, in the order in which it is started."""
+    up, voice_up = setup.uplink_video, setup.uplink_voice
+    down, voice_down = setup.downlink_video, setup.downlink_voice
+    parts = [
+        Part("space_gateway", _HERE, partial(run_gateway, segment=_HERE), realtime=True),
+        Part("joystick", _HERE, run_joystick, realtime=True),
+        Part("console", _HERE, run_console),
+        Part("uplink_video_receive", _HERE, partial(run_video_receive, stream=up)),
+    ]
+    if voice_up:
+        hear = partial(run_voice_receive, stream=voice_up)
+        parts.append(Part("uplink_voice_receive", _HERE, hear))
+    received = [stream for stream in (up, voice_up) if stream is not None]
+    parts.append(Part("space_display", _HERE, partial(run_display, streams=received)))
+    if down:
+        name = "iss_camera"
+        send = partial(run_video_send, stream=down, topic=input_topic(name))
+        parts.append(Part(name, _HERE, partial(run_camera, name=name, stream=down)))
+        parts.append(Part("downlink_video_send", _HERE, send))
+    if voice_down:
+        name = "iss_mic"
+        say = partial(run_voice_send, stream=voice_down, topic=input_topic(name))
+        parts.append(Part(name, _HERE, partial(run_microphone, name=name)))
+        parts.append(Part("downlink_voice_send", _HERE, say))
+    return parts

@@ -1,0 +1,150 @@
+"""`kontur-av stream`: a whole telepresence session on this machine, and its report."""
+
+import argparse
+import json
+import os
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from kontur_av.clock import MonotonicClock
+from kontur_av.errors import ConfigError
+from kontur_av.sources import check_spec
+from pipelines.ground import ground_parts
+from pipelines.launcher import Launcher, check_ports, launcher_cpu_s, load_libraries
+from pipelines.live import LiveView
+from pipelines.process import Part, Segment
+from pipelines.report import build_report
+from pipelines.setup import Setup, load_setup
+from pipelines.space import space_parts
+from pipelines.summary import print_summary
+from telepresence.world import audio_scenes, video_scenes
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av stream`."""
+    parser.add_argument(
+        "--setup", required=True, metavar="NAME", help="spacejustin, taskboard or FILE.toml"
+    )
+    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+    parser.add_argument(
+        "--source",
+        action="append",
+        default=[],
+        metavar="NAME=SPEC",
+        help="what an input captures: a media file, pipe:PATH, v4l2:DEVICE, alsa:DEVICE or "
+        "scene:NAME; may be given several times",
+    )
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
+    parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
+    parser.add_argument("--radio-delay-ms", type=float, metavar="D", help="delay one way")
+    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
+    loudness = parser.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the session; 1 if its report names a failure."""
+    setup = chosen_setup(args)
+    if args.seconds is not None and not 0 < args.seconds < 1e9:
+        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    check_sources(setup)
+    snapshots = _made_directory(args.snapshots)
+    check_writable(args.report)
+    check_ports(setup)
+    load_libraries()
+    parts = [*ground_parts(setup), *space_parts(setup)]
+    if snapshots is not None:
+        from pipelines.parts.snapshots import run_snapshots
+
+        parts.append(Part("snapshots", Segment.SPACE, run_snapshots))
+    with LiveView(quiet=args.quiet, verbose=args.verbose) as view:
+        launcher = Launcher(
+            session=f"{setup.name[:16].lower().replace('_', '-')}-{os.getpid()}",
+            setup=setup,
+            parts=parts,
+            clock=MonotonicClock(),
+            snapshots=snapshots,
+            show=view.show,
+        )
+        launcher.run(args.seconds)
+    launcher.collector.handle_end()
+    report = build_report(
+        setup,
+        launcher.collector,
+        seconds=launcher.seconds,
+        cpu_s=launcher.cpu_s(),
+        restarts={child.part.name: child.restarts for child in launcher.children},
+        launcher_cpu_s=launcher_cpu_s(),
+    )
+    if args.report is not None:
+        write_report(args.report, report)
+    if not args.quiet:
+        print_summary(report)
+    return 1 if report["failures"] else 0
+
+
+def chosen_setup(args: argparse.Namespace) -> Setup:
+    """The setup that the options name, with what they change; ConfigError if it cannot work."""
+    setup = load_setup(args.setup)
+    changes: dict[str, Any] = {"sources": {**setup.sources, **parse_sources(args.source)}}
+    if args.radio_delay_ms is not None:
+        changes["radio_delay_ms"] = args.radio_delay_ms
+    if args.base_port is not None:
+        changes["base_port"] = args.base_port
+    return replace(setup, **changes)
+
+
+def parse_sources(options: Sequence[str]) -> Mapping[str, str]:
+    """NAME=SPEC options as a table; the last of a name wins."""
+    sources = {}
+    for option in options:
+        name, equals, spec = option.partition("=")
+        if not (name and equals and spec):
+            raise ConfigError(f"--source {option}: write NAME=SPEC, like head=clip.mp4")
+        sources[name] = spec
+    return sources
+
+
+def check_sources(setup: Setup) -> None:
+    """ConfigError for the first source that cannot be opened, before anything has started."""
+    pictures, sounds = video_scenes(), audio_scenes()
+    for name in setup.inputs:
+        sound = name.endswith("_mic")
+        try:
+            check_spec(
+                setup.source(name), "audio" if sound else "video", sounds if sound else pictures
+            )
+        except ConfigError as error:
+            raise ConfigError(f"input {name}: {error}") from None
+
+
+def _made_directory(path: Path | None) -> Path | None:
+    if path is None:
+        return None
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--snapshots {path}: {error.strerror or error}") from None
+    if not os.access(path, os.W_OK):
+        raise ConfigError(f"--snapshots {path}: cannot be written to; choose another directory")
+    return path.absolute()
+
+
+def check_writable(path: Path | None) -> None:
+    """ConfigError when `path` cannot be written: after the run it would be too late."""
+    if path is None:
+        return
+    directory = path.parent
+    if path.is_dir() or not directory.is_dir() or not os.access(directory, os.W_OK):
+        raise ConfigError(f"--report {path}: cannot be written; name a file in an open directory")
+
+
+def write_report(path: Path, report: Mapping[str, Any]) -> None:
+    """Write `report` whole or not at all."""
+    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    partial.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    partial.replace(path)

@@ -1,0 +1,63 @@
+"""A report as a table for people."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+def print_summary(report: Mapping[str, Any]) -> None:
+    """The streams, the senses and the cost, on standard output."""
+    # Without a terminal there is no width to keep to; the widest table takes about this.
+    console = Console() if Console().is_terminal else Console(width=118)
+    title = f"{report['setup']}, {report['seconds']:.1f} s"
+    streams = Table(title=title, title_justify="left")
+    headings = ("stream", "cap", "mean", "max 1 s", "max 0.1 s", "shown/s", "lost", "p50", "p95")
+    for heading in (*headings, "p99", "max ms"):
+        streams.add_column(heading, justify="left" if heading == "stream" else "right")
+    for name, stream in report["streams"].items():
+        latency = stream["latency_ms"]
+        streams.add_row(
+            name,
+            *(_kbps(stream[key]) for key in ("cap_bps", "payload_bps_mean")),
+            *(_kbps(stream[f"payload_bps_max_{window}"]) for window in ("1s", "100ms")),
+            f"{stream['displayed_hz']:.1f}",
+            str(stream.get("rtp_lost", 0)),
+            *(f"{latency[key]:.1f}" for key in ("p50", "p95", "p99", "max")),
+        )
+    for name, haptic in report["haptic"].items():
+        latency = haptic["latency_ms"]
+        rate_hz = haptic["received"] / max(report["seconds"], 1e-9)
+        streams.add_row(
+            f"haptic_{name}",
+            *("96.0", "", "", ""),
+            f"{rate_hz:.1f}",
+            str(haptic["lost"]),
+            *(f"{latency[key]:.1f}" for key in ("p50", "p95", "p99", "max")),
+        )
+    console.print(streams)
+    for direction, link in report["link"].items():
+        total = max(sum(link["octets"].values()), 1)
+        shares = ", ".join(
+            f"{kind} {100 * octets / total:.1f} %" for kind, octets in link["octets"].items()
+        )
+        console.print(f"{direction}: {link['frames']} frames, {link['slips']} slips; {shares}")
+    skews = (
+        f"{name.replace('_', ' to ')} {skew['p50']:+.1f} (p95 {skew['p95']:+.1f})"
+        for name, skew in report["skew_ms"].items()
+    )
+    console.print("skew at the operator, ms: " + ", ".join(skews))
+    cpu = report["cpu"]
+    restarted = [name for name, entry in report["processes"].items() if entry["restarts"]]
+    console.print(
+        f"CPU: {cpu['total_s']:.1f} s, {cpu['cores_used']:.2f} of a core in "
+        f"{len(report['processes'])} processes"
+        + (f"; restarted: {', '.join(restarted)}" if restarted else "")
+    )
+    for failure in report["failures"]:
+        console.print(f"[bold red]failed:[/] {failure}")
+
+
+def _kbps(bps: float) -> str:
+    return f"{bps / 1000:.1f}"
