@@ -20,7 +20,7 @@ ELBOW_RADIUS_M = 0.0330
 
 #: How far a shadow falls for each metre of height: the lamp hangs on the upper left.
 SHADOW_M = np.array((0.34, -0.30))
-SHADOW_LUMA = 38
+SHADOW_LUMA = 26
 
 _SHELL = yuv(206, 210, 214)
 _JOINT = yuv(66, 74, 84)
@@ -65,16 +65,19 @@ def pose(x_m: float, y_m: float) -> Arm:
 
 
 def draw_shadow(brush: Brush, camera: Camera, arm: Arm, offset: complex) -> None:
-    """Darken the board where the arm keeps the light off. offset: pixels, x + iy, added."""
+    """Darken the board where the tool keeps the light off; the arm is too high to cast one.
+
+    offset: pixels, x + iy, added.
+    """
     height, width = brush.y.shape
-    casters = np.stack((arm.tip, arm.body, arm.wrist, arm.elbow))
-    ground = np.zeros((4, 3))
+    casters = np.stack((arm.tip, arm.body, arm.wrist))
+    ground = np.zeros((3, 3))
     ground[:, :2] = casters[:, :2] + SHADOW_M * casters[:, 2:]
     points, scales = camera.see(ground)
     points = points + offset
     radii = scales * _SHADOW_RADII_M
     outlines = np.stack(
-        [capsule(points[k], points[k + 1], radii[k], radii[k + 1]) for k in range(3)]
+        [capsule(points[k], points[k + 1], radii[k], radii[k + 1]) for k in range(2)]
     )
     left = max(int(outlines.real.min()) - 8, 0) & ~1
     top = max(int(outlines.imag.min()) - 8, 0) & ~1
@@ -92,7 +95,7 @@ def draw_shadow(brush: Brush, camera: Camera, arm: Arm, offset: complex) -> None
     cv2.subtract(lit, shadow, dst=lit)
 
 
-_SHADOW_RADII_M = np.array((0.003, BODY_RADIUS_M, WRIST_RADIUS_M, FOREARM_RADIUS_M))
+_SHADOW_RADII_M = np.array((0.003, BODY_RADIUS_M, WRIST_RADIUS_M))
 
 
 def draw_arm(brush: Brush, camera: Camera, arm: Arm, offset: complex, *, from_above: bool) -> None:
