@@ -3,6 +3,7 @@
 import io
 from fractions import Fraction
 from heapq import heappop, heappush
+from pathlib import Path
 from typing import Literal
 
 import av
@@ -26,10 +27,11 @@ class MatroskaWriter:
 
     def __init__(self, path: str, kind: Literal["video", "audio"]) -> None:
         try:
-            self._container: OutputContainer = av.open(path, "w", format="matroska")
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise ConfigError(f"--save {path!r} cannot be written: {reason}") from None
+            # PyAV opens the file with the first packet: too late to refuse.
+            Path(path).write_bytes(b"")
+        except OSError as error:
+            raise ConfigError(f"--save {path!r} cannot be written: {error.strerror}") from None
+        self._container: OutputContainer = av.open(path, "w", format="matroska")
         self._kind = kind
         self._stream: Stream | None = None
         self._template: InputContainer | None = None
@@ -55,7 +57,7 @@ class MatroskaWriter:
         # FFmpeg itself reads size and profile out of the SPS when it opens the access unit as a
         # file; the Matroska stream is made after that.
         try:
-            template = av.open(io.BytesIO(data), format="h264")
+            template = av.open(io.BytesIO(data), "r", format="h264")
             stream = template.streams.video[0]
             if not stream.codec_context.width:
                 return False
