@@ -1,15 +1,18 @@
-"""The robot's arm in three dimensions: where its links are when the tip is at (x, y)."""
+"""The robot's arm in three dimensions: where its parts are when the tip is at (x, y)."""
 
-from dataclasses import dataclass
+import math
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from telepresence.world.brush import Brush, Yuv, ball, capsule, fill_mask, rod, yuv
+from telepresence.world.brush import Brush, Finish, Points, capsule, fill_mask, finish, yuv
 from telepresence.world.geometry import Camera, Vector
 
-SHOULDER_M = np.array((0.07, 0.46, 0.25))
+SHOULDER_M = (0.07, 0.46, 0.25)
 LINK_M = 0.29
+#: From the tip of the stylus to the wrist: upright, leaning back a little.
+TOOL_M = (0.0, 0.030, 0.190)
 TIP_RADIUS_M = 0.0016
 NECK_RADIUS_M = 0.0055
 BODY_RADIUS_M = 0.0120
@@ -19,65 +22,120 @@ UPPER_ARM_RADIUS_M = 0.0270
 ELBOW_RADIUS_M = 0.0330
 
 #: How far a shadow falls for each metre of height: the lamp hangs on the upper left.
-SHADOW_M = np.array((0.34, -0.30))
+SHADOW_X, SHADOW_Y = 0.34, -0.30
 SHADOW_LUMA = 26
+#: What comes nearer to a camera than this is cut off there.
+NEAREST_M = 0.06
 
-_SHELL = yuv(206, 210, 214)
-_JOINT = yuv(66, 74, 84)
-_BAND = yuv(44, 98, 176)
-_STEEL = yuv(150, 156, 162)
-_GRIP = yuv(214, 96, 42)
-_POINT = yuv(228, 228, 220)
+_TIP, _NECK, _BODY, _WRIST, _ELBOW, _SHOULDER = range(6)
+_GRIP_LOW, _GRIP_HIGH, _BAND_LOW, _BAND_HIGH = range(6, 10)
+_SHADE_TIP, _SHADE_BODY, _SHADE_WRIST = range(10, 13)
+
+_SHELL = finish(yuv(206, 210, 214))
+_JOINT = finish(yuv(66, 74, 84))
+_BAND = finish(yuv(44, 98, 176))
+_STEEL = finish(yuv(150, 156, 162))
+_GRIP = finish(yuv(214, 96, 42))
+_POINT = finish(yuv(228, 228, 220))
+
+_Part = tuple[int, int, float, float, Finish]
+
+_TOOL: tuple[_Part, ...] = (
+    (_TIP, _NECK, TIP_RADIUS_M, NECK_RADIUS_M, _POINT),
+    (_NECK, _BODY, NECK_RADIUS_M * 1.3, BODY_RADIUS_M, _STEEL),
+    (_GRIP_LOW, _GRIP_HIGH, BODY_RADIUS_M * 0.92, BODY_RADIUS_M * 1.02, _GRIP),
+)
+_HAND: tuple[_Part, ...] = ((_WRIST, _WRIST, WRIST_RADIUS_M, WRIST_RADIUS_M, _JOINT),)
+_FOREARM: tuple[_Part, ...] = (
+    (_WRIST, _ELBOW, FOREARM_RADIUS_M * 0.85, FOREARM_RADIUS_M, _SHELL),
+    (_BAND_LOW, _BAND_HIGH, FOREARM_RADIUS_M, FOREARM_RADIUS_M, _BAND),
+)
+_UPPER_ARM: tuple[_Part, ...] = (
+    (_ELBOW, _SHOULDER, UPPER_ARM_RADIUS_M, UPPER_ARM_RADIUS_M, _SHELL),
+    (_ELBOW, _ELBOW, ELBOW_RADIUS_M, ELBOW_RADIUS_M, _JOINT),
+)
 
 
-@dataclass(frozen=True, slots=True)
-class Arm:
-    """(3,) points in metres, from the tip to the shoulder."""
+class _Order:
+    """Parts in the order in which they are drawn, the farthest first, as arrays."""
 
-    tip: Vector
-    neck: Vector
-    body: Vector
-    wrist: Vector
-    elbow: Vector
-    shoulder: Vector
+    def __init__(self, parts: tuple[_Part, ...]) -> None:
+        near, far, near_m, far_m, finishes = zip(*parts, strict=True)
+        self.near = np.array(near)
+        self.far = np.array(far)
+        self.radii_m = np.array((near_m, far_m))
+        self.finishes = finishes
 
 
-def pose(x_m: float, y_m: float) -> Arm:
-    """The arm with the stylus upright on the board at (x, y), the elbow above and outside."""
-    tip = np.array((x_m, y_m, 0.0))
-    wrist = tip + np.array((0.0, 0.030, 0.190))
-    to_shoulder = SHOULDER_M - wrist
-    distance = float(np.linalg.norm(to_shoulder))
-    axis = to_shoulder / distance
-    outward = np.array((0.55, 0.0, 1.0))
-    outward -= axis * float(outward @ axis)
-    outward /= np.linalg.norm(outward)
-    rise = float(np.sqrt(max(LINK_M**2 - (distance / 2) ** 2, 0.0)))
-    elbow = wrist + to_shoulder / 2 + outward * rise
-    return Arm(
-        tip,
-        tip + (wrist - tip) * 0.26,
-        tip + (wrist - tip) * 0.88,
-        wrist,
-        elbow,
-        SHOULDER_M,
+_FROM_ABOVE = _Order(_TOOL + _HAND + _FOREARM)
+_FROM_THE_SIDE = _Order(_UPPER_ARM + _FOREARM + _HAND + _TOOL)
+
+
+def pose(x_m: float, y_m: float) -> Vector:
+    """(13, 3) metres: the arm with its stylus on the board at (x, y), elbow up and outside."""
+    tip = (x_m, y_m, 0.0)
+    wrist = (x_m + TOOL_M[0], y_m + TOOL_M[1], TOOL_M[2])
+    across, back, up = (s - w for s, w in zip(SHOULDER_M, wrist, strict=True))
+    distance = math.sqrt(across * across + back * back + up * up)
+    ax, ay, az = across / distance, back / distance, up / distance
+    lean = 0.55 * ax + az
+    ox, oy, oz = 0.55 - ax * lean, -ay * lean, 1.0 - az * lean
+    rise = math.sqrt(max(LINK_M**2 - (distance / 2) ** 2, 0.0) / (ox * ox + oy * oy + oz * oz))
+    elbow = (
+        wrist[0] + across / 2 + ox * rise,
+        wrist[1] + back / 2 + oy * rise,
+        wrist[2] + up / 2 + oz * rise,
+    )
+    neck, body = _between(tip, wrist, 0.26), _between(tip, wrist, 0.88)
+    return np.array(
+        (
+            *(tip, neck, body, wrist, elbow, SHOULDER_M),
+            *(_between(neck, body, 0.30), _between(neck, body, 0.62)),
+            *(_between(wrist, elbow, 0.14), _between(wrist, elbow, 0.19)),
+            *((p[0] + SHADOW_X * p[2], p[1] + SHADOW_Y * p[2], 0.0) for p in (tip, body, wrist)),
+        )
     )
 
 
-def draw_shadow(brush: Brush, camera: Camera, arm: Arm, offset: complex) -> None:
-    """Darken the board where the tool keeps the light off; the arm is too high to cast one.
+_Point = tuple[float, float, float]
 
-    offset: pixels, x + iy, added.
+
+def _between(a: _Point, b: _Point, part: float) -> _Point:
+    return (
+        a[0] + (b[0] - a[0]) * part,
+        a[1] + (b[1] - a[1]) * part,
+        a[2] + (b[2] - a[2]) * part,
+    )
+
+
+def draw_arm(brush: Brush, camera: Camera, points: Vector, offset: complex, *, above: bool) -> None:
+    """Draw what `pose` returned, and its shadow. offset: pixels, x + iy, added to all.
+
+    above: the camera hangs over the board, so the forearm is nearer to it than the tool.
     """
+    local = camera.local(points)
+    depth = local[_ELBOW, 2]
+    if depth < NEAREST_M < local[_WRIST, 2]:
+        part = (local[_WRIST, 2] - NEAREST_M) / (local[_WRIST, 2] - depth)
+        local[_ELBOW] = local[_WRIST] + (local[_ELBOW] - local[_WRIST]) * part
+    at, scale = camera.see(local)
+    at += offset
+    _draw_shadow(brush, at, scale)
+    order = _FROM_ABOVE if above else _FROM_THE_SIDE
+    radii = order.radii_m * np.stack((scale[order.near], scale[order.far]))
+    brush.bodies(at[order.near], at[order.far], radii, order.finishes)
+
+
+def _draw_shadow(brush: Brush, at: Points, scale: NDArray[np.float64]) -> None:
+    """Darken the board where the tool keeps the light off; the arm is too high to cast one."""
     height, width = brush.y.shape
-    casters = np.stack((arm.tip, arm.body, arm.wrist))
-    ground = np.zeros((3, 3))
-    ground[:, :2] = casters[:, :2] + SHADOW_M * casters[:, 2:]
-    points, scales = camera.see(ground)
-    points = points + offset
-    radii = scales * _SHADOW_RADII_M
+    tip, body, wrist = at[_SHADE_TIP:].tolist()
+    size = float(scale[_SHADE_BODY])
     outlines = np.stack(
-        [capsule(points[k], points[k + 1], radii[k], radii[k + 1]) for k in range(2)]
+        (
+            capsule(tip, body, 0.003 * size, BODY_RADIUS_M * size),
+            capsule(body, wrist, BODY_RADIUS_M * size, WRIST_RADIUS_M * size),
+        )
     )
     left = max(int(outlines.real.min()) - 8, 0) & ~1
     top = max(int(outlines.imag.min()) - 8, 0) & ~1
@@ -87,58 +145,10 @@ def draw_shadow(brush: Brush, camera: Camera, arm: Arm, offset: complex) -> None
         return
     # A shadow is soft, so a mask of half the size is enough, and four times as quick.
     mask = np.zeros(((bottom - top + 1) // 2, (right - left + 1) // 2), np.uint8)
-    for outline in (outlines - complex(left, top)) * 0.5:
-        fill_mask(mask, outline, SHADOW_LUMA)
+    outlines = (outlines - complex(left, top)) * 0.5
+    fill_mask(mask, outlines[0], SHADOW_LUMA)
+    fill_mask(mask, outlines[1], SHADOW_LUMA)
     cv2.blur(mask, (5, 5), dst=mask)
     shadow = cv2.resize(mask, (right - left, bottom - top), interpolation=cv2.INTER_LINEAR)
     lit = brush.y[top:bottom, left:right]
     cv2.subtract(lit, shadow, dst=lit)
-
-
-_SHADOW_RADII_M = np.array((0.003, BODY_RADIUS_M, WRIST_RADIUS_M))
-
-
-def draw_arm(brush: Brush, camera: Camera, arm: Arm, offset: complex, *, from_above: bool) -> None:
-    """Draw the arm, the farthest part first. offset: pixels, x + iy, added to every point.
-
-    from_above: the camera hangs over the board, so the forearm is nearer to it than the tool.
-    """
-    elbow = camera.in_front(arm.wrist, arm.elbow)
-    grip, forearm = arm.body - arm.neck, arm.elbow - arm.wrist
-    seen, scale = camera.see(
-        np.stack(
-            (
-                *(arm.tip, arm.neck, arm.body, arm.wrist, elbow, arm.shoulder),
-                *(arm.neck + grip * 0.30, arm.neck + grip * 0.62),
-                *(arm.wrist + forearm * 0.14, arm.wrist + forearm * 0.19),
-            )
-        )
-    )
-    at = (seen + offset).tolist()
-    sizes = scale.tolist()
-
-    def link(near: int, far: int, radii_m: tuple[float, float], colour: Yuv) -> None:
-        radii = (radii_m[0] * sizes[near], radii_m[1] * sizes[far])
-        rod(brush, at[near], at[far], radii, colour)
-
-    def tool() -> None:
-        link(_TIP, _NECK, (TIP_RADIUS_M, NECK_RADIUS_M), _POINT)
-        link(_NECK, _BODY, (NECK_RADIUS_M * 1.3, BODY_RADIUS_M), _STEEL)
-        link(_GRIP_LOW, _GRIP_HIGH, (BODY_RADIUS_M * 0.92, BODY_RADIUS_M * 1.02), _GRIP)
-
-    def hand() -> None:
-        ball(brush, at[_WRIST], WRIST_RADIUS_M * sizes[_WRIST], _JOINT)
-
-    def arms() -> None:
-        if not from_above:
-            link(_ELBOW, _SHOULDER, (UPPER_ARM_RADIUS_M, UPPER_ARM_RADIUS_M), _SHELL)
-            ball(brush, at[_ELBOW], ELBOW_RADIUS_M * sizes[_ELBOW], _JOINT)
-        link(_WRIST, _ELBOW, (FOREARM_RADIUS_M * 0.85, FOREARM_RADIUS_M), _SHELL)
-        link(_BAND_LOW, _BAND_HIGH, (FOREARM_RADIUS_M, FOREARM_RADIUS_M), _BAND)
-
-    for part in (tool, hand, arms) if from_above else (arms, hand, tool):
-        part()
-
-
-_TIP, _NECK, _BODY, _WRIST, _ELBOW, _SHOULDER = range(6)
-_GRIP_LOW, _GRIP_HIGH, _BAND_LOW, _BAND_HIGH = range(6, 10)

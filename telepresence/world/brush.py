@@ -4,6 +4,9 @@ Points are complex numbers, x + iy in pixels of the whole picture: turning and m
 is then one multiplication and one addition, and a picture has hundreds of them a second.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +44,33 @@ def fill_mask(mask: NDArray[np.uint8], outline: Points, level: int) -> None:
     cv2.fillConvexPoly(mask, fixed(outline), level, cv2.LINE_AA, _SHIFT)
 
 
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """How a body looks: its chroma, and its luma from the dark rim to the highlight."""
+
+    levels: tuple[int, ...]
+    u: int
+    v: int
+
+
+# From the dark rim to the highlight: how broad, how far towards the light, how bright.
+_PART = np.array((1.0, 0.80, 0.28))
+_OFFSET = np.array((0.0, 0.12, 0.38))
+_GAIN = (0.46, 0.92, 1.20)
+
+_CAP = np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, 11))
+_CAPS = _PART[:, None] * _CAP
+_CIRCLE = np.exp(2j * np.pi * np.arange(28) / 28)
+#: Where the light comes from in the picture: above, a little from the left.
+_LIGHT = (-0.5 - 0.87j) / abs(-0.5 - 0.87j)
+
+
+def finish(colour: Yuv) -> Finish:
+    """The finish of a matt body of that colour."""
+    levels = tuple(min(235, round(16 + (colour[0] - 16) * gain)) for gain in _GAIN)
+    return Finish(levels, colour[1], colour[2])
+
+
 class Brush:
     """Draws anti-aliased convex shapes into one picture."""
 
@@ -60,37 +90,35 @@ class Brush:
         """A convex shape in luma alone: light and shade on what has its colour already."""
         cv2.fillConvexPoly(self.y, fixed(outline), luma, cv2.LINE_AA, _SHIFT)
 
-    def body(self, layers: Points, colour: Yuv) -> None:
-        """A round body from its `LAYERS` outlines (layers, n): one colour, light upon light."""
-        points = fixed(layers)
-        luma = colour[0]
-        chroma = (points[0] >> 1) - _FIXED // 4
-        cv2.fillConvexPoly(self.u, chroma, colour[1], _PLAIN, _SHIFT)
-        cv2.fillConvexPoly(self.v, chroma, colour[2], _PLAIN, _SHIFT)
-        for outline, gain in zip(points, _GAIN, strict=True):
-            level = 16 + (luma - 16) * gain
-            cv2.fillConvexPoly(self.y, outline, min(235, int(level)), cv2.LINE_AA, _SHIFT)
+    def bodies(
+        self, begins: Points, ends: Points, radii: NDArray[np.float64], finishes: Sequence[Finish]
+    ) -> None:
+        """Round rods, one over the other, lit from above; one without length is a sphere.
 
-
-# From the dark rim to the highlight: how broad, how far towards the light, how bright.
-_PART = np.array((1.0, 0.84, 0.62, 0.24))
-_OFFSET = np.array((0.0, 0.09, 0.20, 0.40))
-_GAIN = (0.42, 0.72, 0.95, 1.22)
-
-_CAP = np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, 12))
-_CIRCLE = np.exp(2j * np.pi * np.arange(28) / 28)
-#: Where the light comes from in the picture: above, a little from the left.
-_LIGHT = (-0.5 - 0.87j) / abs(-0.5 - 0.87j)
-
-
-def _rod_ends(turned: int) -> tuple[Points, Points]:
-    caps = _PART[:, None] * _CAP
-    across = (turned * 1j * _OFFSET)[:, None]
-    return across + caps, across - caps
-
-
-_ROD_ENDS = {turned: _rod_ends(turned) for turned in (-1, 1)}
-_BALL = (_LIGHT * _OFFSET)[:, None] + _PART[:, None] * _CIRCLE
+        begins, ends: (n,). radii: (2, n) pixels, at the begin and at the end. All are turned
+        and sized in a few products: called one by one they would cost three times as much.
+        """
+        along = ends - begins
+        length = np.abs(along)
+        along = np.where(length > 1e-6, along / np.maximum(length, 1e-6), -1j * _LIGHT)
+        towards_light = np.where((along * (1j * _LIGHT.conjugate())).real >= 0, 1j, -1j)
+        layers = np.empty((len(begins), len(_PART), 2 * len(_CAP)), np.complex128)
+        for half, sign, centres, radius in (
+            (layers[..., : len(_CAP)], 1, ends, radii[1]),
+            (layers[..., len(_CAP) :], -1, begins, radii[0]),
+        ):
+            size = along * radius
+            middles = (size * towards_light)[:, None] * _OFFSET + centres[:, None]
+            np.multiply(size[:, None, None], sign * _CAPS, out=half)
+            half += middles[..., None]
+        luma = fixed(layers)
+        chroma = (luma[:, 0] >> 1) - _FIXED // 4
+        fill, y, u, v = cv2.fillConvexPoly, self.y, self.u, self.v
+        for outlines, outer, finish in zip(luma, chroma, finishes, strict=True):
+            fill(u, outer, finish.u, _PLAIN, _SHIFT)
+            fill(v, outer, finish.v, _PLAIN, _SHIFT)
+            for outline, level in zip(outlines, finish.levels, strict=True):
+                fill(y, outline, level, cv2.LINE_AA, _SHIFT)
 
 
 def disc(centre: complex, radius: float) -> Points:
@@ -103,24 +131,3 @@ def capsule(begin: complex, end: complex, begin_radius: float, end_radius: float
     along = end - begin
     cap = _CAP * (along / max(abs(along), 1e-9))
     return np.concatenate((end + cap * end_radius, begin - cap * begin_radius))
-
-
-def rod(
-    brush: Brush, begin: complex, end: complex, radii: tuple[float, float], colour: Yuv
-) -> None:
-    """A round rod, lit from above."""
-    along = (end - begin) / max(abs(end - begin), 1e-9)
-    turned = 1 if (along * 1j * _LIGHT.conjugate()).real >= 0 else -1
-    # Each layer is the same shape, smaller and moved across: turned and sized in one product.
-    far, near = _ROD_ENDS[turned]
-    layers = np.empty((len(_PART), 2 * len(_CAP)), np.complex128)
-    np.multiply(far, along * radii[1], out=layers[:, : len(_CAP)])
-    layers[:, : len(_CAP)] += end
-    np.multiply(near, along * radii[0], out=layers[:, len(_CAP) :])
-    layers[:, len(_CAP) :] += begin
-    brush.body(layers, colour)
-
-
-def ball(brush: Brush, centre: complex, radius: float, colour: Yuv) -> None:
-    """A sphere, lit from above."""
-    brush.body(_BALL * radius + centre, colour)

@@ -12,23 +12,24 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
-from telepresence.world.brush import Brush, Points, ball, capsule, disc, rod, yuv
+from telepresence.world.brush import Brush, Finish, Points, capsule, disc, finish, yuv
 from telepresence.world.lettering import Caption
 from telepresence.world.speech import loudness_at
 from telepresence.world.state import WorldState
 
 Image = NDArray[np.uint8]
 
-_SUIT = yuv(52, 84, 140)
+_SUIT = finish(yuv(52, 84, 140))
 _SKIN = yuv(222, 176, 146)
+_SKIN_BODY = finish(_SKIN)
 _HAIR = yuv(84, 62, 46)
-_STICK = yuv(60, 64, 70)
-_KNOB = yuv(196, 52, 40)
-_PEN = yuv(214, 182, 70)
+_STICK = finish(yuv(60, 64, 70))
+_KNOB = finish(yuv(196, 52, 40))
+_PEN = finish(yuv(214, 182, 70))
 _DARK = yuv(44, 34, 32)
 _LIPS = yuv(168, 96, 88)
 _WHITE = yuv(236, 234, 228)
-_HEADSET = yuv(46, 50, 56)
+_HEADSET_BODY = finish(yuv(46, 50, 56))
 _HAND = yuv(200, 44, 36)
 _LAMP_ON, _LAMP_OFF = yuv(110, 255, 120), yuv(28, 66, 34)
 
@@ -38,6 +39,38 @@ _LAMP = complex(608, 306)
 _NECK = complex(300, 262)
 _SHOULDER = complex(392, 330)
 _JOYSTICK = complex(500, 452)
+
+
+def _shaded(colour: tuple[int, int, int], gain: float) -> tuple[int, int, int]:
+    return round(16 + (colour[0] - 16) * gain), colour[1], colour[2]
+
+
+_CIRCLE = np.exp(2j * np.pi * np.arange(24) / 24)
+#: The head's ovals: centre, half width, half height; the face's own place is (0, 0).
+_FACE = (
+    (0, -16, 61, 66),
+    (0, 6, 55, 68),
+    (-4, 3, 49, 63),
+    (-14, -8, 28, 40),
+    (0, -44, 52, 24),
+    (-21, -20, 12, 3),
+    (21, -20, 12, 3),
+    (3, 9, 7, 12),
+    (1, 7, 6, 11),
+    (-21, -6, 10.5, 6.2),
+    (21, -6, 10.5, 6.2),
+)
+#: Their colours, then those of the pupils, the lids, the lips and the open mouth; whether an
+#: oval is light and shade alone.
+_FACE_COLOURS = (
+    *((_HAIR, False), (_shaded(_SKIN, 0.80), False), (_SKIN, True), (_shaded(_SKIN, 1.06), True)),
+    *((_HAIR, False), (_shaded(_HAIR, 0.8), False), (_shaded(_HAIR, 0.8), False)),
+    *((_shaded(_SKIN, 0.84), True), (_shaded(_SKIN, 1.03), True)),
+    *((_WHITE, False), (_WHITE, False), (_DARK, False), (_DARK, False)),
+    *((_shaded(_SKIN, 0.9), False), (_shaded(_SKIN, 0.9), False), (_LIPS, False), (_DARK, False)),
+)
+
+_Body = tuple[complex, complex, float, float, Finish]
 
 
 class CabinView:
@@ -74,12 +107,12 @@ class CabinView:
     def _at(self, place: complex) -> complex:
         return self._origin + place * self._scale
 
-    def _rod(
-        self, brush: Brush, ends: tuple[complex, complex], radii: tuple[float, float],
-        colour: tuple[int, int, int],
-    ) -> None:  # fmt: skip
-        scaled = (radii[0] * self._scale, radii[1] * self._scale)
-        rod(brush, self._at(ends[0]), self._at(ends[1]), scaled, colour)
+    def _bodies(self, brush: Brush, *bodies: _Body) -> None:
+        """Draw rods and balls, (begin, end, radius, radius, finish) each, in places of 640x480."""
+        begins, ends, begin_radii, end_radii, finishes = zip(*bodies, strict=True)
+        places = np.array((begins, ends)) * self._scale + self._origin
+        radii = np.array((begin_radii, end_radii)) * self._scale
+        brush.bodies(places[0], places[1], radii, finishes)
 
     def _shape(self, outline: Points) -> Points:
         return np.asarray(self._origin + outline * self._scale)
@@ -110,7 +143,7 @@ class CabinView:
         t = time_ns / NS_PER_S
         middle = complex(112 + 26 * math.sin(t / 3.1), 318 + 18 * math.sin(t / 2.3 + 1))
         axis = complex(math.cos(t / 4.7), math.sin(t / 4.7)) * 24
-        self._rod(brush, (middle - axis, middle + axis), (3.6, 3.0), _PEN)
+        self._bodies(brush, (middle - axis, middle + axis, 3.6, 3.0, _PEN))
 
     def _head(self, brush: Brush, time_ns: int) -> None:
         t = time_ns / NS_PER_S
@@ -118,37 +151,33 @@ class CabinView:
         # The head sways slowly, nods a little while it talks, and looks down at the hand.
         tilt = complex(math.cos(a := 0.05 * math.sin(t / 1.9)), math.sin(a))
         place = _NECK + complex(4 * math.sin(t / 2.7), 2 * math.sin(t / 1.3) + 3 * loud)
-
-        def on(x: float, y: float) -> complex:
-            return self._at(place + complex(x, y - 86) * tilt)
-
-        def oval(x: float, y: float, across: float, up: float) -> Points:
-            circle = disc(0j, 1.0)
-            shape = circle.real * across + 1j * circle.imag * up
-            return np.asarray(self._at(place) + (shape + complex(x, y - 86)) * tilt * self._scale)
-
-        s = self._scale
-        self._rod(brush, (_NECK + 8j, place - 40j), (24, 23), _SKIN)
-        brush.fill(oval(0, -16, 61, 66), _HAIR)
-        brush.fill(oval(0, 6, 55, 68), _shaded(_SKIN, 0.80))
-        brush.shade(oval(-4, 3, 49, 63), _SKIN[0])
-        brush.shade(oval(-14, -8, 28, 40), min(235, _SKIN[0] + 10))
-        brush.fill(oval(0, -44, 52, 24), _HAIR)
-        for side in (-1, 1):
-            brush.fill(oval(side * 21, -6, 10.5, 6.2), _WHITE)
-            glance = 2.5 + 2.0 * math.sin(t / 2.1)
-            brush.fill(oval(side * 21 + glance, -5, 5, 5.4), _DARK)
-            brow = _shaded(_HAIR, 0.8)
-            brush.fill(capsule(on(side * 12, -19), on(side * 31, -20), 2.6 * s, 2.2 * s), brow)
-        if time_ns % (4 * NS_PER_S) < 130_000_000:
-            for side in (-1, 1):
-                brush.fill(oval(side * 21, -6, 11, 6.8), _shaded(_SKIN, 0.9))
-        brush.fill(capsule(on(3, -2), on(4, 17), 4.5 * s, 6.5 * s), _shaded(_SKIN, 0.86))
-        brush.shade(capsule(on(1, -2), on(2, 16), 3.5 * s, 5.5 * s), _SKIN[0] + 4)
-        brush.fill(oval(1, 40, 17, 4.5 + 8 * loud), _LIPS)
-        brush.fill(oval(1, 40, 13, 1.2 + 7 * loud), _DARK)
-        ball(brush, on(-57, 4), 14 * s, _HEADSET)
-        brush.fill(capsule(on(-55, 14), on(-22, 52), 3 * s, 3 * s), _HEADSET)
+        glance = 2.5 + 2.0 * math.sin(t / 2.1)
+        # The lids have no size while the eyes are open.
+        eye = 11.0 if time_ns % (4 * NS_PER_S) < 130_000_000 else 0.0
+        self._bodies(brush, (_NECK + 8j, place - 40j, 24, 23, _SKIN_BODY))
+        ovals = np.array(
+            (
+                *_FACE,
+                *((-21 + glance, -5, 5, 5.4), (21 + glance, -5, 5, 5.4)),
+                *((-21, -6, eye, 0.62 * eye), (21, -6, eye, 0.62 * eye)),
+                (1, 40, 17, 4.5 + 8 * loud),
+                (1, 40, 13, 1.2 + 7 * loud),
+            )
+        )
+        shapes = ovals[:, 2:3] * _CIRCLE.real + 1j * (ovals[:, 3:4] * _CIRCLE.imag)
+        shapes += (ovals[:, 0] + 1j * (ovals[:, 1] - 86))[:, None]
+        outlines = self._at(place) + shapes * (tilt * self._scale)
+        for outline, (colour, luma_only) in zip(outlines, _FACE_COLOURS, strict=True):
+            if luma_only:
+                brush.shade(outline, colour[0])
+            else:
+                brush.fill(outline, colour)
+        ear, mouth = (place + complex(x, y - 86) * tilt for x, y in ((-57, 4), (-22, 52)))
+        self._bodies(
+            brush,
+            (ear + 10j * tilt, mouth, 3, 3, _HEADSET_BODY),
+            (ear, ear, 14, 14, _HEADSET_BODY),
+        )
 
     def _arm(self, brush: Brush, state: WorldState) -> None:
         """The right arm and the joystick, deflected as the stylus is."""
@@ -156,20 +185,20 @@ class CabinView:
         lean = complex(state.x_m / 0.15, -state.y_m / 0.10)
         knob = _JOYSTICK + complex(0, -56) + complex(lean.real * 26, lean.imag * 12)
         elbow = complex(438, 424) + lean.real * 8
-        self._rod(brush, (_JOYSTICK, knob), (7, 6), _STICK)
-        ball(brush, self._at(knob), 15 * self._scale, _KNOB)
-        self._rod(brush, (_SHOULDER, elbow), (34, 27), _SUIT)
-        self._rod(brush, (elbow, knob + complex(-16, 4)), (26, 18), _SUIT)
-        ball(brush, self._at(knob + complex(-3, 1)), 17 * self._scale, _SKIN)
+        wrist = knob + complex(-3, 1)
+        self._bodies(
+            brush,
+            (_JOYSTICK, knob, 7, 6, _STICK),
+            (knob, knob, 15, 15, _KNOB),
+            (_SHOULDER, elbow, 34, 27, _SUIT),
+            (elbow, knob + complex(-16, 4), 26, 18, _SUIT),
+            (wrist, wrist, 17, 17, _SKIN_BODY),
+        )
         for finger in range(3):
             begin = knob + complex(2, -9 + 8 * finger)
             ends = self._at(begin), self._at(begin + complex(13, 4))
             brush.fill(capsule(*ends, 5.5 * s, 4.5 * s), _shaded(_SKIN, 0.7))
             brush.shade(capsule(*ends, 4.3 * s, 3.4 * s), _SKIN[0])
-
-
-def _shaded(colour: tuple[int, int, int], gain: float) -> tuple[int, int, int]:
-    return round(16 + (colour[0] - 16) * gain), colour[1], colour[2]
 
 
 def _draw_still(width: int, height: int, scale: float, origin: complex) -> Image:

@@ -23,26 +23,21 @@ class Camera:
 
     def project(self, points: Vector) -> Vector:
         """(n, 3) metres -> (n, 2) pixels. What lies behind the camera is pushed before it."""
-        local = (points - self.position) @ self.rotation.T
+        local = self.local(points)
         depth = np.maximum(local[:, 2:], 0.02)
         return np.asarray(local[:, :2] / depth * self.focal + self.centre)
 
-    def see(self, points: Vector) -> tuple[NDArray[np.complex128], Vector]:
-        """(n, 3) metres -> (n,) pixels as x + iy, and (n,) pixels per metre at each of them."""
-        local = (points - self.position) @ self.rotation.T
+    def local(self, points: Vector) -> Vector:
+        """(n, 3) metres in the camera's own axes: right, down, forward (the depth)."""
+        return np.asarray((points - self.position) @ self.rotation.T)
+
+    def see(self, local: Vector) -> tuple[NDArray[np.complex128], Vector]:
+        """From `local`: (n,) pixels as x + iy, and (n,) pixels per metre at each of them."""
         scale = self.focal / np.maximum(local[:, 2], 0.02)
-        pixels = np.empty(len(points), np.complex128)
+        pixels = np.empty(len(local), np.complex128)
         pixels.real = local[:, 0] * scale + self.centre[0]
         pixels.imag = local[:, 1] * scale + self.centre[1]
         return pixels, scale
-
-    def in_front(self, near: Vector, far: Vector, nearest_m: float = 0.06) -> Vector:
-        """`far`, or the point on the way there where the camera would be hit."""
-        depth_near = float((near - self.position) @ self.rotation[2])
-        depth_far = float((far - self.position) @ self.rotation[2])
-        if depth_far >= nearest_m or depth_near <= nearest_m:
-            return far
-        return near + (far - near) * ((depth_near - nearest_m) / (depth_near - depth_far))
 
     def plane_homography(self) -> Vector:
         """(3, 3): board metres (x, y, 1) at z = 0 -> homogeneous pixels."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
-from telepresence.world.arm import SHOULDER_M, draw_arm, draw_shadow, pose
+from telepresence.world.arm import SHOULDER_M, draw_arm, pose
 from telepresence.world.board import (
     LED_COLOURS,
     LED_RADIUS_M,
@@ -85,10 +85,9 @@ class GroundView:
         self._copy_background(state.lit, across, down, into, frame)
         brush = Brush(into)
         if stylus:
-            arm = pose(state.x_m, state.y_m)
             offset = complex(self._sway - across, self._sway - down)
-            draw_shadow(brush, self._camera, arm, offset)
-            draw_arm(brush, self._camera, arm, offset, from_above=self._mount.from_above)
+            points = pose(state.x_m, state.y_m)
+            draw_arm(brush, self._camera, points, offset, above=self._mount.from_above)
         self._caption.paint(into)
         self._caption.count(brush.y, frame)
 
@@ -202,9 +201,9 @@ def _room(camera: Camera, twice: NDArray[np.float64], size: tuple[int, int]) -> 
     x, y, top = SHOULDER_M
     for radius, low, high, colour in (
         (0.085, 0.0, 0.02, (60, 64, 70)),
-        (0.050, 0.02, float(top) + 0.02, (188, 192, 196)),
+        (0.050, 0.02, top + 0.02, (188, 192, 196)),
     ):
-        _column(image, at, (float(x), float(y)), radius, (low, high), colour)
+        _column(image, at, (x, y), radius, (low, high), colour)
     return image
 
 
