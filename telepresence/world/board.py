@@ -10,7 +10,7 @@ Rgb = tuple[int, int, int]
 Image = NDArray[np.uint8]
 
 #: Resolution of the drawing and how much of the table it shows, each way from the centre.
-PX_PER_M = 4000
+PX_PER_M = 2800
 REACH_X_M, REACH_Y_M = 0.32, 0.26
 
 LED_RADIUS_M = 0.0065
@@ -83,12 +83,12 @@ def _px(metres: float) -> int:
 def _table(width: int, height: int) -> Image:
     """Brushed metal: fine lines along x, darker towards the edges."""
     rng = np.random.default_rng(2)
-    grain = cv2.GaussianBlur(
-        rng.normal(0, 9, (height, width)).astype(np.float32), (0, 0), 9, sigmaY=1
-    )
+    rough = rng.standard_normal((height // 2, width // 2), np.float32) * 8
+    fine = cv2.GaussianBlur(rough, (0, 0), 6, sigmaY=0.8)
+    grain = np.asarray(cv2.resize(fine, (width, height)))
     ramp = np.linspace(112, 84, height, dtype=np.float32)[:, None]
     luma = np.clip(ramp + grain * 2.0, 0, 255)
-    return np.stack((luma * 0.97, luma, luma * 1.03), 2).clip(0, 255).astype(np.uint8)
+    return (luma[..., None] * np.array((0.97, 1.0, 1.03), np.float32)).clip(0, 255).astype(np.uint8)
 
 
 def _box(
@@ -107,10 +107,13 @@ def _box(
     if not soften_m:
         cv2.rectangle(image, a, b, colour, cv2.FILLED)
         return
-    mask = np.zeros(image.shape[:2], np.float32)
-    cv2.rectangle(mask, a, b, 0.8, cv2.FILLED)
-    soft = np.asarray(cv2.GaussianBlur(mask, (0, 0), soften_m * PX_PER_M))[..., None]
-    image[:] = (image * (1 - soft) + np.array(colour) * soft).astype(np.uint8)
+    # What is soft needs no resolution: an eighth of it takes a sixtieth of the time.
+    height, width = image.shape[:2]
+    mask = np.zeros((height // 8, width // 8), np.uint8)
+    cv2.rectangle(mask, (a[0] // 8, a[1] // 8), (b[0] // 8, b[1] // 8), 204, cv2.FILLED)
+    mask = np.asarray(cv2.GaussianBlur(mask, (0, 0), soften_m * PX_PER_M / 8), np.uint8)
+    weight = np.asarray(cv2.resize(mask, (width, height)), np.float32)[..., None] / 255
+    image[:] = (image * (1 - weight) + np.array(colour, np.float32) * weight).astype(np.uint8)
 
 
 def _sheen(image: Image) -> None:

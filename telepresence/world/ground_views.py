@@ -152,12 +152,12 @@ def _draw_still(view: str, width: int, height: int, margin: int) -> Image:
         image = _room(camera, twice, size)
     board = _board()
     alpha = np.zeros(board.shape[:2], np.float32)
-    edge = 130
+    edge = 90
     alpha[edge:-edge, edge:-edge] = 1.0
     alpha = np.asarray(cv2.blur(alpha, (2 * edge - 1, 2 * edge - 1)))
     matrix = twice @ camera.plane_homography() @ homography()
     # Far away the drawing is made much smaller: soften it first, or its lines would crawl.
-    soft = np.asarray(cv2.GaussianBlur(board, (0, 0), 1.2), np.uint8)
+    soft = np.asarray(cv2.GaussianBlur(board, (0, 0), 0.8), np.uint8)
     warped = cv2.warpPerspective(soft, matrix, size, flags=cv2.INTER_LINEAR)
     weight = cv2.warpPerspective(alpha, matrix, size, flags=cv2.INTER_LINEAR)[..., None]
     image = (image * (1 - weight) + warped * weight).astype(np.uint8)
@@ -168,10 +168,10 @@ def _draw_still(view: str, width: int, height: int, margin: int) -> Image:
 def _expose(image: Image, view: str) -> Image:
     """Darker corners, and for each camera its own exposure: no two lenses are alike."""
     height, width = image.shape[:2]
-    ys, xs = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+    ys, xs = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
     gain = {"right": 1.13}.get(view, 1.15) * (1 - 0.13 * (xs**2 + ys**2))
     # Half a level of noise before rounding, or the slow gradients would show as rings.
-    dither = np.random.default_rng(3).random((height, width, 1))
+    dither = np.random.default_rng(3).random((height, width, 1), np.float32)
     return np.asarray(np.clip(image * gain[..., None] + dither, 0, 255).astype(np.uint8))
 
 

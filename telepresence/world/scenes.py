@@ -53,7 +53,7 @@ def render(view: str, state: WorldState, into: I420, frame: int = 0) -> None:
 
     into: shape (height * 3 // 2, width), uint8, C-contiguous. frame: the number burned into
     the corner. The same arguments give the same picture. The first call for a view and size
-    draws its background (some 200 ms). Raises ConfigError for an unknown view.
+    draws its background (half a second). Raises ConfigError for an unknown view.
     """
     _view(view, into.shape[1], into.shape[0] * 2 // 3).draw(state, into, frame)
 
