@@ -177,16 +177,22 @@ class Reader:
     def __init__(self, subscriber: Any, listener: Any) -> None:
         self._subscriber = subscriber
         self.listener = listener
+        self._waiter: Waiter | None = None
         #: Samples passed over by `latest` because a newer one was there.
         self.skipped = 0
 
     def wait(self, timeout_ns: int) -> bool:
-        """Sleep until something is published or the time is over; whether something is there."""
-        timeout = iox2.Duration.from_nanos(max(0, timeout_ns))
+        """Sleep until something is published or the time is over; whether something is there.
+
+        Not for a reader that a `Waiter` waits for.
+        """
+        if self._waiter is None:
+            # Not the listener's own timed wait, which counts in the kernel's ticks of 4 ms.
+            self._waiter = Waiter([self])
         if self._subscriber.has_samples():
             self.drain_wakeups()
             return True
-        while self.listener.timed_wait(timeout):
+        while self._waiter.wait(timeout_ns):
             # A wake-up may be that of a sample which was read already: sleep on.
             if self._subscriber.has_samples():
                 return True
@@ -198,6 +204,7 @@ class Reader:
 
     def close(self) -> None:
         """Leave the topic."""
+        self._waiter = None
         self._subscriber.delete()
         self.listener.delete()
 
@@ -327,7 +334,7 @@ class TopicBus:
 class Waiter:
     """Sleeps until one of several readers has something, or a file descriptor is readable."""
 
-    def __init__(self, readers: Sequence[Reader], sockets: Sequence[int]) -> None:
+    def __init__(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> None:
         self._readers = readers
         self._set: Any = (
             iox2.WaitSetBuilder.new()
@@ -341,13 +348,14 @@ class Waiter:
             for fd in sockets
         ]
 
-    def wait(self, timeout_ns: int) -> None:
-        """Return when something may be there or the time is over."""
-        # The wait set takes milliseconds at the finest; below that a wait would spin.
+    def wait(self, timeout_ns: int) -> bool:
+        """Sleep until something may be there (True) or the time is over, to the millisecond."""
+        # Below a millisecond the wait set would not sleep at all.
         timeout = iox2.Duration.from_nanos(max(NS_PER_MS, timeout_ns))
-        self._set.wait_and_process_with_timeout(timeout)
+        woken, _ = self._set.wait_and_process_with_timeout(timeout)
         for reader in self._readers:
             reader.drain_wakeups()
+        return bool(woken)
 
 
 def session_root(session: str) -> Path:

@@ -187,7 +187,7 @@ class HapticFigures:
         self._matcher.handle_received([tuple(row) for row in rows.tolist()])
         self.match(now_ns)
         if len(rows) and self.latency.count:
-            # One value a batch (0.2 s) is enough to compare other senses with.
+            # One value a batch (half a second) is enough to compare other senses with.
             self.recent.add(int(rows[-1, 1]), self._last_ns)
 
     def match(self, now_ns: int) -> None:

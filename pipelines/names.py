@@ -1,5 +1,7 @@
 """The topics of a session, and the RTP payload types of its streams."""
 
+from kontur_av.clock import NS_PER_S
+
 VIDEO_PAYLOAD_TYPE = 96
 VOICE_PAYLOAD_TYPE = 97
 
@@ -18,3 +20,13 @@ def input_topic(name: str) -> str:
 def received_topic(stream: str) -> str:
     """What a stream's receiver has decoded. A sample's sequence is its RTP timestamp."""
     return f"received/{stream}"
+
+
+#: How often a sender reports: on the uplink two reports of 44 octets are 0.4 kbit/s at this rate.
+REPORT_INTERVAL_NS = 2 * NS_PER_S
+
+
+def cname(stream: str) -> str:
+    """Who sends a stream: one name for all streams of a segment, which belong together in time
+    (RFC 3550 section 6.5.1), and a short one, because it travels with each report."""
+    return "gnd" if stream.startswith("uplink_") else "iss"

@@ -14,7 +14,7 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_MS
 
-FLUSH_NS = 200 * NS_PER_MS
+FLUSH_NS = 500 * NS_PER_MS
 _MAX_SERIES_VALUES = 20_000
 
 

@@ -46,6 +46,16 @@ class Context:
     stopping: bool = False
     _fill: list[Callable[[], None]] = field(default_factory=list)
 
+    def first_deadline_ns(self, period_ns: int, phase: float = 0.0) -> int:
+        """The first deadline of a loop in step with all others of its period in the session.
+
+        phase: where in the period, from 0 to 1. Loops that hand samples to each other stand half
+        a period apart: a sample is then half a period old when it is fetched, never one more or
+        less because both woke at the same time.
+        """
+        now_ns = self.clock.now_ns()
+        return (now_ns // period_ns + 2) * period_ns + round(phase * period_ns)
+
     def open_bus(self) -> TopicBus:
         """This process's door to shared memory."""
         return TopicBus(self.session)

@@ -216,6 +216,16 @@ class Setup:
             raise ConfigError(f"input {name} has no built-in scene: give --source {name}=SPEC")
         return spec
 
+    def stream_of(self, camera_input: str) -> VideoStream:
+        """The stream whose size and rate the pictures of an input have."""
+        if camera_input == "iss_camera" and self.downlink_video is not None:
+            return self.downlink_video
+        return self.uplink_video
+
+    def profile_of(self, stream: VideoStream | VoiceStream) -> LinkProfile:
+        """The direction of the link that a stream takes."""
+        return self.uplink if stream.name.startswith("uplink_") else self.downlink
+
     @property
     def streams(self) -> tuple[VideoStream | VoiceStream, ...]:
         """The media streams that this setup has."""

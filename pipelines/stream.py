@@ -56,6 +56,8 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.report)
     check_ports(setup)
     load_libraries()
+    clock = MonotonicClock()
+    draw_backgrounds(setup, clock)
     parts = [*ground_parts(setup), *space_parts(setup)]
     if snapshots is not None:
         from pipelines.parts.snapshots import run_snapshots
@@ -66,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
             session=f"{setup.name[:16].lower().replace('_', '-')}-{os.getpid()}",
             setup=setup,
             parts=parts,
-            clock=MonotonicClock(),
+            clock=clock,
             snapshots=snapshots,
             show=view.show,
         )
@@ -120,6 +122,21 @@ def check_sources(setup: Setup) -> None:
             )
         except ConfigError as error:
             raise ConfigError(f"input {name}: {error}") from None
+
+
+def draw_backgrounds(setup: Setup, clock: MonotonicClock) -> None:
+    """Make ready what the built-in scenes share, so that every fork of a camera has it."""
+    pictures, sounds = video_scenes(), audio_scenes()
+    for name in setup.inputs:
+        kind, _, scene = setup.source(name).partition(":")
+        if kind != "scene":
+            continue
+        if name.endswith("_mic"):
+            sounds[scene](name, clock).close()
+        else:
+            stream = setup.stream_of(name)
+            source = pictures[scene](name, stream.width, stream.height, stream.fps, clock)
+            source.close()
 
 
 def _made_directory(path: Path | None) -> Path | None:

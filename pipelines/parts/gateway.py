@@ -38,9 +38,8 @@ def run_gateway(context: Context, *, segment: Segment) -> None:
     by_fd[haptic.fileno()] = (haptic, "")
     for fd in by_fd:
         local.register(fd, select.EPOLLIN)
-    schedule = PeriodicSchedule(
-        start_ns=clock.now_ns() + NS_PER_MS, period_ns=gateway.sender.profile.slot_ns
-    )
+    slot_ns = gateway.sender.profile.slot_ns
+    schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(slot_ns), period_ns=slot_ns)
     report_ns = 0
 
     def fill() -> None:
@@ -60,7 +59,9 @@ def run_gateway(context: Context, *, segment: Segment) -> None:
                     gateway.handle_haptic(datagram, now_ns)
 
     def fetch_radio(now_ns: int) -> None:
-        while (frame := context.receive(radio)) is not None:
+        # One a wake-up: there is hardly ever a second, and asking for it costs a system call.
+        frame = context.receive(radio)
+        if frame is not None:
             gateway.handle_radio(frame, now_ns)
         while (event := gateway.next_event()) is not None:
             if isinstance(event, HapticReceived):

@@ -6,8 +6,9 @@ from kontur_av.h264 import H264Decoder
 from kontur_av.media import VIDEO_CLOCK_HZ, CaptureStamp
 from kontur_av.rtp.payload_h264 import H264Depacketizer
 from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.topics import session_root
 from pipelines.names import VIDEO_PAYLOAD_TYPE, received_topic
-from pipelines.parts.reception import report_reception
+from pipelines.parts.reception import ReportMemory, report_reception
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VideoStream
 
@@ -36,6 +37,8 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
 
     context.on_flush(fill)
     with context.open_bus() as bus:
+        memory = session_root(context.session) / f"{stream.name}.report"
+        reports = ReportMemory(memory, receiver, clock.now_ns())
         writer = bus.writer(
             received_topic(stream.name), max_octets=stream.width * stream.height * 3 // 2
         )
@@ -48,7 +51,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
             now_ns = clock.now_ns()
             # Reports first: the first of them dates the first picture.
             while (datagram := context.receive(udp_rtcp)) is not None:
-                receiver.handle_report(datagram, now_ns)
+                reports.handle_report(datagram, now_ns)
             while (datagram := context.receive(udp)) is not None:
                 receiver.handle_packet(datagram, now_ns)
             receiver.handle_timeout(now_ns)

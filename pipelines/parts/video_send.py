@@ -8,7 +8,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.h264 import H264Encoder
 from kontur_av.media import VIDEO_CLOCK_HZ
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
-from pipelines.names import VIDEO_PAYLOAD_TYPE
+from pipelines.names import REPORT_INTERVAL_NS, VIDEO_PAYLOAD_TYPE, cname
 from pipelines.process import LOOPBACK, PATIENCE_NS, Context
 from pipelines.setup import VideoStream
 
@@ -34,7 +34,10 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
     encoder = H264Encoder(
         width=stream.width, height=stream.height, fps=stream.fps, cap_bps=stream.cap_bps
     )
-    pacer = Pacer(cap_bps=stream.cap_bps, slack_ns=NS_PER_S // stream.fps)
+    profile = context.setup.profile_of(stream)
+    pacer = Pacer(
+        cap_bps=stream.cap_bps, channel_bps=profile.media_bps, slack_ns=NS_PER_S // stream.fps
+    )
     # Random, as RFC 3550 section 5.1 asks: a restarted sender is a new source.
     rtp = RtpSender(
         payload_type=VIDEO_PAYLOAD_TYPE,
@@ -42,7 +45,8 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
         ssrc=secrets.randbits(32),
         first_sequence=secrets.randbits(16),
         timestamp_offset=secrets.randbits(32),
-        cname=f"{stream.name}@kontur-av",
+        cname=cname(stream.name),
+        report_interval_ns=REPORT_INTERVAL_NS,
         max_payload_octets=min(_MAX_PAYLOAD_OCTETS, pacer.max_payload_octets),
     )
     gateway, gateway_rtcp = (

@@ -7,8 +7,9 @@ from kontur_av.media import AUDIO_CLOCK_HZ, AudioFrame, CaptureStamp
 from kontur_av.opus import MAX_PACKET_SAMPLES, OpusDecoder
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.topics import session_root
 from pipelines.names import VOICE_PAYLOAD_TYPE, received_topic
-from pipelines.parts.reception import report_reception
+from pipelines.parts.reception import ReportMemory, report_reception
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VoiceStream
 
@@ -50,6 +51,8 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
 
     context.on_flush(fill)
     with context.open_bus() as bus:
+        memory = session_root(context.session) / f"{stream.name}.report"
+        reports = ReportMemory(memory, receiver, clock.now_ns())
         writer = bus.writer(received_topic(stream.name), max_octets=MAX_PACKET_SAMPLES * 2)
         while not context.stopping:
             now_ns = clock.now_ns()
@@ -59,7 +62,7 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
             select.select([udp, udp_rtcp], [], [], wait_ns / 1e9)
             now_ns = clock.now_ns()
             while (datagram := context.receive(udp_rtcp)) is not None:
-                receiver.handle_report(datagram, now_ns)
+                reports.handle_report(datagram, now_ns)
             while (datagram := context.receive(udp)) is not None:
                 receiver.handle_packet(datagram, now_ns)
             while (packet := receiver.next_event()) is not None:

@@ -1,12 +1,14 @@
 """A voice stream's sending process: topic -> Opus -> RTP to the gateway."""
 
 import secrets
+from collections import deque
 
+from kontur_av.budget import Pacer
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from kontur_av.sources.source import BLOCK_NS
-from pipelines.names import VOICE_PAYLOAD_TYPE
+from pipelines.names import REPORT_INTERVAL_NS, VOICE_PAYLOAD_TYPE, cname
 from pipelines.process import LOOPBACK, PATIENCE_NS, Context
 from pipelines.setup import VoiceStream
 
@@ -24,43 +26,59 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
         ssrc=secrets.randbits(32),
         first_sequence=secrets.randbits(16),
         timestamp_offset=secrets.randbits(32),
-        cname=f"{stream.name}@kontur-av",
+        cname=cname(stream.name),
+        report_interval_ns=REPORT_INTERVAL_NS,
     )
     gateway, gateway_rtcp = (
         (LOOPBACK, ports.entry(flow)) for flow in (stream.name, f"{stream.name}_rtcp")
     )
     udp = context.listen(0)
-    captured = encoded = too_old = 0
+    # The rate is constant, but a process that was held up would send two packets at once.
+    pacer = Pacer(cap_bps=stream.cap_bps, channel_bps=context.setup.profile_of(stream).media_bps)
+    under_way: deque[tuple[int, int, int]] = deque()
+    captured = encoded = sent = too_old = 0
 
     def fill() -> None:
         probe.total("frames_captured", captured)
         probe.total("frames_encoded", encoded)
-        probe.total("frames_sent", encoded)
+        probe.total("frames_sent", sent)
         probe.total("frames_refused", too_old)
         probe.total("rtp_packets_sent", rtp.packets_sent)
+
+    def send_due() -> None:
+        nonlocal sent
+        now_ns = clock.now_ns()
+        while (packet := pacer.poll_transmit(now_ns)) is not None:
+            udp.sendto(packet, gateway)
+            sent += 1
+            probe.row("out", now_ns, len(packet) - RTP_HEADER_OCTETS)
+            probe.row("tx", *under_way.popleft(), now_ns)
 
     context.on_flush(fill)
     with context.open_bus() as bus:
         reader = bus.reader(topic, depth=8)
         while not context.stopping:
-            context.tick(clock.now_ns())
-            reader.wait(PATIENCE_NS)
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            due_ns = pacer.poll_timeout()
+            reader.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
             while (lease := reader.next()) is not None:
                 with lease:
                     captured += 1
-                    if clock.now_ns() - lease.stamp.capture_ns > _TOO_OLD_NS:
+                    now_ns = clock.now_ns()
+                    if now_ns - lease.stamp.capture_ns > _TOO_OLD_NS:
                         too_old += 1
                         continue
                     frame = lease.audio()
                     data = encoder.encode(frame.samples)
                 encoded += 1
                 encoded_ns = clock.now_ns()
-                for packet in rtp.audio_packets(data, frame.stamp):
-                    udp.sendto(packet, gateway)
-                    now_ns = clock.now_ns()
-                    probe.row("out", now_ns, len(packet) - RTP_HEADER_OCTETS)
-                    timestamp = int.from_bytes(packet[4:8], "big")
-                    probe.row("tx", timestamp, frame.stamp.capture_ns, encoded_ns, now_ns)
+                packets = rtp.audio_packets(data, frame.stamp)
+                timestamp = int.from_bytes(packets[0][4:8], "big")
+                under_way.append((timestamp, frame.stamp.capture_ns, encoded_ns))
+                pacer.handle_access_unit(packets, [len(data)], encoded_ns)
+                send_due()
+            send_due()
             report = rtp.poll_report(clock.now_ns(), clock.ntp)
             if report is not None:
                 udp.sendto(report, gateway_rtcp)
