@@ -1,0 +1,93 @@
+"""What may import what: the three packages in one direction, and no clock or socket in a core."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+#: Each may import itself and what stands before it.
+ORDER = ("kontur_av", "telepresence", "pipelines")
+
+#: Doors to the world outside: a core is handed the time, the octets and the random numbers.
+DOORS = {
+    "asyncio",
+    "concurrent",
+    "datetime",
+    "multiprocessing",
+    "os",
+    "secrets",
+    "select",
+    "selectors",
+    "signal",
+    "socket",
+    "subprocess",
+    "threading",
+    "time",
+}
+
+#: Modules that are allowed a door, and why. Everything else is a core.
+SHELLS = {
+    "kontur_av/clock.py": "the one place that asks for the time",
+    "kontur_av/topics.py": "shared memory",
+    "kontur_av/sources/camera.py": "a device",
+    "kontur_av/sources/microphone.py": "a device",
+    "kontur_av/sources/pipe.py": "a FIFO",
+    "pipelines/command.py": "addresses, files and signals of a command",
+    "pipelines/control.py": "the control socket",
+    "pipelines/devices.py": "asks the system for its devices",
+    "pipelines/doctor.py": "asks the system for everything",
+    "pipelines/launcher.py": "processes",
+    "pipelines/parts/console.py": "a process",
+    "pipelines/parts/gateway.py": "a process",
+    "pipelines/parts/video_receive.py": "a process",
+    "pipelines/parts/video_send.py": "a process",
+    "pipelines/parts/voice_receive.py": "a process",
+    "pipelines/parts/voice_send.py": "a process",
+    "pipelines/probe.py": "the socket of a process to its launcher",
+    "pipelines/process.py": "what every process has",
+    "pipelines/receive.py": "a command",
+    "pipelines/send.py": "a command",
+    "pipelines/stream.py": "a command",
+}
+
+
+def modules() -> list[str]:
+    found = [path for package in ORDER for path in (ROOT / package).rglob("*.py")]
+    return sorted(path.relative_to(ROOT).as_posix() for path in found)
+
+
+def imported(module: str) -> set[str]:
+    """Top-level names of all packages that a module imports, within functions too."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            # A relative import would hide where it leads.
+            names.add((node.module or "").partition(".")[0] if not node.level else ".")
+    return names
+
+
+@pytest.mark.parametrize("package", ORDER)
+def test_imports_run_one_way(package):
+    later = {*ORDER[ORDER.index(package) + 1 :], "."}
+    wrong = {
+        module: found
+        for module in modules()
+        if module.startswith(f"{package}/") and (found := imported(module) & later)
+    }
+    assert not wrong
+
+
+def test_cores_have_no_door_to_the_world():
+    wrong = {
+        module: found
+        for module in modules()
+        if module not in SHELLS and (found := imported(module) & DOORS)
+    }
+    assert not wrong, "a core is given the time and the octets; a new shell is named in SHELLS"
+
+
+def test_shells_that_became_cores_leave_the_list():
+    assert {module for module in SHELLS if not imported(module) & DOORS} == set()
