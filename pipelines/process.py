@@ -20,6 +20,9 @@ MAX_DATAGRAM_OCTETS = 65_535
 #: The longest that a part sleeps before it looks whether it shall end.
 PATIENCE_NS = 100 * NS_PER_MS
 
+#: The 1 kHz loops go first; a voice, late by a few milliseconds, already needs a larger buffer.
+LOOP_PRIORITY, VOICE_PRIORITY = 10, 5
+
 _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
 
 
@@ -98,13 +101,13 @@ class Context:
 class Part:
     """One process of a session: what it is called, where it stands and what it runs.
 
-    realtime: it has a 1 kHz loop, and gets real-time priority where the system permits.
+    priority: real-time priority, where the system permits; 0 for none.
     """
 
     name: str
     segment: Segment
     run: Callable[[Context], None]
-    realtime: bool = False
+    priority: int = 0
 
 
 def become(part: Part, context: Context) -> None:
@@ -113,19 +116,23 @@ def become(part: Part, context: Context) -> None:
     signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
     prctl = ctypes.CDLL(None, use_errno=True).prctl
     # A launcher that is killed takes its processes along.
-    prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    prctl(#: The 1 kHz loops go first; a voice, late by a few milliseconds, already needs a larger buffer.
+LOOP_PRIORITY, VOICE_PRIORITY = 10, 5
+
+_PR_SET_PDEATHSIG, signal.SIGTERM)
     prctl(_PR_SET_NAME, f"kav {part.name}".encode()[:15])
-    if part.realtime:
-        context.probe.gauge("scheduler", _take_realtime(prctl))
+    if part.priority:
+        context.probe.gauge("scheduler", _take_realtime(prctl, part.priority))
 
 
-def _take_realtime(prctl: Callable[..., int]) -> str:
-    # No collection in the middle of a slot: these loops make no reference cycles.
-    gc.collect()
-    gc.freeze()
-    gc.disable()
+def _take_realtime(prctl: Callable[..., int], priority: int) -> str:
+    if priority == LOOP_PRIORITY:
+        # No collection in the middle of a slot: these loops make no reference cycles.
+        gc.collect()
+        gc.freeze()
+        gc.disable()
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError:
         # Without permission at least no timer is rounded up (the default is 50 µs).
         prctl(_PR_SET_TIMERSLACK, 1)

@@ -59,7 +59,9 @@ class RtpSender:
         self._samples_per_packet = samples_per_packet
         self._last_stamp: CaptureStamp | None = None
         self._last_timestamp = 0
-        self._sequence_base = 0
+        #: Blocks of sound since the first one, missing ones included.
+        self._blocks = 0
+        self._expected_ns = 0
         self._report_due_ns: int | None = None
         self._report_now = False
 
@@ -82,20 +84,25 @@ class RtpSender:
     def audio_packets(self, opus: bytes, stamp: CaptureStamp) -> list[bytes]:
         """The RTP packet (a list of one) of one Opus packet (RFC 7587 section 4).
 
-        The timestamp goes by `stamp.sequence`, not by the clock of the machine: the sound card
-        counts the samples. The marker shows the first packet after a gap (a talkspurt's).
+        The timestamp goes by whole blocks: the sound card counts the samples, and its clock may
+        drift against the machine's. Where blocks are missing, the captures are farther apart, and
+        the timestamp jumps by as many blocks; then the marker shows the first packet after the
+        gap (a talkspurt's).
         """
-        last = self._last_stamp
-        gap = last is None or stamp.sequence != last.sequence + 1
-        if last is not None and stamp.sequence <= last.sequence:
-            # The source started anew and counts from 0: time goes on.
-            passed_ns = stamp.capture_ns - last.capture_ns
-            block_ns = self._samples_per_packet * NS_PER_S // self.clock_rate_hz
-            skipped = max(1, round(passed_ns / block_ns))
-            self._sequence_base += last.sequence + skipped - stamp.sequence
-        timestamp = (
-            self._offset + (self._sequence_base + stamp.sequence) * self._samples_per_packet
-        ) & 0xFFFF_FFFF
+        block_ns = self._samples_per_packet * NS_PER_S // self.clock_rate_hz
+        missing = 0
+        if self._last_stamp is None:
+            gap = True
+            self._expected_ns = stamp.capture_ns
+        else:
+            late_ns = stamp.capture_ns - self._expected_ns
+            missing = max(0, (late_ns + block_ns // 4) // block_ns)
+            gap = missing > 0
+            self._blocks += 1 + missing
+            # What is left of the difference is jitter, or drift, which is followed slowly.
+            self._expected_ns += missing * block_ns + (late_ns - missing * block_ns) // 16
+        self._expected_ns += block_ns
+        timestamp = (self._offset + self._blocks * self._samples_per_packet) & 0xFFFF_FFFF
         self._note(stamp, timestamp)
         return [self._packet(opus, timestamp, marker=gap)]
 

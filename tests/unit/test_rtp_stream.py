@@ -86,13 +86,31 @@ def test_a_gap_of_the_microphone_is_a_jump_of_the_timestamp_and_a_marker():
     assert [packet.marker for packet in packets] == [1, 0, 0, 1, 0]
 
 
+def test_a_source_that_skips_blocks_but_counts_on_makes_the_timestamp_jump():
+    """What a source drops when it is late shows in the capture times alone."""
+    rtp = make_sender(clock_rate_hz=48_000, timestamp_offset=0)
+    stamps = [CaptureStamp(at * 20 * NS_PER_MS, n, "mic") for n, at in enumerate((0, 1, 4, 5))]
+    packets = [parse_rtp(rtp.audio_packets(b"\x08", stamp)[0]) for stamp in stamps]
+    assert [packet.timestamp // 960 for packet in packets] == [0, 1, 4, 5]
+    assert [packet.marker for packet in packets] == [1, 0, 1, 0]
+
+
+def test_drift_and_jitter_of_a_sound_card_make_no_gap():
+    """200 parts in a million too slow, each block up to 6 ms early or late: 960 ticks a packet."""
+    rtp = make_sender(clock_rate_hz=48_000, timestamp_offset=0)
+    for n in range(20_000):
+        capture_ns = n * 20_004_000 + (n * 7919 % 13 - 6) * NS_PER_MS
+        (packet,) = rtp.audio_packets(b"\x08", CaptureStamp(capture_ns, n, "mic"))
+        assert parse_rtp(packet).timestamp == n * 960
+
+
 def test_a_restarted_microphone_does_not_turn_time_back():
     rtp = make_sender(clock_rate_hz=48_000, timestamp_offset=0)
     rtp.audio_packets(b"\x08", CaptureStamp(0, 100, "mic"))
     (packet,) = rtp.audio_packets(b"\x08", CaptureStamp(2 * NS_PER_S, 0, "mic"))
-    assert parse_rtp(packet).timestamp == (100 + 100) * 960
+    assert parse_rtp(packet).timestamp == 100 * 960
     (packet,) = rtp.audio_packets(b"\x08", CaptureStamp(2 * NS_PER_S + 20 * NS_PER_MS, 1, "mic"))
-    assert parse_rtp(packet).timestamp == (100 + 101) * 960
+    assert parse_rtp(packet).timestamp == 101 * 960
 
 
 def test_reports_come_with_the_first_packet_and_then_each_second():
