@@ -20,7 +20,7 @@ MAX_DATAGRAM_OCTETS = 65_535
 #: The longest that a part sleeps before it looks whether it shall end.
 PATIENCE_NS = 100 * NS_PER_MS
 
-#: The 1 kHz loops go first; a voice, late by a few milliseconds, already needs a larger buffer.
+#: The 1 kHz loops go first; a voice that is late by milliseconds already needs a larger buffer.
 LOOP_PRIORITY, VOICE_PRIORITY = 10, 5
 
 _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
@@ -116,10 +116,7 @@ def become(part: Part, context: Context) -> None:
     signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
     prctl = ctypes.CDLL(None, use_errno=True).prctl
     # A launcher that is killed takes its processes along.
-    prctl(#: The 1 kHz loops go first; a voice, late by a few milliseconds, already needs a larger buffer.
-LOOP_PRIORITY, VOICE_PRIORITY = 10, 5
-
-_PR_SET_PDEATHSIG, signal.SIGTERM)
+    prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     prctl(_PR_SET_NAME, f"kav {part.name}".encode()[:15])
     if part.priority:
         context.probe.gauge("scheduler", _take_realtime(prctl, part.priority))
