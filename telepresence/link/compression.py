@@ -131,6 +131,11 @@ class RtpCompressor:
         self.compressed = 0
         self.contexts = 0
         self.raw = 0
+        self._refresh = False
+
+    def refresh(self) -> None:
+        """Send a context with the next packet: the receiving end has just begun to listen."""
+        self._refresh = True
 
     def compress(self, data: bytes, count: int) -> tuple[int, bytes, int]:
         """Tag type, body, and how many octets of the body are header.
@@ -149,7 +154,8 @@ class RtpCompressor:
         # A set marker may not fit the form and yet follow the contexts' line.
         probe = header if header is not None else self._form.pack(0, sequence, timestamp)
         fits = bool(contexts) and probe is not None and self._exact(probe, packet)
-        if fits and header is not None and count - contexts[-1].count < REFRESH_SLOTS:
+        recent = bool(contexts) and count - contexts[-1].count < REFRESH_SLOTS
+        if fits and header is not None and recent and not self._refresh:
             self.compressed += 1
             body = header + data[RTP_HEADER_OCTETS:]
             return TYPE_COMPRESSED + (self._generation << 4), body, len(header)
@@ -161,6 +167,7 @@ class RtpCompressor:
             self._generation = generation
             contexts.clear()
         contexts.append(packet)
+        self._refresh = False
         self._last_context_count[self._generation] = count
         self.contexts += 1
         # The header's first octet is known but for its generation.

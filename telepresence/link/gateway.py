@@ -56,7 +56,11 @@ class Gateway:
 
     def handle_radio(self, frame: bytes, now_ns: int) -> None:
         """What came from the other segment."""
+        meetings = self.receiver.meetings
         self.receiver.handle_frame(frame, now_ns)
+        if self.receiver.meetings != meetings:
+            # Whoever begins to send has begun to listen, too, and knows no context yet.
+            self.sender.refresh_contexts()
 
     def handle_slot(self, now_ns: int) -> None:
         """A slot begins: exactly one frame goes to the antenna."""

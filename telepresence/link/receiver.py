@@ -88,6 +88,8 @@ class LinkReceiver:
         self.frames_received = 0
         self.frames_lost = 0
         self.restarts = 0
+        #: How often the peer was met: its first frame, and each new life of it.
+        self.meetings = 0
         self.haptic_received = 0
         self.frames_dropped: dict[str, int] = {}
         self.packets_dropped: dict[str, int] = {}
@@ -135,6 +137,7 @@ class LinkReceiver:
         """Take the frame's count; whether the frame is to be read."""
         last = self._count
         if last is None:
+            self.meetings = 1
             self._count = count24
         elif count24 == (last + 1) & COUNT_MASK:
             self._count = last + 1
@@ -168,6 +171,7 @@ class LinkReceiver:
 
     def _restart(self, count24: int) -> None:
         self.restarts += 1
+        self.meetings += 1
         self._drop_partials()
         for decompressor in self._decompressors:
             if decompressor is not None:

@@ -108,6 +108,12 @@ class LinkSender:
             return False
         return self._queues[known.level].handle_packet(number, data, now_ns)
 
+    def refresh_contexts(self) -> None:
+        """Have each RTP flow's next packet carry its whole header: the peer has just begun."""
+        for compressor in self._compressors:
+            if compressor is not None:
+                compressor.refresh()
+
     def poll_transmit(self, now_ns: int) -> bytes:
         """The frame of this slot: `profile.frame_octets` octets, idle ones where nothing waits."""
         sample, self._sample = self._sample, None

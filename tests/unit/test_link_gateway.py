@@ -1,6 +1,8 @@
 """Two gateways with a radio between them."""
 
-from telepresence.link.flows import Level, packet_flow
+import struct
+
+from telepresence.link.flows import Level, packet_flow, voice_flow
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
@@ -82,3 +84,36 @@ def test_radio_loss_is_repeatable():
 
     assert survivors(1) == survivors(1) != survivors(2)
     assert 100 < len(survivors(1)) < 180
+
+
+def test_a_peer_that_begins_late_or_anew_understands_the_next_packet():
+    """Contexts go out a second apart; a peer that has just come up need not wait for the next."""
+    flow = voice_flow("voice")
+    space = []
+
+    def gateway():
+        return Gateway(transmit=UPLINK, transmit_flows=[flow], receive=DOWNLINK, receive_flows=[])
+
+    def peer():
+        return Gateway(transmit=DOWNLINK, transmit_flows=[], receive=UPLINK, receive_flows=[flow])
+
+    ground, far = gateway(), None
+    for slot in range(900):
+        now_ns = slot * MS
+        if slot in (105, 505):
+            far = peer()  # the second one is a restart
+        if slot % 20 == 0:
+            number = slot // 20
+            packet = struct.pack("!BBHII", 0x80, 97, number, 960 * number, 7) + bytes(20)
+            ground.handle_datagram("voice", packet, now_ns)
+        ground.handle_slot(now_ns)
+        while (frame := ground.poll_transmit(now_ns)) is not None:
+            if far is not None:
+                far.handle_radio(frame, now_ns)
+        if far is not None:
+            far.handle_slot(now_ns)
+            while (frame := far.poll_transmit(now_ns)) is not None:
+                ground.handle_radio(frame, now_ns)
+            while (event := far.next_event()) is not None:
+                space.append(event.data[3] + 256 * event.data[2])
+    assert space == list(range(6, 45))
