@@ -7,7 +7,7 @@ import signal
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import Enum, IntEnum
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
@@ -97,6 +97,20 @@ class Context:
         self.probe.flush(now_ns)
 
 
+class Stage(IntEnum):
+    """Whoever takes is started before whoever gives: then nothing is given to nobody.
+
+    A decoder that misses the first picture of a stream would have to wait for a refresh.
+    """
+
+    LINK = 0
+    SINK = 1
+    RECEIVER = 2
+    SENDER = 3
+    RELAY = 4
+    SOURCE = 5
+
+
 @dataclass(frozen=True)
 class Part:
     """One process of a session: what it is called, where it stands and what it runs.
@@ -106,6 +120,7 @@ class Part:
 
     name: str
     segment: Segment
+    stage: Stage
     run: Callable[[Context], None]
     priority: int = 0
 

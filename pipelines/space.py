@@ -12,37 +12,47 @@ from pipelines.parts.video_receive import run_video_receive
 from pipelines.parts.video_send import run_video_send
 from pipelines.parts.voice_receive import run_voice_receive
 from pipelines.parts.voice_send import run_voice_send
-from pipelines.process import LOOP_PRIORITY, VOICE_PRIORITY, Part, Segment
+from pipelines.process import LOOP_PRIORITY, VOICE_PRIORITY, Part, Segment, Stage
 from pipelines.setup import Setup
 
 _HERE = Segment.SPACE
 
 
 def space_parts(setup: Setup) -> list[Part]:
-    """What runs in space for `setup`, in the order in which it is started."""
+    """What runs in space for `setup`."""
     up, voice_up = setup.uplink_video, setup.uplink_voice
     down, voice_down = setup.downlink_video, setup.downlink_voice
     parts = [
-        Part("space_gateway", _HERE, partial(run_gateway, segment=_HERE), LOOP_PRIORITY),
-        Part("joystick", _HERE, run_joystick, LOOP_PRIORITY),
-        Part("console", _HERE, run_console),
-        Part("uplink_video_receive", _HERE, partial(run_video_receive, stream=up)),
+        Part(
+            "space_gateway", _HERE, Stage.LINK, partial(run_gateway, segment=_HERE), LOOP_PRIORITY
+        ),
+        Part("joystick", _HERE, Stage.LINK, run_joystick, LOOP_PRIORITY),
+        Part("console", _HERE, Stage.LINK, run_console),
+        Part("uplink_video_receive", _HERE, Stage.RECEIVER, partial(run_video_receive, stream=up)),
     ]
     if voice_up:
         hear = partial(run_voice_receive, stream=voice_up)
-        parts.append(Part("uplink_voice_receive", _HERE, hear, VOICE_PRIORITY))
+        parts.append(Part("uplink_voice_receive", _HERE, Stage.RECEIVER, hear, VOICE_PRIORITY))
     received = [stream for stream in (up, voice_up) if stream is not None]
     parts.append(
-        Part("space_display", _HERE, partial(run_display, streams=received), VOICE_PRIORITY)
+        Part(
+            "space_display",
+            _HERE,
+            Stage.SINK,
+            partial(run_display, streams=received),
+            VOICE_PRIORITY,
+        )
     )
     if down:
         name = "iss_camera"
         send = partial(run_video_send, stream=down, topic=input_topic(name))
-        parts.append(Part(name, _HERE, partial(run_camera, name=name, stream=down)))
-        parts.append(Part("downlink_video_send", _HERE, send))
+        parts.append(Part(name, _HERE, Stage.SOURCE, partial(run_camera, name=name, stream=down)))
+        parts.append(Part("downlink_video_send", _HERE, Stage.SENDER, send))
     if voice_down:
         name = "iss_mic"
         say = partial(run_voice_send, stream=voice_down, topic=input_topic(name))
-        parts.append(Part(name, _HERE, partial(run_microphone, name=name), VOICE_PRIORITY))
-        parts.append(Part("downlink_voice_send", _HERE, say, VOICE_PRIORITY))
+        parts.append(
+            Part(name, _HERE, Stage.SOURCE, partial(run_microphone, name=name), VOICE_PRIORITY)
+        )
+        parts.append(Part("downlink_voice_send", _HERE, Stage.SENDER, say, VOICE_PRIORITY))
     return parts

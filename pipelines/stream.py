@@ -15,7 +15,7 @@ from kontur_av.sources import check_spec
 from pipelines.ground import ground_parts
 from pipelines.launcher import Launcher, check_ports, launcher_cpu_s, load_libraries
 from pipelines.live import LiveView
-from pipelines.process import Part, Segment
+from pipelines.process import Part, Segment, Stage
 from pipelines.report import build_report
 from pipelines.setup import Setup, load_setup
 from pipelines.space import space_parts
@@ -58,11 +58,11 @@ def run(args: argparse.Namespace) -> int:
     load_libraries()
     clock = MonotonicClock()
     draw_backgrounds(setup, clock)
-    parts = [*ground_parts(setup), *space_parts(setup)]
+    parts = sorted([*ground_parts(setup), *space_parts(setup)], key=lambda part: part.stage)
     if snapshots is not None:
         from pipelines.parts.snapshots import run_snapshots
 
-        parts.append(Part("snapshots", Segment.SPACE, run_snapshots))
+        parts.append(Part("snapshots", Segment.SPACE, Stage.SINK, run_snapshots))
     with LiveView(quiet=args.quiet, verbose=args.verbose) as view:
         launcher = Launcher(
             session=f"{setup.name[:16].lower().replace('_', '-')}-{os.getpid()}",
