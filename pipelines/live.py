@@ -4,6 +4,7 @@ import sys
 from types import TracebackType
 from typing import Self
 
+from rich.columns import Columns
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
@@ -12,7 +13,7 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_S
 from pipelines.collector import HAPTIC_ENDS
 from pipelines.launcher import Launcher
-from pipelines.report import displayed_frames, latency_ms
+from pipelines.report import displayed_frames, haptic_bps, haptic_cap_bps, latency_ms
 
 
 class LiveView:
@@ -80,12 +81,14 @@ def _streams(launcher: Launcher) -> Table:
     for name, (_, receiver) in HAPTIC_ENDS.items():
         histogram = collector.haptics[name].latency
         figures_of_end = collector.process(receiver)
+        samples = figures_of_end.total("received")
+        profile = launcher.setup.uplink if name == "up" else launcher.setup.downlink
         table.add_row(
             f"haptic_{name}",
-            "96.0",
-            "96.0",
-            "96",
-            str(figures_of_end.total("received")),
+            f"{haptic_bps(profile, samples, launcher.seconds) / 1000:.1f}",
+            "",
+            f"{haptic_cap_bps(profile) / 1000:g}",
+            str(samples),
             str(figures_of_end.total("lost")),
             f"{histogram.percentile(50) / 1e6:.1f}",
             f"{histogram.percentile(99) / 1e6:.1f}",
@@ -93,19 +96,18 @@ def _streams(launcher: Launcher) -> Table:
     return table
 
 
-def _processes(launcher: Launcher, *, verbose: bool) -> Text:
-    text = Text()
+def _processes(launcher: Launcher, *, verbose: bool) -> Columns:
+    texts = []
     seconds = max(launcher.seconds, 1e-9)
     for child in launcher.children:
-        style = "green" if child.pid is not None else "bold red"
-        text.append("● ", style)
-        text.append(child.part.name)
+        text = Text("● ", "green" if child.pid is not None else "bold red")
+        text.append(child.part.name, "default")
         if verbose or child.restarts:
             text.append(f" {100 * child.cpu_s() / seconds:.0f} %", "dim")
         if child.restarts:
             text.append(f" ({child.restarts} restarts: {child.last_error})", "yellow")
-        text.append("   ")
-    return text
+        texts.append(text)
+    return Columns(texts, padding=(0, 2))
 
 
 def _line(launcher: Launcher) -> str:
@@ -116,10 +118,17 @@ def _line(launcher: Launcher) -> str:
         newest = latency_ms(figures)
         parts.append(
             f"{stream.name} {figures.rate.mean_bps() / 1000:.1f}/{stream.cap_bps / 1000:g} kbit/s "
+            f"{displayed_frames(collector, stream.name)} shown "
+            f"{collector.process(f'{stream.name}_receive').total('rtp_lost')} lost "
             f"{'-' if newest is None else f'{newest:.0f}'} ms"
         )
+    for name, (_, receiver) in HAPTIC_ENDS.items():
+        received = collector.process(receiver)
+        parts.append(
+            f"haptic_{name} {received.total('received')} received {received.total('lost')} lost "
+            f"{collector.haptics[name].latency.percentile(50) / 1e6:.1f} ms"
+        )
     down = [child.part.name for child in launcher.children if child.pid is None]
-    parts.append(f"force {collector.haptics['up'].latency.percentile(50) / 1e6:.1f} ms")
     if down:
         parts.append("down: " + ", ".join(down))
     return "  ".join(parts)

@@ -7,6 +7,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
 from pipelines.collector import HAPTIC_ENDS, Collector, ProcessFigures, StreamFigures
 from pipelines.setup import Setup, VideoStream, VoiceStream
+from telepresence.link.profile import LinkProfile
 
 #: Which process counts what of a stream.
 _SENT = ("frames_captured", "frames_encoded", "frames_sent", "frames_refused")
@@ -43,7 +44,7 @@ def build_report(
         "setup": setup.name,
         "seconds": round(seconds, 3),
         "streams": {stream.name: _stream(stream, collector, seconds) for stream in setup.streams},
-        "haptic": {name: _haptic(name, collector) for name in HAPTIC_ENDS},
+        "haptic": {name: _haptic(name, setup, collector, seconds) for name in HAPTIC_ENDS},
         "link": {
             "uplink": _link(setup, collector, "uplink"),
             "downlink": _link(setup, collector, "downlink"),
@@ -100,9 +101,12 @@ def displayed_frames(collector: Collector, stream: str) -> int:
     )
 
 
-def _haptic(name: str, collector: Collector) -> dict[str, Any]:
+def _haptic(name: str, setup: Setup, collector: Collector, seconds: float) -> dict[str, Any]:
     sender, receiver = (collector.process(end) for end in HAPTIC_ENDS[name])
+    profile = setup.uplink if name == "up" else setup.downlink
     return {
+        "cap_bps": haptic_cap_bps(profile),
+        "payload_bps_mean": haptic_bps(profile, receiver.total("received"), seconds),
         "sent": sender.total("sent"),
         "received": receiver.total("received"),
         "lost": receiver.total("lost"),
@@ -112,6 +116,16 @@ def _haptic(name: str, collector: Collector) -> dict[str, Any]:
         "lateness_us": summary_us(sender.lateness),
         "slips": sender.total("slips"),
     }
+
+
+def haptic_cap_bps(profile: LinkProfile) -> int:
+    """What the insert zone of every frame makes."""
+    return profile.insert_octets * 8 * NS_PER_S // profile.slot_ns
+
+
+def haptic_bps(profile: LinkProfile, samples: int, seconds: float) -> int:
+    """The rate of `samples` in `seconds`."""
+    return round(samples * profile.insert_octets * 8 / max(seconds, 1e-9))
 
 
 def _link(setup: Setup, collector: Collector, direction: str) -> dict[str, Any]:

@@ -31,7 +31,8 @@ def print_summary(report: Mapping[str, Any]) -> None:
         rate_hz = haptic["received"] / max(report["seconds"], 1e-9)
         streams.add_row(
             f"haptic_{name}",
-            *("96.0", "", "", ""),
+            *(_kbps(haptic[key]) for key in ("cap_bps", "payload_bps_mean")),
+            *("", ""),
             f"{rate_hz:.1f}",
             str(haptic["lost"]),
             *(f"{latency[key]:.1f}" for key in ("p50", "p95", "p99", "max")),
