@@ -20,6 +20,7 @@ Use::
 """
 
 import ctypes
+import hashlib
 import os
 import re
 import shutil
@@ -44,6 +45,10 @@ _MAX_NODES = 64
 _MAX_DEPTH = 8
 _MAX_LEASES = 2
 _SOURCE_OCTETS = 16
+#: A Unix socket's path has 107 octets (unix(7)); iceoryx2 adds an identifier of up to 39 digits
+#: and an ending to the prefix.
+_SOCKET_PATH_OCTETS = 107
+_SOCKET_NAME_OCTETS = 39 + len(".event")
 
 SampleView = NDArray[np.uint8]
 
@@ -241,8 +246,9 @@ class TopicBus:
     def __init__(self, session: str) -> None:
         config = iox2.config.default()
         config.global_cfg.prefix = iox2.FileName.new(_prefix(session))
-        root = session_root(session)
-        root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        root = _topics_root(session)
+        for directory in (_user_root(), root, session_root(session)):
+            directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         config.global_cfg.root_path = iox2.Path.new(str(root))
         iox2.set_log_level(iox2.LogLevel.Error)
         self._node: Any = (
@@ -360,7 +366,7 @@ class Waiter:
 
 def session_root(session: str) -> Path:
     """The directory of a session's files other than shared memory."""
-    return Path(tempfile.gettempdir()) / f"kontur-av-{os.getuid()}" / session
+    return _user_root() / session
 
 
 def remove_session(session: str) -> int:
@@ -368,12 +374,31 @@ def remove_session(session: str) -> int:
 
     For the launcher, once all processes of the session have ended.
     """
-    removed = 0
-    for leftover in Path("/dev/shm").glob(f"{_prefix(session)}*"):
+    leftovers = shared_memory(session)
+    for leftover in leftovers:
         leftover.unlink(missing_ok=True)
-        removed += 1
+    shutil.rmtree(_topics_root(session), ignore_errors=True)
     shutil.rmtree(session_root(session), ignore_errors=True)
-    return removed
+    return len(leftovers)
+
+
+def shared_memory(session: str) -> list[Path]:
+    """What a session has in shared memory at present."""
+    return list(Path("/dev/shm").glob(f"{_prefix(session)}*"))
+
+
+def _user_root() -> Path:
+    """This user's directory for all sessions: where TMPDIR says, if a socket's path fits there."""
+    own = f"kontur-av-{os.getuid()}"
+    chosen = Path(tempfile.gettempdir()) / own
+    longest = f"{chosen}/.{_digest('')}/{_prefix('x')}"
+    if len(os.fsencode(longest)) + _SOCKET_NAME_OCTETS <= _SOCKET_PATH_OCTETS:
+        return chosen
+    return Path("/tmp") / own
+
+
+def _topics_root(session: str) -> Path:
+    return _user_root() / f".{_digest(session)}"
 
 
 def _prefix(session: str) -> str:
@@ -381,7 +406,12 @@ def _prefix(session: str) -> str:
         raise ConfigError(
             f"session name {session!r}: at most 31 lower-case letters, digits and hyphens"
         )
-    return f"kontur-av-{session}_"
+    return f"kontur-av-{_digest(session)}_"
+
+
+def _digest(session: str) -> str:
+    """Stands for the session where its name would make a socket's path too long."""
+    return hashlib.sha256(session.encode()).hexdigest()[:8]
 
 
 def _view(sample: Any, octets: int) -> SampleView:

@@ -1,11 +1,11 @@
 """The doctor's verdicts: what is missing, what is only advice, and the exit code."""
 
 import os
-from pathlib import Path
 
 import pytest
 
 from kontur_av.clock import ManualClock
+from kontur_av.topics import shared_memory
 from pipelines import doctor as doctor_module
 from pipelines.doctor import (
     CHECKS,
@@ -49,14 +49,14 @@ def test_too_little_shared_memory_is_missing_and_says_what_to_do() -> None:
 
 def test_the_topic_check_leaves_nothing_behind() -> None:
     assert check_topics().state == "ok"
-    assert not list(Path("/dev/shm").glob(f"kontur-av-doctor-{os.getpid()}_*"))
+    assert not shared_memory(f"doctor-{os.getpid()}")
 
 
 def test_a_topic_that_does_not_work_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("kontur_av.topics.Reader.wait", lambda self, timeout_ns: False)
     monkeypatch.setattr("kontur_av.topics.Reader.latest", lambda self: None)
     assert check_topics().state == "missing"
-    assert not list(Path("/dev/shm").glob(f"kontur-av-doctor-{os.getpid()}_*"))
+    assert not shared_memory(f"doctor-{os.getpid()}")
 
 
 class LateClock(ManualClock):

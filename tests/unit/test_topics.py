@@ -2,15 +2,15 @@
 
 import multiprocessing
 import os
+import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame
-from kontur_av.topics import TopicBus, remove_session
+from kontur_av.topics import TopicBus, remove_session, session_root, shared_memory
 
 PICTURE_OCTETS = 64 * 48 * 3 // 2
 
@@ -20,7 +20,7 @@ def session():
     name = f"test-{os.getpid()}-{time.monotonic_ns() % 100000}"
     yield name
     remove_session(name)
-    assert not list(Path("/dev/shm").glob(f"kontur-av-{name}_*"))
+    assert not shared_memory(name)
 
 
 def stamp(sequence):
@@ -160,3 +160,23 @@ def test_an_unfit_session_name_or_size_is_refused(session):
         TopicBus("../etc")
     with TopicBus(session) as bus, pytest.raises(ConfigError, match="size 63x48"):
         bus.writer("x", max_octets=10).loan_picture(63, 48)
+
+
+@pytest.mark.parametrize("octets", [1, 12, 90])
+def test_a_long_name_in_a_deep_directory_leaves_room_for_sockets(monkeypatch, tmp_path, octets):
+    # Their paths have 107 octets at most, a user's number and a process' may be long as well.
+    directory = tmp_path / ("d" * octets)
+    directory.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(directory))
+    monkeypatch.setattr(os, "getuid", lambda: 1_234_567_890)
+    name = "l" * 31
+    with TopicBus(name) as bus:
+        reader = bus.reader("pictures")
+        bus.writer("pictures", max_octets=1).publish_octets(b"x", stamp(0))
+        assert reader.wait(0)
+        assert shared_memory(name)
+        user_root = session_root(name).parent
+    assert remove_session(name) > 0
+    assert not shared_memory(name)
+    assert list(user_root.iterdir()) == []
+    user_root.rmdir()
