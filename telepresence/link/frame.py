@@ -7,16 +7,11 @@ the two places where they leave the book.
 
 import struct
 from binascii import crc_hqx
-from typing import NamedTuple
 
-from telepresence.link.profile import HEADER_OCTETS, LinkProfile
+from telepresence.link.profile import FECF_OCTETS, LinkProfile
 
 COUNT_MODULUS = 1 << 24
 COUNT_MASK = COUNT_MODULUS - 1
-
-#: Two octets of version, SCID and VCID; 24 bits of frame count and 8 of signaling.
-_HEADER = struct.Struct(">HI")
-_U16 = struct.Struct(">H")
 
 _VERSION = 0b01
 _SAMPLE_FLAG = 0x20
@@ -41,13 +36,9 @@ class Pointers:
         self.preempt = all_ones - 2
 
 
-class Frame(NamedTuple):
-    """A received frame whose FECF was right. `sample` is None where the insert zone is idle."""
-
-    frame_count: int
-    sample: bytes | None
-    pointer: int
-    zone: bytes
+#: A received frame whose FECF was right: frame count, sample (None where the insert zone is
+#: idle), first header pointer, packet zone. A bare tuple, because one is made every millisecond.
+Frame = tuple[int, bytes | None, int, bytes]
 
 
 class FrameCodec:
@@ -56,9 +47,15 @@ class FrameCodec:
     def __init__(self, profile: LinkProfile) -> None:
         self.profile = profile
         self._first16 = _VERSION << 14 | profile.scid << 6 | profile.vcid
-        self._insert_end = HEADER_OCTETS + profile.insert_octets
         self._in_signaling = profile.pointer_in_signaling
         self._idle_insert = bytes(profile.insert_octets)
+        self._frame_octets = profile.frame_octets
+        # Two octets of version, SCID and VCID; 24 bits of frame count and 8 of signaling; insert
+        # zone; M_PDU header, if any; packet zone. The FECF is packed by itself.
+        mpdu = "" if self._in_signaling else "H"
+        layout = f">HI{profile.insert_octets}s{mpdu}{profile.packet_zone_octets}s"
+        self._pack_body = struct.Struct(layout).pack
+        self._unpack = struct.Struct(f"{layout}{FECF_OCTETS}x").unpack
 
     def pack(self, count: int, sample: bytes | None, pointer: int, zone: bytes) -> bytes:
         """`profile.frame_octets` octets. `count` is taken modulo 2^24; `zone` fills its zone."""
@@ -69,34 +66,31 @@ class FrameCodec:
             signaling = _SAMPLE_FLAG
         count = (count & COUNT_MASK) << 8
         if self._in_signaling:
-            head = _HEADER.pack(self._first16, count | signaling | pointer)
-            body = b"".join((head, sample, zone))
+            body: bytes = self._pack_body(self._first16, count | signaling | pointer, sample, zone)
         else:
-            head = _HEADER.pack(self._first16, count | signaling)
-            body = b"".join((head, sample, _U16.pack(pointer), zone))
-        return body + _U16.pack(crc_hqx(body, 0xFFFF))
+            body = self._pack_body(self._first16, count | signaling, sample, pointer, zone)
+        return body + crc_hqx(body, 0xFFFF).to_bytes(FECF_OCTETS, "big")
 
     def parse(self, frame: bytes) -> Frame | str:
         """The frame, or in one word the reason why it is none of ours."""
-        if len(frame) != self.profile.frame_octets:
+        if len(frame) != self._frame_octets:
             return "length"
         # The CRC of a frame together with its own CRC is zero.
         if crc_hqx(frame, 0xFFFF):
             return "fecf"
-        first16, rest = _HEADER.unpack_from(frame)
+        if self._in_signaling:
+            first16, rest, sample, zone = self._unpack(frame)
+            pointer = rest & 0xF
+            must_be_zero = _SIGNALING_MUST_BE_ZERO
+        else:
+            first16, rest, sample, pointer, zone = self._unpack(frame)
+            must_be_zero = _SIGNALING_MUST_BE_ZERO | 0xF
         if first16 != self._first16:
             different = first16 ^ self._first16
             return "version" if different >> 14 else "scid" if different >> 6 else "vcid"
-        if rest & _SIGNALING_MUST_BE_ZERO:
+        if rest & must_be_zero:
             return "signaling"
-        insert_end = self._insert_end
-        sample = frame[HEADER_OCTETS:insert_end] if rest & _SAMPLE_FLAG else None
-        if self._in_signaling:
-            return Frame(rest >> 8, sample, rest & 0xF, frame[insert_end:-2])
-        if rest & 0xF:
-            return "signaling"
-        pointer = _U16.unpack_from(frame, insert_end)[0]
-        return Frame(rest >> 8, sample, pointer, frame[insert_end + 2 : -2])
+        return rest >> 8, sample if rest & _SAMPLE_FLAG else None, pointer, zone
 
 
 # The tag octet, which stands wherever no packet goes on by itself (docs/link.md):

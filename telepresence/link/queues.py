@@ -54,12 +54,13 @@ DEFAULT_LIMITS: dict[Level, QueueLimits] = {
 class PacketQueue:
     """Whole packets of one level, waiting for their turn.
 
-    An item is `(queued_ns, flow number, data)`.
+    items: `(queued_ns, flow number, data)` of each, oldest first; for looking only. Who asks
+    every slot looks here first whether it is empty, and calls `waiting` only if it is not.
     """
 
     def __init__(self, limits: QueueLimits) -> None:
         self.limits = limits
-        self._items: deque[tuple[int, int, bytes]] = deque()
+        self.items: deque[tuple[int, int, bytes]] = deque()
         self._octets = 0
         self.accepted_packets = 0
         self.max_depth_octets = 0
@@ -67,7 +68,7 @@ class PacketQueue:
         self.drops = {"full": 0, "expired": 0}
 
     def __len__(self) -> int:
-        return len(self._items)
+        return len(self.items)
 
     def handle_packet(self, flow: int, data: bytes, now_ns: int) -> bool:
         """Queue `data`; False where the policy rejects it. Older ones may go in its favour."""
@@ -78,9 +79,9 @@ class PacketQueue:
                 self.drops["full"] += 1
                 return False
             while self._octets + len(data) > limits.depth_octets:
-                self._octets -= len(self._items.popleft()[2])
+                self._octets -= len(self.items.popleft()[2])
                 self.drops["full"] += 1
-        self._items.append((now_ns, flow, data))
+        self.items.append((now_ns, flow, data))
         self._octets += len(data)
         self.accepted_packets += 1
         if self._octets > self.max_depth_octets:
@@ -89,7 +90,7 @@ class PacketQueue:
 
     def waiting(self, now_ns: int) -> bool:
         """Whether a packet waits that is not too old; those that are have been dropped."""
-        items = self._items
+        items = self.items
         if not items:
             return False
         oldest_allowed_ns = now_ns - self.limits.max_age_ns
@@ -101,7 +102,7 @@ class PacketQueue:
 
     def take(self, now_ns: int) -> tuple[int, bytes]:
         """The flow number and the data of the packet whose turn it is. Ask `waiting` before."""
-        queued_ns, flow, data = self._items.popleft()
+        queued_ns, flow, data = self.items.popleft()
         self._octets -= len(data)
         if now_ns - queued_ns > self.max_age_ns:
             self.max_age_ns = now_ns - queued_ns
@@ -110,10 +111,10 @@ class PacketQueue:
     def report(self, now_ns: int) -> dict[str, Any]:
         """Depth, age and drops, now and at worst."""
         self.waiting(now_ns)
-        oldest_ns = now_ns - self._items[0][0] if self._items else 0
+        oldest_ns = now_ns - self.items[0][0] if self.items else 0
         return {
             "policy": self.limits.policy.value,
-            "packets": len(self._items),
+            "packets": len(self.items),
             "octets": self._octets,
             "oldest_age_ns": oldest_ns,
             "max_octets": self.max_depth_octets,

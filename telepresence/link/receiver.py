@@ -2,8 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from telepresence.link.compression import RtpDecompressor
@@ -30,16 +29,14 @@ from telepresence.link.profile import LinkProfile
 _LATE_FRAMES = 32
 
 
-@dataclass(frozen=True, slots=True)
-class HapticReceived:
+class HapticReceived(NamedTuple):
     """One sample out of an insert zone."""
 
     sample: bytes
     now_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class PacketReceived:
+class PacketReceived(NamedTuple):
     """One packet, bit for bit the UDP payload that went in at the other end of `flow`."""
 
     flow: Flow
@@ -102,7 +99,12 @@ class LinkReceiver:
             self.frames_dropped[parsed] = self.frames_dropped.get(parsed, 0) + 1
             return
         count24, sample, pointer, zone = parsed
-        if not self._follow(count24, now_ns):
+        last = self._count
+        if last is not None and count24 == (last + 1) & COUNT_MASK:
+            self._count = last + 1
+            self._last_late = None
+            self._last_ns = now_ns
+        elif not self._follow(count24, now_ns):
             return
         self.frames_received += 1
         if sample is not None:
@@ -115,7 +117,8 @@ class LinkReceiver:
                 self._extend(on_air, zone)
             return
         if pointer == pointers.idle:
-            self._finish(on_air, now_ns)
+            if on_air is not None:
+                self._finish(on_air, now_ns)
             return
         if pointer == pointers.preempt:
             self._on_air = None
@@ -134,13 +137,11 @@ class LinkReceiver:
         return self._events.popleft() if self._events else None
 
     def _follow(self, count24: int, now_ns: int) -> bool:
-        """Take the frame's count; whether the frame is to be read."""
+        """Take the count of a frame that is not just the next; whether it is to be read."""
         last = self._count
         if last is None:
             self.meetings = 1
             self._count = count24
-        elif count24 == (last + 1) & COUNT_MASK:
-            self._count = last + 1
         else:
             ahead = count24 - last & COUNT_MASK
             behind = COUNT_MODULUS - ahead

@@ -59,6 +59,10 @@ class LinkSender:
         self._length_octets = length_octets(profile)
         limits = {**DEFAULT_LIMITS, **(limits or {})}
         self._queues = [PacketQueue(limits[level]) for level in Level]
+        self._queued = [queue.items for queue in self._queues]
+        #: Nothing is queued, begun or on air: most slots of a wide link need not look again.
+        self._quiet = True
+        self._idle_zone = bytes(profile.packet_zone_octets)
         self._numbers = {flow.name: number for number, flow in enumerate(self.flows)}
         self._kinds = [
             "rtcp" if flow.kind is FlowKind.RTCP else flow.level.name.lower() for flow in self.flows
@@ -69,6 +73,7 @@ class LinkSender:
         ]
         self._first_count = first_count
         self._count = first_count
+        self._insert_octets = profile.insert_octets
         self._sample: bytes | None = None
         self._on_air: _InFlight | None = None
         self._waiting: list[_InFlight | None] = [None] * len(Level)
@@ -84,7 +89,7 @@ class LinkSender:
 
         False, and counted, where the length is wrong.
         """
-        if len(sample) != self.profile.insert_octets:
+        if len(sample) != self._insert_octets:
             self.refused["haptic_length"] += 1
             return False
         if self._sample is not None:
@@ -106,6 +111,7 @@ class LinkSender:
         if known.kind is not FlowKind.RAW and not _plausible(known.kind, data):
             self.refused["garbage"] += 1
             return False
+        self._quiet = False
         return self._queues[known.level].handle_packet(number, data, now_ns)
 
     def refresh_contexts(self) -> None:
@@ -116,10 +122,15 @@ class LinkSender:
 
     def poll_transmit(self, now_ns: int) -> bytes:
         """The frame of this slot: `profile.frame_octets` octets, idle ones where nothing waits."""
-        sample, self._sample = self._sample, None
+        sample = self._sample
         if sample is not None:
+            self._sample = None
             self.haptic_sent += 1
-        pointer, zone = self._fill_zone(now_ns)
+        if self._quiet:
+            self._carried["idle"] += self._zone_octets
+            pointer, zone = self._pointers.idle, self._idle_zone
+        else:
+            pointer, zone = self._fill_zone(now_ns)
         frame = self._codec.pack(self._count, sample, pointer, zone)
         self._count += 1
         return frame
@@ -133,9 +144,9 @@ class LinkSender:
         position = 0
         pointer = 0
         if packet is not None:
-            queues = self._queues
+            queues, queued = self._queues, self._queued
             for level in range(packet.level):
-                if queues[level].waiting(now_ns):
+                if queued[level] and queues[level].waiting(now_ns):
                     pointer = pointers.preempt
                     self._waiting[packet.level] = packet
                     break
@@ -153,9 +164,10 @@ class LinkSender:
             rest = size - position
             packet = self._next_packet(now_ns)
             if packet is None:
+                self._quiet = True
                 self._carried["idle"] += rest
                 if not position:
-                    return pointers.idle, bytes(rest)
+                    return pointers.idle, self._idle_zone
                 parts.append(bytes((TAG_FILL,)) + bytes(rest - 1))
                 break
             parts.append(self._segment(packet, rest))
@@ -190,23 +202,24 @@ class LinkSender:
         offset = packet.offset
         packet.offset = end = offset + octets
         header = packet.header_octets
+        carried = self._carried
         if offset < header:
             of_header = min(end, header) - offset
-            self._carried["packet_headers"] += of_header
+            carried["packet_headers"] += of_header
             octets -= of_header
-        self._carried[packet.kind] += octets
+        carried[packet.kind] += octets
         return packet.body[offset:end]
 
     def _next_packet(self, now_ns: int) -> _InFlight | None:
         """The packet of the highest level: the one begun there, else the next of its queue."""
         waiting = self._waiting
-        for level, queue in enumerate(self._queues):
+        for level, queued in enumerate(self._queued):
             begun = waiting[level]
             if begun is not None:
                 waiting[level] = None
                 return begun
-            if queue.waiting(now_ns):
-                number, data = queue.take(now_ns)
+            if queued and self._queues[level].waiting(now_ns):
+                number, data = self._queues[level].take(now_ns)
                 compressor = self._compressors[number]
                 if compressor is None:
                     tag_type, body, header_octets = TYPE_RAW, data, 0
