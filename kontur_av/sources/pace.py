@@ -21,15 +21,16 @@ class Pace:
     def __init__(
         self, rate_hz: Fraction | int, now_ns: int, *, phase: float = 0.0, patience: int = 1
     ) -> None:
-        self._period = Fraction(NS_PER_S) / Fraction(rate_hz)
-        self._phase_ns = int(self._period * Fraction(phase))
-        self._patience_ns = int(self._period * patience)
+        # A fraction kept as two integers: exact for ever, and no Fraction made at each picture.
+        self._period_ns, self._parts = (Fraction(NS_PER_S) / Fraction(rate_hz)).as_integer_ratio()
+        self._phase_ns = int(self._period_ns * Fraction(phase) / self._parts)
+        self._patience_ns = self._period_ns * patience // self._parts
         self._index = self._last_before(now_ns) + 1
         self.skipped = 0
 
     @property
     def period_ns(self) -> int:
-        return int(self._period)
+        return self._period_ns // self._parts
 
     def due_ns(self, now_ns: int) -> int:
         """The instant that comes next; the latest past one when too much was missed."""
@@ -46,9 +47,9 @@ class Pace:
         self._index += 1
 
     def _instant(self, index: int) -> int:
-        return int(index * self._period) + self._phase_ns
+        return index * self._period_ns // self._parts + self._phase_ns
 
     def _last_before(self, now_ns: int) -> int:
-        index = (now_ns - self._phase_ns) // self._period
-        # int() in _instant rounds down, so the next instant may already lie at now_ns.
+        index = (now_ns - self._phase_ns) * self._parts // self._period_ns
+        # _instant rounds down, so the next instant may already lie at now_ns.
         return index + 1 if self._instant(index + 1) <= now_ns else index

@@ -1,7 +1,11 @@
 """Drawing straight into the planes of an I420 picture: no RGB in between, no conversion.
 
 Points are complex numbers, x + iy in pixels of the whole picture: turning and moving a shape
-is then one multiplication and one addition, and a picture has hundreds of them a second.
+is then one multiplication and one addition.
+
+A camera shares its processor with twenty processes: what it calls has left the caches since the
+last picture. So the few numbers of a body are turned in plain Python, its outlines in one product
+for all bodies of a picture, and NumPy is called a handful of times in all.
 """
 
 from collections.abc import Sequence
@@ -15,7 +19,7 @@ from kontur_av.media import I420, planes
 
 #: A colour as narrow-range ITU-R BT.601 (Y, U, V).
 Yuv = tuple[int, int, int]
-Points = NDArray[np.complex128]
+Points = NDArray[np.complexfloating]
 
 _SHIFT = 4
 _FIXED = 1 << _SHIFT
@@ -35,7 +39,7 @@ def yuv(red: int, green: int, blue: int) -> Yuv:
 
 def fixed(points: Points) -> NDArray[np.int32]:
     """(..., n) complex -> (..., n, 2) of OpenCV's fixed-point pixels (1/16)."""
-    pairs = points.view(np.float64).reshape(*points.shape, 2)
+    pairs = points.astype(np.complex64).view(np.float32).reshape(*points.shape, 2)
     return np.asarray((pairs * _FIXED).astype(np.int32))
 
 
@@ -53,16 +57,35 @@ class Finish:
     v: int
 
 
+#: A round rod: begin and end (x + iy), radius at the begin and at the end, all in pixels.
+#: One without length is a sphere.
+Body = tuple[complex, complex, float, float, Finish]
+
 # From the dark rim to the highlight: how broad, how far towards the light, how bright.
 _PART = np.array((1.0, 0.80, 0.28))
 _OFFSET = np.array((0.0, 0.12, 0.38))
 _GAIN = (0.46, 0.92, 1.20)
 
 _CAP = np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, 11))
-_CAPS = _PART[:, None] * _CAP
 _CIRCLE = np.exp(2j * np.pi * np.arange(28) / 28)
 #: Where the light comes from in the picture: above, a little from the left.
 _LIGHT = (-0.5 - 0.87j) / abs(-0.5 - 0.87j)
+_FROM_LIGHT = _LIGHT.conjugate()
+_UPRIGHT = -1j * _LIGHT
+
+
+def _outlines() -> NDArray[np.complex64]:
+    """(2, 3, 2, 11): the outlines of a rod of radius 1 along the x axis.
+
+    By the side on which the light is, by layer, by half (the end's cap, the begin's cap).
+    """
+    halves = np.stack((_CAP, -_CAP))
+    sides = np.array((1j, -1j))
+    shapes = _PART[:, None, None] * halves + (sides[:, None] * _OFFSET)[..., None, None]
+    return np.asarray(shapes, np.complex64)
+
+
+_OUTLINES = _outlines()
 
 
 def finish(colour: Yuv) -> Finish:
@@ -77,44 +100,45 @@ class Brush:
     def __init__(self, into: I420) -> None:
         self.y, self.u, self.v = planes(into)
 
-    def fill(self, outline: Points, colour: Yuv) -> None:
-        """A convex shape in all three planes."""
-        points = fixed(outline)
-        cv2.fillConvexPoly(self.y, points, colour[0], cv2.LINE_AA, _SHIFT)
-        # A chroma sample lies between two luma samples each way: a quarter pixel of its own.
-        points = (points >> 1) - _FIXED // 4
-        cv2.fillConvexPoly(self.u, points, colour[1], _PLAIN, _SHIFT)
-        cv2.fillConvexPoly(self.v, points, colour[2], _PLAIN, _SHIFT)
+    def shapes(self, outlines: Points, colours: Sequence[Yuv | int]) -> None:
+        """Convex shapes of n points each, one over the other.
 
-    def shade(self, outline: Points, luma: int) -> None:
-        """A convex shape in luma alone: light and shade on what has its colour already."""
-        cv2.fillConvexPoly(self.y, fixed(outline), luma, cv2.LINE_AA, _SHIFT)
-
-    def bodies(
-        self, begins: Points, ends: Points, radii: NDArray[np.float64], finishes: Sequence[Finish]
-    ) -> None:
-        """Round rods, one over the other, lit from above; one without length is a sphere.
-
-        begins, ends: (n,). radii: (2, n) pixels, at the begin and at the end. All are turned
-        and sized in a few products: called one by one they would cost three times as much.
+        outlines: (shapes, n). colours: a `Yuv` each, or a luma alone: light and shade on what
+        has its colour already.
         """
-        along = ends - begins
-        length = np.abs(along)
-        along = np.where(length > 1e-6, along / np.maximum(length, 1e-6), -1j * _LIGHT)
-        towards_light = np.where((along * (1j * _LIGHT.conjugate())).real >= 0, 1j, -1j)
-        layers = np.empty((len(begins), len(_PART), 2 * len(_CAP)), np.complex128)
-        for half, sign, centres, radius in (
-            (layers[..., : len(_CAP)], 1, ends, radii[1]),
-            (layers[..., len(_CAP) :], -1, begins, radii[0]),
-        ):
-            size = along * radius
-            middles = (size * towards_light)[:, None] * _OFFSET + centres[:, None]
-            np.multiply(size[:, None, None], sign * _CAPS, out=half)
-            half += middles[..., None]
-        luma = fixed(layers)
+        luma = fixed(outlines)
+        # A chroma sample lies between two luma samples each way: a quarter pixel of its own.
+        chroma = (luma >> 1) - _FIXED // 4
+        fill = cv2.fillConvexPoly
+        for points, halved, colour in zip(luma, chroma, colours, strict=True):
+            if isinstance(colour, int):
+                fill(self.y, points, colour, cv2.LINE_AA, _SHIFT)
+                continue
+            fill(self.y, points, colour[0], cv2.LINE_AA, _SHIFT)
+            fill(self.u, halved, colour[1], _PLAIN, _SHIFT)
+            fill(self.v, halved, colour[2], _PLAIN, _SHIFT)
+
+    def bodies(self, bodies: Sequence[Body]) -> None:
+        """Round rods, one over the other, lit from above."""
+        sizes: list[complex] = []
+        centres: list[complex] = []
+        sides = []
+        for begin, end, begin_radius, end_radius, _ in bodies:
+            along = end - begin
+            length = abs(along)
+            along = along * (_FIXED / length) if length > 1e-6 else _UPRIGHT * _FIXED
+            sizes += (along * end_radius, along * begin_radius)
+            centres += (end * _FIXED, begin * _FIXED)
+            sides.append(0 if (along * _FROM_LIGHT).imag <= 0 else 1)
+        shape = len(bodies), 1, 2, 1
+        layers = _OUTLINES[sides] * np.array(sizes, np.complex64).reshape(shape)
+        layers += np.array(centres, np.complex64).reshape(shape)
+        luma = layers.view(np.float32).astype(np.int32)
+        luma = luma.reshape(len(bodies), len(_PART), 2 * len(_CAP), 2)
         chroma = (luma[:, 0] >> 1) - _FIXED // 4
         fill, y, u, v = cv2.fillConvexPoly, self.y, self.u, self.v
-        for outlines, outer, finish in zip(luma, chroma, finishes, strict=True):
+        for outlines, outer, body in zip(luma, chroma, bodies, strict=True):
+            finish = body[4]
             fill(u, outer, finish.u, _PLAIN, _SHIFT)
             fill(v, outer, finish.v, _PLAIN, _SHIFT)
             for outline, level in zip(outlines, finish.levels, strict=True):

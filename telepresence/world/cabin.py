@@ -5,14 +5,16 @@ the joystick, the head and the mouth move.
 """
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.media import I420
-from telepresence.world.brush import Brush, Finish, Points, capsule, disc, finish, yuv
+from kontur_av.media import I420, empty_picture
+from telepresence.world.backdrop import Backdrop
+from telepresence.world.brush import Body, Brush, Points, Yuv, capsule, disc, finish, yuv
 from telepresence.world.lettering import Caption
 from telepresence.world.speech import loudness_at
 from telepresence.world.state import WorldState
@@ -41,7 +43,7 @@ _SHOULDER = complex(392, 330)
 _JOYSTICK = complex(500, 452)
 
 
-def _shaded(colour: tuple[int, int, int], gain: float) -> tuple[int, int, int]:
+def _shaded(colour: Yuv, gain: float) -> Yuv:
     return round(16 + (colour[0] - 16) * gain), colour[1], colour[2]
 
 
@@ -60,17 +62,19 @@ _FACE = (
     (-21, -6, 10.5, 6.2),
     (21, -6, 10.5, 6.2),
 )
-#: Their colours, then those of the pupils, the lids, the lips and the open mouth; whether an
-#: oval is light and shade alone.
-_FACE_COLOURS = (
-    *((_HAIR, False), (_shaded(_SKIN, 0.80), False), (_SKIN, True), (_shaded(_SKIN, 1.06), True)),
-    *((_HAIR, False), (_shaded(_HAIR, 0.8), False), (_shaded(_HAIR, 0.8), False)),
-    *((_shaded(_SKIN, 0.84), True), (_shaded(_SKIN, 1.03), True)),
-    *((_WHITE, False), (_WHITE, False), (_DARK, False), (_DARK, False)),
-    *((_shaded(_SKIN, 0.9), False), (_shaded(_SKIN, 0.9), False), (_LIPS, False), (_DARK, False)),
+#: Their colours, then those of the pupils and of the lids; a number is light and shade alone.
+_FACE_COLOURS: tuple[Yuv | int, ...] = (
+    *(_HAIR, _shaded(_SKIN, 0.80), _SKIN[0], _shaded(_SKIN, 1.06)[0]),
+    *(_HAIR, _shaded(_HAIR, 0.8), _shaded(_HAIR, 0.8)),
+    *(_shaded(_SKIN, 0.84)[0], _shaded(_SKIN, 1.03)[0]),
+    *(_WHITE, _WHITE, _DARK, _DARK),
+    *(_shaded(_SKIN, 0.9), _shaded(_SKIN, 0.9)),
 )
+_MOUTH_COLOURS = (_LIPS, _DARK)
 
-_Body = tuple[complex, complex, float, float, Finish]
+#: What moves slowly (head, pen, clock) is drawn so often only: its largest step, at 8 px/s, is
+#: less than a pixel. The mouth and the hand move with every picture.
+_SLOW_NS = NS_PER_S // 10
 
 
 class CabinView:
@@ -79,65 +83,56 @@ class CabinView:
     def __init__(self, width: int, height: int) -> None:
         self._scale = min(width / 640, height / 480)
         self._origin = complex(width - 640 * self._scale, height - 480 * self._scale) / 2
-        image = _draw_still(width, height, self._scale, self._origin)
-        self._background: I420 = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420), np.uint8)
-        self._height = height
-        one = np.ones((height, width), np.uint8)
-        cv2.subtract(self._background[:height], one, dst=self._background[:height])
+        still = _draw_still(width, height, self._scale, self._origin)
+        self._backdrop = Backdrop(still, 0, seed=11)
         self._caption = Caption("cabin", width, height)
-        self._caption.paint(self._background)
-        rng = np.random.default_rng(11)
-        levels = np.array((0, 1, 1, 1, 1, 1, 1, 2), np.uint8)
-        self._grain = levels[rng.integers(0, 8, (height + 16, width + 16))]
+        for copy in self._backdrop.copies:
+            self._caption.paint(copy)
+        self._slow = empty_picture(width, height)
+        self._drawn: int | None = None
+        self._place, self._tilt = _NECK, complex(1)
 
     def draw(self, state: WorldState, into: I420, frame: int) -> None:
         """Write the picture of `state` into `into`; `frame` is the number burned in."""
-        height, width = self._height, into.shape[1]
-        left, top = frame * 7 % 16, frame * 11 % 16
-        grain = self._grain[top : top + height, left : left + width]
-        cv2.add(self._background[:height], grain, dst=into[:height])
-        into[height:] = self._background[height:]
+        moment = state.time_ns // _SLOW_NS
+        if moment != self._drawn:
+            self._draw_slow(moment)
+            self._drawn = moment
+        np.copyto(into, self._slow)
         brush = Brush(into)
-        self._clock_and_lamp(brush, state.time_ns)
-        self._pen(brush, state.time_ns)
-        self._head(brush, state.time_ns)
+        self._mouth(brush, state.time_ns)
         self._arm(brush, state)
         self._caption.count(brush.y, frame)
+
+    def _draw_slow(self, moment: int) -> None:
+        self._backdrop.copy(self._slow, moment)
+        brush, time_ns = Brush(self._slow), moment * _SLOW_NS
+        self._clock_and_lamp(brush, time_ns)
+        self._pen(brush, time_ns)
+        self._head(brush, time_ns)
 
     def _at(self, place: complex) -> complex:
         return self._origin + place * self._scale
 
-    def _bodies(self, brush: Brush, *bodies: _Body) -> None:
-        """Draw rods and balls, (begin, end, radius, radius, finish) each, in places of 640x480."""
-        begins, ends, begin_radii, end_radii, finishes = zip(*bodies, strict=True)
-        places = np.array((begins, ends)) * self._scale + self._origin
-        radii = np.array((begin_radii, end_radii)) * self._scale
-        brush.bodies(places[0], places[1], radii, finishes)
+    def _bodies(self, brush: Brush, *bodies: Body) -> None:
+        """Draw rods and balls, given in places of 640x480."""
+        s, at = self._scale, self._at
+        brush.bodies([(at(a), at(b), r * s, q * s, finish) for a, b, r, q, finish in bodies])
 
-    def _shape(self, outline: Points) -> Points:
-        return np.asarray(self._origin + outline * self._scale)
+    def _shapes(self, brush: Brush, outlines: Points, colours: Sequence[Yuv | int]) -> None:
+        brush.shapes(np.asarray(self._origin + outlines * self._scale), colours)
 
     def _clock_and_lamp(self, brush: Brush, time_ns: int) -> None:
         seconds = time_ns // NS_PER_S
-        for turn, length, thickness in (
-            (seconds / 43_200, 0.5, 2.6),
-            (seconds / 3_600, 0.72, 2.0),
-        ):
-            self._hand(brush, turn, length, thickness, _DARK)
-        # It jumps once a second, which an eye can count in the picture.
-        self._hand(brush, seconds % 60 / 60, 0.86, 1.2, _HAND)
+        hands = (
+            _hand(seconds / 43_200, 0.5, 2.6),
+            _hand(seconds / 3_600, 0.72, 2.0),
+            # It jumps once a second, which an eye can count in the picture.
+            _hand(seconds % 60 / 60, 0.86, 1.2),
+        )
+        self._shapes(brush, np.array(hands), (_DARK, _DARK, _HAND))
         lit = (time_ns // (NS_PER_S // 2)) % 2 == 0
-        brush.fill(self._shape(disc(_LAMP, 6.0)), _LAMP_ON if lit else _LAMP_OFF)
-
-    def _hand(
-        self, brush: Brush, turn: float, length: float, thickness: float,
-        colour: tuple[int, int, int],
-    ) -> None:  # fmt: skip
-        direction = complex(math.sin(2 * math.pi * turn), -math.cos(2 * math.pi * turn))
-        end, side = _CLOCK + direction * _CLOCK_RADIUS * length, direction * 1j * thickness
-        back = _CLOCK - direction * 5
-        outline = np.array((back + side, back - side, end - side * 0.5, end + side * 0.5))
-        brush.fill(self._shape(outline), colour)
+        self._shapes(brush, disc(_LAMP, 6.0)[None], (_LAMP_ON if lit else _LAMP_OFF,))
 
     def _pen(self, brush: Brush, time_ns: int) -> None:
         t = time_ns / NS_PER_S
@@ -147,41 +142,42 @@ class CabinView:
 
     def _head(self, brush: Brush, time_ns: int) -> None:
         t = time_ns / NS_PER_S
-        loud = loudness_at("cabin", time_ns)
         # The head sways slowly, nods a little while it talks, and looks down at the hand.
-        tilt = complex(math.cos(a := 0.05 * math.sin(t / 1.9)), math.sin(a))
-        place = _NECK + complex(4 * math.sin(t / 2.7), 2 * math.sin(t / 1.3) + 3 * loud)
+        stress = sum(loudness_at("cabin", time_ns - k * _SLOW_NS) for k in range(5)) / 5
+        self._tilt = tilt = complex(math.cos(a := 0.05 * math.sin(t / 1.9)), math.sin(a))
+        self._place = place = _NECK + complex(
+            4 * math.sin(t / 2.7), 2 * math.sin(t / 1.3) + 3 * stress
+        )
         glance = 2.5 + 2.0 * math.sin(t / 2.1)
         # The lids have no size while the eyes are open.
         eye = 11.0 if time_ns % (4 * NS_PER_S) < 130_000_000 else 0.0
         self._bodies(brush, (_NECK + 8j, place - 40j, 24, 23, _SKIN_BODY))
-        ovals = np.array(
-            (
-                *_FACE,
-                *((-21 + glance, -5, 5, 5.4), (21 + glance, -5, 5, 5.4)),
-                *((-21, -6, eye, 0.62 * eye), (21, -6, eye, 0.62 * eye)),
-                (1, 40, 17, 4.5 + 8 * loud),
-                (1, 40, 13, 1.2 + 7 * loud),
-            )
+        ovals = (
+            *_FACE,
+            *((-21 + glance, -5, 5, 5.4), (21 + glance, -5, 5, 5.4)),
+            *((-21, -6, eye, 0.62 * eye), (21, -6, eye, 0.62 * eye)),
         )
-        shapes = ovals[:, 2:3] * _CIRCLE.real + 1j * (ovals[:, 3:4] * _CIRCLE.imag)
-        shapes += (ovals[:, 0] + 1j * (ovals[:, 1] - 86))[:, None]
-        outlines = self._at(place) + shapes * (tilt * self._scale)
-        for outline, (colour, luma_only) in zip(outlines, _FACE_COLOURS, strict=True):
-            if luma_only:
-                brush.shade(outline, colour[0])
-            else:
-                brush.fill(outline, colour)
-        ear, mouth = (place + complex(x, y - 86) * tilt for x, y in ((-57, 4), (-22, 52)))
+        self._shapes(brush, self._on_face(ovals), _FACE_COLOURS)
+        ear, boom = (place + complex(x, y - 86) * tilt for x, y in ((-57, 4), (-22, 52)))
         self._bodies(
             brush,
-            (ear + 10j * tilt, mouth, 3, 3, _HEADSET_BODY),
+            (ear + 10j * tilt, boom, 3, 3, _HEADSET_BODY),
             (ear, ear, 14, 14, _HEADSET_BODY),
         )
 
+    def _on_face(self, ovals: Sequence[tuple[float, float, float, float]]) -> Points:
+        """Outlines of (x, y, half width, half height), which turn with the head."""
+        across, down, half_width, half_height = np.array(ovals).T[..., None]
+        shapes = half_width * _CIRCLE.real + 1j * (half_height * _CIRCLE.imag + down - 86) + across
+        return np.asarray(shapes * self._tilt + self._place)
+
+    def _mouth(self, brush: Brush, time_ns: int) -> None:
+        loud = loudness_at("cabin", time_ns)
+        ovals = ((1, 40, 17, 4.5 + 8 * loud), (1, 40, 13, 1.2 + 7 * loud))
+        self._shapes(brush, self._on_face(ovals), _MOUTH_COLOURS)
+
     def _arm(self, brush: Brush, state: WorldState) -> None:
         """The right arm and the joystick, deflected as the stylus is."""
-        s = self._scale
         lean = complex(state.x_m / 0.15, -state.y_m / 0.10)
         knob = _JOYSTICK + complex(0, -56) + complex(lean.real * 26, lean.imag * 12)
         elbow = complex(438, 424) + lean.real * 8
@@ -194,11 +190,30 @@ class CabinView:
             (elbow, knob + complex(-16, 4), 26, 18, _SUIT),
             (wrist, wrist, 17, 17, _SKIN_BODY),
         )
-        for finger in range(3):
-            begin = knob + complex(2, -9 + 8 * finger)
-            ends = self._at(begin), self._at(begin + complex(13, 4))
-            brush.fill(capsule(*ends, 5.5 * s, 4.5 * s), _shaded(_SKIN, 0.7))
-            brush.shade(capsule(*ends, 4.3 * s, 3.4 * s), _SKIN[0])
+        self._shapes(brush, _FINGERS + knob, _FINGER_COLOURS)
+
+
+def _fingers() -> Points:
+    """Three fingers around a knob at 0, each a dark outline and what is lit within it."""
+    begins = [complex(2, -9 + 8 * k) for k in range(3)]
+    outlines = (
+        capsule(begin, begin + (13 + 4j), *radii)
+        for begin in begins
+        for radii in ((5.5, 4.5), (4.3, 3.4))
+    )
+    return np.array(list(outlines))
+
+
+_FINGERS = _fingers()
+_FINGER_COLOURS = (_shaded(_SKIN, 0.7), _SKIN[0]) * 3
+
+
+def _hand(turn: float, length: float, thickness: float) -> Points:
+    """The outline of one of the clock's hands."""
+    direction = complex(math.sin(2 * math.pi * turn), -math.cos(2 * math.pi * turn))
+    end, side = _CLOCK + direction * _CLOCK_RADIUS * length, direction * 1j * thickness
+    back = _CLOCK - direction * 5
+    return np.array((back + side, back - side, end - side * 0.5, end + side * 0.5))
 
 
 def _draw_still(width: int, height: int, scale: float, origin: complex) -> Image:

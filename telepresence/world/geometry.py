@@ -1,11 +1,14 @@
 """Pinhole cameras over the board. Metres in, pixels out."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
+#: x, y, z in metres. A dozen of these a picture is less than NumPy is worth calling for.
+Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -31,13 +34,26 @@ class Camera:
         """(n, 3) metres in the camera's own axes: right, down, forward (the depth)."""
         return np.asarray((points - self.position) @ self.rotation.T)
 
-    def see(self, local: Vector) -> tuple[NDArray[np.complex128], Vector]:
-        """From `local`: (n,) pixels as x + iy, and (n,) pixels per metre at each of them."""
-        scale = self.focal / np.maximum(local[:, 2], 0.02)
-        pixels = np.empty(len(local), np.complex128)
-        pixels.real = local[:, 0] * scale + self.centre[0]
-        pixels.imag = local[:, 1] * scale + self.centre[1]
-        return pixels, scale
+    @cached_property
+    def _numbers(self) -> tuple[tuple[float, ...], tuple[tuple[float, ...], ...], complex]:
+        position = tuple(float(value) for value in self.position)
+        rows = tuple(tuple(float(value) for value in row) for row in self.rotation)
+        return position, rows, complex(*self.centre)
+
+    def place(self, point: Point) -> Point:
+        """A point in the camera's own axes: right, down, forward (the depth); metres."""
+        (px, py, pz), ((a, b, c), (d, e, f), (g, h, i)), _ = self._numbers
+        x, y, z = point[0] - px, point[1] - py, point[2] - pz
+        return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+
+    def picture(self, place: Point) -> tuple[complex, float]:
+        """From `place`: its pixel as x + iy, and how many pixels a metre is there."""
+        scale = self.focal / max(place[2], 0.02)
+        return complex(place[0], place[1]) * scale + self._numbers[2], scale
+
+    def see(self, point: Point) -> tuple[complex, float]:
+        """A point in metres: its pixel as x + iy, and how many pixels a metre is there."""
+        return self.picture(self.place(point))
 
     def plane_homography(self) -> Vector:
         """(3, 3): board metres (x, y, 1) at z = 0 -> homogeneous pixels."""

@@ -1,7 +1,7 @@
 """The four cameras on the ground: left and right above the board, static, and the robot's head.
 
 What stands still is drawn once, in RGB and at twice the size; for each picture only the
-light of an LED, the shadow, the arm and the counter are drawn over a copy of it.
+light of an LED, the shadow, the arm and the counter are laid over a copy of it.
 """
 
 import math
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
-from telepresence.world.arm import SHOULDER_M, draw_arm, pose
+from telepresence.world.arm import SHOULDER_M, Arm
+from telepresence.world.backdrop import Backdrop, Patch
 from telepresence.world.board import (
     LED_COLOURS,
     LED_RADIUS_M,
@@ -66,15 +67,16 @@ class GroundView:
         self._mount = MOUNTS[view]
         scale = min(width / 640, height / 480)
         self._sway = 2 * round(self._mount.sway * scale / 2)
-        self._width, self._height = width, height
         self._camera = camera_of(view, width, height)
         self._still = _draw_still(view, width, height, self._sway)
+        self._arm = Arm(self._camera, above=self._mount.from_above, size=max(width, height))
         self._caption = Caption(view, width, height)
-        rng = np.random.default_rng(7)
-        levels = np.array((0, 1, 1, 1, 1, 1, 1, 2), np.uint8)
-        self._grain = levels[rng.integers(0, 8, (height + 16, width + 16))]
-        # One entry a lit LED and chroma phase, made when it is first seen.
-        self._backgrounds: dict[tuple[int | None, int, int], I420] = {}
+        self._backdrop = Backdrop(self._still, self._sway, seed=7)
+        if not self._sway:
+            for copy in self._backdrop.copies:
+                self._caption.paint(copy)
+        # Each is made when its LED is first lit.
+        self._lights: dict[int, Patch] = {}
 
     def draw(self, state: WorldState, into: I420, frame: int, *, stylus: bool = True) -> None:
         """Write the picture of `state` into `into`; `frame` is the number burned in.
@@ -82,13 +84,18 @@ class GroundView:
         stylus: without it, there is no arm either: only the board.
         """
         across, down = self._turned(state.time_ns)
-        self._copy_background(state.lit, across, down, into, frame)
+        self._backdrop.copy(into, frame, across, down)
+        lit = state.lit
+        if lit is not None:
+            if lit not in self._lights:
+                self._lights[lit] = _light(self._still, self._camera, lit, self._sway)
+            self._lights[lit].lay(into, across, down)
         brush = Brush(into)
         if stylus:
             offset = complex(self._sway - across, self._sway - down)
-            points = pose(state.x_m, state.y_m)
-            draw_arm(brush, self._camera, points, offset, above=self._mount.from_above)
-        self._caption.paint(into)
+            self._arm.draw(brush, state.x_m, state.y_m, offset)
+        if self._sway:
+            self._caption.paint(into)
         self._caption.count(brush.y, frame)
 
     def _turned(self, time_ns: int) -> tuple[int, int]:
@@ -102,37 +109,6 @@ class GroundView:
         across = round(self._sway * (1 + glance + breath))
         down = round(self._sway * (1 + 0.25 * math.sin(2 * math.pi * t / 5.3) + breath))
         return across, down
-
-    def _copy_background(
-        self, lit: int | None, across: int, down: int, into: I420, frame: int
-    ) -> None:
-        width, height = self._width, self._height
-        key = (lit, across & 1, down & 1)
-        background = self._backgrounds.get(key)
-        if background is None:
-            background = self._backgrounds[key] = self._background(*key)
-        full_height = background.shape[0] * 2 // 3
-        # A new piece of one field of grain for each picture: noise at the price of a copy.
-        left, top = frame * 7 % 16, frame * 11 % 16
-        cv2.add(
-            background[down & ~1 :, across & ~1 :][:height, :width],
-            self._grain[top : top + height, left : left + width],
-            dst=into[:height],
-        )
-        chroma = background[full_height:].reshape(2, full_height // 2, -1)
-        target = into[height:].reshape(2, height // 2, width // 2)
-        target[:] = chroma[:, down // 2 :, across // 2 :][:, : height // 2, : width // 2]
-
-    def _background(self, lit: int | None, odd_across: int, odd_down: int) -> I420:
-        """The board with one LED lit, as I420; shifted by a pixel so that chroma fits, too."""
-        image = self._still if lit is None else _lighten(self._still, self._camera, lit, self._sway)
-        height, width = image.shape[:2]
-        shifted = np.zeros_like(image)
-        shifted[: height - odd_down, : width - odd_across] = image[odd_down:, odd_across:]
-        picture = np.asarray(cv2.cvtColor(shifted, cv2.COLOR_RGB2YUV_I420), np.uint8)
-        # The grain that is added later is 1 on average.
-        cv2.subtract(picture[:height], np.ones((height, width), np.uint8), dst=picture[:height])
-        return picture
 
 
 @lru_cache(maxsize=1)
@@ -229,8 +205,8 @@ def _column(
     cv2.fillConvexPoly(image, lid, [min(255, int(c * 1.05)) for c in colour], cv2.LINE_AA)
 
 
-def _lighten(still: Image, camera: Camera, lit: int, margin: int) -> Image:
-    """The same picture with one LED alight: a bright core, and its light on the panel."""
+def _light(still: Image, camera: Camera, lit: int, margin: int) -> Patch:
+    """One LED alight: a bright core, and its light on the panel around."""
     x, y = LEDS_M[lit]
     point = np.array((x, y, 0.0))
     (centre,) = camera.project(point[None]) + margin
@@ -238,10 +214,10 @@ def _lighten(still: Image, camera: Camera, lit: int, margin: int) -> Image:
     rim = camera.project(point + LED_RADIUS_M * np.array(((1.0, 0, 0), (0, 1.0, 0)))) + margin
     basis = np.linalg.inv(np.column_stack((rim[0] - centre, rim[1] - centre)))
     reach = 1.2 * 16 * max(float(np.hypot(*(end - centre))) for end in rim)
-    left, top = (max(0, int(value - reach)) for value in centre)
+    left, top = (max(0, int(value - reach)) & ~1 for value in centre)
     right, bottom = (int(value + reach) for value in centre)
-    image = still.copy()
-    region = image[top:bottom, left:right]
+    region = still[top:bottom, left:right]
+    region = region[: region.shape[0] & ~1, : region.shape[1] & ~1]
     ys, xs = np.mgrid[top : top + region.shape[0], left : left + region.shape[1]]
     u = basis[0, 0] * (xs - centre[0]) + basis[0, 1] * (ys - centre[1])
     v = basis[1, 0] * (xs - centre[0]) + basis[1, 1] * (ys - centre[1])
@@ -251,8 +227,7 @@ def _lighten(still: Image, camera: Camera, lit: int, margin: int) -> Image:
     core = np.clip((1.12 - radius) * 6, 0, 1)
     white = np.clip(1 - radius / 0.85, 0, 1) * 0.7
     shining = (region + colour * halo) * (1 - core) + (colour * (1 - white) + 255 * white) * core
-    region[:] = np.clip(shining, 0, 255)
-    return image
+    return Patch(np.clip(shining, 0, 255).astype(np.uint8), left, top)
 
 
 def targets_px(view: str, width: int, height: int) -> NDArray[np.float64]:

@@ -30,7 +30,8 @@ class Caption:
         self._row = max(8, round(height / 26.7) & ~1)
         digit = max(5, round(self._row * 0.62))
         self._digit = digit
-        self._digits = [_stamp(str(value), self._row, digit) for value in range(10)]
+        #: (row, 10, digit): a number is then one gathering and one copy.
+        self._digits = np.stack([_stamp(str(k), self._row, digit) for k in range(10)], axis=1)
         label = round(self._row * 0.62 * (len(name) + 1)) & ~1
         self._name = _stamp(name.upper(), self._row, label)
         self._top = (height - self._row - 4) & ~1
@@ -55,9 +56,8 @@ class Caption:
         """The number of the picture, modulo a million, into the luma plane."""
         if not self._fits:
             return
+        number %= 10**DIGITS
+        text = self._digits.take([ord(c) - 48 for c in f"{number:0{DIGITS}d}"], axis=1)
+        text = text.reshape(self._row, DIGITS * self._digit)
         at = self._counter_left
-        for character in f"{number % 10**DIGITS:0{DIGITS}d}":
-            luma[self._top : self._top + self._row, at : at + self._digit] = self._digits[
-                ord(character) - 48
-            ]
-            at += self._digit
+        luma[self._top : self._top + self._row, at : at + text.shape[1]] = text
