@@ -33,7 +33,7 @@ def newest_state(bus: TopicBus) -> StateAt:
         lease = reader.latest()
         if lease is not None:
             with lease:
-                known = unpack_state(lease.payload.tobytes())
+                known = unpack_state(lease.octets())
         return scripted_state(now_ns) if known is None else known
 
     return state_at
