@@ -36,6 +36,7 @@ _GOOD_LIFE_NS = 5 * NS_PER_S
 _PATIENCE_NS = 3 * NS_PER_S
 _SHOW_NS = NS_PER_S
 _MESSAGE_OCTETS = 1 << 20
+_ENDING = (signal.SIGINT, signal.SIGTERM)
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
@@ -104,10 +105,7 @@ class Launcher:
         wake_read, wake_write = socket.socketpair()
         wake_read.setblocking(False)
         wake_write.setblocking(False)
-        previous = {
-            number: signal.signal(number, self._handle_signal)
-            for number in (signal.SIGINT, signal.SIGTERM)
-        }
+        previous = {number: signal.signal(number, self._handle_signal) for number in _ENDING}
         previous_wakeup = signal.set_wakeup_fd(wake_write.fileno())
         self._selector.register(wake_read, selectors.EVENT_READ, wake_read)
         # What is there now is never freed: no need to walk it, or to copy its pages for that.
@@ -191,10 +189,13 @@ class Launcher:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         for end in (ours, theirs):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _MESSAGE_OCTETS)
+        # Until the child has its own way to end, a SIGTERM waits: it would be taken for ours.
+        signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
         pid = os.fork()
         if pid == 0:
             ours.close()
             os._exit(self._become_child(child, theirs))
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
         theirs.close()
         ours.setblocking(False)
         child.pid, child.link = pid, ours
@@ -220,6 +221,7 @@ class Launcher:
         )
         try:
             become(child.part, context)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
             child.part.run(context)
         except BaseException as error:
             context.probe.gauge("last_error", _one_line(error))

@@ -58,11 +58,7 @@ def run(args: argparse.Namespace) -> int:
     load_libraries()
     clock = MonotonicClock()
     draw_backgrounds(setup, clock)
-    parts = sorted([*ground_parts(setup), *space_parts(setup)], key=lambda part: part.stage)
-    if snapshots is not None:
-        from pipelines.parts.snapshots import run_snapshots
-
-        parts.append(Part("snapshots", Segment.SPACE, Stage.SINK, run_snapshots))
+    parts = session_parts(setup, snapshots=snapshots is not None)
     with LiveView(quiet=args.quiet, verbose=args.verbose) as view:
         launcher = Launcher(
             session=f"{setup.name[:16].lower().replace('_', '-')}-{os.getpid()}",
@@ -87,6 +83,16 @@ def run(args: argparse.Namespace) -> int:
     if not args.quiet:
         print_summary(report)
     return 1 if report["failures"] else 0
+
+
+def session_parts(setup: Setup, *, snapshots: bool = False) -> list[Part]:
+    """The processes of a session, in the order in which they are started."""
+    parts = sorted([*ground_parts(setup), *space_parts(setup)], key=lambda part: part.stage)
+    if snapshots:
+        from pipelines.parts.snapshots import run_snapshots
+
+        parts.append(Part("snapshots", Segment.SPACE, Stage.SINK, run_snapshots))
+    return parts
 
 
 def chosen_setup(args: argparse.Namespace) -> Setup:
