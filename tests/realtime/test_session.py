@@ -1,0 +1,170 @@
+"""The whole SpaceJustin session: on its built-in world, and on real footage and speech.
+
+How fast and how late things are is the machine's affair and asserted nowhere; what is asserted
+must hold on the slowest one.
+"""
+
+import cv2
+import numpy as np
+import pytest
+from running_session import assert_sound
+
+pytestmark = pytest.mark.realtime
+
+STREAM_KEYS = [
+    "cap_bps",
+    "payload_bps_mean",
+    "payload_bps_max_1s",
+    "payload_bps_max_100ms",
+    "frames_captured",
+    "frames_encoded",
+    "frames_sent",
+    "frames_displayed",
+    "rtp_packets",
+    "rtp_lost",
+    "rtp_reordered",
+    "latency_ms",
+]
+PERCENTILES = {"p50", "p95", "p99", "max"}
+WAY = ("frames_captured", "frames_encoded", "frames_sent", "frames_displayed")
+
+
+def assert_has_every_key(report):
+    assert {"setup", "seconds", "streams", "haptic", "link", "skew_ms", "processes"} <= set(report)
+    for stream in report["streams"].values():
+        assert set(STREAM_KEYS) <= set(stream)
+        assert set(stream["latency_ms"]) >= PERCENTILES
+        stages = stream["latency_ms"]["stages"]
+        assert len(stages) == 4
+        assert all(set(stage) >= PERCENTILES for stage in stages.values())
+    for haptic in report["haptic"].values():
+        keys = {"sent", "received", "lost", "latency_ms", "lateness_us", "slips"}
+        assert keys <= set(haptic)
+        assert set(haptic["latency_ms"]) >= PERCENTILES
+        assert set(haptic["lateness_us"]) >= PERCENTILES
+    for link in report["link"].values():
+        assert {"capacity_bps", "octets", "queue"} <= set(link)
+        assert {"tmtc", "voice", "video"} <= set(link["queue"])
+        for queue in link["queue"].values():
+            assert {"octets", "packets", "oldest_age_ns", "drops", "policy"} <= set(queue)
+    for skew in report["skew_ms"].values():
+        assert set(skew) >= {"p50", "p95", "max"}
+    assert {"video_haptic", "audio_haptic", "audio_video"} <= set(report["skew_ms"])
+    assert all({"cpu_s", "restarts"} <= set(entry) for entry in report["processes"].values())
+
+
+def assert_all_six_flowed(report):
+    assert set(report["streams"]) == {
+        "uplink_video", "uplink_voice", "downlink_video", "downlink_voice"
+    }  # fmt: skip
+    for name, stream in report["streams"].items():
+        assert stream["rtp_lost"] == stream["garbage"] == 0, name
+        assert stream["rtp_packets"] > 0, name
+        counts = [stream[key] for key in WAY]
+        assert all(count > 0 for count in counts), (name, counts)
+        assert counts[0] >= counts[1] >= counts[2], (name, counts)
+        latency = stream["latency_ms"]
+        assert 0 < latency["p50"] <= latency["p95"] <= latency["p99"] * 1.01, name
+        stages = sum(stage["p50"] for stage in latency["stages"].values())
+        assert stages > 0, name
+        # Each end stamps on its own; the one's stamp comes to the other by RTP and RTCP.
+        assert stream["capture_stamp_error_us"] < 1000, name
+    for name, haptic in report["haptic"].items():
+        assert 0 < haptic["received"] <= haptic["sent"], name
+        assert haptic["garbage"] == 0, name
+        assert haptic["latency_ms"]["p50"] > 0, name
+    for direction, link in report["link"].items():
+        assert link["octets"]["haptic"] > 0, direction
+        assert link["octets"]["voice"] > 0, direction
+        assert link["octets"]["video"] > 0, direction
+        assert set(link["refused"].values()) == {0}, direction
+        assert link["packets_dropped"] == {}, direction
+    assert report["link"]["uplink"]["packets"]["telemetry"] > 0
+    assert sum(entry["restarts"] for entry in report["processes"].values()) == 0
+    assert all(entry["cpu_s"] > 0 for entry in report["processes"].values())
+
+
+def test_every_stream_flows_through_one_link(start, tmp_path):
+    shots = tmp_path / "shots"
+    session = start("spacejustin", "--seconds", "12", "--snapshots", str(shots))
+    session.pids()
+    session.wait_for_flow()
+    for camera in ("static", "head"):
+        done = session.select(camera)
+        assert done.returncode == 0, done.stderr
+        assert f"{camera} is selected" in done.stdout
+    unknown = session.select("nosuch")
+    assert unknown.returncode == 2
+    assert len(unknown.stderr.splitlines()) == 1
+    assert "stereo, static, head" in unknown.stderr
+    code, report = session.end()
+    assert code == 0, session.errors()
+    assert session.errors() == ""
+    session.assert_nothing_left()
+
+    assert_sound(report)
+    assert_has_every_key(report)
+    assert_all_six_flowed(report)
+    assert report["setup"] == "spacejustin"
+    assert report["seconds"] >= 12
+    assert report["processes"]["selector"]["selected"] == "head"
+    assert report["link"]["downlink"]["packets"]["telecommand"] >= 2
+    assert_snapshots(shots)
+
+
+def assert_snapshots(shots):
+    pictures = {path.name: cv2.imread(str(path)) for path in sorted(shots.glob("*.png"))}
+    for kind in ("space-uplink_video", "ground-downlink_video", "ground-stereo"):
+        of_kind = [picture for name, picture in pictures.items() if name.startswith(kind)]
+        assert of_kind, kind
+        for picture in of_kind:
+            # Neither one colour nor the grey that a decoder draws when it knows nothing.
+            assert picture.std() > 15, kind
+            assert len(np.unique(picture)) > 100, kind
+    halves = [name for name in pictures if name.endswith("-left-half.png")]
+    assert halves
+    for name in halves:
+        merged = pictures[name.replace("-left-half", "")]
+        left, right = pictures[name], pictures[name.replace("left", "right")]
+        assert merged.shape == (480, 640, 3)
+        assert left.shape == right.shape == (480, 320, 3)
+        assert np.array_equal(merged, np.hstack([left, right]))
+
+
+def test_real_footage_and_real_speech(start, footage, speech, tmp_path):
+    session = start(
+        "spacejustin",
+        "--source", f"head={footage('bikes.mp4')}",
+        "--source", f"iss_camera={footage('bigbuckbunny.mp4')}",
+        "--source", f"ground_mic={speech('Front_Center.wav')}",
+        "--snapshots", str(tmp_path),
+    )  # fmt: skip
+    session.pids()
+    session.wait_for_flow()
+    assert session.select("head").returncode == 0
+    seen = len(list(tmp_path.glob("space-*.png")))
+    # A film's cuts come into the encoder; its picture goes on through all of them.
+    session.wait_for_flow()
+    session.wait_for_snapshot("space-uplink_video", more_than=seen)
+    code, report = session.interrupt()
+    assert code == 0, session.errors()
+    session.assert_nothing_left()
+    assert_sound(report)
+    assert_all_six_flowed(report)
+    last = cv2.imread(str(max(tmp_path.glob("space-uplink_video-*.png"))))
+    assert looks_like(last, footage("bikes.mp4"))
+
+
+def looks_like(picture, clip):
+    """Whether a picture of the clip, fitted as the source fits it, is much like `picture`."""
+    seen = cv2.resize(picture, (64, 48), interpolation=cv2.INTER_AREA).astype(float)
+    film, best = cv2.VideoCapture(str(clip)), 0.0
+    while True:
+        more, frame = film.read()
+        if not more:
+            return best > 0.9
+        height = round(64 * frame.shape[0] / frame.shape[1])
+        fitted = np.zeros((48, 64, 3))
+        top = (48 - height) // 2
+        fitted[top : top + height] = cv2.resize(frame, (64, height), interpolation=cv2.INTER_AREA)
+        best = max(best, np.corrcoef(seen.ravel(), fitted.ravel())[0, 1])

@@ -1,0 +1,137 @@
+"""Each process of a session killed once, with no chance to tidy up; and the launcher itself."""
+
+import contextlib
+import os
+import signal
+import time
+
+import pytest
+from running_session import alive, assert_sound, eventually
+
+from kontur_av.clock import MonotonicClock
+from pipelines.names import ROBOT_TOPIC, SELECTED_TOPIC, STEREO_TOPIC, input_topic, received_topic
+
+pytestmark = pytest.mark.realtime
+
+RECEIVED = [
+    received_topic(name)
+    for name in ("uplink_video", "uplink_voice", "downlink_video", "downlink_voice")
+]
+#: Where it is seen first that a process works again, if not at the end of the streams.
+WITNESS = {
+    "robot": ROBOT_TOPIC,
+    "joystick": ROBOT_TOPIC,
+    "stereo": STEREO_TOPIC,
+    "selector": SELECTED_TOPIC,
+    "ground_mic": input_topic("ground_mic"),
+    "iss_camera": input_topic("iss_camera"),
+    "iss_mic": input_topic("iss_mic"),
+    **{f"camera_{name}": input_topic(name) for name in ("left", "right", "static", "head")},
+}
+#: Streams whose end only the line of figures shows, which comes once a second.
+LINES = {
+    "ground_display": ["downlink_video", "downlink_voice"],
+    "space_display": ["uplink_video", "uplink_voice"],
+    "joystick": ["haptic_up", "haptic_down"],
+    "robot": ["haptic_up", "haptic_down"],
+    "ground_gateway": ["haptic_up", "haptic_down"],
+    "space_gateway": ["haptic_up", "haptic_down"],
+}
+
+
+def test_each_process_is_killed_once(start, monkeypatch):
+    session = start("spacejustin")
+    clock = MonotonicClock()
+    pids = session.pids()
+    session.wait_for_flow()
+    back_s = {}
+    with session.bus(monkeypatch) as bus:
+        readers = {topic: bus.reader(topic) for topic in {*RECEIVED, *WITNESS.values()}}
+
+        def captured_since(topic, instant_ns):
+            lease = readers[topic].latest()
+            if lease is None:
+                return False
+            with lease:
+                return lease.stamp.capture_ns > instant_ns
+
+        for name in session.names:
+            killed_ns = clock.now_ns()
+            os.kill(pids[name], signal.SIGKILL)
+            others = {other: pid for other, pid in pids.items() if other != name}
+
+            def newcomer(others=others, killed=pids[name]):
+                assert session.process.poll() is None, session.errors()
+                return [pid for pid in session.children() if pid not in (*others.values(), killed)]
+
+            (pids[name],) = eventually(newcomer, f"the restart of {name}")
+            started_ns = clock.now_ns()
+            topics = [*RECEIVED, *([WITNESS[name]] if name in WITNESS else [])]
+            for topic in topics:
+                eventually(
+                    lambda topic=topic, since_ns=started_ns: captured_since(topic, since_ns),
+                    f"{topic} after {name} was killed",
+                )
+            back_s[name] = (clock.now_ns() - killed_ns) / 1e9
+            if name == "console":
+                assert session.select("stereo").returncode == 0
+            if name in LINES:
+                session.wait_for_flow(LINES[name])
+            assert all(alive(pid) for pid in others.values()), name
+            assert set(session.children()) == set(pids.values()), name
+    print("back after, s:", {name: round(seconds, 2) for name, seconds in back_s.items()})
+    code, report = session.interrupt()
+    assert code == 0, session.errors()
+    assert session.errors() == ""
+    session.assert_nothing_left()
+    assert_sound(report)
+    processes = report["processes"]
+    assert set(processes) == set(session.names)
+    assert {name: entry["restarts"] for name, entry in processes.items()} == dict.fromkeys(
+        session.names, 1
+    )
+    for name, entry in processes.items():
+        assert "SIGKILL" in entry["last_error"], (name, entry)
+
+
+def test_ctrl_c_at_once_leaves_nothing(start):
+    session = start("taskboard")
+    eventually(session.children, "the first process")
+    code, report = session.interrupt()
+    assert code == 0, session.errors()
+    assert session.errors() == ""
+    assert set(report["streams"]) == {"uplink_video"}
+    session.assert_nothing_left()
+
+
+def test_the_processes_go_with_a_launcher_that_is_killed(start):
+    session = start("taskboard")
+    pids = session.pids()
+    session.wait_for_flow()
+    session.process.kill()
+    session.process.wait()
+    eventually(lambda: not any(alive(pid) for pid in pids.values()), "the end of all processes")
+
+
+def test_a_process_that_falls_for_ever_takes_nobody_along(start):
+    session = start("taskboard")
+    pids = session.pids()
+    session.wait_for_flow()
+    end_s = time.monotonic() + 2
+    killed = 0
+    others = {pid for name, pid in pids.items() if name != "camera_static"}
+    while time.monotonic() < end_s:
+        for pid in set(session.children()) - others:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+                killed += 1
+        time.sleep(0.01)
+    session.wait_for_flow()
+    code, report = session.interrupt()
+    assert code == 0
+    assert_sound(report)
+    restarts = {name: entry["restarts"] for name, entry in report["processes"].items()}
+    # Each restart waits longer than the one before: not every look finds a process to kill.
+    assert 2 <= restarts.pop("camera_static") <= killed <= 10
+    assert set(restarts.values()) == {0}
+    session.assert_nothing_left()
