@@ -58,6 +58,11 @@ def alive(pid):
     return state != "Z"
 
 
+def _name_of(pid):
+    comm = Path(f"/proc/{pid}/comm").read_text().strip()
+    return comm if comm.startswith("kav ") else None
+
+
 class RunningSession:
     """`kontur-av stream` with options; close it to have nothing of it left, whatever happened.
 
@@ -127,7 +132,7 @@ class RunningSession:
 
         pids = dict(zip(self.names, eventually(all_started, "the start"), strict=True))
         for name, pid in pids.items():
-            comm = Path(f"/proc/{pid}/comm").read_text().strip()
+            comm = eventually(lambda pid=pid: _name_of(pid), f"the start of {name}")
             assert f"kav {name}".startswith(comm), (name, comm)
         return pids
 

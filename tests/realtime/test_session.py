@@ -12,18 +12,9 @@ from running_session import assert_sound
 pytestmark = pytest.mark.realtime
 
 STREAM_KEYS = [
-    "cap_bps",
-    "payload_bps_mean",
-    "payload_bps_max_1s",
-    "payload_bps_max_100ms",
-    "frames_captured",
-    "frames_encoded",
-    "frames_sent",
-    "frames_displayed",
-    "rtp_packets",
-    "rtp_lost",
-    "rtp_reordered",
-    "latency_ms",
+    *("cap_bps", "payload_bps_mean", "payload_bps_max_1s", "payload_bps_max_100ms"),
+    *("frames_captured", "frames_encoded", "frames_sent", "frames_displayed"),
+    *("rtp_packets", "rtp_lost", "rtp_reordered", "latency_ms"),
 ]
 PERCENTILES = {"p50", "p95", "p99", "max"}
 WAY = ("frames_captured", "frames_encoded", "frames_sent", "frames_displayed")
