@@ -17,7 +17,8 @@ from pipelines.launcher import Launcher, check_ports, launcher_cpu_s, load_libra
 from pipelines.live import LiveView
 from pipelines.process import Part, Segment, Stage
 from pipelines.report import build_report
-from pipelines.setup import Setup, load_setup
+from pipelines.setup import Setup
+from pipelines.setup_file import load_setup
 from pipelines.space import space_parts
 from pipelines.summary import print_summary
 from telepresence.world import audio_scenes, video_scenes

@@ -16,7 +16,8 @@ from pathlib import Path
 import pytest
 
 from kontur_av.topics import TopicBus, shared_memory
-from pipelines.setup import PORTS, load_setup
+from pipelines.setup import PORTS
+from pipelines.setup_file import load_setup
 from pipelines.stream import session_parts
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")

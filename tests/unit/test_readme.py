@@ -12,7 +12,8 @@ import pytest
 from pipelines.cli import _parser
 from pipelines.collector import Collector
 from pipelines.report import build_report
-from pipelines.setup import Ports, Setup, load_setup, setup_from_table
+from pipelines.setup import Ports, Setup
+from pipelines.setup_file import load_setup, setup_from_table
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
