@@ -31,7 +31,8 @@ class Message:
     series: dict[str, array[int]] = field(default_factory=dict)
 
     def pack(self) -> bytes:
-        return pickle.dumps((self.totals, self.gauges, self.series), pickle.HIGHEST_PROTOCOL)
+        series = {name: rows for name, rows in self.series.items() if rows}
+        return pickle.dumps((self.totals, self.gauges, series), pickle.HIGHEST_PROTOCOL)
 
     @classmethod
     def unpack(cls, data: bytes) -> Message:
@@ -46,8 +47,8 @@ class Probe:
         self._link = link
         self._message = Message()
         self._due_ns = 0
-        #: Rows that were thrown away because the launcher did not keep up.
-        self.dropped_rows = 0
+        #: Values of rows that were thrown away because the launcher did not keep up.
+        self.dropped_values = 0
 
     def total(self, name: str, value: int) -> None:
         """A counter's present value."""
@@ -59,13 +60,17 @@ class Probe:
 
     def row(self, series: str, *values: int) -> None:
         """One row of `series`; every row of one series has the same width."""
+        self.rows(series).extend(values)
+
+    def rows(self, series: str) -> array[int]:
+        """Where the rows of `series` are collected, flattened.
+
+        The same object as long as the probe lives: a fast loop appends to it by itself.
+        """
         rows = self._message.series.get(series)
         if rows is None:
             rows = self._message.series[series] = array("q")
-        if len(rows) < _MAX_SERIES_VALUES:
-            rows.extend(values)
-        else:
-            self.dropped_rows += 1
+        return rows
 
     def due(self, now_ns: int) -> bool:
         """Whether it is time to fill in the totals and to `flush`."""
@@ -74,13 +79,23 @@ class Probe:
     def flush(self, now_ns: int) -> None:
         """Send what was collected; on a full socket it is kept for the next time."""
         self._due_ns = now_ns + FLUSH_NS
-        if self._link is None:
-            self._message.series.clear()
-            return
-        if self.dropped_rows:
-            self._message.totals["probe_rows_dropped"] = self.dropped_rows
+        message = self._message
+        sent = self._link is None or self._send(self._link)
+        for rows in message.series.values():
+            if sent:
+                del rows[:]
+            elif len(rows) > _MAX_SERIES_VALUES:
+                # Whole, because a row that is cut would shift all that follow.
+                self.dropped_values += len(rows)
+                del rows[:]
+        if sent:
+            message.gauges.clear()
+
+    def _send(self, link: socket.socket) -> bool:
+        if self.dropped_values:
+            self._message.totals["probe_values_dropped"] = self.dropped_values
         try:
-            self._link.send(self._message.pack(), socket.MSG_DONTWAIT)
+            link.send(self._message.pack(), socket.MSG_DONTWAIT)
         except OSError:
-            return
-        self._message = Message(totals=self._message.totals)
+            return False
+        return True

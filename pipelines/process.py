@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from pathlib import Path
@@ -70,12 +71,36 @@ class Context:
         udp.bind((LOOPBACK, port))
         return udp
 
+    def sender(self, port: int) -> Callable[[bytes], None]:
+        """What sends one datagram to `port` on loopback; that nobody is there is not its concern.
+
+        It has a connected socket of its own: the kernel looks the way up once, not each time.
+        """
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        udp.setblocking(False)
+        udp.connect((LOOPBACK, port))
+        send_now = udp.send
+
+        def send(data: bytes) -> None:
+            try:
+                send_now(data)
+            except (BlockingIOError, ConnectionError):
+                # The answer to an earlier datagram: this one has not been sent because of it.
+                with suppress(BlockingIOError, ConnectionError):
+                    send_now(data)
+
+        return send
+
     @staticmethod
-    def receive(udp: socket.socket) -> bytes | None:
-        """The next datagram, or None; an ICMP error of an earlier send is nobody's concern."""
+    def receive(udp: socket.socket, most_octets: int = MAX_DATAGRAM_OCTETS) -> bytes | None:
+        """The next datagram, or None; an ICMP error of an earlier send is nobody's concern.
+
+        most_octets: what is longer is cut. One octet more than anything that will be used tells
+        as much as the whole, and spares a buffer of 64 KiB.
+        """
         while True:
             try:
-                return udp.recv(MAX_DATAGRAM_OCTETS)
+                return udp.recv(most_octets)
             except BlockingIOError:
                 return None
             except ConnectionError:

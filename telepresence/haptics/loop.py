@@ -114,8 +114,10 @@ class HapticLink(Generic[Out, In]):
         self._strange_run = 0
         self._hearing = False
         self._events: deque[HapticEvent] = deque(maxlen=64)
-        self._sent_stamps: deque[tuple[int, int]] = deque(maxlen=_STAMPS_DEPTH)
-        self._received_stamps: deque[tuple[int, int]] = deque(maxlen=_STAMPS_DEPTH)
+        # Sequence number, instant, sequence number, instant …: a pair a sample would be an
+        # object a millisecond, which nobody looks at before the next report.
+        self._sent_stamps: deque[int] = deque(maxlen=2 * _STAMPS_DEPTH)
+        self._received_stamps: deque[int] = deque(maxlen=2 * _STAMPS_DEPTH)
 
     def handle_local(self, value: Out, now_ns: int) -> None:
         """`value` is what this end has to say; one that was not sent yet is replaced."""
@@ -133,7 +135,8 @@ class HapticLink(Generic[Out, In]):
             self.peer_holds = bool(flags & FLAG_HOLDING)
             self._newest = value
             self._newest_ns = now_ns
-            self._received_stamps.append((sequence, now_ns))
+            self._received_stamps.append(sequence)
+            self._received_stamps.append(now_ns)
             if not self._hearing:
                 self._hearing = True
                 self._events.append(PeerFound(now_ns))
@@ -150,14 +153,18 @@ class HapticLink(Generic[Out, In]):
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """The 12 octets to send now; None when there is nothing new since the last call."""
-        self._watch_peer(now_ns)
-        if self._local is None:
+        if self._hearing and now_ns - self._newest_ns > self.max_age_ns:
+            self._hearing = False
+            self._events.append(PeerLost(now_ns, self._newest_ns))
+        local = self._local
+        if local is None:
             return None
         sequence = self.sent % SEQUENCE_MODULUS
-        data = self._pack(sequence, self._local, not self._hearing)
+        data = self._pack(sequence, local, not self._hearing)
         self._local = None
         self.sent += 1
-        self._sent_stamps.append((sequence, now_ns))
+        self._sent_stamps.append(sequence)
+        self._sent_stamps.append(now_ns)
         return data
 
     def poll_timeout(self) -> int | None:
@@ -187,11 +194,6 @@ class HapticLink(Generic[Out, In]):
             "garbage": self.garbage,
             "restarts": self.restarts,
         }
-
-    def _watch_peer(self, now_ns: int) -> None:
-        if self._hearing and now_ns - self._newest_ns > self.max_age_ns:
-            self._hearing = False
-            self._events.append(PeerLost(now_ns, self._newest_ns))
 
     def _accept(self, sequence: int, now_ns: int) -> bool:
         if self._newest is None:
@@ -248,23 +250,16 @@ class HapticLink(Generic[Out, In]):
 
 def joystick_link(*, max_age_ns: int = MAX_AGE_NS) -> HapticLink[Command, Feedback]:
     """The end at the joystick: sends commands, receives feedback."""
-    return HapticLink(_pack_command, unpack_feedback, max_age_ns=max_age_ns)
+    return HapticLink(pack_command, unpack_feedback, max_age_ns=max_age_ns)
 
 
 def robot_link(*, max_age_ns: int = MAX_AGE_NS) -> HapticLink[Feedback, Command]:
     """The end at the robot: sends feedback, receives commands."""
-    return HapticLink(_pack_feedback, unpack_command, max_age_ns=max_age_ns)
+    return HapticLink(pack_feedback, unpack_command, max_age_ns=max_age_ns)
 
 
-def _pack_command(sequence: int, value: Command, holding: bool) -> bytes:
-    return pack_command(sequence, value, holding=holding)
-
-
-def _pack_feedback(sequence: int, value: Feedback, holding: bool) -> bytes:
-    return pack_feedback(sequence, value, holding=holding)
-
-
-def _take(stamps: deque[tuple[int, int]]) -> list[tuple[int, int]]:
-    taken = list(stamps)
+def _take(stamps: deque[int]) -> list[tuple[int, int]]:
+    flat = iter(stamps)
+    taken = list(zip(flat, flat, strict=True))
     stamps.clear()
     return taken

@@ -79,7 +79,7 @@ class FeedbackSample(NamedTuple):
     value: Feedback
 
 
-def pack_command(sequence: int, command: Command, *, holding: bool = False) -> bytes:
+def pack_command(sequence: int, command: Command, holding: bool = False) -> bytes:
     """The 12 octets of `command`; `sequence` is taken modulo 65536.
 
     A value that is not a number is a bug of the caller: ValueError.
@@ -95,7 +95,7 @@ def pack_command(sequence: int, command: Command, *, holding: bool = False) -> b
     )
 
 
-def pack_feedback(sequence: int, feedback: Feedback, *, holding: bool = False) -> bytes:
+def pack_feedback(sequence: int, feedback: Feedback, holding: bool = False) -> bytes:
     """The 12 octets of `feedback`; `sequence` is taken modulo 65536.
 
     A value that is not a number is a bug of the caller: ValueError.
@@ -168,6 +168,6 @@ def _unpack(data: bytes) -> tuple[int, int, int, int, int, int]:
     if len(data) != SAMPLE_OCTETS:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
     sequence, flags, _, a, b, c, d = _LAYOUT.unpack(data)
-    if min(a, b, c, d) < -_LIMIT:
+    if -_LIMIT - 1 in (a, b, c, d):
         raise ProtocolError("haptic sample: the count -32768 is never sent")
     return sequence, flags, a, b, c, d
