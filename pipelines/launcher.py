@@ -24,7 +24,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics import remove_session
 from pipelines.collector import Collector
 from pipelines.probe import Message, Probe
-from pipelines.process import LOOPBACK, Context, Part, become
+from pipelines.process import LOOPBACK, Context, Part, Stage, become
 from pipelines.setup import Setup
 
 #: A process that falls again at once is restarted after this, and twice as late each time after.
@@ -32,6 +32,9 @@ _FIRST_PAUSE_NS = 50 * NS_PER_MS
 _LONGEST_PAUSE_NS = NS_PER_S
 #: A life this long was a good one: the pauses begin anew.
 _GOOD_LIFE_NS = 5 * NS_PER_S
+#: A restarted sender knows nothing of what its predecessor sent. Its cap holds over any window of
+#: a second only if none has both in it; the 10 ms are the guard of `Pacer`.
+_SENDER_REST_NS = NS_PER_S + 10 * NS_PER_MS
 #: So long a process has to end by itself.
 _PATIENCE_NS = 3 * NS_PER_S
 _SHOW_NS = NS_PER_S
@@ -253,7 +256,8 @@ class Launcher:
         now_ns = self.clock.now_ns()
         if now_ns - child.started_ns >= _GOOD_LIFE_NS:
             child.pause_ns = _FIRST_PAUSE_NS
-        child.due_ns = now_ns + child.pause_ns
+        rest_ns = _SENDER_REST_NS if child.part.stage is Stage.SENDER else 0
+        child.due_ns = now_ns + max(child.pause_ns, rest_ns)
         child.pause_ns = min(2 * child.pause_ns, _LONGEST_PAUSE_NS)
 
     def _end_all(self) -> None:

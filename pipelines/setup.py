@@ -159,7 +159,8 @@ class Setup:
     uplink: LinkProfile = UPLINK
     downlink: LinkProfile = DOWNLINK
     radio_delay_ms: float = 0.0
-    base_port: int = 47_000
+    #: Below the ports that Linux gives to whoever names none (32768 on), ours included.
+    base_port: int = 27_000
 
     def __post_init__(self) -> None:
         if not self.cameras:
