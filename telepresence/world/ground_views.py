@@ -213,20 +213,24 @@ def _light(still: Image, camera: Camera, lit: int, margin: int) -> Patch:
     # The circle on the board is seen as an ellipse: measured along both axes of the board.
     rim = camera.project(point + LED_RADIUS_M * np.array(((1.0, 0, 0), (0, 1.0, 0)))) + margin
     basis = np.linalg.inv(np.column_stack((rim[0] - centre, rim[1] - centre)))
-    reach = 1.2 * 16 * max(float(np.hypot(*(end - centre))) for end in rim)
+    # Farther away its light is less than half a level.
+    reach = 14 * max(float(np.hypot(*(end - centre))) for end in rim)
     left, top = (max(0, int(value - reach)) & ~1 for value in centre)
     right, bottom = (int(value + reach) for value in centre)
     region = still[top:bottom, left:right]
     region = region[: region.shape[0] & ~1, : region.shape[1] & ~1]
-    ys, xs = np.mgrid[top : top + region.shape[0], left : left + region.shape[1]]
-    u = basis[0, 0] * (xs - centre[0]) + basis[0, 1] * (ys - centre[1])
-    v = basis[1, 0] * (xs - centre[0]) + basis[1, 1] * (ys - centre[1])
-    radius = np.sqrt(u * u + v * v)[..., None]
-    colour = np.array(LED_COLOURS[lit][1], np.float64)
-    halo = 0.75 * np.exp(-((radius / 2.6) ** 2)) + 0.22 * np.exp(-((radius / 6.0) ** 2))
+    rows, columns = region.shape[:2]
+    xs = (np.arange(left, left + columns) - centre[0]).astype(np.float32)
+    ys = (np.arange(top, top + rows) - centre[1]).astype(np.float32)[:, None]
+    (a, b), (c, d) = basis.astype(np.float32)
+    square = (a * xs + b * ys) ** 2 + (c * xs + d * ys) ** 2
+    radius = np.sqrt(square)[..., None]
+    colour = np.array(LED_COLOURS[lit][1], np.float32)
+    halo = 0.75 * np.exp(square * (-1 / 2.6**2)) + 0.22 * np.exp(square * (-1 / 6.0**2))
     core = np.clip((1.12 - radius) * 6, 0, 1)
     white = np.clip(1 - radius / 0.85, 0, 1) * 0.7
-    shining = (region + colour * halo) * (1 - core) + (colour * (1 - white) + 255 * white) * core
+    shining = (region + colour * halo[..., None]) * (1 - core)
+    shining += (colour * (1 - white) + 255 * white) * core
     return Patch(np.clip(shining, 0, 255).astype(np.uint8), left, top)
 
 
