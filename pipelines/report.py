@@ -172,7 +172,10 @@ def _sum_tables(tables: list[dict[str, int]]) -> dict[str, int]:
 
 
 def _told(figures: ProcessFigures) -> dict[str, Any]:
-    return {name: figures.gauges[name] for name in _WORTH_TELLING if name in figures.gauges}
+    told = {name: figures.gauges[name] for name in _WORTH_TELLING if name in figures.gauges}
+    if "garbage" in figures.names():
+        told["garbage"] = figures.total("garbage")
+    return told
 
 
 def failures(setup: Setup, collector: Collector, seconds: float) -> list[str]:
