@@ -1,0 +1,145 @@
+"""What comes into a session from outside: garbage on its ports, sources that do as they please."""
+
+import os
+import random
+import shutil
+import socket
+import struct
+import threading
+import time
+
+import pytest
+from running_session import assert_sound, eventually
+
+from pipelines.names import input_topic
+from pipelines.setup import PORTS
+
+pytestmark = pytest.mark.realtime
+
+
+def rtp(payload_type, payload, *, first=0x80, ssrc=0xDEADBEEF, sequence=7):
+    return struct.pack("!BBHII", first, payload_type, sequence, 1234, ssrc) + payload
+
+
+def garbage():
+    rng = random.Random(2)
+    yield b""
+    yield b"\x80"
+    for length in (1, 11, 12, 13, 28, 32, 500, 501, 1400, 9000, 60_000):
+        yield rng.randbytes(length)
+    for length in (12, 32, 500):
+        yield bytes(length)
+        yield b"\xff" * length
+    for payload_type in (0, 96, 97, 96 | 0x80):
+        for payload in (b"", b"\x7c\x85junk", b"\x78\x00\xff\x67", rng.randbytes(300)):
+            yield rtp(payload_type, payload, ssrc=rng.getrandbits(32))
+    for first in (0x8F, 0x90, 0xA0, 0xBF):  # more sources, extension, padding than there is
+        yield rtp(96, b"\x00\x01\xff\xff", first=first)
+    for packet_type in (200, 201, 202, 203, 204, 205, 206):
+        for length in (0, 1, 6, 0xFFFF):
+            yield struct.pack("!BBHI", 0x81, packet_type, length, 0xDEADBEEF) + rng.randbytes(20)
+
+
+def test_garbage_on_every_port_is_counted_and_dropped(start):
+    session = start("spacejustin")
+    session.pids()
+    session.wait_for_flow()
+    datagrams = list(garbage())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        for index, datagram in enumerate(datagrams):
+            for port in range(session.base_port, session.base_port + PORTS):
+                udp.sendto(datagram, ("127.0.0.1", port))
+            # No flood: a socket's buffer would drop it before anybody could.
+            if index % 4 == 0:
+                time.sleep(0.02)
+    session.wait_for_flow()
+    session.wait_for_flow()
+    code, report = session.interrupt()
+    assert code == 0, session.errors()
+    assert session.errors() == ""
+    assert_sound(report)
+    for direction, link in report["link"].items():
+        assert all(count > 0 for count in link["refused"].values()), (direction, link["refused"])
+        assert sum(link["frames_dropped"].values()) > len(datagrams) // 4, direction
+    for name, stream in report["streams"].items():
+        assert stream["garbage"] > 0, name
+    for name, haptic in report["haptic"].items():
+        assert haptic["garbage"] > 0, name
+    processes = report["processes"]
+    for name in ("console", "selector"):
+        assert processes[name]["garbage"] > 0, name
+    assert {name for name, entry in processes.items() if entry["restarts"]} == set()
+    session.assert_nothing_left()
+
+
+def picture(width, height, level):
+    return b"FRAME\n" + bytes([level]) * (width * height) + bytes([128]) * (width * height // 2)
+
+
+def write_pictures(fifo, width, height, level):
+    """A program that shows grey for half a second, and ends."""
+
+    def run():
+        with fifo.open("wb", buffering=0) as pipe:
+            pipe.write(b"YUV4MPEG2 W%d H%d F30:1 Ip A1:1 C420jpeg\n" % (width, height))
+            for _ in range(15):
+                pipe.write(picture(width, height, level))
+                time.sleep(1 / 30)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path, monkeypatch):
+    fifo, film, voice = (tmp_path / name for name in ("head.y4m", "film.mp4", "voice.wav"))
+    os.mkfifo(fifo)
+    shutil.copyfile(footage("carphone_pristine.mp4"), film)
+    shutil.copyfile(speech("Front_Center.wav"), voice)
+    session = start(
+        "spacejustin",
+        "--source", f"head=pipe:{fifo}",
+        "--source", f"iss_camera={film}",
+        "--source", f"ground_mic={voice}",
+    )  # fmt: skip
+    session.pids()
+    session.wait_for_flow()
+    with session.bus(monkeypatch) as bus:
+        head = bus.reader(input_topic("head"))
+
+        def next_level():
+            lease = head.latest()
+            if lease is None:
+                return None
+            with lease:
+                luma = lease.video().data[:480]
+                return int(luma[240, 320])
+
+        # Nobody writes: the input is silent, the others are not.
+        assert next_level() is None
+        for width, height, level in ((640, 480, 90), (320, 240, 150), (1280, 960, 210)):
+            writer = write_pictures(fifo, width, height, level)
+            eventually(
+                lambda level=level: abs((next_level() or 0) - level) < 4,
+                f"a picture of {width}x{height}",
+            )
+            writer.join()
+            session.wait_for_flow()
+    # A camera without pictures is selected: the encoder waits for one, nobody falls.
+    assert session.select("head").returncode == 0
+    session.wait_for_flow(["uplink_voice", "downlink_video", "haptic_up", "haptic_down"])
+    assert session.select("static").returncode == 0
+    session.wait_for_flow()
+    for path in (film, voice):
+        with path.open("r+b") as file:
+            file.truncate(100)
+    time.sleep(1.5)
+    session.wait_for_flow(["uplink_video", "downlink_voice", "haptic_up", "haptic_down"])
+    code, report = session.interrupt()
+    assert code == 0, session.errors()
+    assert session.errors() == ""
+    assert_sound(report)
+    processes = report["processes"]
+    assert "writer has gone" in processes["camera_head"]["source_fault"]
+    assert {name: entry for name, entry in processes.items() if entry["restarts"]} == {}
+    session.assert_nothing_left()
