@@ -2,6 +2,7 @@
 
 import select
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.h264 import H264Decoder
 from kontur_av.media import VIDEO_CLOCK_HZ, CaptureStamp
 from kontur_av.rtp.payload_h264 import H264Depacketizer
@@ -20,6 +21,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     clock, probe, ports = context.clock, context.probe, context.setup.ports
     udp = context.listen(ports.exit(stream.name))
     udp_rtcp = context.listen(ports.exit(f"{stream.name}_rtcp"))
+    sockets = (udp, udp_rtcp)
     receiver = RtpReceiver(
         payload_type=VIDEO_PAYLOAD_TYPE, clock_rate_hz=VIDEO_CLOCK_HZ, from_ntp=clock.from_ntp
     )
@@ -47,13 +49,15 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
             context.tick(now_ns)
             due_ns = receiver.poll_timeout()
             wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, max(0, due_ns - now_ns))
-            select.select([udp, udp_rtcp], [], [], wait_ns / 1e9)
+            ready = select.select(sockets, (), (), wait_ns / NS_PER_S)[0]
             now_ns = clock.now_ns()
             # Reports first: the first of them dates the first picture.
-            while (datagram := context.receive(udp_rtcp)) is not None:
-                reports.handle_report(datagram, now_ns)
-            while (datagram := context.receive(udp)) is not None:
-                receiver.handle_packet(datagram, now_ns)
+            if udp_rtcp in ready:
+                while (datagram := context.receive(udp_rtcp)) is not None:
+                    reports.handle_report(datagram, now_ns)
+            if udp in ready:
+                while (datagram := context.receive(udp)) is not None:
+                    receiver.handle_packet(datagram, now_ns)
             receiver.handle_timeout(now_ns)
             while (packet := receiver.next_event()) is not None:
                 depacketizer.handle_packet(packet)

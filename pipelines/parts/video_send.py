@@ -9,7 +9,7 @@ from kontur_av.h264 import H264Encoder
 from kontur_av.media import VIDEO_CLOCK_HZ
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from pipelines.names import REPORT_INTERVAL_NS, VIDEO_PAYLOAD_TYPE, cname
-from pipelines.process import LOOPBACK, PATIENCE_NS, Context
+from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VideoStream
 
 #: Small enough that no part of a coded picture takes more than a picture's share of the link.
@@ -49,10 +49,9 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
         report_interval_ns=REPORT_INTERVAL_NS,
         max_payload_octets=min(_MAX_PAYLOAD_OCTETS, pacer.max_payload_octets),
     )
-    gateway, gateway_rtcp = (
-        (LOOPBACK, ports.entry(flow)) for flow in (stream.name, f"{stream.name}_rtcp")
+    to_gateway, to_gateway_rtcp = (
+        context.sender(ports.entry(flow)) for flow in (stream.name, f"{stream.name}_rtcp")
     )
-    udp = context.listen(0)
     under_way: deque[_UnderWay] = deque()
     captured = sent = 0
 
@@ -92,7 +91,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
                         pacer.handle_access_unit(packets, octets, unit.encoded_ns)
             now_ns = clock.now_ns()
             while (packet := pacer.poll_transmit(now_ns)) is not None:
-                udp.sendto(packet, gateway)
+                to_gateway(packet)
                 probe.row("out", now_ns, len(packet) - RTP_HEADER_OCTETS)
                 unit_under_way = under_way[0]
                 unit_under_way.packets -= 1
@@ -108,7 +107,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
                     )
             report = rtp.poll_report(now_ns, clock.ntp)
             if report is not None:
-                udp.sendto(report, gateway_rtcp)
+                to_gateway_rtcp(report)
         goodbye = rtp.goodbye(clock.ntp)
         if goodbye is not None:
-            udp.sendto(goodbye, gateway_rtcp)
+            to_gateway_rtcp(goodbye)

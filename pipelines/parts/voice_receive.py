@@ -2,6 +2,7 @@
 
 import select
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, AudioFrame, CaptureStamp
 from kontur_av.opus import MAX_PACKET_SAMPLES, OpusDecoder
@@ -19,6 +20,7 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     clock, probe, ports = context.clock, context.probe, context.setup.ports
     udp = context.listen(ports.exit(stream.name))
     udp_rtcp = context.listen(ports.exit(f"{stream.name}_rtcp"))
+    sockets = (udp, udp_rtcp)
     receiver = RtpReceiver(
         payload_type=VOICE_PAYLOAD_TYPE,
         clock_rate_hz=AUDIO_CLOCK_HZ,
@@ -59,12 +61,15 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
             context.tick(now_ns)
             due_ns = playout.poll_timeout()
             wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, max(0, due_ns - now_ns))
-            select.select([udp, udp_rtcp], [], [], wait_ns / 1e9)
+            # Half of the wake-ups are for a block whose time has come: then no socket is asked.
+            ready = select.select(sockets, (), (), wait_ns / NS_PER_S)[0]
             now_ns = clock.now_ns()
-            while (datagram := context.receive(udp_rtcp)) is not None:
-                reports.handle_report(datagram, now_ns)
-            while (datagram := context.receive(udp)) is not None:
-                receiver.handle_packet(datagram, now_ns)
+            if udp_rtcp in ready:
+                while (datagram := context.receive(udp_rtcp)) is not None:
+                    reports.handle_report(datagram, now_ns)
+            if udp in ready:
+                while (datagram := context.receive(udp)) is not None:
+                    receiver.handle_packet(datagram, now_ns)
             while (packet := receiver.next_event()) is not None:
                 probe.row("rx", packet.timestamp, packet.received_ns)
                 playout.handle_packet(packet)

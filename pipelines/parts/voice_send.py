@@ -9,7 +9,7 @@ from kontur_av.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from kontur_av.sources.source import BLOCK_NS
 from pipelines.names import REPORT_INTERVAL_NS, VOICE_PAYLOAD_TYPE, cname
-from pipelines.process import LOOPBACK, PATIENCE_NS, Context
+from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VoiceStream
 
 #: A block this old is no voice any more; it would only push the following ones back.
@@ -29,10 +29,9 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
         cname=cname(stream.name),
         report_interval_ns=REPORT_INTERVAL_NS,
     )
-    gateway, gateway_rtcp = (
-        (LOOPBACK, ports.entry(flow)) for flow in (stream.name, f"{stream.name}_rtcp")
+    to_gateway, to_gateway_rtcp = (
+        context.sender(ports.entry(flow)) for flow in (stream.name, f"{stream.name}_rtcp")
     )
-    udp = context.listen(0)
     # The rate is constant, but a process that was held up would send two packets at once.
     pacer = Pacer(cap_bps=stream.cap_bps, channel_bps=context.setup.profile_of(stream).media_bps)
     under_way: deque[tuple[int, int, int]] = deque()
@@ -49,7 +48,7 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
         nonlocal sent
         now_ns = clock.now_ns()
         while (packet := pacer.poll_transmit(now_ns)) is not None:
-            udp.sendto(packet, gateway)
+            to_gateway(packet)
             sent += 1
             probe.row("out", now_ns, len(packet) - RTP_HEADER_OCTETS)
             probe.row("tx", *under_way.popleft(), now_ns)
@@ -77,11 +76,10 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
                 timestamp = int.from_bytes(packets[0][4:8], "big")
                 under_way.append((timestamp, frame.stamp.capture_ns, encoded_ns))
                 pacer.handle_access_unit(packets, [len(data)], encoded_ns)
-                send_due()
             send_due()
             report = rtp.poll_report(clock.now_ns(), clock.ntp)
             if report is not None:
-                udp.sendto(report, gateway_rtcp)
+                to_gateway_rtcp(report)
         goodbye = rtp.goodbye(clock.ntp)
         if goodbye is not None:
-            udp.sendto(goodbye, gateway_rtcp)
+            to_gateway_rtcp(goodbye)
