@@ -50,9 +50,12 @@ def ask(request: dict[str, Any], session: str | None = None) -> dict[str, Any]:
             line = link.makefile("rb").readline(MAX_LINE_OCTETS)
         except OSError:
             line = b""
-    if not line:
+    try:
+        answer = json.loads(line)
+    except ValueError:
+        answer = None
+    if not isinstance(answer, dict):
         return {"ok": False, "error": "the session's console has ended before it answered"}
-    answer: dict[str, Any] = json.loads(line)
     return answer
 
 

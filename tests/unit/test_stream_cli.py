@@ -179,9 +179,11 @@ def test_a_busy_port_is_named(capsys):
         (["select", "static", "--session", "../../etc"], "session"),
     ],
 )
-def test_commands_that_cannot_work(capsys, monkeypatch, tmp_path, arguments, says):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    assert says in refusal(capsys, *arguments)
+def test_commands_that_cannot_work(capsys, monkeypatch, arguments, says):
+    # Not tmp_path, which is too deep for sockets: sessions would be looked for in /tmp.
+    with tempfile.TemporaryDirectory(prefix="kav") as directory:
+        monkeypatch.setattr(tempfile, "tempdir", directory)
+        assert says in refusal(capsys, *arguments)
 
 
 def test_the_installed_command_says_the_same_as_a_process(tmp_path):

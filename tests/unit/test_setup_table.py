@@ -1,0 +1,128 @@
+"""Setups: the built-in ones, and a user's own with every field that there is."""
+
+from dataclasses import asdict, fields
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.setup import Ports, Setup, VideoStream
+from pipelines.setup_file import load_setup
+from pipelines.setups import BUILT_IN
+
+EVERY_FIELD = """
+name = "wrist"
+cameras = ["wrist", "stereo"]
+radio_delay_ms = 12.5
+base_port = 21000
+
+[uplink_video]
+cap_kbps = 62.5
+size = "320x240"
+fps = 25
+
+[uplink_voice]
+cap_kbps = 6.4
+
+[downlink_video]
+cap_kbps = 300
+size = "800x600"
+fps = 15
+
+[downlink_voice]
+cap_kbps = 24
+
+[sources]
+wrist = "pipe:/tmp/wrist.y4m"
+left = "left.mp4"
+
+[uplink]
+frame_octets = 40
+
+[downlink]
+frame_octets = 250
+"""
+
+
+def test_every_field_of_a_file_arrives(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(EVERY_FIELD)
+    setup = load_setup(str(path))
+    for entry in fields(Setup):
+        assert f"{entry.name}" in EVERY_FIELD, f"{entry.name} is not in the file of this test"
+    assert (setup.name, setup.cameras) == ("wrist", ("wrist", "stereo"))
+    assert (setup.radio_delay_ms, setup.base_port) == (12.5, 21_000)
+    video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
+    assert asdict(setup.uplink_video) == video
+    down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
+    assert asdict(setup.downlink_video) == down
+    assert asdict(setup.uplink_voice) == {"name": "uplink_voice", "cap_bps": 6_400}
+    assert asdict(setup.downlink_voice) == {"name": "downlink_voice", "cap_bps": 24_000}
+    assert setup.source("wrist") == "pipe:/tmp/wrist.y4m"
+    assert setup.source("left") == "left.mp4"
+    assert setup.source("right").startswith("scene:")
+    assert (setup.uplink.frame_octets, setup.downlink.frame_octets) == (40, 250)
+    inputs = ("wrist", "left", "right", "ground_mic", "iss_camera", "iss_mic")
+    assert setup.inputs == inputs
+    assert setup.stream_of("iss_camera") is setup.downlink_video
+    assert setup.stream_of("wrist") is setup.uplink_video
+
+
+def test_a_file_is_named_after_itself(tmp_path):
+    path = tmp_path / "arm.toml"
+    path.write_text('cameras = ["static"]\nuplink_video = {cap_kbps = 50}\n')
+    setup = load_setup(str(path))
+    assert setup.name == "arm"
+    assert [stream.name for stream in setup.streams] == ["uplink_video"]
+    assert setup.inputs == ("static",)
+
+
+@pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
+def test_the_built_in_setups_fit_their_channels(setup):
+    caps = {stream.name: stream.cap_bps for stream in setup.streams}
+    assert setup.need_up().payload_bps == sum(
+        cap for name, cap in caps.items() if name.startswith("uplink")
+    )
+    assert setup.need_up().spare_bps >= 0
+    assert setup.need_down().spare_bps >= 0
+    assert setup.uplink.capacity_bps == 256_000
+    assert setup.downlink.capacity_bps == 4_000_000
+
+
+def test_the_caps_are_those_of_the_specification():
+    spacejustin = {stream.name: stream.cap_bps for stream in BUILT_IN["spacejustin"].streams}
+    assert spacejustin == {
+        "uplink_video": 85_000,
+        "uplink_voice": 8_000,
+        "downlink_video": 512_000,
+        "downlink_voice": 64_000,
+    }
+    taskboard = {stream.name: stream.cap_bps for stream in BUILT_IN["taskboard"].streams}
+    assert taskboard == {"uplink_video": 90_000}
+
+
+def test_no_two_ends_share_a_port():
+    setup = BUILT_IN["spacejustin"]
+    ports = setup.ports
+    taken = [getattr(ports, end) for end in ("ground_radio", "space_radio", "ground_haptic")]
+    taken += [ports.robot, ports.space_haptic, ports.joystick]
+    for flow in (*setup.uplink_flows, *setup.downlink_flows):
+        taken += [ports.entry(flow.name), ports.exit(flow.name)]
+    assert len(taken) == len(set(taken))
+    assert set(taken) <= set(ports.all())
+    # From there on Linux gives ports to sockets that ask for any.
+    assert max(ports.all()) < 32_768
+
+
+def test_a_setup_cannot_be_changed_or_misused():
+    setup = BUILT_IN["taskboard"]
+    with pytest.raises(AttributeError):
+        setup.base_port = 1
+    with pytest.raises(ConfigError, match="no such input"):
+        Setup(
+            name="x",
+            cameras=("static",),
+            uplink_video=VideoStream(name="uplink_video", cap_bps=50_000),
+            sources={"heda": "x.mp4"},
+        )
+    with pytest.raises(ConfigError, match="base port"):
+        Ports(base=65_530)
