@@ -1,6 +1,7 @@
 """The robot's arm in three dimensions: where its parts are when the tip is at (x, y)."""
 
 import math
+from dataclasses import replace
 
 from telepresence.world.brush import Brush, Finish, finish, yuv
 from telepresence.world.geometry import Camera, Point
@@ -29,7 +30,9 @@ _JOINT = finish(yuv(66, 74, 84))
 _BAND = finish(yuv(44, 98, 176))
 _STEEL = finish(yuv(150, 156, 162))
 _GRIP = finish(yuv(214, 96, 42))
-_POINT = finish(yuv(228, 228, 220))
+_POINT = finish(yuv(255, 255, 248), thin=True)
+#: Hardly wider than the forearm, which is as grey: its chroma would not be told from that.
+_WRIST_JOINT = replace(_JOINT, chroma=None)
 
 _Part = tuple[int, int, float, float, Finish]
 
@@ -38,7 +41,7 @@ _TOOL: tuple[_Part, ...] = (
     (_NECK, _BODY, NECK_RADIUS_M * 1.3, BODY_RADIUS_M, _STEEL),
     (_GRIP_LOW, _GRIP_HIGH, BODY_RADIUS_M * 0.92, BODY_RADIUS_M * 1.02, _GRIP),
 )
-_HAND: tuple[_Part, ...] = ((_WRIST, _WRIST, WRIST_RADIUS_M, WRIST_RADIUS_M, _JOINT),)
+_HAND: tuple[_Part, ...] = ((_WRIST, _WRIST, WRIST_RADIUS_M, WRIST_RADIUS_M, _WRIST_JOINT),)
 _FOREARM: tuple[_Part, ...] = (
     (_WRIST, _ELBOW, FOREARM_RADIUS_M * 0.85, FOREARM_RADIUS_M, _SHELL),
     (_BAND_LOW, _BAND_HIGH, FOREARM_RADIUS_M, FOREARM_RADIUS_M, _BAND),

@@ -50,11 +50,13 @@ def fill_mask(mask: NDArray[np.uint8], outline: Points, level: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """How a body looks: its chroma, and its luma from the dark rim to the highlight."""
+    """How a body looks: its luma from the dark rim to the highlight, and its chroma.
+
+    chroma: (U, V); None leaves what is there already.
+    """
 
     levels: tuple[int, ...]
-    u: int
-    v: int
+    chroma: tuple[int, int] | None
 
 
 #: A round rod: begin and end (x + iy), radius at the begin and at the end, all in pixels.
@@ -88,10 +90,12 @@ def _outlines() -> NDArray[np.complex64]:
 _OUTLINES = _outlines()
 
 
-def finish(colour: Yuv) -> Finish:
-    """The finish of a matt body of that colour."""
-    levels = tuple(min(235, round(16 + (colour[0] - 16) * gain)) for gain in _GAIN)
-    return Finish(levels, colour[1], colour[2])
+def finish(colour: Yuv, *, thin: bool = False) -> Finish:
+    """The finish of a matt body of that colour; a thin one has no room for a highlight."""
+    gains = _GAIN[:-1] if thin else _GAIN
+    return Finish(
+        tuple(min(235, round(16 + (colour[0] - 16) * gain)) for gain in gains), colour[1:]
+    )
 
 
 class Brush:
@@ -139,9 +143,10 @@ class Brush:
         fill, y, u, v = cv2.fillConvexPoly, self.y, self.u, self.v
         for outlines, outer, body in zip(luma, chroma, bodies, strict=True):
             finish = body[4]
-            fill(u, outer, finish.u, _PLAIN, _SHIFT)
-            fill(v, outer, finish.v, _PLAIN, _SHIFT)
-            for outline, level in zip(outlines, finish.levels, strict=True):
+            if finish.chroma is not None:
+                fill(u, outer, finish.chroma[0], _PLAIN, _SHIFT)
+                fill(v, outer, finish.chroma[1], _PLAIN, _SHIFT)
+            for outline, level in zip(outlines, finish.levels, strict=False):
                 fill(y, outline, level, cv2.LINE_AA, _SHIFT)
 
 

@@ -25,7 +25,7 @@ _SUIT = finish(yuv(52, 84, 140))
 _SKIN = yuv(222, 176, 146)
 _SKIN_BODY = finish(_SKIN)
 _HAIR = yuv(84, 62, 46)
-_STICK = finish(yuv(60, 64, 70))
+_STICK = finish(yuv(60, 64, 70), thin=True)
 _KNOB = finish(yuv(196, 52, 40))
 _PEN = finish(yuv(214, 182, 70))
 _DARK = yuv(44, 34, 32)
@@ -149,15 +149,15 @@ class CabinView:
             4 * math.sin(t / 2.7), 2 * math.sin(t / 1.3) + 3 * stress
         )
         glance = 2.5 + 2.0 * math.sin(t / 2.1)
-        # The lids have no size while the eyes are open.
-        eye = 11.0 if time_ns % (4 * NS_PER_S) < 130_000_000 else 0.0
+        lids = ((-21, -6, 11, 6.8), (21, -6, 11, 6.8))
+        blinking = time_ns % (4 * NS_PER_S) < 130_000_000
         self._bodies(brush, (_NECK + 8j, place - 40j, 24, 23, _SKIN_BODY))
         ovals = (
             *_FACE,
             *((-21 + glance, -5, 5, 5.4), (21 + glance, -5, 5, 5.4)),
-            *((-21, -6, eye, 0.62 * eye), (21, -6, eye, 0.62 * eye)),
+            *(lids if blinking else ()),
         )
-        self._shapes(brush, self._on_face(ovals), _FACE_COLOURS)
+        self._shapes(brush, self._on_face(ovals), _FACE_COLOURS[: len(ovals)])
         ear, boom = (place + complex(x, y - 86) * tilt for x, y in ((-57, 4), (-22, 52)))
         self._bodies(
             brush,
