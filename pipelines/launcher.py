@@ -288,17 +288,30 @@ def _one_line(error: BaseException) -> str:
     return f"{kind}: {error} ({Path(where.filename).name}:{where.lineno})"
 
 
-def check_ports(setup: Setup) -> None:
-    """ConfigError when a port that the session needs is taken."""
+def hold_ports(setup: Setup) -> socket.socket:
+    """ConfigError when a port that the session needs is taken.
+
+    The launcher's own port is held as long as the socket is: of two sessions that are started
+    at the same moment, only one gets it.
+    """
+    held = _bound(setup.ports.launcher)
     for port in setup.ports.all():
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-            try:
-                udp.bind((LOOPBACK, port))
-            except OSError:
-                raise ConfigError(
-                    f"UDP port {port} is busy: end the program that has it (another session?), "
-                    "or choose other ports with --base-port"
-                ) from None
+        if port != setup.ports.launcher:
+            _bound(port).close()
+    return held
+
+
+def _bound(port: int) -> socket.socket:
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        udp.bind((LOOPBACK, port))
+    except OSError:
+        udp.close()
+        raise ConfigError(
+            f"UDP port {port} is busy: end the program that has it (another session?), "
+            "or choose other ports with --base-port"
+        ) from None
+    return udp
 
 
 def load_libraries() -> None:

@@ -109,6 +109,11 @@ class Ports:
     def joystick(self) -> int:
         return self.base + 5
 
+    @property
+    def launcher(self) -> int:
+        """Whoever has this one has them all."""
+        return self.base + 6
+
     def entry(self, flow: str) -> int:
         """Where the gateway of the sending segment takes the datagrams of `flow`."""
         return self.base + _PORT_OFFSETS[flow]

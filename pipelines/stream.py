@@ -13,7 +13,7 @@ from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.sources import check_spec
 from pipelines.ground import ground_parts
-from pipelines.launcher import Launcher, check_ports, launcher_cpu_s, load_libraries
+from pipelines.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
 from pipelines.live import LiveView
 from pipelines.process import Part, Segment, Stage
 from pipelines.report import build_report
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     check_sources(setup)
     snapshots = _made_directory(args.snapshots)
     check_writable(args.report)
-    check_ports(setup)
+    held = hold_ports(setup)
     load_libraries()
     clock = MonotonicClock()
     draw_backgrounds(setup, clock)
@@ -70,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
             show=view.show,
         )
         launcher.run(args.seconds)
+    held.close()
     launcher.collector.handle_end()
     report = build_report(
         setup,

@@ -104,7 +104,7 @@ def test_no_two_ends_share_a_port():
     setup = BUILT_IN["spacejustin"]
     ports = setup.ports
     taken = [getattr(ports, end) for end in ("ground_radio", "space_radio", "ground_haptic")]
-    taken += [ports.robot, ports.space_haptic, ports.joystick]
+    taken += [ports.robot, ports.space_haptic, ports.joystick, ports.launcher]
     for flow in (*setup.uplink_flows, *setup.downlink_flows):
         taken += [ports.entry(flow.name), ports.exit(flow.name)]
     assert len(taken) == len(set(taken))
