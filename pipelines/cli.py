@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 
 from kontur_av import __version__
 from kontur_av.errors import ConfigError
@@ -17,24 +18,29 @@ class _Parser(argparse.ArgumentParser):
         raise ConfigError(f"{message}; see `{self.prog} --help`")
 
 
-def _parser() -> argparse.ArgumentParser:
+#: Commands with a module of their own, which has `add_arguments` and `run`.
+_MODULES = {
+    "stream": "run a whole telepresence session on this machine",
+    "send": "send one stream as plain RTP, under a hard cap",
+    "receive": "receive one stream of plain RTP",
+}
+
+
+def _parser(only: str | None = None) -> argparse.ArgumentParser:
+    """The parser of all commands; with `only`, no other command's module is loaded."""
     parser = _Parser(
         prog="kontur-av",
         description="Video, voice and force feedback through one thin radio link.",
     )
     parser.add_argument("--version", action="version", version=f"kontur-av {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-
-    from pipelines import receive, send, stream
-
-    for name, module, text in (
-        ("stream", stream, "run a whole telepresence session on this machine"),
-        ("send", send, "send one stream as plain RTP, under a hard cap"),
-        ("receive", receive, "receive one stream of plain RTP"),
-    ):
+    for name, text in _MODULES.items():
         command = commands.add_parser(name, help=text, description=text)
-        module.add_arguments(command)
-        command.set_defaults(run=module.run)
+        if only in (None, name):
+            # Codecs take most of a second to load: `select` shall not wait for them.
+            module = import_module(f"pipelines.{name}")
+            module.add_arguments(command)
+            command.set_defaults(run=module.run)
     select = commands.add_parser("select", help="switch the camera of a running session")
     select.add_argument("camera", metavar="CAMERA", help="for example stereo, static or head")
     select.add_argument("--session", metavar="NAME", help="where several sessions are running")
@@ -74,7 +80,8 @@ def _devices(args: argparse.Namespace) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 well, 1 something failed, 2 the user's mistake."""
     try:
-        args = _parser().parse_args(arguments)
+        words = sys.argv[1:] if arguments is None else list(arguments)
+        args = _parser(words[0] if words else "").parse_args(words)
         result: int = args.run(args)
     except ConfigError as error:
         print(f"kontur-av: {error}", file=sys.stderr)
