@@ -130,7 +130,15 @@ class HapticLink(Generic[Out, In]):
         except ProtocolError:
             self.garbage += 1
             return
-        if self._accept(sequence, now_ns):
+        due = (self._newest_sequence + 1) % SEQUENCE_MODULUS
+        if sequence == due and self._newest is not None:
+            self._newest_sequence = sequence
+            self._seen = (self._seen << 1 | 1) & _WINDOW_MASK
+            self._strange_run = 0
+            accepted = True
+        else:
+            accepted = self._accept(sequence, now_ns)
+        if accepted:
             self.received += 1
             self.peer_holds = bool(flags & FLAG_HOLDING)
             self._newest = value
@@ -196,15 +204,11 @@ class HapticLink(Generic[Out, In]):
         }
 
     def _accept(self, sequence: int, now_ns: int) -> bool:
+        """Whether a sample that is not just the next one is to be used."""
         if self._newest is None:
             self._begin(sequence)
             return True
         ahead = (sequence - self._newest_sequence) % SEQUENCE_MODULUS
-        if ahead == 1:
-            self._newest_sequence = sequence
-            self._seen = (self._seen << 1 | 1) & _WINDOW_MASK
-            self._strange_run = 0
-            return True
         if ahead == 0:
             self.repeated += 1
             return False

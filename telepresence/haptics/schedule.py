@@ -33,11 +33,14 @@ class PeriodicSchedule:
         lateness_ns = now_ns - self.next_deadline_ns
         if lateness_ns < 0:
             return lateness_ns
-        skipped = lateness_ns // self.period_ns
-        self.advance_ns = (skipped + 1) * self.period_ns
-        self.next_deadline_ns += self.advance_ns
+        advance_ns = self.period_ns
+        if lateness_ns >= advance_ns:
+            skipped = lateness_ns // advance_ns
+            self.slips += skipped
+            advance_ns *= skipped + 1
+        self.advance_ns = advance_ns
+        self.next_deadline_ns += advance_ns
         self.cycles += 1
-        self.slips += skipped
         return lateness_ns
 
     def poll_timeout(self) -> int:
