@@ -13,6 +13,7 @@ import selectors
 import signal
 import socket
 import sys
+import tempfile
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -316,6 +317,8 @@ def _bound(port: int) -> socket.socket:
 
 def load_libraries() -> None:
     """Load what the processes need once, before they are forked."""
+    # Python looks for it by writing a file there: a process killed meanwhile would leave it.
+    tempfile.gettempdir()
     # Threads of a numeric library would not survive the fork.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import aiortc.rtp  # noqa: F401

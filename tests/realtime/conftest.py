@@ -1,7 +1,10 @@
 """Sessions for the tests that need one."""
 
 import pytest
-from running_session import RunningSession
+
+pytest.register_assert_rewrite("running_session")
+
+from running_session import RunningSession  # noqa: E402
 
 
 @pytest.fixture

@@ -77,7 +77,7 @@ def assert_all_six_flowed(report):
 
 def test_every_stream_flows_through_one_link(start, tmp_path):
     shots = tmp_path / "shots"
-    session = start("spacejustin", "--seconds", "12", "--snapshots", str(shots))
+    session = start("spacejustin", "--snapshots", str(shots))
     session.pids()
     session.wait_for_flow()
     for camera in ("static", "head"):
@@ -88,7 +88,9 @@ def test_every_stream_flows_through_one_link(start, tmp_path):
     assert unknown.returncode == 2
     assert len(unknown.stderr.splitlines()) == 1
     assert "stereo, static, head" in unknown.stderr
-    code, report = session.end()
+    session.wait_for_flow()
+    session.wait_for_snapshot("shots/ground-stereo", more_than=0)
+    code, report = session.interrupt()
     assert code == 0, session.errors()
     assert session.errors() == ""
     session.assert_nothing_left()
@@ -97,10 +99,20 @@ def test_every_stream_flows_through_one_link(start, tmp_path):
     assert_has_every_key(report)
     assert_all_six_flowed(report)
     assert report["setup"] == "spacejustin"
-    assert report["seconds"] >= 12
+    assert report["seconds"] > 3
     assert report["processes"]["selector"]["selected"] == "head"
     assert report["link"]["downlink"]["packets"]["telecommand"] >= 2
     assert_snapshots(shots)
+
+
+def test_a_session_ends_by_itself_when_its_time_is_over(start):
+    session = start("taskboard", "--seconds", "3")
+    session.pids()
+    code, report = session.end()
+    assert code == 0, session.errors()
+    assert report["seconds"] >= 3
+    assert {"up", "down"} == set(report["haptic"])
+    session.assert_nothing_left()
 
 
 def assert_snapshots(shots):

@@ -118,20 +118,18 @@ def test_a_process_that_falls_for_ever_takes_nobody_along(start):
     pids = session.pids()
     session.wait_for_flow()
     end_s = time.monotonic() + 2
-    killed = 0
     others = {pid for name, pid in pids.items() if name != "camera_static"}
     while time.monotonic() < end_s:
         for pid in set(session.children()) - others:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-                killed += 1
         time.sleep(0.01)
     session.wait_for_flow()
     code, report = session.interrupt()
     assert code == 0
     assert_sound(report)
     restarts = {name: entry["restarts"] for name, entry in report["processes"].items()}
-    # Each restart waits longer than the one before: not every look finds a process to kill.
-    assert 2 <= restarts.pop("camera_static") <= killed <= 10
+    # Each restart waits longer than the one before: two seconds have room for six.
+    assert 2 <= restarts.pop("camera_static") <= 8
     assert set(restarts.values()) == {0}
     session.assert_nothing_left()
