@@ -247,7 +247,10 @@ class Collector:
 
     def process(self, name: str) -> ProcessFigures:
         """The figures of the process `name`."""
-        return self.processes.setdefault(name, ProcessFigures())
+        figures = self.processes.get(name)
+        if figures is None:
+            figures = self.processes[name] = ProcessFigures()
+        return figures
 
     def handle_message(self, process: str, message: Message, now_ns: int) -> None:
         """A process has told something."""
