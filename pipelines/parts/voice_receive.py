@@ -14,6 +14,9 @@ from pipelines.parts.reception import ReportMemory, report_reception
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VoiceStream
 
+#: A hiccup is forgotten after this: most of them belong to a start or a switch, and come alone.
+_MEMORY_NS = 3 * NS_PER_S
+
 
 def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     """Publish each block of sound at the instant at which it shall be heard."""
@@ -27,7 +30,7 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
         ordered=False,
         from_ntp=clock.from_ntp,
     )
-    playout = PlayoutBuffer()
+    playout = PlayoutBuffer(window_ns=_MEMORY_NS)
     decoder = OpusDecoder()
     undated = 0
 
