@@ -195,10 +195,11 @@ class Launcher:
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _MESSAGE_OCTETS)
         # Until the child has its own way to end, a SIGTERM waits: it would be taken for ours.
         signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+        launcher = os.getpid()
         pid = os.fork()
         if pid == 0:
             ours.close()
-            os._exit(self._become_child(child, theirs))
+            os._exit(self._become_child(child, theirs, launcher))
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
         theirs.close()
         ours.setblocking(False)
@@ -208,7 +209,7 @@ class Launcher:
         self._selector.register(ours, selectors.EVENT_READ, child)
         self._selector.register(child.pidfd, selectors.EVENT_READ, child)
 
-    def _become_child(self, child: Child, link: socket.socket) -> int:
+    def _become_child(self, child: Child, link: socket.socket, launcher: int) -> int:
         signal.set_wakeup_fd(-1)
         # Nobody but the launcher may hold the other ends, or their closing would go unseen.
         for key in list(self._selector.get_map().values()):
@@ -225,6 +226,8 @@ class Launcher:
         )
         try:
             become(child.part, context)
+            if os.getppid() != launcher:
+                return 1  # it was killed before it could take this process along
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
             child.part.run(context)
         except BaseException as error:

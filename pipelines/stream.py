@@ -17,6 +17,7 @@ from pipelines.launcher import Launcher, hold_ports, launcher_cpu_s, load_librar
 from pipelines.live import LiveView
 from pipelines.process import Part, Segment, Stage
 from pipelines.report import build_report
+from pipelines.sessions import clear_dead_sessions, new_session_name
 from pipelines.setup import Setup
 from pipelines.setup_file import load_setup
 from pipelines.space import space_parts
@@ -55,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
     check_sources(setup)
     snapshots = _made_directory(args.snapshots)
     check_writable(args.report)
+    clear_dead_sessions()
     held = hold_ports(setup)
     load_libraries()
     clock = MonotonicClock()
@@ -62,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     parts = session_parts(setup, snapshots=snapshots is not None)
     with LiveView(quiet=args.quiet, verbose=args.verbose) as view:
         launcher = Launcher(
-            session=f"{setup.name[:16].lower().replace('_', '-')}-{os.getpid()}",
+            session=new_session_name(setup.name),
             setup=setup,
             parts=parts,
             clock=clock,
