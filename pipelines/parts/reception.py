@@ -1,33 +1,59 @@
 """What every receiving process does alike."""
 
-from pathlib import Path
+import select
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.topics import session_root
 from pipelines.probe import Probe
+from pipelines.process import PATIENCE_NS, Context
+from pipelines.setup import VideoStream, VoiceStream
 
 
-class ReportMemory:
-    """The newest sender report, kept in the session's directory for a restart of this process.
+class Incoming:
+    """A stream's sockets, and its receiver fed from them.
 
-    Without it a restarted receiver could not say how old its pictures are until the next report,
-    and would show none.
+    The newest sender report is kept in the session's directory for a restart of this process:
+    without it, a restarted receiver could not say how old its pictures are until the next report
+    comes, and would show none.
     """
 
-    def __init__(self, path: Path, receiver: RtpReceiver, now_ns: int) -> None:
-        self._path = path
+    def __init__(
+        self, context: Context, stream: VideoStream | VoiceStream, receiver: RtpReceiver
+    ) -> None:
+        ports = context.setup.ports
+        self._clock = context.clock
         self._receiver = receiver
-        if path.exists():
-            receiver.handle_report(path.read_bytes(), now_ns)
+        self._receive = context.receive
+        self._rtp = context.listen(ports.exit(stream.name))
+        self._rtcp = context.listen(ports.exit(f"{stream.name}_rtcp"))
+        self._memory = session_root(context.session) / f"{stream.name}.report"
+        if self._memory.exists():
+            receiver.handle_report(self._memory.read_bytes(), self._clock.now_ns())
 
-    def handle_report(self, datagram: bytes, now_ns: int) -> None:
-        """Give `datagram` to the receiver, and keep it if it was a report."""
+    def wait(self, due_ns: int | None) -> None:
+        """Sleep until something has come, at the longest until `due_ns`; give it the receiver."""
+        wait_ns = PATIENCE_NS
+        if due_ns is not None:
+            wait_ns = min(PATIENCE_NS, max(0, due_ns - self._clock.now_ns()))
+        ready = select.select((self._rtp, self._rtcp), (), (), wait_ns / NS_PER_S)[0]
+        now_ns = self._clock.now_ns()
+        # Reports first: the first of them dates the first picture.
+        if self._rtcp in ready:
+            while (datagram := self._receive(self._rtcp)) is not None:
+                self._handle_report(datagram, now_ns)
+        if self._rtp in ready:
+            while (datagram := self._receive(self._rtp)) is not None:
+                self._receiver.handle_packet(datagram, now_ns)
+
+    def _handle_report(self, datagram: bytes, now_ns: int) -> None:
         garbage = self._receiver.counts.garbage
         self._receiver.handle_report(datagram, now_ns)
         if self._receiver.counts.garbage == garbage:
             # Replaced in one step: a kill in between leaves the old report.
-            partial = self._path.with_suffix(".new")
+            partial = self._memory.with_suffix(".new")
             partial.write_bytes(datagram)
-            partial.replace(self._path)
+            partial.replace(self._memory)
 
 
 def report_reception(probe: Probe, receiver: RtpReceiver) -> None:

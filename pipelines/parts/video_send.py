@@ -1,14 +1,14 @@
 """A video stream's sending process: topic -> encoder -> pacer -> RTP to the gateway."""
 
-import secrets
 from collections import deque
 
 from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_S
 from kontur_av.h264 import H264Encoder
 from kontur_av.media import VIDEO_CLOCK_HZ
-from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
-from pipelines.names import REPORT_INTERVAL_NS, VIDEO_PAYLOAD_TYPE, cname
+from kontur_av.rtp.sender import RTP_HEADER_OCTETS
+from pipelines.names import VIDEO_PAYLOAD_TYPE
+from pipelines.parts.sending import Outgoing
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VideoStream
 
@@ -30,7 +30,7 @@ class _UnderWay:
 
 def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None:
     """Send the newest picture of `topic` whenever the stream's budget has room for one."""
-    clock, probe, ports = context.clock, context.probe, context.setup.ports
+    clock, probe = context.clock, context.probe
     encoder = H264Encoder(
         width=stream.width, height=stream.height, fps=stream.fps, cap_bps=stream.cap_bps
     )
@@ -38,20 +38,14 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
     pacer = Pacer(
         cap_bps=stream.cap_bps, channel_bps=profile.media_bps, slack_ns=NS_PER_S // stream.fps
     )
-    # Random, as RFC 3550 section 5.1 asks: a restarted sender is a new source.
-    rtp = RtpSender(
+    outgoing = Outgoing(
+        context,
+        stream,
         payload_type=VIDEO_PAYLOAD_TYPE,
         clock_rate_hz=VIDEO_CLOCK_HZ,
-        ssrc=secrets.randbits(32),
-        first_sequence=secrets.randbits(16),
-        timestamp_offset=secrets.randbits(32),
-        cname=cname(stream.name),
-        report_interval_ns=REPORT_INTERVAL_NS,
         max_payload_octets=min(_MAX_PAYLOAD_OCTETS, pacer.max_payload_octets),
     )
-    to_gateway, to_gateway_rtcp = (
-        context.sender(ports.entry(flow)) for flow in (stream.name, f"{stream.name}_rtcp")
-    )
+    rtp = outgoing.rtp
     under_way: deque[_UnderWay] = deque()
     captured = sent = 0
 
@@ -91,8 +85,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
                         pacer.handle_access_unit(packets, octets, unit.encoded_ns)
             now_ns = clock.now_ns()
             while (packet := pacer.poll_transmit(now_ns)) is not None:
-                to_gateway(packet)
-                probe.row("out", now_ns, len(packet) - RTP_HEADER_OCTETS)
+                outgoing.send(packet, now_ns)
                 unit_under_way = under_way[0]
                 unit_under_way.packets -= 1
                 if unit_under_way.packets == 0:
@@ -105,9 +98,5 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
                         unit_under_way.encoded_ns,
                         now_ns,
                     )
-            report = rtp.poll_report(now_ns, clock.ntp)
-            if report is not None:
-                to_gateway_rtcp(report)
-        goodbye = rtp.goodbye(clock.ntp)
-        if goodbye is not None:
-            to_gateway_rtcp(goodbye)
+            outgoing.send_report(now_ns)
+        outgoing.close()

@@ -1,17 +1,14 @@
 """A voice stream's receiving process: RTP from the gateway -> playout -> Opus -> topic."""
 
-import select
-
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, AudioFrame, CaptureStamp
 from kontur_av.opus import MAX_PACKET_SAMPLES, OpusDecoder
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
-from kontur_av.topics import session_root
 from pipelines.names import VOICE_PAYLOAD_TYPE, received_topic
-from pipelines.parts.reception import ReportMemory, report_reception
-from pipelines.process import PATIENCE_NS, Context
+from pipelines.parts.reception import Incoming, report_reception
+from pipelines.process import Context
 from pipelines.setup import VoiceStream
 
 #: A hiccup is forgotten after this: most of them belong to a start or a switch, and come alone.
@@ -20,10 +17,7 @@ _MEMORY_NS = 3 * NS_PER_S
 
 def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     """Publish each block of sound at the instant at which it shall be heard."""
-    clock, probe, ports = context.clock, context.probe, context.setup.ports
-    udp = context.listen(ports.exit(stream.name))
-    udp_rtcp = context.listen(ports.exit(f"{stream.name}_rtcp"))
-    sockets = (udp, udp_rtcp)
+    clock, probe = context.clock, context.probe
     receiver = RtpReceiver(
         payload_type=VOICE_PAYLOAD_TYPE,
         clock_rate_hz=AUDIO_CLOCK_HZ,
@@ -56,23 +50,11 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
 
     context.on_flush(fill)
     with context.open_bus() as bus:
-        memory = session_root(context.session) / f"{stream.name}.report"
-        reports = ReportMemory(memory, receiver, clock.now_ns())
+        incoming = Incoming(context, stream, receiver)
         writer = bus.writer(received_topic(stream.name), max_octets=MAX_PACKET_SAMPLES * 2)
         while not context.stopping:
-            now_ns = clock.now_ns()
-            context.tick(now_ns)
-            due_ns = playout.poll_timeout()
-            wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, max(0, due_ns - now_ns))
-            # Half of the wake-ups are for a block whose time has come: then no socket is asked.
-            ready = select.select(sockets, (), (), wait_ns / NS_PER_S)[0]
-            now_ns = clock.now_ns()
-            if udp_rtcp in ready:
-                while (datagram := context.receive(udp_rtcp)) is not None:
-                    reports.handle_report(datagram, now_ns)
-            if udp in ready:
-                while (datagram := context.receive(udp)) is not None:
-                    receiver.handle_packet(datagram, now_ns)
+            context.tick(clock.now_ns())
+            incoming.wait(playout.poll_timeout())
             while (packet := receiver.next_event()) is not None:
                 probe.row("rx", packet.timestamp, packet.received_ns)
                 playout.handle_packet(packet)

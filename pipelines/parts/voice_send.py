@@ -1,14 +1,13 @@
 """A voice stream's sending process: topic -> Opus -> RTP to the gateway."""
 
-import secrets
 from collections import deque
 
 from kontur_av.budget import Pacer
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.opus import OpusEncoder, bitrate_under_cap
-from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from kontur_av.sources.source import BLOCK_NS
-from pipelines.names import REPORT_INTERVAL_NS, VOICE_PAYLOAD_TYPE, cname
+from pipelines.names import VOICE_PAYLOAD_TYPE
+from pipelines.parts.sending import Outgoing
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VoiceStream
 
@@ -18,20 +17,12 @@ _TOO_OLD_NS = 5 * BLOCK_NS
 
 def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None:
     """Send every block of sound of `topic` as it comes, at a constant rate within the cap."""
-    clock, probe, ports = context.clock, context.probe, context.setup.ports
+    clock, probe = context.clock, context.probe
     encoder = OpusEncoder(bitrate_bps=bitrate_under_cap(stream.cap_bps))
-    rtp = RtpSender(
-        payload_type=VOICE_PAYLOAD_TYPE,
-        clock_rate_hz=AUDIO_CLOCK_HZ,
-        ssrc=secrets.randbits(32),
-        first_sequence=secrets.randbits(16),
-        timestamp_offset=secrets.randbits(32),
-        cname=cname(stream.name),
-        report_interval_ns=REPORT_INTERVAL_NS,
+    outgoing = Outgoing(
+        context, stream, payload_type=VOICE_PAYLOAD_TYPE, clock_rate_hz=AUDIO_CLOCK_HZ
     )
-    to_gateway, to_gateway_rtcp = (
-        context.sender(ports.entry(flow)) for flow in (stream.name, f"{stream.name}_rtcp")
-    )
+    rtp = outgoing.rtp
     # The rate is constant, but a process that was held up would send two packets at once.
     pacer = Pacer(cap_bps=stream.cap_bps, channel_bps=context.setup.profile_of(stream).media_bps)
     under_way: deque[tuple[int, int, int]] = deque()
@@ -48,9 +39,8 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
         nonlocal sent
         now_ns = clock.now_ns()
         while (packet := pacer.poll_transmit(now_ns)) is not None:
-            to_gateway(packet)
+            outgoing.send(packet, now_ns)
             sent += 1
-            probe.row("out", now_ns, len(packet) - RTP_HEADER_OCTETS)
             probe.row("tx", *under_way.popleft(), now_ns)
 
     context.on_flush(fill)
@@ -77,9 +67,5 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
                 under_way.append((timestamp, frame.stamp.capture_ns, encoded_ns))
                 pacer.handle_access_unit(packets, [len(data)], encoded_ns)
             send_due()
-            report = rtp.poll_report(clock.now_ns(), clock.ntp)
-            if report is not None:
-                to_gateway_rtcp(report)
-        goodbye = rtp.goodbye(clock.ntp)
-        if goodbye is not None:
-            to_gateway_rtcp(goodbye)
+            outgoing.send_report(clock.now_ns())
+        outgoing.close()
