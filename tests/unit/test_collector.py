@@ -28,7 +28,7 @@ def ms(*values):
     return [START_NS + value * NS_PER_MS for value in values]
 
 
-@pytest.mark.parametrize("order", permutations(range(3)))
+@pytest.mark.parametrize("order", list(permutations(range(3))))
 def test_stages_are_joined_by_timestamp_in_whichever_order_they_are_told(order):
     collector = Collector(STREAMS)
     captured, encoded, sent, received, displayed = ms(0, 5, 12, 30, 47)
