@@ -45,6 +45,7 @@ SHELLS = {
     "pipelines/process.py": "what every process has",
     "pipelines/receive.py": "a command",
     "pipelines/send.py": "a command",
+    "pipelines/sessions.py": "processes, and what they leave",
     "pipelines/stream.py": "a command",
 }
 
