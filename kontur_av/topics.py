@@ -45,7 +45,8 @@ MAX_READERS = 16
 _MAX_WRITERS = 4
 _MAX_NODES = 64
 _MAX_DEPTH = 8
-_MAX_LEASES = 2
+#: Two that a reader holds, and one more that `latest` has in hand while it lets an older one go.
+_MAX_LEASES = 3
 _SOURCE_OCTETS = 16
 #: A Unix socket's path has 107 octets (unix(7)); iceoryx2 adds an identifier of up to 39 digits
 #: and an ending to the prefix.

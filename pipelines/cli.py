@@ -1,6 +1,7 @@
 """The `kontur-av` command."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -79,6 +80,8 @@ def _devices(args: argparse.Namespace) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 well, 1 something failed, 2 the user's mistake."""
+    # Before NumPy is loaded: its library's threads would not survive the launcher's forks.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         words = sys.argv[1:] if arguments is None else list(arguments)
         args = _parser(words[0] if words else "").parse_args(words)

@@ -1,7 +1,6 @@
 """The process that merges the pictures of the robot's two cameras into one."""
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.media import VideoFrame
 from kontur_av.stereo import StereoPairer, merge
 from kontur_av.topics import Lease
 from pipelines.names import STEREO_TOPIC, input_topic
@@ -24,6 +23,18 @@ def run_stereo(context: Context) -> None:
         readers = [bus.reader(input_topic(name)) for name in STEREO_INPUTS]
         # The pairer shows a camera's last picture again: its lease is kept until the next one.
         leases: list[Lease | None] = [None, None]
+
+        def publish_pairs() -> None:
+            while (pair := pairer.next_event()) is not None:
+                loan = writer.loan_picture(video.width, video.height)
+                left, right = pair.left, pair.right
+                merge(
+                    None if left is None else left.data,
+                    None if right is None else right.data,
+                    loan.picture,
+                )
+                loan.publish(pair.stamp)
+
         waiter = bus.waiter(readers)
         while not context.stopping:
             now_ns = clock.now_ns()
@@ -34,20 +45,13 @@ def run_stereo(context: Context) -> None:
                 lease = reader.latest()
                 if lease is None:
                     continue
-                frame: VideoFrame = lease.video()
                 handle = pairer.handle_right if side else pairer.handle_left
-                handle(frame, clock.now_ns())
+                handle(lease.video(), clock.now_ns())
+                # Before the previous picture is given back: a pair may still hold it.
+                publish_pairs()
                 previous, leases[side] = leases[side], lease
                 if previous is not None:
                     previous.release()
             pairer.handle_timeout(clock.now_ns())
-            while (pair := pairer.next_event()) is not None:
-                loan = writer.loan_picture(video.width, video.height)
-                left, right = pair.left, pair.right
-                merge(
-                    None if left is None else left.data,
-                    None if right is None else right.data,
-                    loan.picture,
-                )
-                loan.publish(pair.stamp)
+            publish_pairs()
         del waiter

@@ -73,6 +73,25 @@ def test_a_slow_reader_loses_the_oldest_and_never_blocks_the_writer(session):
         assert seen == [98, 99]
 
 
+def test_a_reader_that_holds_two_samples_may_still_look_for_the_newest(session):
+    """Like the stereo merge, which shows a camera's last picture again. Publications between the
+    steps of `latest` are stood in for by a deeper queue."""
+    with TopicBus(session) as bus:
+        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+        reader = bus.reader("pictures", depth=4)
+        data = np.zeros((72, 64), np.uint8)
+        writer.publish_video(VideoFrame(data, stamp(0)))
+        held = [reader.latest()]
+        for sequence in (1, 2, 3):
+            writer.publish_video(VideoFrame(data, stamp(sequence)))
+        held.append(reader.latest())
+        assert [lease.stamp.sequence for lease in held] == [0, 3]
+        for sequence in (4, 5, 6):
+            writer.publish_video(VideoFrame(data, stamp(sequence)))
+        held[0].release()
+        assert reader.latest().stamp.sequence == 6
+
+
 def test_a_reader_that_joins_late_sees_the_last_sample(session):
     with TopicBus(session) as bus:
         writer = bus.writer("state", max_octets=8, wake=False)
