@@ -5,6 +5,7 @@ A user's own setup is a TOML file with the same fields: `pipelines.setup_file`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
@@ -24,6 +25,8 @@ from telepresence.world import DEFAULT_SCENES
 #: The camera that is merged from the inputs `left` and `right`.
 STEREO = "stereo"
 STEREO_INPUTS = ("left", "right")
+
+GROUND_MIC, ISS_CAMERA, ISS_MIC = "ground_mic", "iss_camera", "iss_mic"
 
 VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
 #: How many ports a session takes, from its base port on.
@@ -174,6 +177,10 @@ class Setup:
             if self.cameras.count(camera) > 1:
                 raise ConfigError(f"setup {self.name}: camera {camera} is named twice")
             check_name(camera)
+            if camera in (GROUND_MIC, ISS_CAMERA, ISS_MIC):
+                raise ConfigError(
+                    f"setup {self.name}: camera {camera} has the name of another input; rename it"
+                )
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
         Ports(base=self.base_port)
@@ -205,10 +212,16 @@ class Setup:
         """All inputs, cameras first."""
         return (
             *self.camera_inputs,
-            *(("ground_mic",) if self.uplink_voice else ()),
-            *(("iss_camera",) if self.downlink_video else ()),
-            *(("iss_mic",) if self.downlink_voice else ()),
+            *((GROUND_MIC,) if self.uplink_voice else ()),
+            *((ISS_CAMERA,) if self.downlink_video else ()),
+            *((ISS_MIC,) if self.downlink_voice else ()),
         )
+
+    def kind_of(self, name: str) -> Literal["audio", "video"]:
+        """What the input `name` gives; ConfigError when the setup has no such input."""
+        if name not in self.inputs:
+            raise ConfigError(f"setup {self.name} has no input {name}")
+        return "audio" if name in (GROUND_MIC, ISS_MIC) else "video"
 
     def source(self, name: str) -> str:
         """The source of the input `name`; ConfigError when it has none."""
@@ -219,7 +232,7 @@ class Setup:
 
     def stream_of(self, camera_input: str) -> VideoStream:
         """The stream whose size and rate the pictures of an input have."""
-        if camera_input == "iss_camera" and self.downlink_video is not None:
+        if camera_input == ISS_CAMERA and self.downlink_video is not None:
             return self.downlink_video
         return self.uplink_video
 

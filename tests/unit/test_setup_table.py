@@ -65,6 +65,8 @@ def test_every_field_of_a_file_arrives(tmp_path):
     assert setup.inputs == inputs
     assert setup.stream_of("iss_camera") is setup.downlink_video
     assert setup.stream_of("wrist") is setup.uplink_video
+    kinds = [setup.kind_of(name) for name in setup.inputs]
+    assert kinds == ["video", "video", "video", "audio", "video", "audio"]
 
 
 def test_a_file_is_named_after_itself(tmp_path):
@@ -126,3 +128,21 @@ def test_a_setup_cannot_be_changed_or_misused():
         )
     with pytest.raises(ConfigError, match="base port"):
         Ports(base=65_530)
+
+
+def own_setup(**changes):
+    video = VideoStream(name="uplink_video", cap_bps=50_000)
+    return Setup(**{"name": "x", "cameras": ("static",), "uplink_video": video} | changes)
+
+
+@pytest.mark.parametrize("name", ["iss_camera", "iss_mic", "ground_mic"])
+def test_a_camera_takes_no_other_inputs_name(name):
+    with pytest.raises(ConfigError, match=f"camera {name} .* rename it"):
+        own_setup(cameras=("static", name))
+
+
+def test_a_camera_is_no_microphone_whatever_its_name():
+    setup = own_setup(cameras=("a_mic",), sources={"a_mic": "clip.mp4"})
+    assert setup.kind_of("a_mic") == "video"
+    with pytest.raises(ConfigError, match="no input iss_mic"):
+        setup.kind_of("iss_mic")
