@@ -322,8 +322,6 @@ def load_libraries() -> None:
     """Load what the processes need once, before they are forked."""
     # Python looks for it by writing a file there: a process killed meanwhile would leave it.
     tempfile.gettempdir()
-    # Threads of a numeric library would not survive the fork.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import aiortc.rtp  # noqa: F401
     import av  # noqa: F401
     import cv2
