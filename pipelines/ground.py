@@ -16,8 +16,6 @@ from pipelines.parts.voice_send import run_voice_send
 from pipelines.process import LOOP_PRIORITY, VOICE_PRIORITY, Part, Segment, Stage
 from pipelines.setup import STEREO, Setup
 
-_HERE = Segment.GROUND
-
 
 def ground_parts(setup: Setup) -> list[Part]:
     """What runs on the ground for `setup`."""
@@ -25,38 +23,38 @@ def ground_parts(setup: Setup) -> list[Part]:
     down, voice_down = setup.downlink_video, setup.downlink_voice
     parts = [
         Part(
-            "ground_gateway", _HERE, Stage.LINK, partial(run_gateway, segment=_HERE), LOOP_PRIORITY
+            "ground_gateway",
+            Stage.LINK,
+            partial(run_gateway, segment=Segment.GROUND),
+            LOOP_PRIORITY,
         ),
-        Part("robot", _HERE, Stage.LINK, run_robot, LOOP_PRIORITY),
+        Part("robot", Stage.LINK, run_robot, LOOP_PRIORITY),
     ]
     parts += [
-        Part(f"camera_{name}", _HERE, Stage.SOURCE, partial(run_camera, name=name, stream=up))
+        Part(f"camera_{name}", Stage.SOURCE, partial(run_camera, name=name, stream=up))
         for name in setup.camera_inputs
     ]
     if STEREO in setup.cameras:
-        parts.append(Part("stereo", _HERE, Stage.RELAY, run_stereo))
-    parts.append(Part("selector", _HERE, Stage.RELAY, run_selector))
+        parts.append(Part("stereo", Stage.RELAY, run_stereo))
+    parts.append(Part("selector", Stage.RELAY, run_selector))
     send = partial(run_video_send, stream=up, topic=SELECTED_TOPIC)
-    parts.append(Part("uplink_video_send", _HERE, Stage.SENDER, send))
+    parts.append(Part("uplink_video_send", Stage.SENDER, send))
     if voice_up:
         name = "ground_mic"
         say = partial(run_voice_send, stream=voice_up, topic=input_topic(name))
-        parts.append(
-            Part(name, _HERE, Stage.SOURCE, partial(run_microphone, name=name), VOICE_PRIORITY)
-        )
-        parts.append(Part("uplink_voice_send", _HERE, Stage.SENDER, say, VOICE_PRIORITY))
+        parts.append(Part(name, Stage.SOURCE, partial(run_microphone, name=name), VOICE_PRIORITY))
+        parts.append(Part("uplink_voice_send", Stage.SENDER, say, VOICE_PRIORITY))
     if down:
         see = partial(run_video_receive, stream=down)
-        parts.append(Part("downlink_video_receive", _HERE, Stage.RECEIVER, see))
+        parts.append(Part("downlink_video_receive", Stage.RECEIVER, see))
     if voice_down:
         hear = partial(run_voice_receive, stream=voice_down)
-        parts.append(Part("downlink_voice_receive", _HERE, Stage.RECEIVER, hear, VOICE_PRIORITY))
+        parts.append(Part("downlink_voice_receive", Stage.RECEIVER, hear, VOICE_PRIORITY))
     received = [stream for stream in (down, voice_down) if stream is not None]
     if received:
         parts.append(
             Part(
                 "ground_display",
-                _HERE,
                 Stage.SINK,
                 partial(run_display, streams=received),
                 VOICE_PRIORITY,

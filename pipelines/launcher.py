@@ -12,7 +12,6 @@ import resource
 import selectors
 import signal
 import socket
-import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Sequence
@@ -40,7 +39,7 @@ _SENDER_REST_NS = NS_PER_S + 10 * NS_PER_MS
 _PATIENCE_NS = 3 * NS_PER_S
 _SHOW_NS = NS_PER_S
 _MESSAGE_OCTETS = 1 << 20
-_ENDING = (signal.SIGINT, signal.SIGTERM)
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
@@ -58,10 +57,6 @@ class Child:
     restarts: int = 0
     ended_cpu_s: float = 0.0
     last_error: str = ""
-
-    @property
-    def state(self) -> str:
-        return "restarting" if self.pid is None else "running"
 
     def cpu_s(self) -> float:
         """Seconds of a core that all lives of the part have taken so far."""
@@ -109,7 +104,13 @@ class Launcher:
         wake_read, wake_write = socket.socketpair()
         wake_read.setblocking(False)
         wake_write.setblocking(False)
-        previous = {number: signal.signal(number, self._handle_signal) for number in _ENDING}
+        # Under nohup(1) a closed terminal is to end nothing.
+        nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        previous = {
+            number: signal.signal(number, self._handle_signal)
+            for number in _ENDING
+            if not (nohup and number == signal.SIGHUP)
+        }
         previous_wakeup = signal.set_wakeup_fd(wake_write.fileno())
         self._selector.register(wake_read, selectors.EVENT_READ, wake_read)
         # What is there now is never freed: no need to walk it, or to copy its pages for that.
@@ -198,8 +199,13 @@ class Launcher:
         launcher = os.getpid()
         pid = os.fork()
         if pid == 0:
-            ours.close()
-            os._exit(self._become_child(child, theirs, launcher))
+            # Nothing may get out of here: what stands above would end the siblings.
+            code = 1
+            try:
+                ours.close()
+                code = self._become_child(child, theirs, launcher)
+            finally:
+                os._exit(code)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
         theirs.close()
         ours.setblocking(False)
@@ -210,31 +216,35 @@ class Launcher:
         self._selector.register(child.pidfd, selectors.EVENT_READ, child)
 
     def _become_child(self, child: Child, link: socket.socket, launcher: int) -> int:
-        signal.set_wakeup_fd(-1)
-        # Nobody but the launcher may hold the other ends, or their closing would go unseen.
-        for key in list(self._selector.get_map().values()):
-            fd = key.fd
-            if fd != link.fileno():
-                os.close(fd)
         context = Context(
-            name=child.part.name,
             session=self.session,
             setup=self.setup,
             clock=self.clock,
             probe=Probe(link),
             snapshots=self.snapshots,
+            started_ns=self.started_ns,
         )
         try:
+            signal.set_wakeup_fd(-1)
+            # Nobody but the launcher may hold the other ends, or their closing would go unseen.
+            for key in list(self._selector.get_map().values()):
+                fd = key.fd
+                if fd != link.fileno():
+                    os.close(fd)
             become(child.part, context)
             if os.getppid() != launcher:
                 return 1  # it was killed before it could take this process along
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
             child.part.run(context)
+            context.flush(self.clock.now_ns())
         except BaseException as error:
             context.probe.gauge("last_error", _one_line(error))
-            context.flush(self.clock.now_ns())
+            try:
+                context.flush(self.clock.now_ns())
+            except Exception:
+                # The totals may be what has failed.
+                context.probe.flush(self.clock.now_ns())
             return 1
-        context.flush(self.clock.now_ns())
         return 0
 
     def _handle_end(self, child: Child) -> None:
@@ -253,7 +263,7 @@ class Launcher:
         figures = self.collector.process(child.part.name)
         figures.handle_end()
         if os.WIFSIGNALED(status):
-            child.last_error = f"ended by {signal.Signals(os.WTERMSIG(status)).name}"
+            child.last_error = f"ended by {_signal_name(os.WTERMSIG(status))}"
         else:
             child.last_error = figures.gauges.get("last_error", "ended by itself")
         figures.gauges["last_error"] = child.last_error
@@ -290,6 +300,13 @@ def _one_line(error: BaseException) -> str:
     where = traceback.extract_tb(error.__traceback__)[-1]
     kind = type(error).__name__
     return f"{kind}: {error} ({Path(where.filename).name}:{where.lineno})"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # the real-time signals between the first and the last have no name
+        return f"signal {number}"
 
 
 def hold_ports(setup: Setup) -> socket.socket:
@@ -347,8 +364,3 @@ def launcher_cpu_s() -> float:
     """Seconds of a core that the launcher itself has taken, its imports included."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_utime + usage.ru_stime
-
-
-def warn(text: str) -> None:
-    """A line for the user beside the figures."""
-    print(f"kontur-av: {text}", file=sys.stderr)

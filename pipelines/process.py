@@ -39,14 +39,16 @@ class Context:
     """What a part is given.
 
     A part runs until `stopping`; it calls `tick` at least every PATIENCE_NS.
+
+    started_ns: when the session began, for all lives of the part alike.
     """
 
-    name: str
     session: str
     setup: Setup
     clock: MonotonicClock
     probe: Probe
     snapshots: Path | None = None
+    started_ns: int = 0
     stopping: bool = False
     _fill: list[Callable[[], None]] = field(default_factory=list)
 
@@ -138,13 +140,12 @@ class Stage(IntEnum):
 
 @dataclass(frozen=True)
 class Part:
-    """One process of a session: what it is called, where it stands and what it runs.
+    """One process of a session: what it is called, when it is started and what it runs.
 
     priority: real-time priority, where the system permits; 0 for none.
     """
 
     name: str
-    segment: Segment
     stage: Stage
     run: Callable[[Context], None]
     priority: int = 0
@@ -152,7 +153,9 @@ class Part:
 
 def become(part: Part, context: Context) -> None:
     """In a fresh child: take the part's name, its priority and its way to end."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the launcher's
+    # Ctrl-C and the terminal's end go to all of them, and are the launcher's.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
     prctl = ctypes.CDLL(None, use_errno=True).prctl
     # A launcher that is killed takes its processes along.

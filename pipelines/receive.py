@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
             write_text(args.report, "", "--report")
         writer: MatroskaWriter | None = None
         if args.save:
-            writer = MatroskaWriter(args.save, stream.kind)
+            writer = MatroskaWriter(args.save)
             stack.callback(writer.close)
         clock = MonotonicClock()
         sink = VideoSink(stream, writer) if stream.kind == "video" else AudioSink(writer)

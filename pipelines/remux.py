@@ -4,7 +4,6 @@ import io
 from fractions import Fraction
 from heapq import heappop, heappush
 from pathlib import Path
-from typing import Literal
 
 import av
 from av.container import InputContainer, OutputContainer
@@ -25,14 +24,13 @@ class MatroskaWriter:
     Raises ConfigError when the file cannot be written.
     """
 
-    def __init__(self, path: str, kind: Literal["video", "audio"]) -> None:
+    def __init__(self, path: str) -> None:
         try:
             # PyAV opens the file with the first packet: too late to refuse.
             Path(path).write_bytes(b"")
         except OSError as error:
             raise ConfigError(f"--save {path!r} cannot be written: {error.strerror}") from None
         self._container: OutputContainer = av.open(path, "w", format="matroska")
-        self._kind = kind
         self._stream: Stream | None = None
         self._template: InputContainer | None = None
         self._display_order: list[int] = []

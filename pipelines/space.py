@@ -15,8 +15,6 @@ from pipelines.parts.voice_send import run_voice_send
 from pipelines.process import LOOP_PRIORITY, VOICE_PRIORITY, Part, Segment, Stage
 from pipelines.setup import Setup
 
-_HERE = Segment.SPACE
-
 
 def space_parts(setup: Setup) -> list[Part]:
     """What runs in space for `setup`."""
@@ -24,20 +22,19 @@ def space_parts(setup: Setup) -> list[Part]:
     down, voice_down = setup.downlink_video, setup.downlink_voice
     parts = [
         Part(
-            "space_gateway", _HERE, Stage.LINK, partial(run_gateway, segment=_HERE), LOOP_PRIORITY
+            "space_gateway", Stage.LINK, partial(run_gateway, segment=Segment.SPACE), LOOP_PRIORITY
         ),
-        Part("joystick", _HERE, Stage.LINK, run_joystick, LOOP_PRIORITY),
-        Part("console", _HERE, Stage.LINK, run_console),
-        Part("uplink_video_receive", _HERE, Stage.RECEIVER, partial(run_video_receive, stream=up)),
+        Part("joystick", Stage.LINK, run_joystick, LOOP_PRIORITY),
+        Part("console", Stage.LINK, run_console),
+        Part("uplink_video_receive", Stage.RECEIVER, partial(run_video_receive, stream=up)),
     ]
     if voice_up:
         hear = partial(run_voice_receive, stream=voice_up)
-        parts.append(Part("uplink_voice_receive", _HERE, Stage.RECEIVER, hear, VOICE_PRIORITY))
+        parts.append(Part("uplink_voice_receive", Stage.RECEIVER, hear, VOICE_PRIORITY))
     received = [stream for stream in (up, voice_up) if stream is not None]
     parts.append(
         Part(
             "space_display",
-            _HERE,
             Stage.SINK,
             partial(run_display, streams=received),
             VOICE_PRIORITY,
@@ -46,13 +43,11 @@ def space_parts(setup: Setup) -> list[Part]:
     if down:
         name = "iss_camera"
         send = partial(run_video_send, stream=down, topic=input_topic(name))
-        parts.append(Part(name, _HERE, Stage.SOURCE, partial(run_camera, name=name, stream=down)))
-        parts.append(Part("downlink_video_send", _HERE, Stage.SENDER, send))
+        parts.append(Part(name, Stage.SOURCE, partial(run_camera, name=name, stream=down)))
+        parts.append(Part("downlink_video_send", Stage.SENDER, send))
     if voice_down:
         name = "iss_mic"
         say = partial(run_voice_send, stream=voice_down, topic=input_topic(name))
-        parts.append(
-            Part(name, _HERE, Stage.SOURCE, partial(run_microphone, name=name), VOICE_PRIORITY)
-        )
-        parts.append(Part("downlink_voice_send", _HERE, Stage.SENDER, say, VOICE_PRIORITY))
+        parts.append(Part(name, Stage.SOURCE, partial(run_microphone, name=name), VOICE_PRIORITY))
+        parts.append(Part("downlink_voice_send", Stage.SENDER, say, VOICE_PRIORITY))
     return parts

@@ -60,7 +60,7 @@ def test_what_a_full_link_refuses_is_kept_for_the_next_time(link):
 
 
 def test_a_sender_outlives_its_receiver_and_reaches_the_next_one():
-    context = Context("test", "test", None, MonotonicClock(), Probe(None))
+    context = Context("test", None, MonotonicClock(), Probe(None))
     first = context.listen(0)
     port = first.getsockname()[1]
     send = context.sender(port)

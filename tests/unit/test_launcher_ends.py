@@ -1,0 +1,98 @@
+"""However a process of a session ends, its siblings go on, and the report says how it ended."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import json, os, signal, sys
+from kontur_av.clock import MonotonicClock
+from pipelines.launcher import Launcher
+from pipelines.process import Part, Stage
+from pipelines.setups import BUILT_IN
+
+def good(context):
+    while not context.stopping:
+        context.tick(context.clock.now_ns())
+        context.clock.sleep_until_ns(context.clock.now_ns() + 10_000_000)
+
+def no_figures(context):
+    def fill():
+        raise RuntimeError("no figures")
+    context.on_flush(fill)
+
+def falls_without_figures(context):
+    no_figures(context)
+    raise ValueError("fallen")
+
+def real_time_signal(context):
+    os.kill(os.getpid(), 40)
+
+def deaf_to_a_closed_terminal(context):
+    os.kill(os.getpid(), signal.SIGHUP)
+    good(context)
+
+def closes_the_terminal(context):
+    os.kill(os.getppid(), signal.SIGHUP)
+    good(context)
+
+bad, seconds = sys.argv[1], float(sys.argv[2])
+launcher = Launcher(
+    session=f"test-{os.getpid()}",
+    setup=BUILT_IN["taskboard"],
+    parts=[Part("good", Stage.LINK, good), Part("bad", Stage.SINK, globals()[bad])],
+    clock=MonotonicClock(),
+)
+launcher.run(seconds or None)
+print(json.dumps({child.part.name: [child.restarts, child.last_error]
+                  for child in launcher.children}))
+"""
+
+
+def ends(bad, seconds=0.5, **options):
+    """What a launcher says of `bad` and of its sibling: [restarts, last error] of each."""
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, bad, str(seconds)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        **options,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    (line,) = done.stdout.splitlines()
+    return json.loads(line)
+
+
+@pytest.mark.parametrize(
+    ("bad", "says"),
+    [
+        ("no_figures", "RuntimeError: no figures"),
+        ("falls_without_figures", "ValueError: fallen"),
+        ("real_time_signal", "ended by signal 40"),
+    ],
+)
+def test_a_process_that_falls_takes_no_sibling_along(bad, says):
+    figures = ends(bad)
+    assert figures["good"] == [0, ""]
+    restarts, last_error = figures["bad"]
+    assert restarts >= 1
+    assert last_error.startswith(says)
+
+
+def test_a_closed_terminal_ends_the_session_by_its_launcher_alone():
+    assert ends("deaf_to_a_closed_terminal") == {"good": [0, ""], "bad": [0, ""]}
+    assert ends("closes_the_terminal", 0) == {"good": [0, ""], "bad": [0, ""]}
+
+
+def test_under_nohup_a_closed_terminal_ends_nothing():
+    def nohup():
+        import signal
+
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    figures = ends("closes_the_terminal", 0.5, preexec_fn=nohup, env=dict(os.environ))
+    assert figures == {"good": [0, ""], "bad": [0, ""]}
