@@ -1,8 +1,9 @@
-"""The way from another terminal to a running session: one line of JSON each way.
+"""The way from another terminal to a running session: lines of JSON.
 
 A session's console listens on a Unix socket in the session's directory, which only its user may
 enter. Request: `{"select": "static"}`. Answer: `{"ok": true, ...}` or `{"ok": false, "error":
-"...", "mistake": true}`; `mistake` says that the request could not work for anybody.
+"...", "mistake": true}`; `mistake` says that the request could not work for anybody. Before the
+answer to a telecommand comes `{"wait_s": 1.5}`: how long the console itself may wait for space.
 """
 
 import json
@@ -15,8 +16,8 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics import session_root
 
 _SOCKET = "console"
-#: The console answers within the telecommand's tries; then nobody is there.
-_PATIENCE_S = 10.0
+#: How long a console may take beside what it says that it has to wait; then nobody is there.
+_PATIENCE_S = 5.0
 MAX_LINE_OCTETS = 4096
 
 
@@ -47,16 +48,24 @@ def ask(request: dict[str, Any], session: str | None = None) -> dict[str, Any]:
     with alive[0][1] as link:
         try:
             link.sendall(json.dumps(request).encode() + b"\n")
-            line = link.makefile("rb").readline(MAX_LINE_OCTETS)
+            lines = link.makefile("rb")
+            answer = _parse(lines.readline(MAX_LINE_OCTETS))
+            if answer is not None and isinstance(wait_s := answer.get("wait_s"), int | float):
+                link.settimeout(wait_s + _PATIENCE_S)
+                answer = _parse(lines.readline(MAX_LINE_OCTETS))
         except OSError:
-            line = b""
+            answer = None
+    if answer is None:
+        return {"ok": False, "error": "the session's console has ended before it answered"}
+    return answer
+
+
+def _parse(line: bytes) -> dict[str, Any] | None:
     try:
         answer = json.loads(line)
     except ValueError:
-        answer = None
-    if not isinstance(answer, dict):
-        return {"ok": False, "error": "the session's console has ended before it answered"}
-    return answer
+        return None
+    return answer if isinstance(answer, dict) else None
 
 
 def _connect(path: Path) -> socket.socket | None:

@@ -11,11 +11,13 @@ from typing import Any
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.control import MAX_LINE_OCTETS, console_path
 from pipelines.process import LOOPBACK, PATIENCE_NS, Context
-from pipelines.setup import TELECOMMAND, TELEMETRY
+from pipelines.setup import TELECOMMAND, TELEMETRY, Setup
 from telepresence.tmtc import Housekeeping, SelectDone, SelectFailed, TelecommandSender
 
 #: How many terminals may ask at once; a further one is turned away.
 _MOST_CLIENTS = 8
+#: What a telecommand and its answer may take beside the radio's delay.
+_ANSWER_NS = 500 * NS_PER_MS
 
 
 class _Client:
@@ -27,12 +29,18 @@ class _Client:
         self.token: int | None = None
 
 
+def telecommand_sender(setup: Setup, *, first_token: int) -> TelecommandSender:
+    """One that repeats no telecommand before its answer can have come."""
+    delay_ns = round(setup.radio_delay_ms * NS_PER_MS)
+    return TelecommandSender(first_token=first_token, timeout_ns=_ANSWER_NS + 2 * delay_ns)
+
+
 def run_console(context: Context) -> None:
     """Turn requests from the control socket into telecommands, and their ends into answers."""
     clock, probe, setup = context.clock, context.probe, context.setup
     udp = context.listen(setup.ports.exit(TELEMETRY))
     gateway = (LOOPBACK, setup.ports.entry(TELECOMMAND))
-    sender = TelecommandSender(first_token=secrets.randbits(16))
+    sender = telecommand_sender(setup, first_token=secrets.randbits(16))
     listener = _listen(context)
     clients: list[_Client] = []
     housekeeping = 0
@@ -76,6 +84,7 @@ def run_console(context: Context) -> None:
                 clients.remove(client)
             else:
                 client.token = sender.select(camera, now_ns)
+                _tell(client, wait_s=sender.tries * sender.timeout_ns / NS_PER_S)
         while (datagram := context.receive(udp)) is not None:
             sender.handle_packet(datagram, now_ns)
         while (packet := sender.poll_transmit(now_ns)) is not None:
@@ -121,7 +130,7 @@ def _read(client: _Client) -> dict[str, Any] | None:
         return None
     try:
         request = json.loads(client.line)
-    except ValueError:
+    except (ValueError, RecursionError):  # the latter of "[[[[" without end
         request = None
     if isinstance(request, dict):
         return request
@@ -129,7 +138,11 @@ def _read(client: _Client) -> dict[str, Any] | None:
     return None
 
 
-def _answer(client: _Client, **content: Any) -> None:
+def _tell(client: _Client, **content: Any) -> None:
     with suppress(OSError):  # the terminal may have gone
         client.link.sendall(json.dumps(content).encode() + b"\n")
+
+
+def _answer(client: _Client, **content: Any) -> None:
+    _tell(client, **content)
     client.link.close()

@@ -76,7 +76,15 @@ def test_a_session_that_was_killed_is_passed_over(console):
     assert ask({"select": "static"})["ok"]
 
 
-@pytest.mark.parametrize("answer", [b"", b"garbage\n", b"[1]\n", b'{"ok": tr', b"\xff\xfe\n"])
+def test_the_answer_comes_after_the_time_that_it_takes(console):
+    console("one", b'{"wait_s": 61.5}\n{"ok": true}\n')
+    assert ask({"select": "static"}) == {"ok": True}
+
+
+CUT = (b"", b"garbage\n", b"[1]\n", b'{"ok": tr', b"\xff\xfe\n", b'{"wait_s": 1.5}\n')
+
+
+@pytest.mark.parametrize("answer", CUT)
 def test_a_console_that_falls_in_the_middle_is_no_success(console, answer):
     console("one", answer)
     assert not ask({"select": "static"})["ok"]
