@@ -35,11 +35,11 @@ def parse_address(text: str) -> tuple[str, int]:
     return str(found[0][4][0]), port
 
 
-def parse_size(text: str) -> tuple[int, int]:
-    """Width and height in WxH; ConfigError if they are none."""
+def parse_size(text: str, name: str = "--size") -> tuple[int, int]:
+    """Width and height in WxH; ConfigError, which says `name`, if they are none."""
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     if match is None:
-        raise ConfigError(f"--size {text!r}: write WIDTHxHEIGHT, as in 640x480")
+        raise ConfigError(f"{name} {text!r}: write WIDTHxHEIGHT, as in 640x480")
     width, height = int(match[1]), int(match[2])
     check_size(width, height)
     return width, height

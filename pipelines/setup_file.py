@@ -6,6 +6,7 @@ What the file gets wrong is a ConfigError that names the field and the mend.
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +80,7 @@ def _video(name: str, table: object) -> VideoStream:
     entries = _checked(name, table, {"cap_kbps": (int, float), "size": str, "fps": int})
     options: dict[str, Any] = {}
     if "size" in entries:
-        options["width"], options["height"] = parse_size(entries["size"])
+        options["width"], options["height"] = parse_size(entries["size"], f"{name}.size")
     if "fps" in entries:
         options["fps"] = entries["fps"]
     return VideoStream(name=name, cap_bps=_cap_bps(name, entries), **options)
@@ -100,6 +101,8 @@ def _checked(name: str, table: object, kinds: Mapping[str, Any]) -> dict[str, An
             raise ConfigError(f"unknown field {name}.{key}: it has {', '.join(kinds)}")
         if isinstance(value, bool) or not isinstance(value, kinds[key]):
             raise ConfigError(f"{name}.{key} must be a {'text' if kinds[key] is str else 'number'}")
+        if isinstance(value, float) and not isfinite(value):
+            raise ConfigError(f"{name}.{key} is {value}: it must be a finite number")
     return dict(table)
 
 

@@ -78,6 +78,21 @@ def test_a_file_is_named_after_itself(tmp_path):
     assert setup.inputs == ("static",)
 
 
+@pytest.mark.parametrize(
+    ("fields_of_it", "message"),
+    [
+        ("cap_kbps = inf", "uplink_video.cap_kbps is inf: .* finite"),
+        ("cap_kbps = nan", "uplink_video.cap_kbps is nan: .* finite"),
+        ('cap_kbps = 50\nsize = "640"', "^uplink_video.size '640': write WIDTHxHEIGHT"),
+    ],
+)
+def test_a_value_that_cannot_be_is_named_with_its_field(tmp_path, fields_of_it, message):
+    path = tmp_path / "odd.toml"
+    path.write_text(f'cameras = ["static"]\n[uplink_video]\n{fields_of_it}\n')
+    with pytest.raises(ConfigError, match=message):
+        load_setup(str(path))
+
+
 @pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
 def test_the_built_in_setups_fit_their_channels(setup):
     caps = {stream.name: stream.cap_bps for stream in setup.streams}
