@@ -11,6 +11,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.rtp.wire import (
     RtcpByePacket,
+    RtcpRrPacket,
     RtcpSenderInfo,
     RtcpSrPacket,
     RtpPacket,
@@ -59,7 +60,8 @@ class ReceiverCounts:
     payload_octets: of those.  lost: given up and never seen (a late one counts as late instead).
     reordered: came after a packet of a higher sequence number.  duplicates: came twice.
     late: came after they had been given up; dropped.
-    garbage: no RTP, a foreign payload type or source, a malformed or foreign report.
+    garbage: no RTP, a foreign payload type or source; from the RTCP port what is malformed, of a
+        foreign source, or neither report nor goodbye.
     sources: how often a source was accepted, so 1 + restarts.  reports: sender reports taken.
     """
 
@@ -89,7 +91,8 @@ class RtpReceiver:
     A source is believed after two packets in sequence (probation, RFC 3550 appendix A.1); then
     both come out. A new SSRC takes over if two of its packets follow each other after the old
     source has been silent for `takeover_silence_ns` or has said goodbye: a stray or hostile packet
-    cannot take a living stream away.
+    cannot take a living stream away. The default is longer than the gaps between the pictures of a
+    stream under a low cap, and shorter than the rest before a killed sender's restart.
 
     payload_type: of the stream, 0..127; other packets are garbage.
     clock_rate_hz: of the RTP timestamps.
@@ -107,7 +110,7 @@ class RtpReceiver:
         clock_rate_hz: int,
         reorder_depth_ns: int = 10 * NS_PER_MS,
         ordered: bool = True,
-        takeover_silence_ns: int = 100 * NS_PER_MS,
+        takeover_silence_ns: int = 500 * NS_PER_MS,
         from_ntp: Callable[[int], int] | None = None,
     ) -> None:
         self.payload_type = payload_type
@@ -310,31 +313,42 @@ class RtpReceiver:
             self._jitter_16 += difference - ((self._jitter_16 + 8) >> 4)
         self._transit = transit
 
-    def handle_report(self, datagram: bytes, now_ns: int) -> None:
-        """Take a datagram from the RTCP port. Garbage and foreign reports are counted."""
+    def handle_report(self, datagram: bytes, now_ns: int) -> bool:
+        """Take a datagram from the RTCP port. Garbage and foreign reports are counted.
+
+        True if it holds a sender report of the present source, or came before there is one.
+        """
         try:
             packets = parse_rtcp(datagram)
         except ProtocolError:
             self.counts.garbage += 1
-            return
+            return False
+        dates = known = False
         for packet in packets:
             if isinstance(packet, RtcpSrPacket):
-                self._take_report(packet)
-            elif isinstance(packet, RtcpByePacket) and self.ssrc in packet.sources:
-                self.ended = True
+                dates |= self._take_report(packet)
+            elif isinstance(packet, RtcpByePacket):
+                if self.ssrc in packet.sources:
+                    self.ended = known = True
+            elif isinstance(packet, RtcpRrPacket):
+                known = True  # of a peer that sends no media for a while (section 6.4)
+        if not (dates or known):
+            self.counts.garbage += 1
+        return dates
 
-    def _take_report(self, report: RtcpSrPacket) -> None:
+    def _take_report(self, report: RtcpSrPacket) -> bool:
+        mine = self.ssrc is None or report.ssrc == self.ssrc
         if report.ssrc == self.ssrc:
             self.counts.reports += 1
         elif self.ssrc is not None:
             # A restarted sender's report may overtake its second packet: keep one such.
-            self.counts.garbage += 1
             self._reports = {
                 ssrc: kept for ssrc, kept in self._reports.items() if ssrc == self.ssrc
             }
         elif len(self._reports) >= 2:
             self._reports.clear()
         self._reports[report.ssrc] = report.sender_info
+        return mine
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up the gaps whose time has come (`poll_timeout`)."""

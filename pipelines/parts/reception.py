@@ -1,6 +1,7 @@
 """What every receiving process does alike."""
 
 import select
+from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.rtp.receiver import RtpReceiver
@@ -47,13 +48,15 @@ class Incoming:
                 self._receiver.handle_packet(datagram, now_ns)
 
     def _handle_report(self, datagram: bytes, now_ns: int) -> None:
-        garbage = self._receiver.counts.garbage
-        self._receiver.handle_report(datagram, now_ns)
-        if self._receiver.counts.garbage == garbage:
-            # Replaced in one step: a kill in between leaves the old report.
-            partial = self._memory.with_suffix(".new")
-            partial.write_bytes(datagram)
-            partial.replace(self._memory)
+        if self._receiver.handle_report(datagram, now_ns):
+            replace_file(self._memory, datagram)
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Write in one step: a kill in between leaves what was there."""
+    partial = path.with_suffix(".new")
+    partial.write_bytes(content)
+    partial.replace(path)
 
 
 def report_reception(probe: Probe, receiver: RtpReceiver) -> None:

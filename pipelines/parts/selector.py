@@ -10,6 +10,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.selector import Selector
 from kontur_av.topics import session_root
 from pipelines.names import SELECTED_TOPIC, STEREO_TOPIC, input_topic
+from pipelines.parts.reception import replace_file
 from pipelines.parts.robot_state import newest_state
 from pipelines.process import LOOPBACK, PATIENCE_NS, Context
 from pipelines.setup import STEREO, TELECOMMAND, TELEMETRY
@@ -23,7 +24,7 @@ def run_selector(context: Context) -> None:
     telecommands = TelecommandReceiver()
     # A selector that was killed goes on where it was.
     remembered = session_root(context.session) / "selected"
-    known = remembered.read_text() if remembered.exists() else ""
+    known = remembered.read_text("ascii") if remembered.exists() else ""
     selector = Selector(setup.cameras, known if known in setup.cameras else setup.cameras[0])
     udp = context.listen(ports.exit(TELECOMMAND))
     gateway = (LOOPBACK, ports.entry(TELEMETRY))
@@ -59,7 +60,7 @@ def run_selector(context: Context) -> None:
                     request, ok=ok, selected=selector.selected, now_ns=now_ns
                 )
                 if changed:
-                    remembered.write_text(selector.selected)
+                    replace_file(remembered, selector.selected.encode("ascii"))
                     del waiter
                     reader.close()
                     reader = bus.reader(_topic(selector.selected))

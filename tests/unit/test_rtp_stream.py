@@ -1,5 +1,7 @@
 """Sequence numbers, timestamps, markers, loss, order and restarts of an RTP stream."""
 
+import struct
+
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
@@ -209,6 +211,20 @@ def test_a_stranger_cannot_take_a_living_stream():
     assert receiver.counts.garbage >= 97
 
 
+def test_a_stranger_cannot_take_a_stream_whose_pictures_come_seldom():
+    """Under a low cap a large picture takes its time: 300 ms to the next one are ordinary."""
+    receiver = make_receiver()
+    strange = singles(40, ssrc=666)
+    for index, packet in enumerate(singles(10)):
+        receiver.handle_packet(packet, index * 300 * NS_PER_MS)
+        if index == 0:
+            continue
+        receiver.handle_packet(strange[2 * index], index * 300 * NS_PER_MS + 200 * NS_PER_MS)
+        receiver.handle_packet(strange[2 * index + 1], index * 300 * NS_PER_MS + 290 * NS_PER_MS)
+    assert {event.ssrc for event in drain(receiver)} == {1}
+    assert receiver.counts.sources == 1
+
+
 def test_a_restarted_sender_is_taken_within_two_packets():
     receiver = make_receiver()
     for index, packet in enumerate(singles(10)):
@@ -275,6 +291,27 @@ def test_an_unknown_or_foreign_report_gives_no_capture_time():
     receiver.handle_report(stranger.poll_report(0, clock.ntp), 0)
     assert receiver.capture_ns(0) is None
     assert (receiver.counts.garbage, receiver.counts.reports) == (1, 0)
+
+
+def test_only_a_sender_report_of_the_source_dates_its_pictures():
+    receiver, clock = make_receiver(), ManualClock()
+    sender, stranger = make_sender(), make_sender(ssrc=9)
+    for rtp in (sender, stranger):
+        rtp.video_packets(picture(0))
+    report, foreign = sender.poll_report(0, clock.ntp), stranger.poll_report(0, clock.ntp)
+    description, application = report[28:], struct.pack("!BBHII", 0x80, 204, 2, 1, 0x41424344)
+    receiver_report = struct.pack("!BBHI", 0x80, 201, 1, 1)
+    foreign_goodbye = struct.pack("!BBHI", 0x81, 203, 1, 9)
+    assert receiver.handle_report(foreign, 0)  # nobody knows yet whose stream it will be
+    for index, packet in enumerate(singles(3)):
+        receiver.handle_packet(packet, index)
+    assert receiver.handle_report(report, 0)
+    assert not receiver.handle_report(receiver_report, 0)
+    assert receiver.counts.garbage == 0
+    for count, datagram in enumerate((description, application, foreign, foreign_goodbye), 1):
+        assert not receiver.handle_report(datagram, 0)
+        assert receiver.counts.garbage == count
+    assert (receiver.counts.reports, receiver.ended) == (1, False)
 
 
 def test_goodbye_lets_a_successor_in_at_once():
