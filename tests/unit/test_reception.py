@@ -1,7 +1,6 @@
 """What a receiving process leaves for its successor."""
 
 import socket
-import tempfile
 from types import SimpleNamespace
 
 import pytest
@@ -10,15 +9,14 @@ from kontur_av.clock import ManualClock
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.rtp.sender import RtpSender
-from kontur_av.topics import session_root
+from pipelines.parts import reception
 from pipelines.parts.reception import Incoming
 from pipelines.setups import BUILT_IN
 
 
 @pytest.fixture
 def context(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    session_root("x").mkdir(mode=0o700, parents=True)
+    monkeypatch.setattr(reception, "session_root", lambda session: tmp_path)
     sockets = []
 
     def listen(port):
