@@ -15,6 +15,7 @@ from telepresence.link.flows import (
     Level,
     packet_flow,
     rtcp_flow,
+    tmtc_flow,
     video_flow,
     voice_flow,
 )
@@ -250,7 +251,7 @@ class Setup:
     def uplink_flows(self) -> tuple[Flow, ...]:
         """What travels from the ground to space."""
         return (
-            packet_flow(TELEMETRY, Level.TMTC),
+            tmtc_flow(TELEMETRY),
             *_flows(self.uplink_voice),
             *_flows(self.uplink_video),
             packet_flow(f"uplink_{MAINTENANCE}", Level.MAINTENANCE),
@@ -260,7 +261,7 @@ class Setup:
     def downlink_flows(self) -> tuple[Flow, ...]:
         """What travels from space to the ground."""
         return (
-            packet_flow(TELECOMMAND, Level.TMTC),
+            tmtc_flow(TELECOMMAND),
             *_flows(self.downlink_voice),
             *_flows(self.downlink_video),
             packet_flow(f"downlink_{MAINTENANCE}", Level.MAINTENANCE),

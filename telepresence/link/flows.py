@@ -28,6 +28,7 @@ class FlowKind(Enum):
 
     RTP = "rtp"
     RTCP = "rtcp"
+    TMTC = "tmtc"
     RAW = "raw"
 
 
@@ -37,7 +38,7 @@ class Flow:
 
     name: unique in its table, the same on both sides.
     level: its priority and so its queue.
-    kind: RTP headers are compressed; RTP and RTCP are checked at the door; RAW is carried as is.
+    kind: RTP headers are compressed; all but RAW is checked at the door, and RAW carried as it is.
     clock_hz: RTP clock rate (RTP only).
     stride_ticks: for RTP whose timestamp advances by a constant a packet, that constant; else 0.
     """
@@ -76,8 +77,13 @@ def rtcp_flow(name: str, level: Level = Level.VIDEO) -> Flow:
     return Flow(name=name, level=level, kind=FlowKind.RTCP)
 
 
+def tmtc_flow(name: str) -> Flow:
+    """Telecommands or telemetry: the space packets of `telepresence.tmtc`."""
+    return Flow(name=name, level=Level.TMTC, kind=FlowKind.TMTC)
+
+
 def packet_flow(name: str, level: Level) -> Flow:
-    """Packets that are carried as they are: TM/TC or maintenance."""
+    """Packets that are carried as they are, whatever they hold."""
     return Flow(name=name, level=level, kind=FlowKind.RAW)
 
 

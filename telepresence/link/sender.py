@@ -18,6 +18,7 @@ from telepresence.link.frame import (
 )
 from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, LinkProfile
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
+from telepresence.tmtc.packets import is_ours
 
 
 class _InFlight:
@@ -100,8 +101,8 @@ class LinkSender:
     def handle_packet(self, flow: str, data: bytes, now_ns: int) -> bool:
         """Queue the payload of a UDP datagram of `flow`; False, and counted, where it is refused.
 
-        What cannot be RTP or RTCP (RFC 3550) is refused on such flows: garbage from a port must
-        not take the channel from the media. `KeyError` for a flow that is not in the table.
+        What cannot be RTP, RTCP (RFC 3550) or TM/TC is refused on such flows: garbage from a port
+        must not take the channel from the media. `KeyError` for a flow that is not in the table.
         """
         number = self._numbers[flow]
         if len(data) > MAX_PACKET_OCTETS:
@@ -263,7 +264,10 @@ class LinkSender:
 
 
 def _plausible(kind: FlowKind, data: bytes) -> bool:
-    """RTP version 2 and a whole header; for RTCP also a packet type of RFC 3550 and after."""
+    """RTP version 2 and a whole header; for RTCP also a packet type of RFC 3550 and after; for
+    TM/TC a space packet of ours."""
+    if kind is FlowKind.TMTC:
+        return is_ours(data)
     if kind is FlowKind.RTP:
         return len(data) >= 12 and data[0] >> 6 == 2
     return len(data) >= 8 and data[0] >> 6 == 2 and 192 <= data[1] <= 223

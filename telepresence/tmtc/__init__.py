@@ -17,6 +17,7 @@ from telepresence.tmtc.packets import (
     SelectCamera,
     SpacePacket,
     check_name,
+    is_ours,
     pack_packet,
     parse_packet,
 )
@@ -36,6 +37,7 @@ __all__ = [
     "TelecommandReceiver",
     "TelecommandSender",
     "check_name",
+    "is_ours",
     "pack_packet",
     "parse_packet",
 ]

@@ -104,6 +104,18 @@ def pack_packet(message: Message, count: int) -> bytes:
     return _HEADER.pack(identification, sequence, len(body) - 1) + body
 
 
+def is_ours(data: bytes) -> bool:
+    """Whether `data` is a space packet of ours by its header; what it says is not looked at."""
+    if not _HEADER.size < len(data) <= MAX_PACKET_OCTETS:
+        return False
+    identification, sequence, length = _HEADER.unpack_from(data)
+    return (
+        identification in (_TELECOMMAND | COMMAND_APID, TELEMETRY_APID)
+        and sequence & 0xC000 == _UNSEGMENTED
+        and length == len(data) - _HEADER.size - 1
+    )
+
+
 def parse_packet(data: bytes) -> SpacePacket:
     """The message in `data`; ProtocolError when it is anything but exactly one packet of ours."""
     if not _HEADER.size < len(data) <= MAX_PACKET_OCTETS:

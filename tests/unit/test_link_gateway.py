@@ -2,11 +2,13 @@
 
 import struct
 
-from telepresence.link.flows import Level, packet_flow, voice_flow
+from telepresence.link.flows import Level, packet_flow, tmtc_flow, voice_flow
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
 from telepresence.link.receiver import HapticReceived, PacketReceived
+from telepresence.link.sender import LinkSender
+from telepresence.tmtc import Housekeeping, SelectAck, SelectCamera, pack_packet
 
 MS = 1_000_000
 UP = [packet_flow("tc", Level.TMTC)]
@@ -117,3 +119,25 @@ def test_a_peer_that_begins_late_or_anew_understands_the_next_packet():
             while (event := far.next_event()) is not None:
                 space.append(event.data[3] + 256 * event.data[2])
     assert space == list(range(6, 45))
+
+
+def test_garbage_on_a_telecommand_port_does_not_travel_ahead_of_the_media():
+    sender = LinkSender(UPLINK, [tmtc_flow("telemetry")])
+    select = pack_packet(SelectCamera("static", 7), 1)
+    telemetry = Housekeeping("taskboard1", contact=True, force_n=3.0)
+    for message in (telemetry, SelectAck("head", 7, ok=True), SelectCamera("s", 1)):
+        assert sender.handle_packet("telemetry", pack_packet(message, 16_383), 0)
+    garbage = [
+        b"",
+        bytes(20),
+        b"\xff" * 20,
+        select[:-1],
+        select + b"x",
+        b"\x20" + select[1:],  # version 1
+        select[:1] + b"\x02" + select[2:],  # telemetry's APID in a telecommand
+        select[:2] + b"\x00" + select[3:],  # segmented
+        select[:5] + b"\x0d" + select[6:] + b"morethan20",
+    ]
+    for count, datagram in enumerate(garbage, 1):
+        assert not sender.handle_packet("telemetry", datagram, 0)
+        assert sender.refused["garbage"] == count
