@@ -22,7 +22,8 @@ def console(monkeypatch):
 
     def listen(session, answer):
         path = console_path(session)
-        path.parent.mkdir(parents=True)
+        path.parent.parent.mkdir(mode=0o700, exist_ok=True)
+        path.parent.mkdir()
         listener = socket.socket(socket.AF_UNIX)
         listener.bind(str(path))
         listener.listen()
