@@ -36,9 +36,19 @@ def bitrate_under_cap(cap_bps: int, frame_samples: int = 960) -> int:
     At exactly `cap_bps` there is no room at all: one packet that leaves a millisecond early and
     a 1 s window holds 51 of them. Here 52 packets of 20 ms still fit (8 kbit/s: 19 octets each,
     7600 bit/s; 64 kbit/s: 153 octets, 61 200 bit/s), so a packet may be 20 ms early or late.
+    Raises ConfigError, which names the cap, where Opus has no rate for it: with packets of 20 ms
+    below 6.24 and above 530.4 kbit/s.
     """
     packets = -(-AUDIO_CLOCK_HZ // frame_samples) + 2
     octets = cap_bps // 8 // packets
+    least = -(-_LOWEST_BPS * frame_samples // (8 * AUDIO_CLOCK_HZ))
+    most = _HIGHEST_BPS * frame_samples // (8 * AUDIO_CLOCK_HZ)
+    if not least <= octets <= most:
+        of_octets = packets * 8 / 1000
+        raise ConfigError(
+            f"a cap of {cap_bps / 1000:g} kbit/s: Opus voice takes {least * of_octets:g} to "
+            f"{most * of_octets:g}"
+        )
     return -(-octets * 8 * AUDIO_CLOCK_HZ // frame_samples)
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
+from kontur_av.opus import bitrate_under_cap
 from telepresence.link.arithmetic import ChannelNeed, StreamNeed, check_fit
 from telepresence.link.flows import (
     Flow,
@@ -66,11 +67,14 @@ class VoiceStream:
     cap_bps: int
 
     def __post_init__(self) -> None:
-        if not 6_000 <= self.cap_bps <= 128_000 or self.cap_bps % 400:
+        if self.cap_bps > 128_000:
             raise ConfigError(
-                f"{self.name}: cap of {self.cap_bps / 1000:g} kbit/s; Opus voice takes 6 to 128 "
-                "in steps of 0.4 (whole octets in 20 ms)"
+                f"{self.name}: a cap of {self.cap_bps / 1000:g} kbit/s; take at most 128"
             )
+        try:
+            bitrate_under_cap(self.cap_bps)
+        except ConfigError as error:
+            raise ConfigError(f"{self.name}: {error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -96,6 +96,18 @@ def test_two_packets_more_in_a_second_keep_the_cap(cap_bps, frame_samples):
     assert packets * octets * 8 <= cap_bps < packets * (octets + 1) * 8
 
 
+@pytest.mark.parametrize("frame_samples", FRAME_SAMPLES)
+def test_what_is_no_cap_for_opus_is_refused_with_the_number_that_was_given(frame_samples):
+    for cap_bps in (0, 500, 6_000, 600_000):
+        with pytest.raises(ConfigError, match=rf"^a cap of {cap_bps / 1000:g} kbit/s: "):
+            bitrate_under_cap(cap_bps, frame_samples)
+
+
+@pytest.mark.parametrize("cap_bps", [6_240, 6_400, 6_401, 530_400])
+def test_a_cap_that_is_taken_can_be_coded(cap_bps):
+    assert OpusEncoder(bitrate_bps=bitrate_under_cap(cap_bps)).packet_octets >= 15
+
+
 @pytest.mark.parametrize("wrong", [{"bitrate_bps": 5_000}, {"frame_samples": 961}])
 def test_what_cannot_be_coded_is_refused(wrong):
     with pytest.raises(ConfigError):

@@ -27,7 +27,7 @@ def run(command, *options) -> int:
         (["--to", "127.0.0.1:99999"], "65534"),
         (["--to", "no.such.host.invalid:5004"], "no.such.host"),
         (["--cap-kbps", "-3"], "above 0"),
-        (["--cap-kbps", "0.5"], "6000"),
+        (["--cap-kbps", "6"], "a cap of 6 kbit/s: .* 6.24 to"),
         (["--cap-kbps", "64", "--channel-kbps", "60"], "lower the cap"),
         (["--seconds", "0"], "above 0"),
         (["--sdp", "/nowhere/x.sdp"], "--sdp"),

@@ -83,6 +83,8 @@ def test_a_file_is_named_after_itself(tmp_path):
     [
         ("cap_kbps = inf", "uplink_video.cap_kbps is inf: .* finite"),
         ("cap_kbps = nan", "uplink_video.cap_kbps is nan: .* finite"),
+        ("cap_kbps = 50\n[uplink_voice]\ncap_kbps = 6", "uplink_voice: a cap of 6 kbit/s: .* 6.24"),
+        ("cap_kbps = 50\n[downlink_voice]\ncap_kbps = 129", "downlink_voice: .* 129 .* most 128"),
         ('cap_kbps = 50\nsize = "640"', "^uplink_video.size '640': write WIDTHxHEIGHT"),
     ],
 )
