@@ -118,20 +118,12 @@ def is_ours(data: bytes) -> bool:
 
 def parse_packet(data: bytes) -> SpacePacket:
     """The message in `data`; ProtocolError when it is anything but exactly one packet of ours."""
-    if not _HEADER.size < len(data) <= MAX_PACKET_OCTETS:
-        raise ProtocolError(f"space packet: {len(data)} octets")
-    identification, sequence, length = _HEADER.unpack_from(data)
+    if not is_ours(data):
+        raise ProtocolError(f"{len(data)} octets that are no space packet of ours")
+    identification, sequence, _ = _HEADER.unpack_from(data)
     body = data[_HEADER.size :]
-    if length != len(body) - 1:
-        raise ProtocolError("space packet: the data length does not fit")
-    if sequence & 0xC000 != _UNSEGMENTED:
-        raise ProtocolError("space packet: segmented")
-    if identification == _TELECOMMAND | COMMAND_APID:
-        message = _parse_command(body)
-    elif identification == TELEMETRY_APID:
-        message = _parse_telemetry(body)
-    else:
-        raise ProtocolError(f"space packet: identification 0x{identification:04x} is not ours")
+    is_command = identification == _TELECOMMAND | COMMAND_APID
+    message = _parse_command(body) if is_command else _parse_telemetry(body)
     return SpacePacket(sequence & 0x3FFF, message)
 
 
