@@ -166,6 +166,13 @@ class _Window:
         self.octets += octets
         self.most_octets = max(self.most_octets, self.octets)
 
+    def octets_until(self, end_ns: int) -> int:
+        """The octets of the window that ends at `end_ns`, or at the last event if that is later."""
+        gone_ns = end_ns - self.length_ns
+        if self._events and self._events[0][0] > gone_ns:
+            return self.octets
+        return sum(octets for instant_ns, octets in self._events if instant_ns > gone_ns)
+
 
 class RateMeter:
     """The mean bit rate, and the largest over any sliding window of each length.
@@ -201,6 +208,11 @@ class RateMeter:
         if start is None or end is None or end <= start:
             return 0.0
         return self.octets * 8 * NS_PER_S / (end - start)
+
+    def last_bps(self, end_ns: int, window_ns: int = NS_PER_S) -> float:
+        """The rate over the newest window: it ends at `end_ns`, or at the last event if later."""
+        octets = self._windows[window_ns].octets_until(end_ns)
+        return octets * 8 * NS_PER_S / window_ns
 
     def max_bps(self, window_ns: int = NS_PER_S) -> float:
         """The largest rate over any window of `window_ns`, one of the lengths metered."""

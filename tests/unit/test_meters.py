@@ -84,3 +84,13 @@ def test_an_old_window_is_forgotten():
         meter.add(i * 1_000_000, 1)
     assert meter.max_bps(NS_PER_S) == 8000
     assert len(meter._windows[NS_PER_S]._events) == 1000
+
+
+def test_the_last_rate_falls_to_nothing_when_nothing_comes():
+    meter = RateMeter()
+    for i in range(5):
+        meter.add(i * NS_PER_S // 2, 500)
+    assert meter.last_bps(0) == 8000
+    assert meter.last_bps(2 * NS_PER_S + NS_PER_S // 2) == 4000
+    assert meter.last_bps(3 * NS_PER_S) == 0
+    assert RateMeter().last_bps(0) == 0
