@@ -24,6 +24,7 @@ import hashlib
 import os
 import re
 import shutil
+import stat
 import struct
 import tempfile
 from collections.abc import Callable, Sequence
@@ -268,8 +269,8 @@ class TopicBus:
         config = iox2.config.default()
         config.global_cfg.prefix = iox2.FileName.new(_prefix(session))
         root = _topics_root(session)
-        for directory in (_user_root(), root, session_root(session)):
-            directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_session_root(session)
+        root.mkdir(mode=0o700, exist_ok=True)
         config.global_cfg.root_path = iox2.Path.new(str(root))
         iox2.set_log_level(iox2.LogLevel.Error)
         self._node: Any = (
@@ -386,8 +387,19 @@ class Waiter:
 
 
 def session_root(session: str) -> Path:
-    """The directory of a session's files other than shared memory."""
+    """The directory of a session's files other than shared memory.
+
+    ConfigError when somebody else could have put there what is found in it.
+    """
     return _user_root() / session
+
+
+def make_session_root(session: str) -> None:
+    """Make the directory of a session's files, if it is not there. Errors as `session_root`."""
+    _prefix(session)
+    _user_root().mkdir(mode=0o700, parents=True, exist_ok=True)
+    # Asked for once more, because another user may have been faster.
+    session_root(session).mkdir(mode=0o700, exist_ok=True)
 
 
 def remove_session(session: str) -> int:
@@ -413,9 +425,25 @@ def _user_root() -> Path:
     own = f"kontur-av-{os.getuid()}"
     chosen = Path(tempfile.gettempdir()) / own
     longest = f"{chosen}/.{_digest('')}/{_prefix('x')}"
-    if len(os.fsencode(longest)) + _SOCKET_NAME_OCTETS <= _SOCKET_PATH_OCTETS:
-        return chosen
-    return Path("/tmp") / own
+    if len(os.fsencode(longest)) + _SOCKET_NAME_OCTETS > _SOCKET_PATH_OCTETS:
+        chosen = Path("/tmp") / own
+    _check_own(chosen)
+    return chosen
+
+
+def _check_own(directory: Path) -> None:
+    """ConfigError when another user could write there: /tmp is everybody's."""
+    try:
+        found = directory.lstat()
+    except FileNotFoundError:
+        return
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
+        raise ConfigError(
+            f"{directory} is no directory of yours: remove it, "
+            "or set TMPDIR to a directory of your own"
+        )
+    if found.st_mode & 0o022:
+        raise ConfigError(f"{directory} may be written by others: look what is in it, then chmod 700 it")
 
 
 def _topics_root(session: str) -> Path:

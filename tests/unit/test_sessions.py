@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kontur_av.topics import remove_session, session_root, shared_memory
-from pipelines.sessions import clear_dead_sessions, new_session_name
+from pipelines.sessions import clear_dead_sessions, hold_session, new_session_name
 
 
 def leave_behind(session):
@@ -41,6 +41,65 @@ def test_only_what_the_dead_left_is_cleared():
         remove_session(dead)
         remove_session(living)
     assert dead not in clear_dead_sessions()
+
+
+def test_whose_process_id_a_session_has_does_not_matter(monkeypatch):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    with monkeypatch.context() as another_container:
+        another_container.setattr(os, "getpid", lambda: ended.pid)
+        held = hold_session("lab")
+        living = held.__enter__()
+    dead = f"lab-{os.getpid()}"
+    try:
+        leave_behind(living)
+        leave_behind(dead)
+        (session_root(dead) / "launcher").touch()
+        cleared = clear_dead_sessions()
+        assert dead in cleared
+        assert not session_root(dead).exists()
+        assert not shared_memory(dead)
+        assert living not in cleared
+        assert shared_memory(living)
+    finally:
+        held.__exit__(None, None, None)
+        remove_session(dead)
+    assert not session_root(living).exists()
+    assert not shared_memory(living)
+
+
+def test_two_launchers_of_one_process_id_have_two_sessions():
+    with hold_session("x" * 80) as first, hold_session("x" * 80) as second:
+        assert first != second
+        assert len(second) <= 31
+        assert session_root(first).exists()
+        assert session_root(second).exists()
+    assert not session_root(first).exists()
+
+
+def test_a_session_lives_as_long_as_one_of_its_processes(monkeypatch):
+    held = hold_session("lab")
+    session = held.__enter__()
+    ready, wait = os.pipe(), os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.write(ready[1], b"x")
+            os.close(wait[1])
+            os.read(wait[0], 1)
+        finally:
+            os._exit(0)
+    os.read(ready[0], 1)
+    # As if the launcher had been killed: its descriptors go, and nothing is cleared away.
+    with monkeypatch.context() as killed:
+        killed.setattr("pipelines.sessions.remove_session", lambda session: 0)
+        held.__exit__(None, None, None)
+    assert session not in clear_dead_sessions()
+    os.close(wait[1])
+    os.waitpid(child, 0)
+    assert session in clear_dead_sessions()
+    for end in (*ready, wait[0]):
+        os.close(end)
 
 
 @pytest.mark.parametrize("setup", ["spacejustin", "Mein Labor! (2)", "../..", "x" * 80, "ß"])

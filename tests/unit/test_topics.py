@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 
+from kontur_av import topics
 from kontur_av.errors import ConfigError
 from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame
 from kontur_av.topics import TopicBus, remove_session, session_root, shared_memory
@@ -188,6 +189,7 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_sockets(monkeypatch, tm
     directory.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(directory))
     monkeypatch.setattr(os, "getuid", lambda: 1_234_567_890)
+    monkeypatch.setattr(topics, "_check_own", lambda directory: None)  # it belongs to another
     name = "l" * 31
     with TopicBus(name) as bus:
         reader = bus.reader("pictures")
@@ -199,3 +201,26 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_sockets(monkeypatch, tm
     assert not shared_memory(name)
     assert list(user_root.iterdir()) == []
     user_root.rmdir()
+
+
+def test_a_directory_that_others_may_have_filled_is_not_used(monkeypatch, tmp_path):
+    # Not tmp_path itself, which may be too deep for sockets.
+    with tempfile.TemporaryDirectory(prefix="kav") as directory:
+        monkeypatch.setattr(tempfile, "tempdir", directory)
+        own = session_root("lab").parent
+        own.mkdir()
+        own.chmod(0o777)
+        with pytest.raises(ConfigError, match=f"{own}.*chmod 700"):
+            TopicBus("lab")
+        own.rmdir()
+        own.symlink_to(tmp_path)
+        with pytest.raises(ConfigError, match=f"{own}.*TMPDIR"):
+            TopicBus("lab")
+        own.unlink()
+        own.mkdir(mode=0o700)
+        theirs = own.stat().st_uid + 1
+        monkeypatch.setattr(os, "getuid", lambda: theirs)
+        own.rename(own.with_name(f"kontur-av-{theirs}"))
+        with pytest.raises(ConfigError, match="no directory of yours"):
+            TopicBus("lab")
+    assert list(tmp_path.iterdir()) == []
