@@ -15,6 +15,7 @@ from pipelines.doctor import (
     check_topics,
     doctor,
 )
+from pipelines.process import LOOP_PRIORITY
 
 
 def test_on_a_machine_that_runs_the_tests_everything_needed_is_there() -> None:
@@ -79,9 +80,13 @@ def test_the_timer_check_says_how_late() -> None:
     assert "2300 µs" in bad.found
 
 
+def test_it_asks_for_the_priority_that_the_loops_take() -> None:
+    assert doctor_module._RT_PRIORITY == LOOP_PRIORITY
+
+
 def test_refused_real_time_names_the_limits_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor_module, "_RT_PRIORITY", 1000)
     verdict = doctor_module.check_real_time()
     assert verdict.state == "advice"
-    assert "rtprio" in verdict.mend
+    assert "rtprio 1000" in verdict.mend
     assert "/etc/security/limits.d" in verdict.mend
