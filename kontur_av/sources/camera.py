@@ -15,8 +15,44 @@ from kontur_av.sources.fit import Fitter
 from kontur_av.sources.source import RETRY_NS
 
 
+#: A driver that has not opened after this never will.
+_OPEN_TIMEOUT_S = 5.0
+
+
 def check_camera(device: str) -> None:
-    """Raise ConfigError, one line that names the mend, where `device` is no usable camera."""
+    """Raise ConfigError, one line that names the mend, where `device` is no usable camera.
+
+    Opens it for a moment, as it will be opened later.
+    """
+    _check_node(device)
+    outcome: list[Exception | None] = []
+
+    def attempt() -> None:
+        try:
+            av.open(device, format="v4l2").close()
+        except (av.FFmpegError, OSError, ValueError) as error:
+            outcome.append(error)
+        else:
+            outcome.append(None)
+
+    thread = threading.Thread(target=attempt, name=f"check of {device}", daemon=True)
+    thread.start()
+    thread.join(_OPEN_TIMEOUT_S)
+    if not outcome:
+        raise ConfigError(f"camera {device!r} does not answer: unplug it and plug it in again")
+    if outcome[0] is not None:
+        raise _cannot_open(device, outcome[0])
+
+
+def _cannot_open(device: str, error: Exception) -> ConfigError:
+    reason = getattr(error, "strerror", None) or str(error)
+    return ConfigError(
+        f"camera {device!r} cannot be opened ({reason}): end the program that uses it, "
+        "or choose from `kontur-av devices`"
+    )
+
+
+def _check_node(device: str) -> None:
     try:
         mode = Path(device).stat().st_mode
     except OSError:
@@ -51,7 +87,7 @@ class CameraVideo:
         demuxer: str = "v4l2",
     ) -> None:
         if demuxer == "v4l2":
-            check_camera(device)
+            _check_node(device)
         self.faults = 0
         self.last_fault = ""
         self._device = device
@@ -68,9 +104,7 @@ class CameraVideo:
         try:
             container: av.container.InputContainer | None = self._open()
         except (av.FFmpegError, OSError, ValueError) as error:
-            raise ConfigError(
-                f"camera {device!r} cannot be opened ({error}): is another program using it?"
-            ) from None
+            raise _cannot_open(device, error) from None
         self._thread = threading.Thread(
             target=self._run, args=(container,), name=f"camera {device}", daemon=True
         )

@@ -22,6 +22,8 @@ _BLOCK_OCTETS = 2 * BLOCK_SAMPLES
 #: More than this waiting in the pipe is old sound: the reader was away.
 _BACKLOG_OCTETS = 5 * _BLOCK_OCTETS
 _OPEN_TIMEOUT_S = 5.0
+#: So much of what `arecord` says is kept: its last line is wanted.
+_COMPLAINT_OCTETS = 4096
 
 
 def check_microphone(device: str) -> None:
@@ -86,6 +88,7 @@ class MicrophoneAudio:
         self._clock = clock
         self._sequence = 0
         self._rest = b""
+        self._complaints = b""
         self._retry_ns = 0
         self._process: subprocess.Popen[bytes] | None = None
         self._start()
@@ -115,6 +118,7 @@ class MicrophoneAudio:
         self._stop()
 
     def _fetch(self, fd: int, wait_ns: int) -> None:
+        self._listen_to_complaints()
         poller = select.poll()
         poller.register(fd, select.POLLIN)
         if not poller.poll(max(0, -(-wait_ns // NS_PER_MS))):
@@ -122,22 +126,30 @@ class MicrophoneAudio:
         octets = os.read(fd, 1 << 16)
         self._rest += octets
         if not octets:
-            reason = b""
-            if self._process is not None and self._process.stderr is not None:
-                with contextlib.suppress(OSError):
-                    reason = self._process.stderr.read() or b""
-            self._fault(_reason(reason))
+            self._listen_to_complaints()
+            self._fault(_reason(self._complaints))
             self._stop()
 
+    def _listen_to_complaints(self) -> None:
+        # It says a line for every overrun; on a pipe that nobody empties it would stop some day.
+        if self._process is not None and self._process.stderr is not None:
+            with contextlib.suppress(OSError):
+                said = os.read(self._process.stderr.fileno(), 1 << 16)
+                self._complaints = (self._complaints + said)[-_COMPLAINT_OCTETS:]
+
     def _start(self) -> None:
+        self._complaints = b""
         try:
-            self._process = subprocess.Popen(
+            process = subprocess.Popen(
                 _command(_arecord(), self._device),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 bufsize=0,
             )
+            assert process.stderr is not None
+            os.set_blocking(process.stderr.fileno(), False)
+            self._process = process
         except (OSError, ConfigError) as error:
             self._fault(str(error))
             self._stop()

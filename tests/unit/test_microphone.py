@@ -1,0 +1,39 @@
+"""A microphone whose recording program has much to say."""
+
+import pytest
+
+from kontur_av.clock import NS_PER_MS, MonotonicClock
+from kontur_av.sources.microphone import MicrophoneAudio
+
+CLOCK = MonotonicClock()
+#: More than the 64 KiB that a pipe holds, before the sound, and a last word after it.
+TALKATIVE = """#!/bin/sh
+case "$*" in *" -s 1") exit 0;; esac
+head -c 200000 /dev/zero | tr '\\0' x >&2
+echo >&2
+head -c 19200 /dev/zero
+echo "arecord: pcm_read:2221: read error: No such device" >&2
+"""
+
+
+@pytest.fixture
+def talkative(tmp_path, monkeypatch):
+    program = tmp_path / "arecord"
+    program.write_text(TALKATIVE)
+    program.chmod(0o755)
+    monkeypatch.setattr("shutil.which", lambda name: str(program))
+
+
+@pytest.mark.usefixtures("talkative")
+def test_what_the_recorder_says_never_stops_the_sound():
+    source = MicrophoneAudio("default", name="ground_mic", clock=CLOCK)
+    blocks = []
+    for _ in range(200):
+        block = source.read(50 * NS_PER_MS)
+        if block is not None:
+            blocks.append(block)
+        if source.faults:
+            break
+    source.close()
+    assert blocks
+    assert source.last_fault == "default: No such device"
