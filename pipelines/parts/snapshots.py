@@ -10,12 +10,28 @@ from pipelines.names import STEREO_TOPIC, received_topic
 from pipelines.process import PATIENCE_NS, Context, Segment
 from pipelines.setup import STEREO
 
-_INTERVAL_NS = 4 * NS_PER_S
-_FIRST_NS = 3 * NS_PER_S
+_FIRST_NS = NS_PER_S
+_SHORTEST_INTERVAL_NS = 3 * NS_PER_S
+#: Of how long the session has run: an hour has some thirty snapshots, a day some forty-five.
+_INTERVAL_SHARE = 4
+
+
+def next_snapshot_ns(session_ns: int) -> int:
+    """When the next snapshot is due after `session_ns`, both counted from the session's start.
+
+    The instants are the same for every life of the process: a later one repeats none.
+    """
+    due_ns = _FIRST_NS
+    while due_ns <= session_ns:
+        due_ns += max(_SHORTEST_INTERVAL_NS, due_ns // _INTERVAL_SHARE)
+    return due_ns
 
 
 def run_snapshots(context: Context) -> None:
-    """Every few seconds a picture of each display, of the stereo merge and of its halves."""
+    """A picture of each display, of the stereo merge and of its halves, ever more seldom.
+
+    A file's name ends with the second of the session in which it was due.
+    """
     assert context.snapshots is not None
     clock, setup, probe = context.clock, context.setup, context.probe
     topics = {f"{Segment.SPACE.value}-uplink_video": received_topic("uplink_video")}
@@ -23,18 +39,24 @@ def run_snapshots(context: Context) -> None:
         topics[f"{Segment.GROUND.value}-downlink_video"] = received_topic("downlink_video")
     if STEREO in setup.cameras:
         topics[f"{Segment.GROUND.value}-stereo"] = STEREO_TOPIC
-    written = 0
-    context.on_flush(lambda: probe.total("snapshots", written))
-    begun_ns = due_ns = clock.now_ns()
-    due_ns += _FIRST_NS
+    written = failed = 0
+
+    def fill() -> None:
+        probe.total("snapshots", written)
+        probe.total("snapshots_failed", failed)
+
+    context.on_flush(fill)
+    begun_ns = context.started_ns
+    due_ns = next_snapshot_ns(clock.now_ns() - begun_ns)
     with context.open_bus() as bus:
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
-            if now_ns < due_ns:
-                clock.sleep_until_ns(min(due_ns, now_ns + PATIENCE_NS))
+            if now_ns - begun_ns < due_ns:
+                clock.sleep_until_ns(min(begun_ns + due_ns, now_ns + PATIENCE_NS))
                 continue
-            due_ns = now_ns + _INTERVAL_NS
+            instant = f"{due_ns // NS_PER_S:04d}s"
+            due_ns = next_snapshot_ns(now_ns - begun_ns)
             for name, topic in topics.items():
                 # Joined for one picture only, so that nobody publishes for this reader between.
                 reader = bus.reader(topic)
@@ -43,17 +65,19 @@ def run_snapshots(context: Context) -> None:
                 if lease is not None:
                     with lease:
                         picture = lease.video().data.copy()
-                    seconds = round((now_ns - begun_ns) / NS_PER_S)
-                    written += _write(context.snapshots, f"{name}-{seconds:04d}s", picture)
+                    for kept in _write(context.snapshots, f"{name}-{instant}", picture):
+                        written += kept
+                        failed += not kept
                 reader.close()
 
 
-def _write(directory: Path, name: str, picture: I420) -> int:
+def _write(directory: Path, name: str, picture: I420) -> list[bool]:
+    """Whether each file could be written: a full disk ends no session."""
     image = cv2.cvtColor(picture, cv2.COLOR_YUV2BGR_I420)
     parts = {"": image}
     if "stereo" in name:
         middle = image.shape[1] // 2
         parts |= {"-left-half": image[:, :middle], "-right-half": image[:, middle:]}
-    for suffix, part in parts.items():
-        cv2.imwrite(str(directory / f"{name}{suffix}.png"), part)
-    return len(parts)
+    return [
+        cv2.imwrite(str(directory / f"{name}{suffix}.png"), part) for suffix, part in parts.items()
+    ]
