@@ -21,7 +21,6 @@ from types import FrameType
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from kontur_av.topics import remove_session
 from pipelines.collector import Collector
 from pipelines.probe import Message, Probe
 from pipelines.process import LOOPBACK, Context, Part, Stage, become
@@ -131,7 +130,6 @@ class Launcher:
             self._selector.close()
             wake_read.close()
             wake_write.close()
-            remove_session(self.session)
 
     def cpu_s(self) -> dict[str, float]:
         """Seconds of a core by process."""

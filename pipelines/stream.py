@@ -4,7 +4,7 @@ import argparse
 import json
 import os
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,14 @@ from typing import Any
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.sources import check_spec
+from pipelines.doctor import NEEDED_SHM_OCTETS, check_shared_memory
 from pipelines.ground import ground_parts
 from pipelines.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
 from pipelines.live import LiveView
-from pipelines.process import Part, Segment, Stage
+from pipelines.process import Part, Stage
 from pipelines.report import build_report
-from pipelines.sessions import clear_dead_sessions, new_session_name
-from pipelines.setup import Setup
+from pipelines.sessions import clear_dead_sessions, hold_session
+from pipelines.setup import STEREO, Setup, VideoStream
 from pipelines.setup_file import load_setup
 from pipelines.space import space_parts
 from pipelines.summary import print_summary
@@ -57,14 +58,18 @@ def run(args: argparse.Namespace) -> int:
     snapshots = _made_directory(args.snapshots)
     check_writable(args.report)
     clear_dead_sessions()
+    check_room(setup)
     held = hold_ports(setup)
     load_libraries()
     clock = MonotonicClock()
     draw_backgrounds(setup, clock)
     parts = session_parts(setup, snapshots=snapshots is not None)
-    with LiveView(quiet=args.quiet, verbose=args.verbose) as view:
+    with (
+        hold_session(setup.name) as session,
+        LiveView(quiet=args.quiet, verbose=args.verbose) as view,
+    ):
         launcher = Launcher(
-            session=new_session_name(setup.name),
+            session=session,
             setup=setup,
             parts=parts,
             clock=clock,
@@ -95,7 +100,7 @@ def session_parts(setup: Setup, *, snapshots: bool = False) -> list[Part]:
     if snapshots:
         from pipelines.parts.snapshots import run_snapshots
 
-        parts.append(Part("snapshots", Segment.SPACE, Stage.SINK, run_snapshots))
+        parts.append(Part("snapshots", Stage.SINK, run_snapshots))
     return parts
 
 
@@ -123,15 +128,47 @@ def parse_sources(options: Sequence[str]) -> Mapping[str, str]:
 
 def check_sources(setup: Setup) -> None:
     """ConfigError for the first source that cannot be opened, before anything has started."""
-    pictures, sounds = video_scenes(), audio_scenes()
+    scenes: dict[str, Iterable[str]] = {"video": video_scenes(), "audio": audio_scenes()}
+    _check_shared(setup)
     for name in setup.inputs:
-        sound = name.endswith("_mic")
+        kind = setup.kind_of(name)
         try:
-            check_spec(
-                setup.source(name), "audio" if sound else "video", sounds if sound else pictures
-            )
+            check_spec(setup.source(name), kind, scenes[kind])
         except ConfigError as error:
             raise ConfigError(f"input {name}: {error}") from None
+
+
+def _check_shared(setup: Setup) -> None:
+    # A camera serves one program only, and two readers of one FIFO tear its pictures apart.
+    taken: dict[Path, str] = {}
+    for name in setup.inputs:
+        family, _, place = setup.source(name).partition(":")
+        if family not in ("v4l2", "pipe"):
+            continue
+        other = taken.setdefault(Path(place).resolve(), name)
+        if other != name:
+            raise ConfigError(
+                f"input {name}: {family}:{place} is that of input {other}: give each its own"
+            )
+
+
+def check_room(setup: Setup) -> None:
+    """ConfigError when shared memory has no room for the session's pictures.
+
+    A topic of pictures was seen to hold two or three; five leave room for the successor of a
+    process that was killed.
+    """
+    cameras = [setup.stream_of(name) for name in setup.inputs if setup.kind_of(name) == "video"]
+    # The stereo merge and the selected camera are of the uplink's size, as what is received.
+    relays = [setup.uplink_video] * (2 if STEREO in setup.cameras else 1)
+    received = [stream for stream in setup.streams if isinstance(stream, VideoStream)]
+    pictures = sum(
+        stream.width * stream.height * 3 // 2 for stream in (*cameras, *relays, *received)
+    )
+    needed = max(NEEDED_SHM_OCTETS, NEEDED_SHM_OCTETS // 2 + 5 * pictures)
+    verdict = check_shared_memory(needed_octets=needed)
+    if verdict.state == "missing":
+        raise ConfigError(f"{verdict.found}: {verdict.mend}")
 
 
 def draw_backgrounds(setup: Setup, clock: MonotonicClock) -> None:
@@ -141,7 +178,7 @@ def draw_backgrounds(setup: Setup, clock: MonotonicClock) -> None:
         kind, _, scene = setup.source(name).partition(":")
         if kind != "scene":
             continue
-        if name.endswith("_mic"):
+        if setup.kind_of(name) == "audio":
             sounds[scene](name, clock).close()
         else:
             stream = setup.stream_of(name)

@@ -1,6 +1,7 @@
 """The mistakes of a user: each is one line that names the mend, exit 2, and nothing is started."""
 
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import tempfile
 
 import pytest
 
+from kontur_av.clock import MonotonicClock
 from pipelines import stream
 from pipelines.cli import main
 from pipelines.setup_file import load_setup
@@ -56,6 +58,15 @@ def write(path, text):
         (["--setup", "taskboard", "--source", "left=scene:nosuch"], "choose one of"),
         (["--setup", "taskboard", "--source", "left=pipe:missing"], "mkfifo"),
         (["--setup", "taskboard", "--source", "left=v4l2:/dev/missing"], "/dev/missing"),
+        (
+            ["--setup", "taskboard", "--source", "left=v4l2:/dev/null"],
+            "'/dev/null' cannot be opened",
+        ),
+        (
+            ["--setup", "taskboard", "--source", "left=v4l2:/dev/video0"]
+            + ["--source", "right=v4l2:/dev/../dev/video0"],
+            "is that of input left",
+        ),
         (["--setup", "taskboard", "--source", "left=alsa:hw"], "this input wants pictures"),
         (["--setup", "spacejustin", "--source", "iss_mic=v4l2:/dev/video0"], "wants sound"),
         (["--setup", "spacejustin", "--source", "iss_mic=alsa:nosuchcard"], "nosuchcard"),
@@ -146,6 +157,36 @@ def test_files_that_are_no_media(capsys, tmp_path):
     assert str(tmp_path) in refusal(
         capsys, "stream", "--setup", "taskboard", "--source", f"left={tmp_path}"
     )
+
+
+@pytest.mark.usefixtures("nothing_starts")
+def test_an_input_is_what_the_setup_says_whatever_it_is_called(capsys, tmp_path):
+    path = write(
+        tmp_path / "mine.toml",
+        TOML.replace('"static"', '"a_mic"') + "[sources]\na_mic = 'scene:static'\n",
+    )
+    line = refusal(capsys, "stream", "--setup", path, "--source", "a_mic=alsa:hw")
+    assert "this input wants pictures" in line
+    setup = load_setup(path)
+    stream.check_sources(setup)
+    stream.draw_backgrounds(setup, MonotonicClock())
+
+
+@pytest.mark.usefixtures("nothing_starts")
+@pytest.mark.parametrize(
+    ("size", "free_mb", "needed_mb"),
+    [("640x480", 40, 48), ("640x480", 64, None), ("2560x1440", 64, 218)],
+)
+def test_no_room_for_the_pictures(capsys, monkeypatch, tmp_path, size, free_mb, needed_mb):
+    usage = shutil.disk_usage(tmp_path)._replace(free=free_mb * 1_000_000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
+    path = write(tmp_path / "mine.toml", TOML + f'size = "{size}"\n')
+    if needed_mb is None:
+        stream.check_room(load_setup(path))
+    else:
+        line = refusal(capsys, "stream", "--setup", path)
+        assert f"free {needed_mb} MB" in line
+        assert "--shm-size" in line
 
 
 @pytest.mark.usefixtures("nothing_starts")
