@@ -443,7 +443,9 @@ def _check_own(directory: Path) -> None:
             "or set TMPDIR to a directory of your own"
         )
     if found.st_mode & 0o022:
-        raise ConfigError(f"{directory} may be written by others: look what is in it, then chmod 700 it")
+        raise ConfigError(
+            f"{directory} may be written by others: look what is in it, then chmod 700 it"
+        )
 
 
 def _topics_root(session: str) -> Path:

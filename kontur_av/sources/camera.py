@@ -14,7 +14,6 @@ from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources.fit import Fitter
 from kontur_av.sources.source import RETRY_NS
 
-
 #: A driver that has not opened after this never will.
 _OPEN_TIMEOUT_S = 5.0
 

@@ -15,7 +15,12 @@ def test_a_device_that_is_no_camera_is_refused():
 
 def test_a_driver_that_hangs_is_refused(monkeypatch):
     over = threading.Event()
-    monkeypatch.setattr(camera.av, "open", lambda *_, **__: over.wait())
+
+    def hang(*_, **__):
+        over.wait()
+        raise OSError
+
+    monkeypatch.setattr(camera.av, "open", hang)
     monkeypatch.setattr(camera, "_OPEN_TIMEOUT_S", 0.01)
     with pytest.raises(ConfigError, match="does not answer"):
         check_spec("v4l2:/dev/null", "video")

@@ -1,5 +1,7 @@
 """When snapshots are taken, and what becomes of one that cannot be written."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from kontur_av.clock import NS_PER_S
@@ -23,7 +25,7 @@ def test_the_first_comes_after_a_second_and_a_day_has_some_dozens():
 
 def test_a_process_that_was_killed_goes_on_where_it_was():
     whole = list(instants(600 * NS_PER_S))
-    for before, after in zip(whole, whole[1:], strict=False):
+    for before, after in pairwise(whole):
         assert next_snapshot_ns(before) == next_snapshot_ns(after - 1) == after
 
 
