@@ -22,8 +22,10 @@ def received_topic(stream: str) -> str:
     return f"received/{stream}"
 
 
-#: How often a sender reports: on the uplink two reports of 44 octets are 0.4 kbit/s at this rate.
+#: How often a sender reports, and the robot's side its state. The link keeps room for that:
+#: `telepresence.link.arithmetic.RESERVE_BPS`.
 REPORT_INTERVAL_NS = 2 * NS_PER_S
+HOUSEKEEPING_INTERVAL_NS = 2 * NS_PER_S
 
 
 def cname(stream: str) -> str:

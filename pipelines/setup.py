@@ -5,8 +5,10 @@ A user's own setup is a TOML file with the same fields: `pipelines.setup_file`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import ceil
 from typing import Literal
 
+from kontur_av.budget import Pacer
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
 from kontur_av.opus import bitrate_under_cap
@@ -31,6 +33,8 @@ STEREO_INPUTS = ("left", "right")
 GROUND_MIC, ISS_CAMERA, ISS_MIC = "ground_mic", "iss_camera", "iss_mic"
 
 VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
+#: Small enough that no part of a coded picture takes more than a picture's share of the link.
+VIDEO_PAYLOAD_OCTETS = 1000
 #: How many ports a session takes, from its base port on.
 PORTS = 40
 
@@ -57,6 +61,16 @@ class VideoStream:
         if not 1 <= self.fps <= 120:
             raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
         check_size(self.width, self.height)
+
+    @property
+    def payload_octets(self) -> int:
+        """The largest RTP payload: also one that the cap lets through at once."""
+        return min(VIDEO_PAYLOAD_OCTETS, Pacer(cap_bps=self.cap_bps).max_payload_octets)
+
+    @property
+    def packets_per_s(self) -> int:
+        """Of pictures of equal size that fill the cap."""
+        return self.fps * ceil(self.cap_bps / (8 * self.fps * self.payload_octets))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,7 +306,9 @@ def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:
         StreamNeed(
             name=stream.name,
             payload_bps=stream.cap_bps,
-            packets_per_s=stream.fps if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S,
+            packets_per_s=(
+                stream.packets_per_s if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S
+            ),
             level=Level.VIDEO if isinstance(stream, VideoStream) else Level.VOICE,
         )
         for stream in streams

@@ -4,12 +4,11 @@ from itertools import count
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.selector import Selector
 from kontur_av.topics import session_root
-from pipelines.names import SELECTED_TOPIC, STEREO_TOPIC, input_topic
+from pipelines.names import HOUSEKEEPING_INTERVAL_NS, SELECTED_TOPIC, STEREO_TOPIC, input_topic
 from pipelines.parts.reception import replace_file
 from pipelines.parts.robot_state import newest_state
 from pipelines.process import LOOPBACK, PATIENCE_NS, Context
@@ -66,7 +65,7 @@ def run_selector(context: Context) -> None:
                     reader = bus.reader(_topic(selector.selected))
                     waiter = bus.waiter([reader], [udp.fileno()])
             if now_ns >= housekeeping_ns:
-                housekeeping_ns = now_ns + NS_PER_S
+                housekeeping_ns = now_ns + HOUSEKEEPING_INTERVAL_NS
                 state = state_at(now_ns)
                 telecommands.handle_housekeeping(
                     Housekeeping(selector.selected, state.contact, state.force_n), now_ns

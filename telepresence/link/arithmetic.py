@@ -1,33 +1,43 @@
 """Does it fit? What streams need of a direction, headers and framing included.
 
-All numbers are worst cases of the steady state. A packet that is interrupted costs a resume tag,
-which is charged to the level that interrupts. Voice interrupts video once a packet; what comes
-seldom (TM/TC, RTCP, a context after a restart) is in the reserve.
+All numbers hold for a stream that fills its cap with packets of equal size, second after second. A
+packet that is interrupted costs a resume tag, which is charged to the level that interrupts. Voice
+interrupts video once a packet; that it does not always makes up for the length of a piece that
+happens to end in a zone shorter than its packet. What comes seldom (TM/TC, RTCP) is in the reserve.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from telepresence.link.compression import REFRESH_SLOTS, RTP_HEADER_OCTETS, StrideForm, TimedForm
+from telepresence.link.compression import (
+    CONTEXT_LIFE_SLOTS,
+    GENERATION_PACKETS,
+    GENERATIONS,
+    REFRESH_SLOTS,
+    RTP_HEADER_OCTETS,
+    StrideForm,
+    TimedForm,
+)
 from telepresence.link.flows import Level
+from telepresence.link.frame import length_octets
 from telepresence.link.profile import LinkProfile
 
 TAG_OCTETS = 1
 RESUME_OCTETS = 1
 
-#: Octets a packet beside its payload: tag, compressed RTP header, resume tag of the interrupted.
-OVERHEAD_OCTETS: dict[Level, int] = {
-    Level.TMTC: TAG_OCTETS + 1 + RESUME_OCTETS,
-    Level.VOICE: TAG_OCTETS + StrideForm.octets + RESUME_OCTETS,
-    Level.VIDEO: TAG_OCTETS + TimedForm.octets,
-    Level.MAINTENANCE: TAG_OCTETS + 1,
-}
+#: The compressed RTP header; other levels have none.
+_HEADER_OCTETS = {Level.VOICE: StrideForm.octets, Level.VIDEO: TimedForm.octets}
 
-#: What is kept for TM/TC and RTCP: a telecommand of 20 octets and one sender report in five
-#: seconds of two streams (2 × 60 octets) make 24 + 24 octets a second.
-RESERVE_BPS = 400
+#: The levels whose packets interrupt a lower one's.
+_INTERRUPTING = (Level.TMTC, Level.VOICE)
+
+#: What is kept for TM/TC and RTCP, in octets a second with their tags: two streams' sender reports
+#: of 44 octets and a telemetry packet of 20, which interrupts, every two seconds; and a telecommand
+#: or its acknowledgement in five seconds.
+RESERVE_BPS = 8 * (45 + 11 + 4)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,8 +46,8 @@ class StreamNeed:
 
     name: as the user knows it, for the message.
     payload_bps: its cap, without any header (RTP's neither).
-    packets_per_s: at the most, on average.
-    level: decides the overhead of a packet (`OVERHEAD_OCTETS`).
+    packets_per_s: on average, at the cap.
+    level: decides the overhead of a packet.
     """
 
     name: str
@@ -45,18 +55,35 @@ class StreamNeed:
     packets_per_s: float
     level: Level = Level.VIDEO
 
-    @property
-    def overhead_bps(self) -> int:
-        """Headers and framing, with a context a second where there are RTP headers."""
-        octets_per_s = OVERHEAD_OCTETS[self.level] * self.packets_per_s
-        return -int(-octets_per_s * 8 // 1)
+    def overhead_bps(self, profile: LinkProfile) -> int:
+        """Headers and framing of the packets, and the full RTP headers among them."""
+        packets_per_s = self.packets_per_s
+        header_octets = _HEADER_OCTETS.get(self.level, 0)
+        octets = TAG_OCTETS + header_octets
+        if self.level in _INTERRUPTING:
+            octets += RESUME_OCTETS
+        length = length_octets(profile)
+        payload_octets = self.payload_bps / 8 / packets_per_s
+        if TAG_OCTETS + header_octets + payload_octets + length <= profile.packet_zone_octets:
+            # It ends in the zone in which it began, and what it has interrupted may do so too.
+            octets += 2 * length if self.level in _INTERRUPTING else length
+        full_per_s = self._full_headers_per_s(profile.slot_ns) if header_octets else 0.0
+        total = octets * packets_per_s + (RTP_HEADER_OCTETS - header_octets) * full_per_s
+        return ceil(total * 8)
 
-    def refresh_bps(self, slot_ns: int) -> int:
-        """What the full RTP header a second costs more than compressed ones."""
-        if self.level not in (Level.VOICE, Level.VIDEO):
-            return 0
-        form_octets = StrideForm.octets if self.level is Level.VOICE else TimedForm.octets
-        return (RTP_HEADER_OCTETS - form_octets) * 8 * NS_PER_S // (REFRESH_SLOTS * slot_ns)
+    def _full_headers_per_s(self, slot_ns: int) -> float:
+        """How many of the packets carry their whole header, in the worst second."""
+        refreshes_per_s = NS_PER_S / (REFRESH_SLOTS * slot_ns)
+        if self.level is not Level.VIDEO:
+            return refreshes_per_s
+        generations_per_s = self.packets_per_s / GENERATION_PACKETS
+        life_s = CONTEXT_LIFE_SLOTS * slot_ns / NS_PER_S
+        if generations_per_s * life_s > GENERATIONS - 1:
+            # They are used up faster than they may be used again: for a while, all headers go raw.
+            return self.packets_per_s
+        if generations_per_s * life_s > 1:
+            return refreshes_per_s + generations_per_s
+        return refreshes_per_s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,9 +119,7 @@ def channel_need(
     """What `streams` need together, against what `profile` has below haptics."""
     return ChannelNeed(
         payload_bps=sum(stream.payload_bps for stream in streams),
-        overhead_bps=sum(
-            stream.overhead_bps + stream.refresh_bps(profile.slot_ns) for stream in streams
-        ),
+        overhead_bps=sum(stream.overhead_bps(profile) for stream in streams),
         reserve_bps=reserve_bps,
         available_bps=profile.media_bps,
     )

@@ -23,8 +23,8 @@ from kontur_av.clock import NS_PER_S
 from telepresence.link.flows import Flow
 from telepresence.link.frame import TYPE_COMPRESSED, TYPE_CONTEXT, TYPE_RAW
 
-RTP_HEADER_OCTETS = 12
 RTP_HEADER = struct.Struct(">BBHII")
+RTP_HEADER_OCTETS = RTP_HEADER.size
 
 #: The first octet of a header without padding, extension and CSRC; only these are compressed.
 PLAIN_RTP = 0x80
@@ -34,8 +34,11 @@ REFRESH_SLOTS = 1_000
 #: A gap of 10 s, with a refresh just missed before it and one just not due yet after it.
 CONTEXT_LIFE_SLOTS = 12_200
 
-_SEQUENCE_BITS = 9
-_SEQUENCE_MASK = (1 << _SEQUENCE_BITS) - 1
+#: How many sequence numbers the compressed header of a timed flow tells apart; so a generation
+#: of contexts serves as many packets.
+GENERATION_PACKETS = 1 << 9
+
+_SEQUENCE_MASK = GENERATION_PACKETS - 1
 _TIMESTAMP_BITS = 14
 _TIMESTAMP_MASK = (1 << _TIMESTAMP_BITS) - 1
 _TIMESTAMP_HALF = 1 << (_TIMESTAMP_BITS - 1)

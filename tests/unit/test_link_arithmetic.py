@@ -1,5 +1,7 @@
 """Rates of the profiles, and which caps fit."""
 
+import struct
+
 import pytest
 
 from kontur_av.errors import ConfigError
@@ -9,8 +11,9 @@ from telepresence.link.arithmetic import (
     check_fit,
     largest_payload_bps,
 )
-from telepresence.link.flows import Flow, FlowKind, Level, check_flows, video_flow
+from telepresence.link.flows import Flow, FlowKind, Level, check_flows, video_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.sender import LinkSender
 
 
 def video(kbps, packets_per_s=30):
@@ -30,9 +33,9 @@ def test_rates_of_the_profiles():
 
 
 def test_the_setups_fit():
-    # 93 000 payload; 30*4 + 50*3 octets of headers and a context a second each; 400 in reserve.
+    # 93 000 payload; 30*4 + 50*3 octets of headers and a context a second each; 480 in reserve.
     need = check_fit(UPLINK, [video(85), VOICE])
-    assert need.needed_bps == 93_000 + (30 * 4 + 50 * 3 + 9 + 11) * 8 + 400
+    assert need.needed_bps == 93_000 + (30 * 4 + 50 * 3 + 9 + 11) * 8 + 480
     assert need.spare_bps == 96_000 - need.needed_bps >= 0
     assert channel_need(UPLINK, [video(85, packets_per_s=35), VOICE]).fits
     assert channel_need(UPLINK, [video(90, packets_per_s=35)]).fits
@@ -47,6 +50,51 @@ def test_a_cap_too_high_is_refused_with_the_one_that_fits():
     assert channel_need(UPLINK, [video(94)]).fits
     exact = StreamNeed(name="v", payload_bps=fits_bps, packets_per_s=30)
     assert channel_need(UPLINK, [exact]).spare_bps == 0
+
+
+def overhead_bps_of_a_run(profile, video_bps, packets_per_s, voice_bps, seconds=30):
+    """Headers and framing that a sender's ledger shows for streams at these rates."""
+    sender = LinkSender(profile, [video_flow("video"), voice_flow("voice")])
+    video_octets, sent = video_bps // 8 // packets_per_s, 0
+    for slot in range(seconds * 1000):
+        now_ns = slot * 1_000_000
+        while sent * 1000 < slot * packets_per_s:
+            header = struct.pack(">BBHII", 0x80, 96, sent & 0xFFFF, slot * 90, 1)
+            sender.handle_packet("video", header + bytes(video_octets), now_ns)
+            sent += 1
+        if slot % 20 == 7 and voice_bps:
+            header = struct.pack(">BBHII", 0x80, 97, slot // 20, slot // 20 * 960, 2)
+            sender.handle_packet("voice", header + bytes(voice_bps // 400), now_ns)
+        sender.poll_transmit(now_ns)
+    octets = sender.octets()
+    mpdu = (profile.data_octets - profile.packet_zone_octets) * sender.frames_sent
+    assert not any(sender.report(now_ns)["queue"]["video"]["drops"].values())
+    return (octets["packet_headers"] + octets["framing"] - mpdu) * 8 / seconds
+
+
+@pytest.mark.parametrize(
+    ("profile", "video_kbps", "packets_per_s", "voice_kbps"),
+    [
+        (UPLINK, 85, 30, 8),
+        (UPLINK, 85, 40, 8),
+        (UPLINK, 90, 30, 0),
+        (DOWNLINK, 512, 90, 64),
+        (DOWNLINK, 100, 30, 8),
+        (DOWNLINK, 300, 100, 64),
+        (DOWNLINK, 1600, 200, 64),
+        (DOWNLINK, 3000, 375, 64),
+    ],
+)
+def test_no_run_needs_more_than_was_reckoned(profile, video_kbps, packets_per_s, voice_kbps):
+    streams = [video(video_kbps, packets_per_s)]
+    if voice_kbps:
+        voice = {"name": "voice", "payload_bps": voice_kbps * 1000, "packets_per_s": 50}
+        streams.append(StreamNeed(**voice, level=Level.VOICE))
+    reckoned_bps = channel_need(profile, streams).overhead_bps
+    rates = (video_kbps * 1000, packets_per_s, voice_kbps * 1000)
+    measured_bps = overhead_bps_of_a_run(profile, *rates)
+    print(f"{measured_bps:.0f} of {reckoned_bps}")
+    assert 0.5 * reckoned_bps < measured_bps <= reckoned_bps
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,15 @@ from dataclasses import asdict, fields
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.setup import Ports, Setup, VideoStream
+from kontur_av.media import CaptureStamp
+from kontur_av.rtp.sender import RtpSender
+from pipelines.names import HOUSEKEEPING_INTERVAL_NS, REPORT_INTERVAL_NS, cname
+from pipelines.parts import video_send
+from pipelines.setup import VIDEO_PAYLOAD_OCTETS, Ports, Setup, VideoStream
 from pipelines.setup_file import load_setup
 from pipelines.setups import BUILT_IN
+from telepresence.link.arithmetic import RESERVE_BPS, RESUME_OCTETS, TAG_OCTETS
+from telepresence.tmtc import Housekeeping, pack_packet
 
 EVERY_FIELD = """
 name = "wrist"
@@ -117,6 +123,34 @@ def test_the_caps_are_those_of_the_specification():
     }
     taskboard = {stream.name: stream.cap_bps for stream in BUILT_IN["taskboard"].streams}
     assert taskboard == {"uplink_video": 90_000}
+
+
+def test_a_large_picture_takes_several_packets():
+    spacejustin = BUILT_IN["spacejustin"]
+    assert spacejustin.uplink_video.packets_per_s == 30
+    assert spacejustin.downlink_video.packets_per_s == 90
+    seldom = VideoStream(name="uplink_video", cap_bps=85_000, fps=1)
+    assert seldom.packets_per_s == 11
+    # A cap so low that no packet of 1000 octets may leave within 100 ms.
+    assert VideoStream(name="uplink_video", cap_bps=20_000, fps=1).payload_octets == 375
+    assert video_send._MAX_PAYLOAD_OCTETS == VIDEO_PAYLOAD_OCTETS
+
+
+def test_the_reserve_holds_the_reports_and_the_telemetry_of_a_session():
+    rtp = RtpSender(
+        payload_type=96,
+        clock_rate_hz=90_000,
+        ssrc=1,
+        first_sequence=0,
+        timestamp_offset=0,
+        cname=cname("uplink_video"),
+    )
+    rtp.audio_packets(b"\x08", CaptureStamp(0, 0, "test"))
+    report = rtp.poll_report(0, lambda now_ns: now_ns)
+    state = pack_packet(Housekeeping("taskboard1", contact=True, force_n=1.0), 0)
+    octets_per_s = 2 * (TAG_OCTETS + len(report)) * 1e9 / REPORT_INTERVAL_NS
+    octets_per_s += (TAG_OCTETS + RESUME_OCTETS + len(state)) * 1e9 / HOUSEKEEPING_INTERVAL_NS
+    assert 0 <= RESERVE_BPS / 8 - octets_per_s <= 5
 
 
 def test_no_two_ends_share_a_port():
