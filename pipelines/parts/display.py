@@ -10,6 +10,9 @@ from pipelines.names import received_topic
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VideoStream, VoiceStream
 
+#: The source of a block of sound that had to be made up: heard, but never captured.
+CONCEALED = "concealed"
+
 
 def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream]) -> None:
     """Show the newest picture and every block of sound of `streams`."""
@@ -38,6 +41,8 @@ def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream
                     now_ns = clock.now_ns()
                     stamp = lease.stamp
                     lease.release()
+                    if stamp.source == CONCEALED:
+                        continue
                     displayed[index] += 1
                     series = f"shown.{streams[index].name}"
                     probe.row(series, stamp.sequence, stamp.capture_ns, now_ns)

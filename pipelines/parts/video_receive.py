@@ -9,8 +9,6 @@ from pipelines.parts.reception import Incoming, report_reception
 from pipelines.process import Context
 from pipelines.setup import VideoStream
 
-_LARGEST_PICTURE_OCTETS = 1920 * 1200 * 3 // 2
-
 
 def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     """Decode whatever comes whole, and publish it with the capture time that the sender told."""
@@ -20,7 +18,8 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     )
     depacketizer = H264Depacketizer()
     decoder = H264Decoder()
-    undated = 0
+    undated = oversized = 0
+    largest_octets = stream.width * stream.height * 3 // 2
 
     def fill() -> None:
         report_reception(probe, receiver)
@@ -29,13 +28,12 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
         probe.total("frames_decoded", decoder.decoded)
         probe.total("frames_corrupt", decoder.corrupt_units)
         probe.total("frames_undated", undated)
+        probe.total("frames_oversized", oversized)
 
     context.on_flush(fill)
     with context.open_bus() as bus:
         incoming = Incoming(context, stream, receiver)
-        writer = bus.writer(
-            received_topic(stream.name), max_octets=stream.width * stream.height * 3 // 2
-        )
+        writer = bus.writer(received_topic(stream.name), max_octets=largest_octets)
         while not context.stopping:
             context.tick(clock.now_ns())
             incoming.wait(receiver.poll_timeout())
@@ -46,7 +44,9 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                 probe.row("rx", unit.timestamp, unit.received_ns)
                 for picture in decoder.decode(unit.data, unit.timestamp):
                     capture_ns = receiver.capture_ns(picture.timestamp)
-                    if picture.width * picture.height * 3 // 2 > _LARGEST_PICTURE_OCTETS:
+                    if picture.width * picture.height * 3 // 2 > largest_octets:
+                        # No sender of ours: it would have shared memory grow as it likes.
+                        oversized += 1
                         continue
                     if capture_ns is None:
                         # Without a report nobody can say how old it is.

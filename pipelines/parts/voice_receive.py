@@ -7,6 +7,7 @@ from kontur_av.opus import MAX_PACKET_SAMPLES, OpusDecoder
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
 from pipelines.names import VOICE_PAYLOAD_TYPE, received_topic
+from pipelines.parts.display import CONCEALED
 from pipelines.parts.reception import Incoming, report_reception
 from pipelines.process import Context
 from pipelines.setup import VoiceStream
@@ -26,27 +27,31 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     )
     playout = PlayoutBuffer(window_ns=_MEMORY_NS)
     decoder = OpusDecoder()
-    undated = 0
+    undated = corrupt = 0
 
     def fill() -> None:
         report_reception(probe, receiver)
-        probe.total("frames_decoded", playout.counts.played)
-        probe.total("frames_concealed", playout.counts.concealed)
+        probe.total("frames_decoded", playout.counts.played - corrupt)
+        probe.total("frames_concealed", playout.counts.concealed + corrupt)
         probe.total("frames_late", playout.counts.late)
         probe.total("frames_undated", undated)
         probe.gauge("playout_delay_ns", playout.delay_ns)
 
     def decode(block: PlayoutBlock) -> AudioFrame | None:
-        nonlocal undated
+        nonlocal undated, corrupt
+        source = stream.name
         try:
-            samples = decoder.conceal() if block.payload is None else decoder.decode(block.payload)
+            samples = None if block.payload is None else decoder.decode(block.payload)
         except ProtocolError:
-            samples = decoder.conceal()
+            samples = None
+            corrupt += 1
+        if samples is None:
+            samples, source = decoder.conceal(), CONCEALED
         capture_ns = receiver.capture_ns(block.timestamp)
         if capture_ns is None:
             undated += 1
             return None
-        return AudioFrame(samples, CaptureStamp(capture_ns, block.timestamp, stream.name))
+        return AudioFrame(samples, CaptureStamp(capture_ns, block.timestamp, source))
 
     context.on_flush(fill)
     with context.open_bus() as bus:

@@ -1,0 +1,186 @@
+"""What receivers publish and displays count: real sockets and topics, the parts in a thread."""
+
+import secrets
+import socket
+import threading
+from array import array
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.h264 import H264Encoder
+from kontur_av.media import (
+    AUDIO_CLOCK_HZ,
+    VIDEO_CLOCK_HZ,
+    AudioFrame,
+    CaptureStamp,
+    VideoFrame,
+    empty_picture,
+)
+from kontur_av.opus import OpusEncoder
+from kontur_av.rtp.sender import RtpSender
+from kontur_av.topics import TopicBus, remove_session
+from pipelines.names import VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE, received_topic
+from pipelines.parts.display import CONCEALED, run_display
+from pipelines.parts.video_receive import run_video_receive
+from pipelines.parts.voice_receive import run_voice_receive
+from pipelines.probe import Message, Probe
+from pipelines.process import LOOPBACK, Context
+from pipelines.setups import BUILT_IN
+
+SETUP = replace(BUILT_IN["spacejustin"], base_port=29_300)
+CLOCK = MonotonicClock()
+SOUND = np.zeros(960, np.int16)
+
+
+@pytest.fixture
+def session():
+    name = f"t-{secrets.token_hex(4)}"
+    yield name
+    remove_session(name)
+
+
+@contextmanager
+def running(session, part, **arguments):
+    """A part that runs in a thread; gives what asks it for all it has told."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    context = Context(session=session, setup=SETUP, clock=CLOCK, probe=Probe(theirs))
+    ours.setblocking(False)
+    told = Message()
+
+    def listen():
+        # With the other end closed nothing more comes.
+        with suppress(BlockingIOError):
+            while data := ours.recv(1 << 20):
+                message = Message.unpack(data)
+                told.totals.update(message.totals)
+                for series, rows in message.series.items():
+                    told.series.setdefault(series, array("q")).extend(rows)
+        return told
+
+    thread = threading.Thread(target=part, args=(context,), kwargs=arguments)
+    thread.start()
+    try:
+        # It tells for the first time when its sockets and topics are open.
+        eventually(lambda: listen().totals or None)
+        yield listen
+    finally:
+        context.stopping = True
+        thread.join(10)
+        context.flush(CLOCK.now_ns())
+        listen()
+        theirs.close()
+
+
+def eventually(look):
+    end_ns = CLOCK.now_ns() + 10 * NS_PER_S
+    while CLOCK.now_ns() < end_ns:
+        found = look()
+        if found is not None:
+            return found
+        CLOCK.sleep_until_ns(CLOCK.now_ns() + 5 * NS_PER_MS)
+    raise AssertionError("it never came")
+
+
+def rtp_sender(payload_type, clock_rate_hz):
+    return RtpSender(
+        payload_type=payload_type,
+        clock_rate_hz=clock_rate_hz,
+        ssrc=7,
+        first_sequence=0,
+        timestamp_offset=0,
+        cname="gnd",
+        report_interval_ns=NS_PER_S,
+    )
+
+
+def test_a_sound_that_was_made_up_is_not_displayed(session):
+    stream = SETUP.uplink_voice
+    with (
+        running(session, run_display, streams=[stream]) as listen,
+        TopicBus(session) as bus,
+    ):
+        writer = bus.writer(received_topic(stream.name), max_octets=1920)
+        for number, source in enumerate([stream.name, CONCEALED, CONCEALED, stream.name]):
+            stamp = CaptureStamp(CLOCK.now_ns(), number, source)
+            writer.publish_audio(AudioFrame(SOUND, stamp))
+        counter = f"{stream.name}.frames_displayed"
+        eventually(lambda: listen().totals[counter] == 2 or None)
+    told = listen()
+    assert told.totals[counter] == 2
+    assert list(told.series[f"shown.{stream.name}"][::3]) == [0, 3]
+
+
+def test_a_gap_in_a_voice_is_made_up_and_marked(session):
+    stream = SETUP.uplink_voice
+    rtp, encoder = rtp_sender(VOICE_PAYLOAD_TYPE, AUDIO_CLOCK_HZ), OpusEncoder(bitrate_bps=8000)
+    ports = SETUP.ports
+    with (
+        running(session, run_voice_receive, stream=stream) as listen,
+        TopicBus(session) as bus,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp,
+    ):
+        reader = bus.reader(received_topic(stream.name), depth=8)
+        begin_ns = CLOCK.now_ns()
+        for number in range(6):
+            capture_ns = begin_ns + number * 20 * NS_PER_MS
+            stamp = CaptureStamp(capture_ns, number, "ground_mic")
+            (packet,) = rtp.audio_packets(encoder.encode(SOUND), stamp)
+            if number == 0:
+                report = rtp.poll_report(capture_ns, CLOCK.ntp)
+                udp.sendto(report, (LOOPBACK, ports.exit(f"{stream.name}_rtcp")))
+            if number == 4:
+                packet = packet[:12] + b"\xff\xff"  # no Opus: a packet that holds 0 of 63 frames
+            if number != 3:
+                udp.sendto(packet, (LOOPBACK, ports.exit(stream.name)))
+        sources = []
+
+        def look():
+            while (lease := reader.next()) is not None:
+                with lease:
+                    sources.append(lease.stamp.source)
+            return sources if len(sources) >= 6 else None
+
+        eventually(look)
+    own = stream.name
+    assert sources[:6] == [own, own, own, CONCEALED, CONCEALED, own]
+    told = listen().totals
+    assert told["frames_concealed"] >= 2
+    assert told["frames_decoded"] == 4
+
+
+@pytest.mark.parametrize("size", [(2560, 1440), (2560, 1444)])
+def test_pictures_of_the_setups_own_size_are_shown_and_larger_ones_counted(session, size):
+    stream = replace(SETUP.uplink_video, width=2560, height=1440)
+    width, height = size
+    rtp = rtp_sender(VIDEO_PAYLOAD_TYPE, VIDEO_CLOCK_HZ)
+    encoder = H264Encoder(width=width, height=height, fps=30, cap_bps=1_000_000)
+    picture = empty_picture(width, height)
+    picture[:] = 128
+    ports = SETUP.ports
+    with (
+        running(session, run_video_receive, stream=stream) as listen,
+        TopicBus(session) as bus,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp,
+    ):
+        reader = bus.reader(received_topic(stream.name))
+        for number in range(3):
+            now_ns = CLOCK.now_ns()
+            frame = VideoFrame(picture, CaptureStamp(now_ns, number, "left"))
+            packets = rtp.video_packets(encoder.encode(frame, CLOCK.now_ns))
+            report = rtp.poll_report(now_ns, CLOCK.ntp)
+            if report is not None:
+                udp.sendto(report, (LOOPBACK, ports.exit(f"{stream.name}_rtcp")))
+            for packet in packets:
+                udp.sendto(packet, (LOOPBACK, ports.exit(stream.name)))
+        eventually(lambda: listen().totals["frames_decoded"] == 3 or None)
+        lease = reader.latest()
+        if size == (stream.width, stream.height):
+            with lease:
+                assert (lease.width, lease.height) == size
+        else:
+            assert lease is None
+    assert listen().totals["frames_oversized"] == (0 if lease else 3)
