@@ -7,7 +7,6 @@ the two ends of a stream are joined by the RTP timestamp, those of the haptics b
 from __future__ import annotations
 
 from array import array
-from bisect import bisect_right
 from collections import OrderedDict, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -16,74 +15,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
-from pipelines.probe import Message
+from pipelines.probe import FLUSH_NS, Message
+from pipelines.skew import RECENT_DEPTH, Recent, Skew
 from telepresence.haptics.latency import LatencyMatcher
+from telepresence.haptics.sample import SAMPLE_OCTETS, SEQUENCE_MODULUS
 
 #: How long an access unit waits for what its other end has to say about it.
 _JOIN_NS = 10 * NS_PER_S
 _JOIN_DEPTH = 2000
-#: Latencies are remembered this long to be compared with those of another sense.
-_RECENT_DEPTH = 8192
+#: Of a thousand haptic samples a second, one of these is enough to compare other senses with.
+_FELT_EVERY_NS = 20 * NS_PER_MS
+_FELT_DEPTH = 1024
+#: Half a turn of the samples' sequence numbers at 1 kHz: beyond that a match would be a guess.
+_TURN_NS = 30 * NS_PER_S
 
 STAGES = ("capture_to_encoded", "encoded_to_sent", "sent_to_received", "received_to_displayed")
 
+#: An input that tells twice a second has paused if its captures lie this far apart.
+_PAUSE_NS = 3 * FLUSH_NS
+
 #: Series of rows and their widths.
 _WIDTHS = {"out": 2, "tx": 4, "rx": 2, "shown": 3, "haptic_tx": 2, "haptic_rx": 2, "lateness": 1}
-
-
-class Recent:
-    """The latencies (ns) of a sense over the last while, by the instant at which it came."""
-
-    def __init__(self) -> None:
-        self._instants_ns: deque[int] = deque(maxlen=_RECENT_DEPTH)
-        self._latencies_ns: deque[int] = deque(maxlen=_RECENT_DEPTH)
-
-    def add(self, instant_ns: int, latency_ns: int) -> None:
-        self._instants_ns.append(instant_ns)
-        self._latencies_ns.append(latency_ns)
-
-    def at(self, instant_ns: int) -> int | None:
-        """The latency of what was felt (seen, heard) at `instant_ns`; None if that is unknown."""
-        index = bisect_right(self._instants_ns, instant_ns) - 1
-        if index < 0 or instant_ns - self._instants_ns[index] > NS_PER_S // 2:
-            return None
-        return self._latencies_ns[index]
-
-
-class Skew:
-    """How much later one sense comes than another (ns), signed: positive if the first is late."""
-
-    def __init__(self) -> None:
-        self._later = Histogram()
-        self._earlier = Histogram()
-
-    def add(self, skew_ns: int) -> None:
-        (self._later if skew_ns >= 0 else self._earlier).add(abs(skew_ns))
-
-    def summary_ms(self) -> dict[str, float]:
-        """p50, p95 and max of the signed skew; max is the one farthest from zero."""
-        farthest = self._later.max
-        if self._earlier.max > farthest:
-            farthest = -self._earlier.max
-        return {
-            "p50": self._percentile(50) / 1e6,
-            "p95": self._percentile(95) / 1e6,
-            "max": farthest / 1e6,
-        }
-
-    @property
-    def count(self) -> int:
-        return self._later.count + self._earlier.count
-
-    def _percentile(self, p: float) -> float:
-        if not self.count:
-            return 0.0
-        below = 100 * self._earlier.count / self.count
-        if p <= below:
-            return -self._earlier.percentile(100 * (below - p) / below if below else 0)
-        return self._later.percentile(100 * (p - below) / (100 - below))
 
 
 @dataclass(slots=True)
@@ -107,8 +61,10 @@ class StreamFigures:
         self.stages = {stage: Histogram() for stage in STAGES}
         self.recent = Recent()
         self.last_latency_ns: int | None = None
+        #: When a picture or a block of sound was displayed last.
+        self.last_shown_ns: int | None = None
         #: Displayed instants and latencies that were not compared with the other senses yet.
-        self.fresh: deque[tuple[int, int]] = deque(maxlen=_RECENT_DEPTH)
+        self.fresh: deque[tuple[int, int]] = deque(maxlen=RECENT_DEPTH)
         #: How far the capture time that travelled by RTCP lies beside the one that was stamped.
         self.stamp_error = Histogram()
         self._journeys: OrderedDict[int, _Journey] = OrderedDict()
@@ -137,6 +93,7 @@ class StreamFigures:
             latency_ns = displayed_ns - capture_ns
             self.latency.add(latency_ns)
             self.last_latency_ns = latency_ns
+            self.last_shown_ns = displayed_ns
             self.recent.add(displayed_ns, latency_ns)
             self.fresh.append((displayed_ns, latency_ns))
             journey = self._journey(timestamp, now_ns)
@@ -171,32 +128,61 @@ class StreamFigures:
             self.stages[stage].add(end_ns - begin_ns)
         del self._journeys[timestamp]
 
+    @property
+    def negative(self) -> int:
+        """How many latencies were below 0: by two clocks that differ, or by a wrong join."""
+        return self.latency.negative + sum(stage.negative for stage in self.stages.values())
+
 
 class HapticFigures:
     """One direction of the haptic samples."""
 
     def __init__(self) -> None:
+        self.rate = RateMeter(windows_ns=(NS_PER_S,))
         self.latency = Histogram()
         self.recent = Recent()
         self._matcher = LatencyMatcher()
+        # Beside the matcher, which tells latencies but not when they were felt.
+        self._sent_ns = np.full(SEQUENCE_MODULUS, -(1 << 62), np.int64)
+        self._felt: deque[tuple[int, int]] = deque(maxlen=_FELT_DEPTH)
 
     def handle_sent(self, rows: NDArray[np.int64]) -> None:
         self._matcher.handle_sent(tuple(row) for row in rows.tolist())
+        self._sent_ns[rows[:, 0]] = rows[:, 1]
+        self._remember()
 
     def handle_received(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        if not len(rows):
+            return
         self._matcher.handle_received([tuple(row) for row in rows.tolist()])
-        self.match(now_ns)
-        if len(rows) and self.latency.count:
-            # One value a batch (half a second) is enough to compare other senses with.
-            self.recent.add(int(rows[-1, 1]), self._last_ns)
-
-    def match(self, now_ns: int) -> None:
         latencies = self._matcher.take_latencies_ns(now_ns)
         if latencies:
             self.latency.add(np.array(latencies))
-            self._last_ns = sorted(latencies)[len(latencies) // 2]
+        _, first, counts = np.unique(
+            rows[:, 1] // _FELT_EVERY_NS, return_index=True, return_counts=True
+        )
+        for (sequence, instant_ns), samples in zip(
+            rows[first].tolist(), counts.tolist(), strict=True
+        ):
+            self._felt.append((sequence, instant_ns))
+            last_ns = self.rate.last_ns
+            # A restarted end's first report may overtake its predecessor's last.
+            at_ns = instant_ns if last_ns is None else max(instant_ns, last_ns)
+            self.rate.add(at_ns, samples * SAMPLE_OCTETS)
+        self._remember()
 
-    _last_ns = 0
+    def _remember(self) -> None:
+        """Remember the latency of each of the chosen samples of which both stamps are there."""
+        waiting: list[tuple[int, int]] = []
+        for sequence, instant_ns in self._felt:
+            latency_ns = instant_ns - int(self._sent_ns[sequence])
+            if 0 <= latency_ns < _TURN_NS:
+                self.recent.add(instant_ns, latency_ns)
+                # The sender's stamps come in order: those of the samples before are lost.
+                waiting.clear()
+            else:
+                waiting.append((sequence, instant_ns))
+        self._felt = deque(waiting, maxlen=_FELT_DEPTH)
 
 
 @dataclass
@@ -208,7 +194,40 @@ class ProcessFigures:
     lateness: Histogram = field(default_factory=Histogram)
     #: Snapshots of nested counters (`link`) of the lives that have ended.
     ended_links: list[dict[str, Any]] = field(default_factory=list)
+    #: When it told something for the first and for the last time.
+    began_ns: int | None = None
+    told_ns: int = 0
+    #: Since when the camera is selected that is; of the selector.
+    selected_ns: int = 0
+    #: Since when there was no pause in what it captures; of an input.
+    gives_since_ns: int = 0
     _ended_totals: dict[str, int] = field(default_factory=dict)
+
+    def handle_message(self, message: Message, now_ns: int) -> None:
+        """Take what it tells of itself."""
+        self.told_ns = now_ns
+        if self.began_ns is None:
+            self.began_ns = now_ns
+        captured_ns, selected = self.captured_ns, self.gauges.get("selected")
+        self.totals.update(message.totals)
+        self.gauges.update(message.gauges)
+        if self.gauges.get("selected") != selected:
+            self.selected_ns = now_ns
+        newest_ns = self.captured_ns
+        if newest_ns is not None and (captured_ns is None or newest_ns - captured_ns > _PAUSE_NS):
+            self.gives_since_ns = newest_ns
+
+    @property
+    def captured_ns(self) -> int | None:
+        """When an input captured last; None if it never did, or is none."""
+        return self.gauges.get("captured_ns")
+
+    def silent_ns(self, now_ns: int | None = None) -> int:
+        """How long an input has given nothing by `now_ns`, or by when it told something last."""
+        since_ns = self.began_ns if self.captured_ns is None else self.captured_ns
+        if since_ns is None:
+            return 0
+        return max(0, (self.told_ns if now_ns is None else now_ns) - since_ns)
 
     def total(self, name: str) -> int:
         """A counter, over all lives."""
@@ -255,8 +274,7 @@ class Collector:
     def handle_message(self, process: str, message: Message, now_ns: int) -> None:
         """A process has told something."""
         figures = self.process(process)
-        figures.totals.update(message.totals)
-        figures.gauges.update(message.gauges)
+        figures.handle_message(message, now_ns)
         for series, values in message.series.items():
             self._handle_series(process, figures, series, values, now_ns)
         # By then the other senses' messages about that instant have come.

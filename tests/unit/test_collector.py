@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.collector import STAGES, Collector, Skew
+from pipelines.collector import STAGES, Collector
 from pipelines.probe import Message
+from pipelines.skew import Skew
 
 STREAMS = ["uplink_video", "uplink_voice"]
 START_NS = 1_000 * NS_PER_S
@@ -151,3 +152,36 @@ def test_the_rate_of_two_lives_of_a_sender_is_one_rate():
     collector.process("uplink_video_send").handle_end()
     tell(collector, "uplink_video_send", second, out=[(overtaken, 1000)])
     assert collector.streams["uplink_video"].rate.max_bps() == 24_000
+
+
+def test_a_picture_is_compared_with_the_force_of_its_own_instant():
+    collector = Collector(STREAMS)
+    # Half a second of force, told at once, as a process tells it: it comes ever later.
+    instants = [(k, START_NS + k * NS_PER_MS) for k in range(500)]
+    felt = [(k, sent_ns + (2 + k // 10) * NS_PER_MS) for k, sent_ns in instants]
+    tell(collector, "joystick", START_NS + NS_PER_S, haptic_rx=felt)
+    tell(collector, "robot", START_NS + NS_PER_S, haptic_tx=instants)
+    show(collector, "uplink_video", 132, 50)
+    show(collector, "uplink_video", 462, 50)
+    collector.handle_end()
+    skew = collector.skews["video_haptic"]
+    # At 132 ms the sample of 118 ms was felt, 13 ms old; at 462 ms that of 418 ms, 43 ms old.
+    summary = skew.summary_ms()
+    assert skew.count == 2
+    assert summary["max"] == pytest.approx(50 - 13, abs=2.5)
+    assert summary["p50"] == pytest.approx(50 - 43, abs=2.5)
+    rate = collector.haptics["up"].rate
+    assert rate.octets == 500 * 12
+    # One value each 20 ms, not each millisecond: the launcher has more to do.
+    assert rate.events < 35
+
+
+def test_force_of_which_the_sender_never_told_is_passed_over():
+    collector = Collector(STREAMS)
+    feel(collector, 100, 2)
+    (lost_ns,) = ms(200)
+    tell(collector, "joystick", lost_ns, haptic_rx=[(200, lost_ns)])
+    feel(collector, 300, 4)
+    show(collector, "uplink_video", 310, 50)
+    collector.handle_end()
+    assert collector.skews["video_haptic"].summary_ms()["max"] == pytest.approx(46)
