@@ -11,9 +11,15 @@ from rich.table import Table
 from rich.text import Text
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.meters import RateMeter
 from pipelines.collector import HAPTIC_ENDS
 from pipelines.launcher import Launcher
-from pipelines.report import displayed_frames, haptic_bps, haptic_cap_bps, latency_ms
+from pipelines.probe import FLUSH_NS
+from pipelines.report import displayed_frames, haptic_cap_bps, latency_ms
+from pipelines.silence import input_process, silences
+
+#: Figures are at most this old: a process tells twice a second, and may be late.
+_TOLD_AFTER_NS = 2 * FLUSH_NS
 
 
 class LiveView:
@@ -48,7 +54,11 @@ class LiveView:
         """Draw the present state."""
         if self._live is not None:
             self._live.update(
-                Group(_streams(launcher), _processes(launcher, verbose=self._verbose)),
+                Group(
+                    _streams(launcher),
+                    *_inputs(launcher),
+                    _processes(launcher, verbose=self._verbose),
+                ),
                 refresh=True,
             )
         elif not self._quiet:
@@ -70,7 +80,7 @@ def _streams(launcher: Launcher) -> Table:
         largest = figures.rate.max_bps(NS_PER_S)
         table.add_row(
             stream.name,
-            f"{figures.rate.mean_bps() / 1000:.1f}",
+            f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
             Text(f"{largest / 1000:.1f}", "bold red" if largest > stream.cap_bps else "green"),
             f"{stream.cap_bps / 1000:g}",
             str(displayed_frames(collector, stream.name)),
@@ -83,9 +93,10 @@ def _streams(launcher: Launcher) -> Table:
         figures_of_end = collector.process(receiver)
         samples = figures_of_end.total("received")
         profile = launcher.setup.uplink if name == "up" else launcher.setup.downlink
+        newest_bps = _last_bps(launcher, collector.haptics[name].rate)
         table.add_row(
             f"haptic_{name}",
-            f"{haptic_bps(profile, samples, launcher.seconds) / 1000:.1f}",
+            f"{newest_bps / 1000:.1f}",
             "",
             f"{haptic_cap_bps(profile) / 1000:g}",
             str(samples),
@@ -94,6 +105,24 @@ def _streams(launcher: Launcher) -> Table:
             f"{histogram.percentile(99) / 1e6:.1f}",
         )
     return table
+
+
+def _inputs(launcher: Launcher) -> list[Text]:
+    """The inputs that give nothing, and those with a fault that they have survived."""
+    setup, collector = launcher.setup, launcher.collector
+    silent = silences(setup, collector, launcher.clock.now_ns())
+    lines = [Text(str(silence), "bold red") for silence in silent]
+    for name in setup.inputs:
+        process = input_process(setup, name)
+        fault = collector.process(process).gauges.get("source_fault")
+        if fault and all(silence.process != process for silence in silent):
+            lines.append(Text(f"{process}: {fault}", "yellow"))
+    return lines
+
+
+def _last_bps(launcher: Launcher, rate: RateMeter) -> float:
+    """The rate of the last second that the processes have told of."""
+    return rate.last_bps(launcher.clock.now_ns() - _TOLD_AFTER_NS)
 
 
 def _processes(launcher: Launcher, *, verbose: bool) -> Columns:
@@ -117,7 +146,8 @@ def _line(launcher: Launcher) -> str:
         figures = collector.streams[stream.name]
         newest = latency_ms(figures)
         parts.append(
-            f"{stream.name} {figures.rate.mean_bps() / 1000:.1f}/{stream.cap_bps / 1000:g} kbit/s "
+            f"{stream.name} {_last_bps(launcher, figures.rate) / 1000:.1f}"
+            f"/{stream.cap_bps / 1000:g} kbit/s "
             f"{displayed_frames(collector, stream.name)} shown "
             f"{collector.process(f'{stream.name}_receive').total('rtp_lost')} lost "
             f"{'-' if newest is None else f'{newest:.0f}'} ms"
@@ -128,6 +158,7 @@ def _line(launcher: Launcher) -> str:
             f"haptic_{name} {received.total('received')} received {received.total('lost')} lost "
             f"{collector.haptics[name].latency.percentile(50) / 1e6:.1f} ms"
         )
+    parts += map(str, silences(launcher.setup, collector, launcher.clock.now_ns()))
     down = [child.part.name for child in launcher.children if child.pid is None]
     if down:
         parts.append("down: " + ", ".join(down))

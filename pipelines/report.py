@@ -5,8 +5,9 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
-from pipelines.collector import HAPTIC_ENDS, Collector, ProcessFigures, StreamFigures
+from pipelines.collector import HAPTIC_ENDS, Collector, StreamFigures
 from pipelines.setup import Setup, VideoStream, VoiceStream
+from pipelines.silence import MISSED_NS, missed_ns, silences, stopped_ns
 from telepresence.link.profile import LinkProfile
 
 #: Which process counts what of a stream.
@@ -21,10 +22,20 @@ _RECEIVED = (
     "frames_damaged",
     "frames_concealed",
     "frames_corrupt",
+    "frames_undated",
+    "frames_oversized",
 )
 
 #: Gauges that say how a process is, and are worth a line in the report.
-_WORTH_TELLING = ("source", "source_fault", "scheduler", "selected", "last_error")
+_WORTH_TELLING = (
+    "source",
+    "source_fault",
+    "scheduler",
+    "selected",
+    "jitter_ns",
+    "playout_delay_ns",
+    "last_error",
+)
 
 
 def build_report(
@@ -59,7 +70,7 @@ def build_report(
             name: {
                 "cpu_s": round(cpu_s[name], 3),
                 "restarts": restarts[name],
-                **_told(collector.process(name)),
+                **_told(name, setup, collector),
             }
             for name in cpu_s
         },
@@ -76,7 +87,7 @@ def _stream(
     displayed = displayed_frames(collector, stream.name)
     return {
         "cap_bps": stream.cap_bps,
-        "payload_bps_mean": round(figures.rate.mean_bps()),
+        "payload_bps_mean": round(figures.rate.octets * 8 / max(seconds, 1e-9)),
         "payload_bps_max_1s": round(figures.rate.max_bps(NS_PER_S)),
         "payload_bps_max_100ms": round(figures.rate.max_bps(100 * NS_PER_MS)),
         **{name: sender.total(name) for name in _SENT},
@@ -153,8 +164,8 @@ def _link(setup: Setup, collector: Collector, direction: str) -> dict[str, Any]:
         "frames_lost": sum(life["frames_lost"] for life in received),
         "frames_dropped": _sum_tables([life["frames_dropped"] for life in received]),
         "octets": octets,
-        "queue": lives[-1]["queue"] if lives else {},
-        "headers": lives[-1]["headers"] if lives else {},
+        "queue": _merged_queues([life["queue"] for life in lives]),
+        "headers": _merged_headers([life["headers"] for life in lives]),
         "refused": _sum_tables([life["refused"] for life in lives]),
         "packets": _sum_tables([life["packets"] for life in received]),
         "packets_dropped": _sum_tables([life["packets_dropped"] for life in received]),
@@ -171,27 +182,65 @@ def _sum_tables(tables: list[dict[str, int]]) -> dict[str, int]:
     return sums
 
 
-def _told(figures: ProcessFigures) -> dict[str, Any]:
-    told = {name: figures.gauges[name] for name in _WORTH_TELLING if name in figures.gauges}
-    if "garbage" in figures.names():
-        told["garbage"] = figures.total("garbage")
-    return told
+def _merged_queues(lives: list[dict[str, dict[str, Any]]]) -> dict[str, dict[str, Any]]:
+    """Each level's queue: as the last life left it, with what all lives counted."""
+    merged: dict[str, dict[str, Any]] = {}
+    for life in lives:
+        for level, queue in life.items():
+            before = merged.get(level)
+            merged[level] = dict(queue)
+            if before is None:
+                continue
+            merged[level].update(
+                accepted=before["accepted"] + queue["accepted"],
+                drops=_sum_tables([before["drops"], queue["drops"]]),
+                **{name: max(before[name], queue[name]) for name in ("max_octets", "max_age_ns")},
+            )
+    return merged
+
+
+def _merged_headers(lives: list[dict[str, dict[str, int]]]) -> dict[str, dict[str, int]]:
+    flows = dict.fromkeys(flow for life in lives for flow in life)
+    return {flow: _sum_tables([life.get(flow, {}) for life in lives]) for flow in flows}
+
+
+def _told(name: str, setup: Setup, collector: Collector) -> dict[str, Any]:
+    figures = collector.process(name)
+    told = {gauge: figures.gauges[gauge] for gauge in _WORTH_TELLING if gauge in figures.gauges}
+    for silence in silences(setup, collector):
+        if silence.process == name:
+            told["silent_s"] = round(silence.silent_ns / NS_PER_S, 1)
+    return {**told, "counts": {count: figures.total(count) for count in figures.names()}}
 
 
 def failures(setup: Setup, collector: Collector, seconds: float) -> list[str]:
     """What went wrong by the project's own measure; an empty list is a run that went well."""
     found = []
+    delay_ns = round(setup.radio_delay_ms * NS_PER_MS)
+    long_enough = seconds >= (MISSED_NS + delay_ns) / NS_PER_S
     for stream in setup.streams:
         figures = collector.streams[stream.name]
         largest_bps = figures.rate.max_bps(NS_PER_S)
         if largest_bps > stream.cap_bps:
             found.append(f"{stream.name}: {largest_bps:.0f} bit/s in 1 s, above its cap")
-        if seconds >= 2 and displayed_frames(collector, stream.name) == 0:
+        still_ns = stopped_ns(stream, setup, collector)
+        if long_enough and displayed_frames(collector, stream.name) == 0:
             found.append(f"{stream.name}: nothing was displayed")
+        elif still_ns >= missed_ns(stream) + delay_ns:
+            found.append(
+                f"{stream.name}: nothing was displayed in the last {still_ns / NS_PER_S:.1f} s, "
+                "though its input went on"
+            )
+        if figures.negative:
+            found.append(f"{stream.name}: {figures.negative} latencies below 0")
     for name in HAPTIC_ENDS:
         receiver = collector.process(HAPTIC_ENDS[name][1])
-        if seconds >= 2 and receiver.total("received") == 0:
+        if long_enough and receiver.total("received") == 0:
             found.append(f"haptic_{name}: no sample was received")
+    for process, told in collector.processes.items():
+        dropped = told.total("probe_values_dropped")
+        if dropped:
+            found.append(f"{process}: {dropped} values for this report were lost")
     return found
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 
@@ -56,6 +57,10 @@ def print_summary(report: Mapping[str, Any]) -> None:
         f"{len(report['processes'])} processes"
         + (f"; restarted: {', '.join(restarted)}" if restarted else "")
     )
+    for name, entry in report["processes"].items():
+        if "silent_s" in entry:
+            fault = f" ({entry['source_fault']})" if "source_fault" in entry else ""
+            console.print(f"{name}: gave nothing in the last {entry['silent_s']} s{escape(fault)}")
     for failure in report["failures"]:
         console.print(f"[bold red]failed:[/] {failure}")
 

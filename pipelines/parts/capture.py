@@ -1,7 +1,6 @@
 """An input's process: from its source into its topic."""
 
-from collections.abc import Callable
-
+from kontur_av.media import CaptureStamp
 from kontur_av.sources import SourceEnded, open_audio, open_video
 from kontur_av.sources.source import BLOCK_SAMPLES, AudioSource, VideoSource
 from pipelines.names import input_topic
@@ -25,8 +24,7 @@ def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
             clock=clock,
             scenes=video_scenes(newest_state(bus)),
         )
-        captured = 0
-        _report_faults(context, source, lambda: captured)
+        captured = _Captured(context, source)
         loan = writer.loan_picture(stream.width, stream.height)
         while not context.stopping:
             try:
@@ -37,7 +35,7 @@ def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
             if stamp is not None:
                 loan.publish(stamp)
                 loan = writer.loan_picture(stream.width, stream.height)
-                captured += 1
+                captured.count(stamp)
             context.tick(clock.now_ns())
         loan.give_back()
         source.close()
@@ -54,8 +52,7 @@ def run_microphone(context: Context, *, name: str) -> None:
             clock=clock,
             scenes=audio_scenes(newest_state(bus)),
         )
-        captured = 0
-        _report_faults(context, source, lambda: captured)
+        captured = _Captured(context, source)
         while not context.stopping:
             try:
                 frame = source.read(PATIENCE_NS)
@@ -64,21 +61,32 @@ def run_microphone(context: Context, *, name: str) -> None:
                 break
             if frame is not None:
                 writer.publish_audio(frame)
-                captured += 1
+                captured.count(frame.stamp)
             context.tick(clock.now_ns())
         source.close()
 
 
-def _report_faults(
-    context: Context, source: VideoSource | AudioSource, captured: Callable[[], int]
-) -> None:
-    def fill() -> None:
-        context.probe.total("captured", captured())
-        context.probe.total("source_faults", source.faults)
-        if source.last_fault:
-            context.probe.gauge("source_fault", source.last_fault)
+class _Captured:
+    """Counts what a source gives, and tells it with the faults that the source has survived."""
 
-    context.on_flush(fill)
+    def __init__(self, context: Context, source: VideoSource | AudioSource) -> None:
+        self._probe = context.probe
+        self._source = source
+        self._captured = 0
+        self._last_ns: int | None = None
+        context.on_flush(self._fill)
+
+    def count(self, stamp: CaptureStamp) -> None:
+        self._captured += 1
+        self._last_ns = stamp.capture_ns
+
+    def _fill(self) -> None:
+        self._probe.total("captured", self._captured)
+        self._probe.total("source_faults", self._source.faults)
+        if self._last_ns is not None:
+            self._probe.gauge("captured_ns", self._last_ns)
+        if self._source.last_fault:
+            self._probe.gauge("source_fault", self._source.last_fault)
 
 
 def _sleep_out(context: Context, why: str) -> None:

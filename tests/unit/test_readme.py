@@ -114,7 +114,7 @@ def test_the_ports_are_those_of_the_document():
     }
     ports, setup = Ports(base=2000), load_setup("spacejustin")
     used = {ports.ground_radio, ports.space_radio, ports.ground_haptic, ports.space_haptic}
-    used |= {ports.robot, ports.joystick}
+    used |= {ports.robot, ports.joystick, ports.launcher}
     for flow in (*setup.uplink_flows, *setup.downlink_flows):
         used |= {ports.entry(flow.name), ports.exit(flow.name)}
     assert {port - 2000 for port in used} == numbers
