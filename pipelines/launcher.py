@@ -146,8 +146,7 @@ class Launcher:
                 return
             if now_ns >= show_ns:
                 show_ns += _SHOW_NS * ((now_ns - show_ns) // _SHOW_NS + 1)
-                if self.show is not None:
-                    self.show(self)
+                self._show()
             wake_ns = min(show_ns, show_ns if end_ns is None else end_ns)
             for child in self.children:
                 if child.pid is not None:
@@ -158,6 +157,17 @@ class Launcher:
                 else:
                     wake_ns = min(wake_ns, child.due_ns)
             self._attend(wake_ns - self.clock.now_ns())
+
+    def _show(self) -> None:
+        if self.show is None:
+            return
+        try:
+            self.show(self)
+        except BrokenPipeError:
+            self._stop = True  # whoever has read it, head(1) for one, wants no more
+        except OSError:
+            # A closed terminal, whose signal is under way, or a full disk, which ends no session.
+            self.show = None
 
     def _attend(self, timeout_ns: int) -> None:
         for key, _ in self._selector.select(max(0, timeout_ns) / NS_PER_S):

@@ -4,7 +4,9 @@ import argparse
 import json
 import os
 import secrets
-from collections.abc import Iterable, Mapping, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -66,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     parts = session_parts(setup, snapshots=snapshots is not None)
     with (
         hold_session(setup.name) as session,
-        LiveView(quiet=args.quiet, verbose=args.verbose) as view,
+        _live_view(quiet=args.quiet, verbose=args.verbose) as view,
     ):
         launcher = Launcher(
             session=session,
@@ -90,8 +92,31 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         write_report(args.report, report)
     if not args.quiet:
-        print_summary(report)
+        _print(report)
     return 1 if report["failures"] else 0
+
+
+@contextmanager
+def _live_view(*, quiet: bool, verbose: bool) -> Iterator[LiveView]:
+    view = LiveView(quiet=quiet, verbose=verbose)
+    view.__enter__()
+    try:
+        yield view
+    finally:
+        # A terminal that was closed takes no last picture; the report is still to be written.
+        with suppress(OSError):
+            view.__exit__(None, None, None)
+
+
+def _print(report: dict[str, Any]) -> None:
+    try:
+        print_summary(report)
+        sys.stdout.flush()
+    except OSError:
+        # Nobody reads it. What is left of it would be tried, and fail, once more at the exit.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.close(nowhere)
 
 
 def session_parts(setup: Setup, *, snapshots: bool = False) -> list[Part]:

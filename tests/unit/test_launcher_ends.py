@@ -39,12 +39,16 @@ def closes_the_terminal(context):
     os.kill(os.getppid(), signal.SIGHUP)
     good(context)
 
-bad, seconds = sys.argv[1], float(sys.argv[2])
+def show(launcher):
+    raise {"": None, "disk": OSError(28, "full"), "reader": BrokenPipeError()}[gone]
+
+bad, seconds, gone = sys.argv[1], float(sys.argv[2]), sys.argv[3]
 launcher = Launcher(
     session=f"test-{os.getpid()}",
     setup=BUILT_IN["taskboard"],
     parts=[Part("good", Stage.LINK, good), Part("bad", Stage.SINK, globals()[bad])],
     clock=MonotonicClock(),
+    show=show if gone else None,
 )
 launcher.run(seconds or None)
 print(json.dumps({child.part.name: [child.restarts, child.last_error]
@@ -52,10 +56,13 @@ print(json.dumps({child.part.name: [child.restarts, child.last_error]
 """
 
 
-def ends(bad, seconds=0.5, **options):
-    """What a launcher says of `bad` and of its sibling: [restarts, last error] of each."""
+def ends(bad, seconds=0.5, gone="", **options):
+    """What a launcher says of `bad` and of its sibling: [restarts, last error] of each.
+
+    gone: what its figures cannot be shown to, "disk" or "reader".
+    """
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, bad, str(seconds)],
+        [sys.executable, "-c", PROGRAM, bad, str(seconds), gone],
         capture_output=True,
         text=True,
         timeout=60,
@@ -96,3 +103,9 @@ def test_under_nohup_a_closed_terminal_ends_nothing():
 
     figures = ends("closes_the_terminal", 0.5, preexec_fn=nohup, env=dict(os.environ))
     assert figures == {"good": [0, ""], "bad": [0, ""]}
+
+
+def test_figures_that_cannot_be_shown_break_nothing():
+    assert ends("good", 1.5, "disk") == {"good": [0, ""], "bad": [0, ""]}
+    # Without a time to end at: it ends because nobody reads it any more.
+    assert ends("good", 0, "reader") == {"good": [0, ""], "bad": [0, ""]}
