@@ -17,6 +17,18 @@ Pcm = NDArray[np.int16]
 VIDEO_CLOCK_HZ = 90_000  # RFC 6184 section 8.2.1
 AUDIO_CLOCK_HZ = 48_000  # RFC 7587 section 4.1
 
+#: Every block of sound has this many samples: 20 ms at 48 kHz.
+BLOCK_SAMPLES = 960
+#: 120 ms, the longest Opus packet (RFC 6716 section 3.2.5).
+MAX_OPUS_SAMPLES = 5760
+
+#: RTP payload types of this project's streams, from the dynamic range (RFC 3551 section 6).
+VIDEO_PAYLOAD_TYPE = 96
+AUDIO_PAYLOAD_TYPE = 97
+
+BLACK_LUMA = 16  # ITU-R BT.601: black of the narrow range
+NEUTRAL_CHROMA = 128
+
 
 @dataclass(frozen=True, slots=True)
 class CaptureStamp:

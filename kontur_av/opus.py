@@ -13,13 +13,13 @@ import numpy as np
 
 from kontur_av import libopus
 from kontur_av.errors import ConfigError, ProtocolError
-from kontur_av.media import AUDIO_CLOCK_HZ, Pcm
+from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, MAX_OPUS_SAMPLES, Pcm
+
+MAX_PACKET_SAMPLES = MAX_OPUS_SAMPLES
 
 #: Samples a packet may cover: 10, 20, 40 or 60 ms. Voice mode codes nothing shorter (RFC 6716
 #: section 2.1.4).
 FRAME_SAMPLES = (480, 960, 1920, 2880)
-#: The longest packet that RFC 6716 allows: 120 ms.
-MAX_PACKET_SAMPLES = 5760
 _ROOM_OCTETS = 4000  # what opus_encode's documentation recommends
 _LOWEST_BPS, _HIGHEST_BPS = 6_000, 510_000  # RFC 6716 section 2.1.1
 
@@ -30,7 +30,7 @@ _LOWEST_BPS, _HIGHEST_BPS = 6_000, 510_000  # RFC 6716 section 2.1.1
 _AMPLE_BPS = 24_000
 
 
-def bitrate_under_cap(cap_bps: int, frame_samples: int = 960) -> int:
+def bitrate_under_cap(cap_bps: int, frame_samples: int = BLOCK_SAMPLES) -> int:
     """The largest bit rate of constant packets that keeps a hard cap even when sends jitter.
 
     At exactly `cap_bps` there is no room at all: one packet that leaves a millisecond early and
@@ -61,7 +61,7 @@ class OpusEncoder:
     """
 
     def __init__(
-        self, *, bitrate_bps: int, frame_samples: int = 960, complexity: int | None = None
+        self, *, bitrate_bps: int, frame_samples: int = BLOCK_SAMPLES, complexity: int | None = None
     ) -> None:
         if frame_samples not in FRAME_SAMPLES:
             raise ConfigError(f"Opus frame of {frame_samples} samples: take one of {FRAME_SAMPLES}")
@@ -105,7 +105,7 @@ class OpusEncoder:
 class OpusDecoder:
     """Opus packets to mono sound at 48 kHz, and something to hear where a packet is missing."""
 
-    def __init__(self, *, frame_samples: int = 960) -> None:
+    def __init__(self, *, frame_samples: int = BLOCK_SAMPLES) -> None:
         opuslib = libopus.opuslib()
         self.frame_samples = frame_samples
         self._error: type[Exception] = opuslib.OpusError

@@ -8,7 +8,7 @@ halves shows both sides of the tool at the bit rate of one camera (Kontur-2).
 from dataclasses import dataclass
 
 from kontur_av.errors import ConfigError
-from kontur_av.media import I420, CaptureStamp, VideoFrame, planes
+from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, CaptureStamp, VideoFrame, planes
 
 
 def merge(left: I420 | None, right: I420 | None, into: I420, seam: float = 0.5) -> None:
@@ -32,7 +32,7 @@ def merge(left: I420 | None, right: I420 | None, into: I420, seam: float = 0.5) 
     targets = planes(into)
     for index, target in enumerate(targets):
         cut = column // 2 if index else column
-        blank = 128 if index else 16
+        blank = NEUTRAL_CHROMA if index else BLACK_LUMA
         target[:, :cut] = blank if left is None else planes(left)[index][:, :cut]
         target[:, cut:] = blank if right is None else planes(right)[index][:, cut:]
 

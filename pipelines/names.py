@@ -1,9 +1,10 @@
 """The topics of a session, and the RTP payload types of its streams."""
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.media import AUDIO_PAYLOAD_TYPE
+from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
 
-VIDEO_PAYLOAD_TYPE = 96
-VOICE_PAYLOAD_TYPE = 97
+VOICE_PAYLOAD_TYPE = AUDIO_PAYLOAD_TYPE
 
 #: The merged picture of the robot's two cameras.
 STEREO_TOPIC = "camera/stereo"

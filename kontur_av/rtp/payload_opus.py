@@ -1,10 +1,7 @@
 """Opus in RTP (RFC 7587): one Opus packet is one payload; its first octet says how long it is."""
 
 from kontur_av.errors import ProtocolError
-from kontur_av.media import AUDIO_CLOCK_HZ
-
-#: 120 ms, the longest Opus packet (RFC 6716 section 3.2.5).
-MAX_SAMPLES = AUDIO_CLOCK_HZ * 120 // 1000
+from kontur_av.media import MAX_OPUS_SAMPLES
 
 
 def opus_samples(payload: bytes) -> int:
@@ -28,6 +25,6 @@ def opus_samples(payload: bytes) -> int:
     else:
         count = 1 if code == 0 else 2
     samples = frame * count
-    if not 0 < samples <= MAX_SAMPLES:
+    if not 0 < samples <= MAX_OPUS_SAMPLES:
         raise ProtocolError(f"an Opus packet of {samples} samples; 120 ms is the most")
     return samples

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.media import AUDIO_CLOCK_HZ
+from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.rtp.wire import TimestampUnwrapper
@@ -97,7 +97,7 @@ class PlayoutBuffer:
         self._offset_ns: int | None = None
         self._next: int | None = None
         self._played_up_to: int | None = None
-        self._samples = 960
+        self._samples = BLOCK_SAMPLES
         self._concealed_in_row = 0
 
     @property

@@ -12,9 +12,8 @@ from typing import Literal
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
-
-VIDEO_PAYLOAD_TYPE = 96
-AUDIO_PAYLOAD_TYPE = 97
+from kontur_av.media import AUDIO_PAYLOAD_TYPE as AUDIO_PAYLOAD_TYPE
+from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.media import BLOCK_SAMPLES, AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS, packetize, split_annex_b
 from kontur_av.rtp.wire import (
     RtcpByePacket,
@@ -12,8 +12,6 @@ from kontur_av.rtp.wire import (
     RtpPacket,
     cname_packet,
 )
-
-SAMPLES_PER_PACKET = 960  # 20 ms at 48 kHz
 
 #: The header of every packet this sender makes (RFC 3550 section 5.1: no CSRC, no extension), so
 #: a packet's payload has `len(packet) - RTP_HEADER_OCTETS` octets.
@@ -43,7 +41,7 @@ class RtpSender:
         cname: str,
         report_interval_ns: int = NS_PER_S,
         max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS,
-        samples_per_packet: int = SAMPLES_PER_PACKET,
+        samples_per_packet: int = BLOCK_SAMPLES,
     ) -> None:
         self.payload_type = payload_type
         self.clock_rate_hz = clock_rate_hz

@@ -7,10 +7,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from kontur_av.media import I420, planes
-
-BLACK_LUMA = 16  # ITU-R BT.601: black of the narrow range
-NEUTRAL_CHROMA = 128
+from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, planes
 
 
 def fitted_size(

@@ -3,19 +3,14 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from kontur_av.clock import Clock
-from kontur_av.media import I420, AudioFrame, CaptureStamp
+from kontur_av.clock import NS_PER_S, Clock
+from kontur_av.media import AUDIO_CLOCK_HZ, I420, AudioFrame, CaptureStamp
+from kontur_av.media import BLOCK_SAMPLES as BLOCK_SAMPLES
 
-#: Every block of sound has this many samples: 20 ms at 48 kHz.
-BLOCK_SAMPLES = 960
-BLOCK_NS = 20_000_000
+BLOCK_NS = BLOCK_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
 
 #: How long a source that lost its file, device or writer waits before it tries again.
 RETRY_NS = 500_000_000
-
-
-class SourceEnded(Exception):  # noqa: N818 - the end of a source is an event, not a fault
-    """No picture and no sound will ever come from this source again."""
 
 
 class VideoSource(Protocol):
@@ -34,7 +29,6 @@ class VideoSource(Protocol):
         into: shape (height * 3 // 2, width), uint8, C-contiguous, of the size that the source
         was opened with; untouched when nothing comes within `timeout_ns` (then: None).
         A reader that comes late gets the newest picture, never a burst of old ones.
-        Raises SourceEnded when the source has ended for good.
         """
         ...
 
@@ -54,7 +48,6 @@ class AudioSource(Protocol):
 
         stamp.capture_ns is the capture instant of the first sample, so a block comes 20 ms
         after it at the earliest. None when nothing comes within `timeout_ns`.
-        Raises SourceEnded when the source has ended for good.
         """
         ...
 

@@ -11,7 +11,7 @@ from math import sqrt
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.sample import Command, Feedback
 
-#: The contact wall: the line x = 0.06 m of the task board, touched from smaller x.
+#: The contact wall: this line of the task board, which the tip touches from smaller x.
 WALL_X_M = 0.06
 
 _MAX_STEP_NS = NS_PER_MS

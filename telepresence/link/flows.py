@@ -5,13 +5,10 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 from kontur_av.errors import ConfigError
-from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
+from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, VIDEO_CLOCK_HZ
 
 #: A flow's number is four bits of the tag octet.
 MAX_FLOWS = 16
-
-#: Samples of 20 ms at 48 kHz: the step of a voice packet's RTP timestamp.
-VOICE_STRIDE_TICKS = 960
 
 
 class Level(IntEnum):
@@ -62,13 +59,13 @@ def video_flow(name: str) -> Flow:
 
 
 def voice_flow(name: str) -> Flow:
-    """RTP voice: 48 kHz, a packet every 20 ms (RFC 7587)."""
+    """RTP voice: 48 kHz, a packet every 20 ms, whose timestamp counts its samples (RFC 7587)."""
     return Flow(
         name=name,
         level=Level.VOICE,
         kind=FlowKind.RTP,
         clock_hz=AUDIO_CLOCK_HZ,
-        stride_ticks=VOICE_STRIDE_TICKS,
+        stride_ticks=BLOCK_SAMPLES,
     )
 
 

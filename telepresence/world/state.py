@@ -9,11 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
+from telepresence.haptics.robot import WALL_X_M as WALL_X_M
 
 BOARD_WIDTH_M = 0.30
 BOARD_HEIGHT_M = 0.20
-#: The contact wall: the stylus comes from smaller x and cannot go beyond.
-WALL_X_M = 0.06
 #: Centres of the LED targets: three on the wall, two for the eye.
 LEDS_M: tuple[tuple[float, float], ...] = (
     (WALL_X_M, -0.05),
