@@ -37,7 +37,7 @@ from kontur_av.rtp.sdp import (
     write_sdp,
 )
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
-from kontur_av.sources import SourceEnded, open_audio, open_video
+from kontur_av.sources import open_audio, open_video
 from pipelines.command import (
     check_options,
     open_socket,
@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Send until the time is over, the source has ended or Ctrl-C. Exit code 0 or 1.
+    """Send until the time is over or Ctrl-C. Exit code 0 or 1.
 
     Raises ConfigError, with nothing sent, for what cannot work.
     """
@@ -164,10 +164,7 @@ class _Video:
         return tuple(unit for unit in units if nal_type(unit) in (NAL_SPS, NAL_PPS))
 
     def step(self, timeout_ns: int) -> CaptureStamp | None:
-        """Wait for a picture, at most `timeout_ns`; the stamp of the one whose packets were queued.
-
-        Raises SourceEnded.
-        """
+        """The stamp of the picture whose packets were queued, if one came within `timeout_ns`."""
         stamp = self.source.read(self._picture, timeout_ns)
         if stamp is None:
             return None
@@ -285,10 +282,7 @@ class _Shell:
                 if now_ns >= next_line_ns:
                     next_line_ns += NS_PER_S
                     self._line(now_ns, start_ns)
-                try:
-                    self._step(now_ns, end_ns, next_line_ns)
-                except SourceEnded:
-                    break
+                self._step(now_ns, end_ns, next_line_ns)
             self._drain_rest()
         if (farewell := self._media.rtp.goodbye(self._clock.ntp)) is not None:
             self._send(farewell, control=True)

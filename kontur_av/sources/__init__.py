@@ -6,7 +6,6 @@ from kontur_av.sources.source import (
     BLOCK_SAMPLES,
     AudioSceneFactory,
     AudioSource,
-    SourceEnded,
     VideoSceneFactory,
     VideoSource,
 )
@@ -19,7 +18,6 @@ __all__ = [
     "AudioSource",
     "SceneAudio",
     "SceneVideo",
-    "SourceEnded",
     "VideoSceneFactory",
     "VideoSource",
     "check_spec",

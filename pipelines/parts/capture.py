@@ -1,7 +1,7 @@
 """An input's process: from its source into its topic."""
 
 from kontur_av.media import CaptureStamp
-from kontur_av.sources import SourceEnded, open_audio, open_video
+from kontur_av.sources import open_audio, open_video
 from kontur_av.sources.source import BLOCK_SAMPLES, AudioSource, VideoSource
 from pipelines.names import input_topic
 from pipelines.parts.robot_state import newest_state
@@ -27,11 +27,7 @@ def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
         captured = _Captured(context, source)
         loan = writer.loan_picture(stream.width, stream.height)
         while not context.stopping:
-            try:
-                stamp = source.read(loan.picture, PATIENCE_NS)
-            except SourceEnded:
-                _sleep_out(context, "ended")
-                break
+            stamp = source.read(loan.picture, PATIENCE_NS)
             if stamp is not None:
                 loan.publish(stamp)
                 loan = writer.loan_picture(stream.width, stream.height)
@@ -54,11 +50,7 @@ def run_microphone(context: Context, *, name: str) -> None:
         )
         captured = _Captured(context, source)
         while not context.stopping:
-            try:
-                frame = source.read(PATIENCE_NS)
-            except SourceEnded:
-                _sleep_out(context, "ended")
-                break
+            frame = source.read(PATIENCE_NS)
             if frame is not None:
                 writer.publish_audio(frame)
                 captured.count(frame.stamp)
@@ -87,12 +79,3 @@ class _Captured:
             self._probe.gauge("captured_ns", self._last_ns)
         if self._source.last_fault:
             self._probe.gauge("source_fault", self._source.last_fault)
-
-
-def _sleep_out(context: Context, why: str) -> None:
-    """A source that has ended ends no session: its process stays, and says so."""
-    context.probe.gauge("source", why)
-    while not context.stopping:
-        now_ns = context.clock.now_ns()
-        context.tick(now_ns)
-        context.clock.sleep_until_ns(now_ns + PATIENCE_NS)
