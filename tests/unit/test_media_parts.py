@@ -1,4 +1,4 @@
-"""What receivers publish and displays count: real sockets and topics, the parts in a thread."""
+"""What inputs, receivers and displays count: real sockets and topics, the parts in a thread."""
 
 import secrets
 import socket
@@ -24,6 +24,7 @@ from kontur_av.opus import OpusEncoder
 from kontur_av.rtp.sender import RtpSender
 from kontur_av.topics import TopicBus, remove_session
 from pipelines.names import VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE, received_topic
+from pipelines.parts.capture import run_microphone
 from pipelines.parts.display import CONCEALED, run_display
 from pipelines.parts.video_receive import run_video_receive
 from pipelines.parts.voice_receive import run_voice_receive
@@ -57,6 +58,7 @@ def running(session, part, **arguments):
             while data := ours.recv(1 << 20):
                 message = Message.unpack(data)
                 told.totals.update(message.totals)
+                told.gauges.update(message.gauges)
                 for series, rows in message.series.items():
                     told.series.setdefault(series, array("q")).extend(rows)
         return told
@@ -95,6 +97,15 @@ def rtp_sender(payload_type, clock_rate_hz):
         cname="gnd",
         report_interval_ns=NS_PER_S,
     )
+
+
+def test_an_input_tells_when_it_captured_last(session):
+    begin_ns = CLOCK.now_ns()
+    with running(session, run_microphone, name="ground_mic") as listen:
+        eventually(lambda: listen().totals["captured"] or None)
+    told = listen()
+    assert begin_ns <= told.gauges["captured_ns"] <= CLOCK.now_ns()
+    assert told.totals["source_faults"] == 0
 
 
 def test_a_sound_that_was_made_up_is_not_displayed(session):
