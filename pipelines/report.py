@@ -28,7 +28,6 @@ _RECEIVED = (
 
 #: Gauges that say how a process is, and are worth a line in the report.
 _WORTH_TELLING = (
-    "source",
     "source_fault",
     "scheduler",
     "selected",
