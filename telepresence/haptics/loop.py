@@ -155,10 +155,6 @@ class HapticLink(Generic[Out, In]):
             return None
         return self._newest
 
-    def age_ns(self, now_ns: int) -> int | None:
-        """How long ago the newest sample came; None when none ever did."""
-        return None if self._newest is None else now_ns - self._newest_ns
-
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """The 12 octets to send now; None when there is nothing new since the last call."""
         if self._hearing and now_ns - self._newest_ns > self.max_age_ns:
