@@ -9,6 +9,7 @@ from contextlib import suppress
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.topics import make_session_root
 from pipelines.control import MAX_LINE_OCTETS, console_path
 from pipelines.process import LOOPBACK, PATIENCE_NS, Context
 from pipelines.setup import TELECOMMAND, TELEMETRY, Setup
@@ -108,7 +109,7 @@ def run_console(context: Context) -> None:
 
 def _listen(context: Context) -> socket.socket:
     path = console_path(context.session)
-    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    make_session_root(context.session)
     path.unlink(missing_ok=True)  # of a console that was killed
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     listener.setblocking(False)
