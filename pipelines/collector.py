@@ -128,10 +128,10 @@ class StreamFigures:
             self.stages[stage].add(end_ns - begin_ns)
         del self._journeys[timestamp]
 
-    @property
-    def negative(self) -> int:
-        """How many latencies were below 0: by two clocks that differ, or by a wrong join."""
-        return self.latency.negative + sum(stage.negative for stage in self.stages.values())
+    def negative(self) -> dict[str, int]:
+        """How many latencies came out below 0, by stage: a stamp must have been wrong."""
+        every = {"capture_to_displayed": self.latency, **self.stages}
+        return {name: histogram.negative for name, histogram in every.items() if histogram.negative}
 
 
 class HapticFigures:

@@ -230,8 +230,8 @@ def failures(setup: Setup, collector: Collector, seconds: float) -> list[str]:
                 f"{stream.name}: nothing was displayed in the last {still_ns / NS_PER_S:.1f} s, "
                 "though its input went on"
             )
-        if figures.negative:
-            found.append(f"{stream.name}: {figures.negative} latencies below 0")
+        for stage, count in figures.negative().items():
+            found.append(f"{stream.name}: {count} latencies below 0 ({stage})")
     for name in HAPTIC_ENDS:
         receiver = collector.process(HAPTIC_ENDS[name][1])
         if long_enough and receiver.total("received") == 0:

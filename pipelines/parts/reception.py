@@ -38,14 +38,14 @@ class Incoming:
         if due_ns is not None:
             wait_ns = min(PATIENCE_NS, max(0, due_ns - self._clock.now_ns()))
         ready = select.select((self._rtp, self._rtcp), (), (), wait_ns / NS_PER_S)[0]
-        now_ns = self._clock.now_ns()
-        # Reports first: the first of them dates the first picture.
+        # Each has a stamp of its own: one that comes while others are read would else seem to
+        # have come before it was sent. Reports first: the first of them dates the first picture.
         if self._rtcp in ready:
             while (datagram := self._receive(self._rtcp)) is not None:
-                self._handle_report(datagram, now_ns)
+                self._handle_report(datagram, self._clock.now_ns())
         if self._rtp in ready:
             while (datagram := self._receive(self._rtp)) is not None:
-                self._receiver.handle_packet(datagram, now_ns)
+                self._receiver.handle_packet(datagram, self._clock.now_ns())
 
     def _handle_report(self, datagram: bytes, now_ns: int) -> None:
         if self._receiver.handle_report(datagram, now_ns):

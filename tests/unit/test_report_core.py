@@ -142,7 +142,7 @@ def test_a_latency_below_nothing_is_a_failure():
     shown = {"shown.uplink_video": array("q", (1, 2 * NS_PER_S, NS_PER_S))}
     collector.handle_message("space_display", Message({}, {}, shown), NS_PER_S)
     (failure,) = failures(SETUP, collector, 5.0)
-    assert failure == "uplink_video: 1 latencies below 0"
+    assert failure == "uplink_video: 1 latencies below 0 (capture_to_displayed)"
 
 
 def run_on(collector, *, shown_until_s, captured_until_s, seconds=8, camera="left"):
