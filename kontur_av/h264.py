@@ -197,19 +197,22 @@ class H264Decoder:
     from a lost one, with the missing parts filled from the picture before: the next wave cleans
     them, and an operator rather sees a smear than a still. This is FFmpeg's behaviour without
     `output_corrupt`; with it, a decoder that joins late would show grey for up to a wave.
+
+    reordered: the stream has pictures out of order (B pictures), which must be held back. Without
+        it a decoder that begins to hold pictures back, because damage made it believe so, is begun
+        anew: it would never stop, and every picture would be late from then on.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, reordered: bool = False) -> None:
         #: Access units that could not be decoded, or not into a picture that fits `I420`.
         self.corrupt_units = 0
         #: Access units before the first one at which a decoder can start: late, not corrupt.
         self.units_before_start = 0
         self.decoded = 0
-        self._codec: VideoCodecContext = av.CodecContext.create("h264", "r")
-        self._codec.thread_count = 1
-        self._codec.flags |= Flags.low_delay
-        # A forged SPS must not make the decoder fill the memory.
-        self._codec.options = {"max_pixels": str(_MOST_PIXELS)}
+        #: How often it was begun anew, because it held pictures back.
+        self.restarts = 0
+        self._reordered = reordered
+        self._codec = _open_decoder()
 
     def decode(self, data: bytes, timestamp: int) -> list[DecodedPicture]:
         """The pictures that `data` (Annex B, one access unit) completes: most often one.
@@ -230,6 +233,9 @@ class H264Decoder:
             else:
                 self.units_before_start += 1
             return []
+        if not self._reordered and any(frame.pts != timestamp for frame in frames):
+            self._codec = _open_decoder()
+            self.restarts += 1
         return [picture for frame in frames if (picture := self._picture(frame)) is not None]
 
     def _picture(self, frame: av.VideoFrame) -> DecodedPicture | None:
@@ -244,3 +250,12 @@ class H264Decoder:
         self.decoded += 1
         timestamp = frame.pts if frame.pts is not None else 0
         return DecodedPicture(timestamp, bool(frame.is_corrupt), width, height, frame)
+
+
+def _open_decoder() -> VideoCodecContext:
+    codec: VideoCodecContext = av.CodecContext.create("h264", "r")
+    codec.thread_count = 1
+    codec.flags |= Flags.low_delay
+    # A forged SPS must not make the decoder fill the memory.
+    codec.options = {"max_pixels": str(_MOST_PIXELS)}
+    return codec

@@ -44,7 +44,7 @@ class VideoSink:
         self.decoded_ns = Histogram()
         self.received_ns = Histogram()
         self._depacketizer = H264Depacketizer(stream.parameter_sets)
-        self._decoder = H264Decoder()
+        self._decoder = H264Decoder(reordered=True)
         self._time_line = _TimeLine(stream.clock_rate_hz)
         self._writer = writer
         self._size: tuple[int, int] | None = None

@@ -27,6 +27,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
         probe.total("frames_damaged", depacketizer.units_damaged)
         probe.total("frames_decoded", decoder.decoded)
         probe.total("frames_corrupt", decoder.corrupt_units)
+        probe.total("decoder_restarts", decoder.restarts)
         probe.total("frames_undated", undated)
         probe.total("frames_oversized", oversized)
 
