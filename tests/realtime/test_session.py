@@ -99,7 +99,7 @@ def test_every_stream_flows_through_one_link(start, tmp_path):
     assert_has_every_key(report)
     assert_all_six_flowed(report)
     assert report["setup"] == "spacejustin"
-    assert report["seconds"] > 3
+    assert report["seconds"] > 1  # there was a snapshot
     assert report["processes"]["selector"]["selected"] == "head"
     assert report["link"]["downlink"]["packets"]["telecommand"] >= 2
     assert_snapshots(shots)
