@@ -59,7 +59,11 @@ def build_report(
             "uplink": _link(setup, collector, "uplink"),
             "downlink": _link(setup, collector, "downlink"),
         },
-        "skew_ms": {name: skew.summary_ms() for name, skew in collector.skews.items()},
+        # A setup without voices has nothing to compare them with.
+        "skew_ms": {
+            name: skew.summary_ms() if skew.count else None
+            for name, skew in collector.skews.items()
+        },
         "cpu": {
             "total_s": round(sum(cpu_s.values()) + launcher_cpu_s, 2),
             "launcher_s": round(launcher_cpu_s, 2),

@@ -48,6 +48,7 @@ def print_summary(report: Mapping[str, Any]) -> None:
     skews = (
         f"{name.replace('_', ' to ')} {skew['p50']:+.1f} (p95 {skew['p95']:+.1f})"
         for name, skew in report["skew_ms"].items()
+        if skew is not None
     )
     console.print("skew at the operator, ms: " + ", ".join(skews))
     cpu = report["cpu"]
