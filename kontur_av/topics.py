@@ -20,16 +20,9 @@ Use::
 """
 
 import ctypes
-import hashlib
-import os
-import re
-import shutil
-import stat
 import struct
-import tempfile
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -38,8 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.errors import ConfigError
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, check_size
+from kontur_av.session_files import make_session_root, shared_memory_prefix, topics_root
 
 MAX_READERS = 16
 #: A killed writer counts until somebody has cleaned up after it.
@@ -49,10 +42,6 @@ _MAX_DEPTH = 8
 #: Two that a reader holds, and one more that `latest` has in hand while it lets an older one go.
 _MAX_LEASES = 3
 _SOURCE_OCTETS = 16
-#: A Unix socket's path has 107 octets (unix(7)); iceoryx2 adds an identifier of up to 39 digits
-#: and an ending to the prefix.
-_SOCKET_PATH_OCTETS = 107
-_SOCKET_NAME_OCTETS = 39 + len(".event")
 
 SampleView = NDArray[np.uint8]
 
@@ -267,8 +256,8 @@ class TopicBus:
 
     def __init__(self, session: str) -> None:
         config = iox2.config.default()
-        config.global_cfg.prefix = iox2.FileName.new(_prefix(session))
-        root = _topics_root(session)
+        config.global_cfg.prefix = iox2.FileName.new(shared_memory_prefix(session))
+        root = topics_root(session)
         make_session_root(session)
         root.mkdir(mode=0o700, exist_ok=True)
         config.global_cfg.root_path = iox2.Path.new(str(root))
@@ -384,85 +373,6 @@ class Waiter:
         for reader in self._readers:
             reader.drain_wakeups()
         return bool(woken)
-
-
-def session_root(session: str) -> Path:
-    """The directory of a session's files other than shared memory.
-
-    ConfigError when somebody else could have put there what is found in it.
-    """
-    return _user_root() / session
-
-
-def make_session_root(session: str) -> None:
-    """Make the directory of a session's files, if it is not there. Errors as `session_root`."""
-    _prefix(session)
-    _user_root().mkdir(mode=0o700, parents=True, exist_ok=True)
-    # Asked for once more, because another user may have been faster.
-    session_root(session).mkdir(mode=0o700, exist_ok=True)
-
-
-def remove_session(session: str) -> int:
-    """Remove what a session has left in shared memory and on disk; how many files it was.
-
-    For the launcher, once all processes of the session have ended.
-    """
-    leftovers = shared_memory(session)
-    for leftover in leftovers:
-        leftover.unlink(missing_ok=True)
-    shutil.rmtree(_topics_root(session), ignore_errors=True)
-    shutil.rmtree(session_root(session), ignore_errors=True)
-    return len(leftovers)
-
-
-def shared_memory(session: str) -> list[Path]:
-    """What a session has in shared memory at present."""
-    return list(Path("/dev/shm").glob(f"{_prefix(session)}*"))
-
-
-def _user_root() -> Path:
-    """This user's directory for all sessions: where TMPDIR says, if a socket's path fits there."""
-    own = f"kontur-av-{os.getuid()}"
-    chosen = Path(tempfile.gettempdir()) / own
-    longest = f"{chosen}/.{_digest('')}/{_prefix('x')}"
-    if len(os.fsencode(longest)) + _SOCKET_NAME_OCTETS > _SOCKET_PATH_OCTETS:
-        chosen = Path("/tmp") / own
-    _check_own(chosen)
-    return chosen
-
-
-def _check_own(directory: Path) -> None:
-    """ConfigError when another user could write there: /tmp is everybody's."""
-    try:
-        found = directory.lstat()
-    except FileNotFoundError:
-        return
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
-        raise ConfigError(
-            f"{directory} is no directory of yours: remove it, "
-            "or set TMPDIR to a directory of your own"
-        )
-    if found.st_mode & 0o022:
-        raise ConfigError(
-            f"{directory} may be written by others: look what is in it, then chmod 700 it"
-        )
-
-
-def _topics_root(session: str) -> Path:
-    return _user_root() / f".{_digest(session)}"
-
-
-def _prefix(session: str) -> str:
-    if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,30}", session):
-        raise ConfigError(
-            f"session name {session!r}: at most 31 lower-case letters, digits and hyphens"
-        )
-    return f"kontur-av-{_digest(session)}_"
-
-
-def _digest(session: str) -> str:
-    """Stands for the session where its name would make a socket's path too long."""
-    return hashlib.sha256(session.encode()).hexdigest()[:8]
 
 
 def _view(sample: Any, octets: int) -> SampleView:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from kontur_av.errors import ConfigError
-from kontur_av.topics import session_root
+from kontur_av.session_files import session_root
 
 _SOCKET = "console"
 #: How long a console may take beside what it says that it has to wait; then nobody is there.
@@ -37,10 +37,10 @@ def ask(request: dict[str, Any], session: str | None = None) -> dict[str, Any]:
     sessions = running_sessions() if session is None else [session]
     alive = [(name, link) for name in sessions if (link := _connect(console_path(name)))]
     if not alive:
+        root = session_root("any").parent
         raise ConfigError(
-            "no session is running here: start one with `kontur-av stream --setup spacejustin`"
-            if session is None
-            else f"no session {session} is running here"
+            f"no session{f' {session}' if session else ''} is running here: start one with "
+            f"`kontur-av stream --setup spacejustin`, or set TMPDIR as it has it ({root} is empty)"
         )
     if len(alive) > 1:
         names = ", ".join(name for name, _ in alive)

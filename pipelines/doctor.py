@@ -147,7 +147,8 @@ def check_topics() -> Verdict:
     from importlib.metadata import version
 
     from kontur_av.media import CaptureStamp
-    from kontur_av.topics import TopicBus, remove_session
+    from kontur_av.session_files import remove_session
+    from kontur_av.topics import TopicBus
 
     session = f"doctor-{os.getpid()}"
     stamp = CaptureStamp(1, 0, "doctor")

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
-from kontur_av.topics import make_session_root, remove_session, session_root
+from kontur_av.session_files import make_session_root, remove_session, session_root
 
 _LOCK = "launcher"
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.media import CaptureStamp
-from kontur_av.topics import TopicBus, remove_session
+from kontur_av.session_files import remove_session
+from kontur_av.topics import TopicBus
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 OCTETS = WIDTH * HEIGHT * 3 // 2

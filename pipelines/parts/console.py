@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.topics import make_session_root
+from kontur_av.session_files import make_session_root
 from pipelines.control import MAX_LINE_OCTETS, console_path
 from pipelines.process import LOOPBACK, PATIENCE_NS, Context
 from pipelines.setup import TELECOMMAND, TELEMETRY, Setup

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.rtp.receiver import RtpReceiver
-from kontur_av.topics import session_root
+from kontur_av.session_files import session_root
 from pipelines.probe import Probe
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VideoStream, VoiceStream

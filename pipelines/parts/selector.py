@@ -7,7 +7,7 @@ import numpy as np
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.selector import Selector
-from kontur_av.topics import session_root
+from kontur_av.session_files import session_root
 from pipelines.names import HOUSEKEEPING_INTERVAL_NS, SELECTED_TOPIC, STEREO_TOPIC, input_topic
 from pipelines.parts.reception import replace_file
 from pipelines.parts.robot_state import newest_state

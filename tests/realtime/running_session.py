@@ -15,7 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from kontur_av.topics import TopicBus, shared_memory
+from kontur_av.session_files import shared_memory
+from kontur_av.topics import TopicBus
 from pipelines.setup import PORTS
 from pipelines.setup_file import load_setup
 from pipelines.stream import session_parts

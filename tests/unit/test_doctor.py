@@ -5,7 +5,7 @@ import os
 import pytest
 
 from kontur_av.clock import ManualClock
-from kontur_av.topics import shared_memory
+from kontur_av.session_files import shared_memory
 from pipelines import doctor as doctor_module
 from pipelines.doctor import (
     CHECKS,

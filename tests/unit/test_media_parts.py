@@ -22,7 +22,8 @@ from kontur_av.media import (
 )
 from kontur_av.opus import OpusEncoder
 from kontur_av.rtp.sender import RtpSender
-from kontur_av.topics import TopicBus, remove_session
+from kontur_av.session_files import remove_session
+from kontur_av.topics import TopicBus
 from pipelines.names import VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE, received_topic
 from pipelines.parts.capture import run_microphone
 from pipelines.parts.display import CONCEALED, run_display

@@ -10,7 +10,7 @@ import av
 import numpy as np
 import pytest
 
-from kontur_av.topics import shared_memory
+from kontur_av.session_files import shared_memory
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 TESTS = Path(__file__).parents[1]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from kontur_av.topics import remove_session, session_root, shared_memory
+from kontur_av.session_files import remove_session, session_root, shared_memory
 from pipelines.sessions import clear_dead_sessions, hold_session, new_session_name
 
 

@@ -8,10 +8,11 @@ import time
 import numpy as np
 import pytest
 
-from kontur_av import topics
+from kontur_av import session_files
 from kontur_av.errors import ConfigError
 from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame
-from kontur_av.topics import TopicBus, remove_session, session_root, shared_memory
+from kontur_av.session_files import remove_session, session_root, shared_memory
+from kontur_av.topics import TopicBus
 
 PICTURE_OCTETS = 64 * 48 * 3 // 2
 
@@ -189,7 +190,8 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_sockets(monkeypatch, tm
     directory.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(directory))
     monkeypatch.setattr(os, "getuid", lambda: 1_234_567_890)
-    monkeypatch.setattr(topics, "_check_own", lambda directory: None)  # it belongs to another
+    # It belongs to another.
+    monkeypatch.setattr(session_files, "_check_own", lambda directory: None)
     name = "l" * 31
     with TopicBus(name) as bus:
         reader = bus.reader("pictures")
