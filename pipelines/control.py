@@ -40,7 +40,7 @@ def ask(request: dict[str, Any], session: str | None = None) -> dict[str, Any]:
         root = session_root("any").parent
         raise ConfigError(
             f"no session{f' {session}' if session else ''} is running here: start one with "
-            f"`kontur-av stream --setup spacejustin`, or set TMPDIR as it has it ({root} is empty)"
+            f"`kontur-av stream --setup spacejustin`, or set TMPDIR as it has it ({root} has none)"
         )
     if len(alive) > 1:
         names = ", ".join(name for name, _ in alive)
