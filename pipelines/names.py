@@ -1,5 +1,7 @@
 """The topics of a session, and the RTP payload types of its streams."""
 
+import struct
+
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import AUDIO_PAYLOAD_TYPE
 from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
@@ -11,6 +13,13 @@ STEREO_TOPIC = "camera/stereo"
 #: What goes up: the picture of the camera that is selected.
 SELECTED_TOPIC = "selected/uplink_video"
 ROBOT_TOPIC = "robot/state"
+#: A sample of `backlog_topic`: octets.
+BACKLOG = struct.Struct("=q")
+
+
+def backlog_topic(direction: str) -> str:
+    """How much video waits in the gateway of a direction of the link (`BACKLOG`)."""
+    return f"link/{direction}"
 
 
 def input_topic(name: str) -> str:

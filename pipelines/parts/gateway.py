@@ -3,8 +3,11 @@
 import select
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import CaptureStamp
+from pipelines.names import BACKLOG, backlog_topic
 from pipelines.process import PATIENCE_NS, Context, Segment
 from telepresence.haptics.schedule import PeriodicSchedule
+from telepresence.link.flows import Level
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import Gateway
 from telepresence.link.radio import RadioPath
@@ -12,6 +15,8 @@ from telepresence.link.receiver import HapticReceived
 
 #: A burst larger than this in one slot waits in the socket for the next one.
 _MOST_DATAGRAMS = 64
+#: How often, at the most, the senders are told what waits.
+_TELL_NS = 4 * NS_PER_MS
 
 
 def run_gateway(context: Context, *, segment: Segment) -> None:
@@ -46,6 +51,7 @@ def run_gateway(context: Context, *, segment: Segment) -> None:
     next_event, poll_radio = gateway.receiver.next_event, gateway.radio.poll_transmit
     radio_octets = gateway.receiver.profile.frame_octets + 1
     haptic_octets = gateway.sender.profile.insert_octets + 1
+    waiting_octets = gateway.sender.waiting_octets
     to_listen = [radio]
     add_lateness = probe.rows("lateness").append
 
@@ -86,22 +92,31 @@ def run_gateway(context: Context, *, segment: Segment) -> None:
                 exits[event.flow.name](event.data)
 
     context.on_flush(fill)
-    tick_ns = 0
-    while not context.stopping:
-        wait_ns = schedule.next_deadline_ns - clock_ns()
-        # What comes in goes on at once; what goes out is fetched at its slot, so as to be newest.
-        ready = select.select(to_listen, (), (), wait_ns / NS_PER_S if wait_ns > 0 else 0)[0]
-        now_ns = clock_ns()
-        if ready:
-            fetch_radio(now_ns)
-        lateness_ns = handle_wakeup(now_ns)
-        if lateness_ns < 0:
-            continue
-        add_lateness(lateness_ns)
-        fetch_local(now_ns)
-        gateway.handle_slot(now_ns)
-        while (frame := poll_radio(now_ns)) is not None:
-            to_peer(frame)
-        if now_ns >= tick_ns:
-            tick_ns = now_ns + PATIENCE_NS
-            context.tick(now_ns)
+    with context.open_bus() as bus:
+        writer = bus.writer(
+            backlog_topic(gateway.sender.profile.name), max_octets=BACKLOG.size, wake=False
+        )
+        told = -1
+        tick_ns = tell_ns = 0
+        while not context.stopping:
+            wait_ns = schedule.next_deadline_ns - clock_ns()
+            # What comes in goes on at once; what goes out is fetched at its slot, to be newest.
+            ready = select.select(to_listen, (), (), wait_ns / NS_PER_S if wait_ns > 0 else 0)[0]
+            now_ns = clock_ns()
+            if ready:
+                fetch_radio(now_ns)
+            lateness_ns = handle_wakeup(now_ns)
+            if lateness_ns < 0:
+                continue
+            add_lateness(lateness_ns)
+            fetch_local(now_ns)
+            gateway.handle_slot(now_ns)
+            while (frame := poll_radio(now_ns)) is not None:
+                to_peer(frame)
+            waiting = waiting_octets(Level.VIDEO)
+            if waiting != told and now_ns >= tell_ns:
+                told, tell_ns = waiting, now_ns + _TELL_NS
+                writer.publish_octets(BACKLOG.pack(told), CaptureStamp(now_ns, 0, "gateway"))
+            if now_ns >= tick_ns:
+                tick_ns = now_ns + PATIENCE_NS
+                context.tick(now_ns)

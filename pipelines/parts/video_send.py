@@ -7,7 +7,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.h264 import H264Encoder
 from kontur_av.media import VIDEO_CLOCK_HZ
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS
-from pipelines.names import VIDEO_PAYLOAD_TYPE
+from pipelines.names import BACKLOG, VIDEO_PAYLOAD_TYPE, backlog_topic
 from pipelines.parts.sending import Outgoing
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VideoStream
@@ -47,19 +47,35 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
     )
     rtp = outgoing.rtp
     under_way: deque[_UnderWay] = deque()
-    captured = sent = 0
+    captured = sent = refused_by_link = 0
+    picture_octets = stream.cap_bps // (8 * stream.fps)
 
     def fill() -> None:
         probe.total("frames_captured", captured)
         probe.total("frames_encoded", encoder.encoded)
         probe.total("frames_sent", sent)
-        probe.total("frames_refused", pacer.pictures_refused)
+        probe.total("frames_refused", pacer.pictures_refused + refused_by_link)
         probe.total("rtp_packets_sent", rtp.packets_sent)
         probe.gauge("backlog_octets", pacer.backlog_octets)
 
     context.on_flush(fill)
     with context.open_bus() as bus:
         reader = bus.reader(topic)
+        backlog_reader = bus.reader(backlog_topic(profile.name))
+        waiting_octets = 0
+
+        def link_is_behind() -> bool:
+            """Whether more than a picture waits in the gateway: one more would be shown late.
+
+            The pacer keeps the cap; a link that leaves out slots carries less than that.
+            """
+            nonlocal waiting_octets
+            newest = backlog_reader.latest()
+            if newest is not None:
+                with newest:
+                    (waiting_octets,) = BACKLOG.unpack(newest.octets())
+            return waiting_octets > picture_octets
+
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -70,7 +86,9 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
             if lease is not None:
                 captured += 1 + reader.skipped - skipped
                 with lease:
-                    if pacer.ready_for_picture(clock.now_ns()):
+                    if link_is_behind():
+                        refused_by_link += 1
+                    elif pacer.ready_for_picture(clock.now_ns()):
                         unit = encoder.encode(lease.video(), clock.now_ns)
                         packets = rtp.video_packets(unit)
                         under_way.append(

@@ -70,6 +70,11 @@ class PacketQueue:
     def __len__(self) -> int:
         return len(self.items)
 
+    @property
+    def octets(self) -> int:
+        """What all packets in the queue have together."""
+        return self._octets
+
     def handle_packet(self, flow: int, data: bytes, now_ns: int) -> bool:
         """Queue `data`; False where the policy rejects it. Older ones may go in its favour."""
         self.waiting(now_ns)

@@ -115,6 +115,10 @@ class LinkSender:
         self._quiet = False
         return self._queues[known.level].handle_packet(number, data, now_ns)
 
+    def waiting_octets(self, level: Level) -> int:
+        """Octets of the level's packets of which nothing was sent yet."""
+        return self._queues[level].octets
+
     def refresh_contexts(self) -> None:
         """Have each RTP flow's next packet carry its whole header: the peer has just begun."""
         for compressor in self._compressors:

@@ -24,10 +24,18 @@ from kontur_av.opus import OpusEncoder
 from kontur_av.rtp.sender import RtpSender
 from kontur_av.session_files import remove_session
 from kontur_av.topics import TopicBus
-from pipelines.names import VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE, received_topic
+from pipelines.names import (
+    BACKLOG,
+    SELECTED_TOPIC,
+    VIDEO_PAYLOAD_TYPE,
+    VOICE_PAYLOAD_TYPE,
+    backlog_topic,
+    received_topic,
+)
 from pipelines.parts.capture import run_microphone
 from pipelines.parts.display import CONCEALED, run_display
 from pipelines.parts.video_receive import run_video_receive
+from pipelines.parts.video_send import run_video_send
 from pipelines.parts.voice_receive import run_voice_receive
 from pipelines.probe import Message, Probe
 from pipelines.process import LOOPBACK, Context
@@ -196,3 +204,36 @@ def test_pictures_of_the_setups_own_size_are_shown_and_larger_ones_counted(sessi
         else:
             assert lease is None
     assert listen().totals["frames_oversized"] == (0 if lease else 3)
+
+
+def test_nothing_is_encoded_while_the_link_is_behind(session):
+    """A link that leaves out slots carries less than the cap: the pacer alone would not see it."""
+    stream = SETUP.uplink_video
+    share_octets = stream.cap_bps // 8 // stream.fps
+    with (
+        TopicBus(session) as bus,
+        running(session, run_video_send, stream=stream, topic=SELECTED_TOPIC) as listen,
+    ):
+        pictures = bus.writer(SELECTED_TOPIC, max_octets=stream.width * stream.height * 3 // 2)
+        backlog = bus.writer(backlog_topic("uplink"), max_octets=BACKLOG.size, wake=False)
+        numbers = iter(range(10_000))
+
+        def counted(counter, more_than):
+            def look():
+                picture = empty_picture(stream.width, stream.height)
+                picture[:] = 128
+                stamp = CaptureStamp(CLOCK.now_ns(), next(numbers), "static")
+                pictures.publish_video(VideoFrame(picture, stamp))
+                return listen().totals if listen().totals[counter] > more_than else None
+
+            return eventually(look)
+
+        for waiting_octets, counter, other in (
+            (10 * share_octets, "frames_refused", "frames_encoded"),
+            (0, "frames_encoded", None),
+            (share_octets + 1, "frames_refused", None),
+        ):
+            stamp = CaptureStamp(CLOCK.now_ns(), 0, "gateway")
+            backlog.publish_octets(BACKLOG.pack(waiting_octets), stamp)
+            totals = counted(counter, listen().totals[counter] + 5)
+            assert other is None or totals[other] == 0
