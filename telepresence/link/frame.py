@@ -2,11 +2,12 @@
 
 CCSDS 732.0-B (AOS Space Data Link Protocol) clause 4.1.2 (primary header), 4.1.3 (insert zone),
 4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/link.md draws both frames and names
-the two places where they leave the book.
+the places where they leave the book.
 """
 
 import struct
 from binascii import crc_hqx
+from functools import lru_cache
 
 from telepresence.link.profile import FECF_OCTETS, LinkProfile
 
@@ -15,29 +16,37 @@ COUNT_MASK = COUNT_MODULUS - 1
 
 _VERSION = 0b01
 _SAMPLE_FLAG = 0x20
-_SIGNALING_MUST_BE_ZERO = 0xD0
+_SIGNALING_MUST_BE_ZERO = 0xC0
+_POINTER_MASK = 0x1F
+
+#: From this length on, a run of zeros is cheaper to look up than to divide.
+_LONG_ZERO_RUN = 64
 
 
 class Pointers:
     """The codes of the first header pointer, whose width depends on where it stands.
 
     0 .. zone - 1: the first tag octet stands there; the packet in flight, if any, ends before it.
-    `ends` (= zone): the packet in flight ends with the last octet of this zone.
+    zone (the length of this very frame's packet zone): the packet in flight ends with its last
+        octet.
     `no_start` (all ones): the packet in flight goes on beyond this zone.
     `idle` (all ones less 1): the zone is fill; the packet in flight ended with the last zone.
     `preempt` (all ones less 2): a tag stands at 0; the packet in flight waits to be resumed.
+    `supervision` (all ones less 3): the zone begins with a supervision message, and the packet in
+        flight stays as it is.
     """
 
     def __init__(self, profile: LinkProfile) -> None:
-        all_ones = 0xF if profile.pointer_in_signaling else 0x7FF
-        self.ends = profile.packet_zone_octets
+        all_ones = _POINTER_MASK if profile.pointer_in_signaling else 0x7FF
         self.no_start = all_ones
         self.idle = all_ones - 1
         self.preempt = all_ones - 2
+        self.supervision = all_ones - 3
 
 
-#: A received frame whose FECF was right: frame count, sample (None where the insert zone is
-#: idle), first header pointer, packet zone. A bare tuple, because one is made every millisecond.
+#: A received frame whose FECF was right: frame count, sample (None where there is none), first
+#: header pointer, packet zone (longer by the insert zone where there is no sample; empty where the
+#: pointer is `idle`). A bare tuple, because one is made every millisecond.
 Frame = tuple[int, bytes | None, int, bytes]
 
 
@@ -48,64 +57,115 @@ class FrameCodec:
         self.profile = profile
         self._first16 = _VERSION << 14 | profile.scid << 6 | profile.vcid
         self._in_signaling = profile.pointer_in_signaling
-        self._idle_insert = bytes(profile.insert_octets)
         self._frame_octets = profile.frame_octets
+        self._idle = Pointers(profile).idle
+        self._must_be_zero = _SIGNALING_MUST_BE_ZERO
+        if not self._in_signaling:
+            self._must_be_zero |= _POINTER_MASK
         # Two octets of version, SCID and VCID; 24 bits of frame count and 8 of signaling; insert
-        # zone; M_PDU header, if any; packet zone. The FECF is packed by itself.
+        # zone, if any; M_PDU header, if any; packet zone. The FECF is packed by itself.
         mpdu = "" if self._in_signaling else "H"
-        layout = f">HI{profile.insert_octets}s{mpdu}{profile.packet_zone_octets}s"
-        self._pack_body = struct.Struct(layout).pack
-        self._unpack = struct.Struct(f"{layout}{FECF_OCTETS}x").unpack
+        with_sample = f">HI{profile.insert_octets}s{mpdu}{profile.packet_zone_octets}s"
+        without = f">HI{mpdu}{profile.largest_zone_octets}s"
+        self._pack_sample = struct.Struct(with_sample).pack
+        self._pack_plain = struct.Struct(without).pack
+        self._unpack_sample = struct.Struct(f"{with_sample}{FECF_OCTETS}x").unpack
+        self._unpack_plain = struct.Struct(f"{without}{FECF_OCTETS}x").unpack
+        self._idle_sample = bytes(profile.packet_zone_octets)
+        self._idle_plain = bytes(profile.largest_zone_octets)
+        # Most frames of a wide link are idle, and most of their cost would be dividing zeros.
+        self._wide = profile.packet_zone_octets >= _LONG_ZERO_RUN and not self._in_signaling
+        if self._wide:
+            self._pack_idle_sample = struct.Struct(f">HI{profile.insert_octets}sH").pack
+            self._pack_idle_plain = struct.Struct(">HIH").pack
+            self._after_sample = _zero_run(profile.packet_zone_octets)
+            self._after_plain = _zero_run(profile.largest_zone_octets)
 
     def pack(self, count: int, sample: bytes | None, pointer: int, zone: bytes) -> bytes:
-        """`profile.frame_octets` octets. `count` is taken modulo 2^24; `zone` fills its zone."""
-        signaling = 0
-        if sample is None:
-            sample = self._idle_insert
-        else:
-            signaling = _SAMPLE_FLAG
+        """`profile.frame_octets` octets. `count` is taken modulo 2^24; `zone` fills what the
+        sample, or its absence, leaves."""
         count = (count & COUNT_MASK) << 8
-        if self._in_signaling:
-            body: bytes = self._pack_body(self._first16, count | signaling | pointer, sample, zone)
+        if sample is None:
+            if self._in_signaling:
+                body: bytes = self._pack_plain(self._first16, count | pointer, zone)
+            else:
+                body = self._pack_plain(self._first16, count, pointer, zone)
+        elif self._in_signaling:
+            body = self._pack_sample(self._first16, count | _SAMPLE_FLAG | pointer, sample, zone)
         else:
-            body = self._pack_body(self._first16, count | signaling, sample, pointer, zone)
+            body = self._pack_sample(self._first16, count | _SAMPLE_FLAG, sample, pointer, zone)
         return body + crc_hqx(body, 0xFFFF).to_bytes(FECF_OCTETS, "big")
+
+    def pack_idle(self, count: int, sample: bytes | None) -> bytes:
+        """The same with pointer `idle` and a zone of zeros."""
+        if not self._wide:
+            zone = self._idle_plain if sample is None else self._idle_sample
+            return self.pack(count, sample, self._idle, zone)
+        count = (count & COUNT_MASK) << 8
+        if sample is None:
+            head: bytes = self._pack_idle_plain(self._first16, count, self._idle)
+            zone, (high, low) = self._idle_plain, self._after_plain
+        else:
+            head = self._pack_idle_sample(self._first16, count | _SAMPLE_FLAG, sample, self._idle)
+            zone, (high, low) = self._idle_sample, self._after_sample
+        register = crc_hqx(head, 0xFFFF)
+        fecf = high[register >> 8] ^ low[register & 0xFF]
+        return head + zone + fecf.to_bytes(FECF_OCTETS, "big")
 
     def parse(self, frame: bytes) -> Frame | str:
         """The frame, or in one word the reason why it is none of ours."""
         if len(frame) != self._frame_octets:
             return "length"
+        has_sample = frame[5] & _SAMPLE_FLAG
         # The CRC of a frame together with its own CRC is zero.
         if crc_hqx(frame, 0xFFFF):
             return "fecf"
+        sample: bytes | None
         if self._in_signaling:
-            first16, rest, sample, zone = self._unpack(frame)
-            pointer = rest & 0xF
-            must_be_zero = _SIGNALING_MUST_BE_ZERO
+            if has_sample:
+                first16, rest, sample, zone = self._unpack_sample(frame)
+            else:
+                first16, rest, zone = self._unpack_plain(frame)
+                sample = None
+            pointer = rest & _POINTER_MASK
+        elif has_sample:
+            first16, rest, sample, pointer, zone = self._unpack_sample(frame)
         else:
-            first16, rest, sample, pointer, zone = self._unpack(frame)
-            must_be_zero = _SIGNALING_MUST_BE_ZERO | 0xF
+            first16, rest, pointer, zone = self._unpack_plain(frame)
+            sample = None
         if first16 != self._first16:
             different = first16 ^ self._first16
             return "version" if different >> 14 else "scid" if different >> 6 else "vcid"
-        if rest & must_be_zero:
+        if rest & self._must_be_zero:
             return "signaling"
-        return rest >> 8, sample if rest & _SAMPLE_FLAG else None, pointer, zone
+        return rest >> 8, sample, pointer, zone
+
+
+@lru_cache(maxsize=16)
+def _zero_run(octets: int) -> tuple[list[int], list[int]]:
+    """What `octets` zeros make of a CRC register: the division is linear, so its two halves may be
+    looked up apart and added."""
+    zeros = bytes(octets)
+    high = [crc_hqx(zeros, half << 8) for half in range(0x100)]
+    low = [crc_hqx(zeros, half) for half in range(0x100)]
+    return high, low
 
 
 # The tag octet, which stands wherever no packet goes on by itself (docs/link.md):
 # bit 7: the piece's length follows (CLOSED); else it fills the zone to its end.
-# bits 6..4: type; bits 3..0: number of the flow, or what type CONTROL does.
+# bits 6..3: kind; bits 2..0: number of the flow, or what kind 0 (control) does.
 CLOSED = 0x80
-TYPE_MASK = 0x70
-TYPE_CONTROL = 0x00
-TYPE_RAW = 0x10
-TYPE_CONTEXT = 0x20
-TYPE_COMPRESSED = 0x40  # 0x40, 0x50, 0x60, 0x70: the context's generation 0..3
+KIND_SHIFT = 3
+KIND_MASK = 0x0F
+KIND_CONTROL = 0
+KIND_RAW = 1
+KIND_CONTEXT = 2
+KIND_SHORT = 4  # 4..7: two bits belong to the compressed header
+KIND_LONG = 8  # 8..15: three bits belong to the compressed header
+NUMBER_MASK = 0x07
 TAG_FILL = 0x00
 TAG_PAD = 0x01
 TAG_RESUME = 0x04  # 0x04..0x07: resume the packet in flight of level 0..3
-NUMBER_MASK = 0x0F
 
 #: The largest datagram that the link carries: more than an Ethernet's worth, so that nothing
 #: well-behaved is refused, and a bound on what a receiver collects for one packet.
@@ -114,4 +174,10 @@ MAX_PACKET_OCTETS = 2048
 
 def length_octets(profile: LinkProfile) -> int:
     """How many octets tell the length of a closed piece."""
-    return 1 if profile.packet_zone_octets <= 0x100 else 2
+    return 1 if profile.largest_zone_octets <= 0x100 else 2
+
+
+# Until header compression speaks in kinds.
+TYPE_RAW = KIND_RAW << 4
+TYPE_CONTEXT = KIND_CONTEXT << 4
+TYPE_COMPRESSED = KIND_SHORT << 4

@@ -60,7 +60,7 @@ class Gateway:
         self.receiver.handle_frame(frame, now_ns)
         if self.receiver.meetings != meetings:
             # Whoever begins to send has begun to listen, too, and knows no context yet.
-            self.sender.refresh_contexts()
+            self.sender.forget_contexts()
 
     def handle_slot(self, now_ns: int) -> None:
         """A slot begins: exactly one frame goes to the antenna."""

@@ -9,8 +9,13 @@ HEADER_OCTETS = 6
 FECF_OCTETS = 2
 MPDU_HEADER_OCTETS = 2
 
-#: Four bits hold the positions 0..11, the end 12, and three codes more.
-_LARGEST_ZONE_OF_SIGNALING_POINTER = 12
+#: A supervision message takes the first octets of a packet zone, so no zone is smaller.
+SUPERVISION_OCTETS = 12
+
+#: The pointer holds the positions 0 .. zone - 1, the end, and four codes more (docs/link.md).
+_POINTER_CODES = 4
+_LARGEST_ZONE_OF_SIGNALING_POINTER = (1 << 5) - 1 - _POINTER_CODES
+_LARGEST_ZONE_OF_MPDU_POINTER = (1 << 11) - 1 - _POINTER_CODES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,11 +24,13 @@ class LinkProfile:
 
     name: what the direction is called in reports.
     frame_octets: the whole transfer frame, primary header and FECF included.
-    insert_octets: the insert zone, which carries one haptic sample.
+    insert_octets: the insert zone, which carries one haptic sample. A frame without a sample has
+        none, and its packet zone is longer by as much.
     slot_ns: one frame is sent in each slot.
     scid, vcid: spacecraft and virtual channel identifier in the primary header (0..255, 0..63).
-    pointer_in_signaling: the first header pointer stands in the signaling field's low four bits
-        instead of an M_PDU header (docs/link.md says why); only for zones of up to 12 octets.
+    pointer_in_signaling: the first header pointer stands in the signaling field's low five bits
+        instead of an M_PDU header (docs/link.md says why); only for insert and packet zones of
+        together up to 27 octets.
     """
 
     name: str
@@ -43,35 +50,46 @@ class LinkProfile:
             raise ConfigError(f"{self.name}.slot_ns is {self.slot_ns}: it must be positive")
         if self.insert_octets < 0:
             raise ConfigError(f"{self.name}.insert_octets is {self.insert_octets}: at least 0")
-        least = 4
-        if self.packet_zone_octets < least:
-            lacking = least - self.packet_zone_octets
+        lacking = SUPERVISION_OCTETS - self.packet_zone_octets
+        if lacking > 0:
             raise ConfigError(
                 f"{self.name}.frame_octets is {self.frame_octets}: "
                 f"it must be at least {self.frame_octets + lacking} to carry packets"
             )
         if self.pointer_in_signaling:
-            if self.packet_zone_octets > _LARGEST_ZONE_OF_SIGNALING_POINTER:
+            if self.largest_zone_octets > _LARGEST_ZONE_OF_SIGNALING_POINTER:
                 raise ConfigError(
-                    f"{self.name}.pointer_in_signaling fits a packet zone of at most "
-                    f"{_LARGEST_ZONE_OF_SIGNALING_POINTER} octets, not "
-                    f"{self.packet_zone_octets}: set it to false"
+                    f"{self.name}.pointer_in_signaling fits insert and packet zones of together "
+                    f"at most {_LARGEST_ZONE_OF_SIGNALING_POINTER} octets, not "
+                    f"{self.largest_zone_octets}: set it to false"
                 )
-        elif self.packet_zone_octets > 2044:
+        elif self.largest_zone_octets > _LARGEST_ZONE_OF_MPDU_POINTER:
+            excess = self.largest_zone_octets - _LARGEST_ZONE_OF_MPDU_POINTER
             raise ConfigError(
                 f"{self.name}.frame_octets is {self.frame_octets}: "
-                f"it must be at most {self.frame_octets - self.packet_zone_octets + 2044}"
+                f"it must be at most {self.frame_octets - excess}"
             )
 
     @property
     def data_octets(self) -> int:
-        """The data zone: what is left of a frame below primary header, insert zone and FECF."""
+        """The data zone of a frame with a sample: what its primary header, insert zone and FECF
+        leave."""
         return self.frame_octets - HEADER_OCTETS - self.insert_octets - FECF_OCTETS
 
     @property
+    def mpdu_octets(self) -> int:
+        """The M_PDU header, where the direction has one."""
+        return 0 if self.pointer_in_signaling else MPDU_HEADER_OCTETS
+
+    @property
     def packet_zone_octets(self) -> int:
-        """The data zone without its M_PDU header, if it has one."""
-        return self.data_octets - (0 if self.pointer_in_signaling else MPDU_HEADER_OCTETS)
+        """The packet zone of a frame with a sample: what the levels below haptics can rely on."""
+        return self.data_octets - self.mpdu_octets
+
+    @property
+    def largest_zone_octets(self) -> int:
+        """The packet zone of a frame without a sample."""
+        return self.packet_zone_octets + self.insert_octets
 
     def _bps(self, octets: int) -> int:
         return octets * 8 * NS_PER_S // self.slot_ns
@@ -88,7 +106,8 @@ class LinkProfile:
 
     @property
     def media_bps(self) -> int:
-        """What all levels below haptics share, their packets' headers included, in bit/s."""
+        """What all levels below haptics share with a sample in every slot, their packets' headers
+        included, in bit/s."""
         return self._bps(self.packet_zone_octets)
 
 

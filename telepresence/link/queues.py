@@ -22,7 +22,8 @@ class QueueLimits:
     """How much may wait, and how long.
 
     depth_octets: sum of the waiting packets' lengths.
-    max_age_ns: a packet that has waited longer is dropped; one that is being sent is finished.
+    max_age_ns: a packet that has waited longer is dropped, and so is one whose sending has been
+        interrupted for longer.
     policy: who goes when the next packet would exceed the depth.
     """
 
@@ -65,7 +66,10 @@ class PacketQueue:
         self.accepted_packets = 0
         self.max_depth_octets = 0
         self.max_age_ns = 0
-        self.drops = {"full": 0, "expired": 0}
+        self.drops = {"full": 0, "expired": 0, "signal_lost": 0}
+        #: What holds now: the limits' age, or the patience of a link that is not heard.
+        self._age_ns = limits.max_age_ns
+        self._too_old = "expired"
 
     def __len__(self) -> int:
         return len(self.items)
@@ -98,12 +102,38 @@ class PacketQueue:
         items = self.items
         if not items:
             return False
-        oldest_allowed_ns = now_ns - self.limits.max_age_ns
+        age_ns = self._age_ns
+        oldest_allowed_ns = now_ns - age_ns
         while items and items[0][0] < oldest_allowed_ns:
             self._octets -= len(items.popleft()[2])
-            self.drops["expired"] += 1
-            self.max_age_ns = self.limits.max_age_ns
+            self.drops[self._too_old] += 1
+            if self.max_age_ns < age_ns:
+                self.max_age_ns = age_ns
         return bool(items)
+
+    def set_patience(self, max_age_ns: int | None) -> None:
+        """While not None, nothing waits longer than this, whatever the limits allow."""
+        if max_age_ns is None or max_age_ns >= self.limits.max_age_ns:
+            self._age_ns, self._too_old = self.limits.max_age_ns, "expired"
+        else:
+            self._age_ns, self._too_old = max_age_ns, "signal_lost"
+
+    def interrupted(self, since_ns: int, now_ns: int) -> bool:
+        """Whether a packet whose sending stopped at `since_ns` may go on; else it is booked."""
+        if since_ns >= now_ns - self._age_ns:
+            return True
+        self.drops[self._too_old] += 1
+        return False
+
+    def flush(self, begun: int, now_ns: int) -> None:
+        """The signal is lost: throw everything away, with `begun` packets that are partly sent."""
+        if self.items:
+            self.waiting(now_ns)
+        if self.items:
+            self.max_age_ns = max(self.max_age_ns, now_ns - self.items[0][0])
+        self.drops["signal_lost"] += begun + len(self.items)
+        self.items.clear()
+        self._octets = 0
 
     def take(self, now_ns: int) -> tuple[int, bytes]:
         """The flow number and the data of the packet whose turn it is. Ask `waiting` before."""

@@ -5,25 +5,27 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_S
-from telepresence.link.compression import RtpDecompressor
 from telepresence.link.flows import Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
     COUNT_MASK,
     COUNT_MODULUS,
+    KIND_CONTEXT,
+    KIND_CONTROL,
+    KIND_MASK,
+    KIND_RAW,
+    KIND_SHIFT,
     MAX_PACKET_OCTETS,
     NUMBER_MASK,
     TAG_FILL,
     TAG_PAD,
     TAG_RESUME,
-    TYPE_CONTROL,
-    TYPE_MASK,
-    TYPE_RAW,
     FrameCodec,
     Pointers,
     length_octets,
 )
-from telepresence.link.profile import LinkProfile
+from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
+from telepresence.link.shim import RtpDecompressor
 
 #: A frame that is so little behind is late or repeated; one further behind is of a new life.
 _LATE_FRAMES = 32
@@ -44,7 +46,14 @@ class PacketReceived(NamedTuple):
     now_ns: int
 
 
-LinkEvent = HapticReceived | PacketReceived
+class SupervisionReceived(NamedTuple):
+    """One supervision message of twelve octets; the link does not look into it."""
+
+    message: bytes
+    now_ns: int
+
+
+LinkEvent = HapticReceived | PacketReceived | SupervisionReceived
 
 
 class _Partial:
@@ -59,78 +68,88 @@ class _Partial:
 
 
 class LinkReceiver:
-    """Frames in by `handle_frame`, samples and packets out by `next_event`.
+    """Frames in by `handle_frame`; samples, packets and supervision messages out by `next_event`.
 
     Never raises on what a peer sends: it is counted by reason and dropped.
+
+    profile, flows: the direction and its flow table, the same at the other end.
+    deliver: while False, samples and packets are counted as `unapproved` instead of given out.
     """
 
     def __init__(self, profile: LinkProfile, flows: Sequence[Flow]) -> None:
         self.profile = profile
         self.flows = check_flows(flows)
-        self._codec = FrameCodec(profile)
+        self.deliver = True
+        self._parse = FrameCodec(profile).parse
         self._pointers = Pointers(profile)
-        self._zone_octets = profile.packet_zone_octets
+        self._idle = self._pointers.idle
+        self._no_start = self._pointers.no_start
         self._length_octets = length_octets(profile)
         self._decompressors = [
             RtpDecompressor(flow, profile.slot_ns) if flow.kind is FlowKind.RTP else None
             for flow in self.flows
         ]
+        self._context_ids = (0,) * sum(item is not None for item in self._decompressors)
         self._events: deque[LinkEvent] = deque()
         self._partials: list[_Partial | None] = [None] * len(Level)
         self._on_air: int | None = None
-        #: The last frame's count, with the wraps of its 24 bits added up.
-        self._count: int | None = None
+        #: The last frame's count, with the wraps of its 24 bits added up; -1 before the first.
+        self._count = -1
+        self._next24 = -1
         self._last_ns = 0
-        self._last_late: int | None = None
+        #: The last late frame's count, and the last good frame's at that time.
+        self._last_late = (-1, -1)
         self.frames_received = 0
         self.frames_lost = 0
         self.restarts = 0
         #: How often the peer was met: its first frame, and each new life of it.
         self.meetings = 0
         self.haptic_received = 0
+        self.haptic_unapproved = 0
+        self.supervision_received = 0
         self.frames_dropped: dict[str, int] = {}
         self.packets_dropped: dict[str, int] = {}
         self.packets_received = [0] * len(self.flows)
 
-    def handle_frame(self, frame: bytes, now_ns: int) -> None:
-        """What came from the radio, at `now_ns`. Drain `next_event` afterwards."""
-        parsed = self._codec.parse(frame)
+    def handle_frame(self, frame: bytes, now_ns: int) -> bool:
+        """What came from the radio, at `now_ns`; whether it is a good frame, the sign of a living
+        peer. Drain `next_event` afterwards."""
+        parsed = self._parse(frame)
         if isinstance(parsed, str):
-            self.frames_dropped[parsed] = self.frames_dropped.get(parsed, 0) + 1
-            return
+            self._drop_frame(parsed)
+            return False
         count24, sample, pointer, zone = parsed
-        last = self._count
-        if last is not None and count24 == (last + 1) & COUNT_MASK:
-            self._count = last + 1
-            self._last_late = None
-            self._last_ns = now_ns
+        if count24 == self._next24:
+            self._count += 1
         elif not self._follow(count24, now_ns):
-            return
+            return False
+        self._next24 = count24 + 1 & COUNT_MASK
+        self._last_ns = now_ns
         self.frames_received += 1
         if sample is not None:
-            self.haptic_received += 1
-            self._events.append(HapticReceived(sample, now_ns))
-        pointers = self._pointers
+            if self.deliver:
+                self.haptic_received += 1
+                self._events.append(HapticReceived(sample, now_ns))
+            else:
+                self.haptic_unapproved += 1
         on_air = self._on_air
-        if pointer == pointers.no_start:
-            if on_air is not None:
-                self._extend(on_air, zone)
-            return
-        if pointer == pointers.idle:
+        if pointer == self._idle:
             if on_air is not None:
                 self._finish(on_air, now_ns)
-            return
-        if pointer == pointers.preempt:
-            self._on_air = None
-            self._parse_tags(zone, 0, now_ns)
-            return
-        if pointer > self._zone_octets:
-            self._malformed()
-            return
-        if on_air is not None:
-            self._extend(on_air, zone[:pointer])
-            self._finish(self._on_air, now_ns)
-        self._parse_tags(zone, pointer, now_ns)
+        elif pointer == self._no_start:
+            if on_air is not None:
+                self._extend(on_air, zone)
+        else:
+            self._handle_zone(pointer, zone, now_ns)
+        return True
+
+    def handle_signal_lost(self, now_ns: int) -> None:
+        """The signal is lost: what has come in part will not be completed in time."""
+        self._drop_partials()
+
+    def context_ids(self) -> tuple[int, ...]:
+        """The newest context held of each RTP flow, in the table's order; 0 for none."""
+        return self._context_ids
 
     def next_event(self) -> LinkEvent | None:
         """What has been received, in order. Call until None."""
@@ -139,7 +158,7 @@ class LinkReceiver:
     def _follow(self, count24: int, now_ns: int) -> bool:
         """Take the count of a frame that is not just the next; whether it is to be read."""
         last = self._count
-        if last is None:
+        if last < 0:
             self.meetings = 1
             self._count = count24
         else:
@@ -147,10 +166,10 @@ class LinkReceiver:
             behind = COUNT_MODULUS - ahead
             if count24 and (ahead == 0 or behind < _LATE_FRAMES):
                 # Two in a row are no straggler: the peer began anew just below.
-                follows = self._last_late is not None and count24 == self._last_late + 1
-                self._last_late = count24
+                follows = self._last_late == (count24 - 1, last)
+                self._last_late = count24, last
                 if not (ahead and follows):
-                    self.frames_dropped["late"] = self.frames_dropped.get("late", 0) + 1
+                    self._drop_frame("late")
                     return False
                 self._restart(count24)
             elif self._is_restart(count24, ahead, now_ns):
@@ -159,8 +178,6 @@ class LinkReceiver:
                 self.frames_lost += ahead - 1
                 self._drop_partials()
                 self._count = last + ahead
-        self._last_late = None
-        self._last_ns = now_ns
         return True
 
     def _is_restart(self, count24: int, ahead: int, now_ns: int) -> bool:
@@ -177,7 +194,15 @@ class LinkReceiver:
         for decompressor in self._decompressors:
             if decompressor is not None:
                 decompressor.forget()
+        self._note_contexts()
         self._count = count24
+
+    def _note_contexts(self) -> None:
+        self._context_ids = tuple(
+            decompressor.context_id
+            for decompressor in self._decompressors
+            if decompressor is not None
+        )
 
     def _drop_partials(self) -> None:
         for level, partial in enumerate(self._partials):
@@ -185,6 +210,9 @@ class LinkReceiver:
                 self._partials[level] = None
                 self._drop_packet("incomplete")
         self._on_air = None
+
+    def _drop_frame(self, reason: str) -> None:
+        self.frames_dropped[reason] = self.frames_dropped.get(reason, 0) + 1
 
     def _drop_packet(self, reason: str) -> None:
         self.packets_dropped[reason] = self.packets_dropped.get(reason, 0) + 1
@@ -214,10 +242,25 @@ class LinkReceiver:
         if partial is not None:
             self._deliver(partial.tag, partial.count, bytes(partial.body), now_ns)
 
+    def _handle_zone(self, pointer: int, zone: bytes, now_ns: int) -> None:
+        """A zone in which something begins, ends, or supervises."""
+        on_air, pointers = self._on_air, self._pointers
+        if pointer == pointers.supervision:
+            self.supervision_received += 1
+            self._events.append(SupervisionReceived(zone[:SUPERVISION_OCTETS], now_ns))
+        elif pointer == pointers.preempt:
+            self._parse_tags(zone, 0, now_ns)
+        elif pointer > len(zone):
+            self._malformed()
+        else:
+            if on_air is not None:
+                self._extend(on_air, zone[:pointer])
+                self._finish(self._on_air, now_ns)
+            self._parse_tags(zone, pointer, now_ns)
+
     def _parse_tags(self, zone: bytes, position: int, now_ns: int) -> None:
-        size = self._zone_octets
+        size = len(zone)
         self._on_air = None
-        assert self._count is not None
         while position < size:
             tag = zone[position]
             position += 1
@@ -226,53 +269,55 @@ class LinkReceiver:
             if tag == TAG_FILL:
                 return
             number = tag & NUMBER_MASK
-            control = tag & TYPE_MASK == TYPE_CONTROL
-            if control:
+            resumed = tag >> KIND_SHIFT & KIND_MASK == KIND_CONTROL
+            if resumed:
                 level = number - TAG_RESUME
-                known = 0 <= level < len(Level)
+                known = level >= 0
             else:
                 known = number < len(self.flows)
                 level = self.flows[number].level if known else 0
             if not known:
                 self._malformed()
                 return
+            end = size
             if tag & CLOSED:
                 start = position + self._length_octets
                 end = start + int.from_bytes(zone[position:start], "big")
-                if start > size or end > size:
+                if end > size:
                     self._malformed()
                     return
-                position = end
-                if not control:
-                    self._deliver(tag & ~CLOSED, self._count, zone[start:end], now_ns)
-                elif self._partials[level] is not None:
-                    self._extend(level, zone[start:end])
-                    self._finish(level, now_ns)
-                continue
-            if control:
+                position = start
+            piece = zone[position:end]
+            if resumed:
+                self._extend(level, piece)
+            else:
                 if self._partials[level] is not None:
-                    self._on_air = level
-                    self._extend(level, zone[position:])
-                return
-            if self._partials[level] is not None:
-                self._drop_packet("incomplete")
-            self._partials[level] = _Partial(tag, self._count, zone[position:])
-            self._on_air = level
-            return
+                    # At most one packet a level is under way: the sender has given that one up.
+                    self._drop_packet("incomplete")
+                self._partials[level] = _Partial(tag & ~CLOSED, self._count, piece)
+            if tag & CLOSED:
+                self._finish(level, now_ns)
+            else:
+                self._on_air = level
+            position = end
 
     def _deliver(self, tag: int, count: int, body: bytes, now_ns: int) -> None:
-        number = tag & NUMBER_MASK
+        number, kind = tag & NUMBER_MASK, tag >> KIND_SHIFT
         flow, decompressor = self.flows[number], self._decompressors[number]
         packet: bytes | str
         if decompressor is not None:
-            packet = decompressor.decompress(tag & TYPE_MASK, body, count)
+            packet = decompressor.decompress(kind, body, count)
+            if kind == KIND_CONTEXT:
+                self._note_contexts()
         else:
-            packet = body if tag & TYPE_MASK == TYPE_RAW else "malformed"
+            packet = body if kind == KIND_RAW else "malformed"
         if isinstance(packet, str):
             self._drop_packet(packet)
-            return
-        self.packets_received[number] += 1
-        self._events.append(PacketReceived(flow, packet, now_ns))
+        elif not self.deliver:
+            self._drop_packet("unapproved")
+        else:
+            self.packets_received[number] += 1
+            self._events.append(PacketReceived(flow, packet, now_ns))
 
     def report(self) -> dict[str, Any]:
         """Frames, samples and packets, received, lost and dropped by reason."""
@@ -281,7 +326,8 @@ class LinkReceiver:
             "frames_lost": self.frames_lost,
             "frames_dropped": dict(self.frames_dropped),
             "restarts": self.restarts,
-            "haptic": {"received": self.haptic_received},
+            "haptic": {"received": self.haptic_received, "unapproved": self.haptic_unapproved},
+            "supervision": {"received": self.supervision_received},
             "packets": {
                 flow.name: received
                 for flow, received in zip(self.flows, self.packets_received, strict=True)

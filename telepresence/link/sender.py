@@ -1,30 +1,36 @@
-"""The sending end: haptics in every frame, then the highest level that has something to say."""
+"""The sending end: the newest sample in each frame, then the highest level that has something."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from telepresence.link.compression import RtpCompressor
 from telepresence.link.flows import Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
+    KIND_RAW,
+    KIND_SHIFT,
     MAX_PACKET_OCTETS,
     TAG_FILL,
     TAG_PAD,
     TAG_RESUME,
-    TYPE_RAW,
     FrameCodec,
     Pointers,
     length_octets,
 )
-from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, LinkProfile
+from telepresence.link.profile import (
+    FECF_OCTETS,
+    HEADER_OCTETS,
+    SUPERVISION_OCTETS,
+    LinkProfile,
+)
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
+from telepresence.link.shim import RtpCompressor
 from telepresence.tmtc.packets import is_ours
 
 
 class _InFlight:
     """A packet of which a part has been sent. Its body is header and payload as on the link."""
 
-    __slots__ = ("body", "header_octets", "kind", "level", "offset", "tag")
+    __slots__ = ("body", "header_octets", "kind", "level", "offset", "since_ns", "tag")
 
     def __init__(self, tag: int, body: bytes, header_octets: int, level: int, kind: str) -> None:
         self.tag = tag
@@ -33,6 +39,8 @@ class _InFlight:
         self.level = level
         self.kind = kind
         self.offset = 0
+        #: When it was interrupted.
+        self.since_ns = 0
 
 
 class LinkSender:
@@ -42,6 +50,10 @@ class LinkSender:
     `poll_transmit` once a slot and send what it returns. Strict priority: a packet of a higher
     level goes into the very next frame, in the middle of a lower one if need be; the lower one
     goes on afterwards where it stopped.
+
+    profile, flows: the direction and its flow table, the same at the other end.
+    limits: queue limits by level, where they differ from the defaults.
+    first_count: the frame count of the first frame.
     """
 
     def __init__(
@@ -56,14 +68,14 @@ class LinkSender:
         self.flows = check_flows(flows)
         self._codec = FrameCodec(profile)
         self._pointers = Pointers(profile)
-        self._zone_octets = profile.packet_zone_octets
+        self._sample_zone_octets = profile.packet_zone_octets
+        self._plain_zone_octets = profile.largest_zone_octets
         self._length_octets = length_octets(profile)
         limits = {**DEFAULT_LIMITS, **(limits or {})}
         self._queues = [PacketQueue(limits[level]) for level in Level]
         self._queued = [queue.items for queue in self._queues]
         #: Nothing is queued, begun or on air: most slots of a wide link need not look again.
         self._quiet = True
-        self._idle_zone = bytes(profile.packet_zone_octets)
         self._numbers = {flow.name: number for number, flow in enumerate(self.flows)}
         self._kinds = [
             "rtcp" if flow.kind is FlowKind.RTCP else flow.level.name.lower() for flow in self.flows
@@ -72,18 +84,22 @@ class LinkSender:
             RtpCompressor(flow, profile.slot_ns) if flow.kind is FlowKind.RTP else None
             for flow in self.flows
         ]
+        self._rtp = [compressor for compressor in self._compressors if compressor is not None]
         self._first_count = first_count
         self._count = first_count
         self._insert_octets = profile.insert_octets
         self._sample: bytes | None = None
         self._on_air: _InFlight | None = None
         self._waiting: list[_InFlight | None] = [None] * len(Level)
+        #: The packet on air was thrown away, and the receiver must not take it for ended.
+        self._cut = False
         self.haptic_sent = 0
         self.haptic_superseded = 0
+        self.supervision_sent = 0
         self.refused = {"garbage": 0, "oversize": 0, "haptic_length": 0}
         levels = (level.name.lower() for level in Level)
-        kinds = (*levels, "rtcp", "packet_headers", "framing", "idle")
-        self._carried = dict.fromkeys(kinds, 0)
+        self._carried = dict.fromkeys((*levels, "rtcp", "packet_headers", "framing"), 0)
+        self._idle = 0
 
     def handle_haptic(self, sample: bytes, now_ns: int) -> bool:
         """The newest sample, of exactly `insert_octets`: it replaces one that has not gone yet.
@@ -119,30 +135,68 @@ class LinkSender:
         """Octets of the level's packets of which nothing was sent yet."""
         return self._queues[level].octets
 
-    def refresh_contexts(self) -> None:
-        """Have each RTP flow's next packet carry its whole header: the peer has just begun."""
-        for compressor in self._compressors:
-            if compressor is not None:
-                compressor.refresh()
+    def flush(self, now_ns: int) -> None:
+        """Throw away every packet that waits or is partly sent: the signal is lost, and nothing is
+        sent late. They are counted as `signal_lost`. A sample, never older than a slot, stays."""
+        on_air, self._on_air = self._on_air, None
+        self._cut = self._cut or on_air is not None
+        for level, queue in enumerate(self._queues):
+            begun = (self._waiting[level] is not None) + (
+                on_air is not None and on_air.level == level
+            )
+            self._waiting[level] = None
+            queue.flush(begun, now_ns)
 
-    def poll_transmit(self, now_ns: int) -> bytes:
-        """The frame of this slot: `profile.frame_octets` octets, idle ones where nothing waits."""
+    def set_patience(self, max_age_ns: int | None) -> None:
+        """While not None, no packet of any level waits longer; who does is `signal_lost`."""
+        for queue in self._queues:
+            queue.set_patience(max_age_ns)
+
+    def handle_acknowledgements(self, ids: Sequence[int]) -> None:
+        """The contexts that the peer holds, by number, in the order of the table's RTP flows."""
+        for compressor, context_id in zip(self._rtp, ids, strict=False):
+            compressor.handle_acknowledgement(context_id, self._count)
+
+    def handle_peer(self, *, heard: bool) -> None:
+        """Whether acknowledgements can come at all."""
+        for compressor in self._rtp:
+            compressor.handle_peer(heard=heard)
+
+    def forget_contexts(self) -> None:
+        """The peer has begun a new life, and holds no context."""
+        for compressor in self._rtp:
+            compressor.forget()
+
+    def poll_transmit(self, now_ns: int, supervision: bytes | None = None) -> bytes:
+        """The frame of this slot: `profile.frame_octets` octets, idle ones where nothing waits.
+
+        supervision: twelve octets that take this slot's packet zone; packets go on afterwards.
+        """
         sample = self._sample
         if sample is not None:
             self._sample = None
             self.haptic_sent += 1
-        if self._quiet:
-            self._carried["idle"] += self._zone_octets
-            pointer, zone = self._pointers.idle, self._idle_zone
+            size = self._sample_zone_octets
         else:
-            pointer, zone = self._fill_zone(now_ns)
-        frame = self._codec.pack(self._count, sample, pointer, zone)
-        self._count += 1
-        return frame
+            size = self._plain_zone_octets
+        count = self._count
+        if supervision is not None:
+            if len(supervision) != SUPERVISION_OCTETS:
+                raise ValueError(f"a supervision message has {SUPERVISION_OCTETS} octets")
+            self.supervision_sent += 1
+            self._idle += size - SUPERVISION_OCTETS
+            pointer, zone = self._pointers.supervision, supervision.ljust(size, b"\0")
+        elif self._quiet:
+            self._count = count + 1
+            self._idle += size
+            return self._codec.pack_idle(count, sample)
+        else:
+            pointer, zone = self._fill_zone(size, now_ns)
+        self._count = count + 1
+        return self._codec.pack(count, sample, pointer, zone)
 
-    def _fill_zone(self, now_ns: int) -> tuple[int, bytes]:
-        """First header pointer and packet zone."""
-        size = self._zone_octets
+    def _fill_zone(self, size: int, now_ns: int) -> tuple[int, bytes]:
+        """First header pointer and packet zone, of `size` octets."""
         pointers = self._pointers
         packet = self._on_air
         parts: list[bytes] = []
@@ -153,36 +207,41 @@ class LinkSender:
             for level in range(packet.level):
                 if queued[level] and queues[level].waiting(now_ns):
                     pointer = pointers.preempt
+                    packet.since_ns = now_ns
                     self._waiting[packet.level] = packet
                     break
             else:
                 remaining = len(packet.body) - packet.offset
                 if remaining > size:
                     return pointers.no_start, self._piece(packet, size)
-                self._on_air = None
                 if remaining == size:
-                    return pointers.ends, self._piece(packet, size)
+                    self._on_air = None
+                    return size, self._piece(packet, size)
                 parts.append(self._piece(packet, remaining))
                 pointer = position = remaining
             self._on_air = None
+        elif self._cut:
+            # What was on air waits at the receiver, until the next packet of its level begins.
+            self._cut = False
+            pointer = pointers.preempt
         while position < size:
             rest = size - position
             packet = self._next_packet(now_ns)
             if packet is None:
                 self._quiet = True
-                self._carried["idle"] += rest
-                if not position:
-                    return pointers.idle, self._idle_zone
+                self._idle += rest
+                if not position and not pointer:
+                    return pointers.idle, bytes(size)
                 parts.append(bytes((TAG_FILL,)) + bytes(rest - 1))
                 break
-            parts.append(self._segment(packet, rest))
+            parts.append(self._segment(packet, rest, now_ns))
             position += len(parts[-1])
         return pointer, b"".join(parts)
 
-    def _segment(self, packet: _InFlight, rest: int) -> bytes:
+    def _segment(self, packet: _InFlight, rest: int, now_ns: int) -> bytes:
         """A tag and as much of the packet as goes into the `rest` of the zone."""
         remaining = len(packet.body) - packet.offset
-        key = "framing" if packet.tag < TYPE_RAW else "packet_headers"
+        key = "packet_headers" if packet.tag >> KIND_SHIFT else "framing"
         if remaining >= rest - 1:
             self._carried[key] += 1
             tag = bytes((packet.tag,))
@@ -195,6 +254,7 @@ class LinkSender:
         if remaining + 1 + self._length_octets > rest:
             # One octet too short to be left open, one too long for its length: one pad octet.
             self._carried["framing"] += 1
+            packet.since_ns = now_ns
             self._waiting[packet.level] = packet
             return bytes((TAG_PAD,))
         self._carried[key] += 1
@@ -222,15 +282,17 @@ class LinkSender:
             begun = waiting[level]
             if begun is not None:
                 waiting[level] = None
-                return begun
+                if self._queues[level].interrupted(begun.since_ns, now_ns):
+                    return begun
             if queued and self._queues[level].waiting(now_ns):
                 number, data = self._queues[level].take(now_ns)
                 compressor = self._compressors[number]
                 if compressor is None:
-                    tag_type, body, header_octets = TYPE_RAW, data, 0
+                    kind, body, header_octets = KIND_RAW, data, 0
                 else:
-                    tag_type, body, header_octets = compressor.compress(data, self._count)
-                return _InFlight(tag_type | number, body, header_octets, level, self._kinds[number])
+                    kind, body, header_octets = compressor.compress(data, self._count)
+                tag = kind << KIND_SHIFT | number
+                return _InFlight(tag, body, header_octets, level, self._kinds[number])
         return None
 
     @property
@@ -238,16 +300,20 @@ class LinkSender:
         return self._count - self._first_count
 
     def octets(self) -> dict[str, int]:
-        """Octets of all frames by what they carried; they sum to frame_octets * frames exactly."""
-        frames, insert = self.frames_sent, self.profile.insert_octets
-        mpdu = self.profile.data_octets - self.profile.packet_zone_octets
+        """Octets of all frames by what they carried; they sum to frame_octets * frames exactly.
+
+        packet_headers: tags and RTP headers, compressed or whole. framing: M_PDU headers, lengths,
+        pads and the tags that resume. idle: fill, and what a supervision message leaves.
+        """
+        frames, carried = self.frames_sent, self._carried
         return {
             "header": frames * HEADER_OCTETS,
             "fecf": frames * FECF_OCTETS,
-            "haptic": self.haptic_sent * insert,
-            "insert_idle": (frames - self.haptic_sent) * insert,
-            **self._carried,
-            "framing": self._carried["framing"] + frames * mpdu,
+            "haptic": self.haptic_sent * self._insert_octets,
+            **carried,
+            "framing": carried["framing"] + frames * self.profile.mpdu_octets,
+            "supervision": self.supervision_sent * SUPERVISION_OCTETS,
+            "idle": self._idle,
         }
 
     def report(self, now_ns: int) -> dict[str, Any]:
