@@ -1,0 +1,11 @@
+"""The radio between two gateways: delay, bit errors, bursts, blackouts and passes, from a seed.
+
+`load_radio(name or FILE.toml)` gives a `RadioProfile`; its `path(direction, seed=, epoch_ns=)` is a
+`RadioPath` for the frames of one direction. docs/radio.md has the equations.
+"""
+
+from telepresence.link.radio.path import RadioPath
+from telepresence.link.radio.profile import Direction, RadioProfile
+from telepresence.link.radio.profile_file import delayed, load_radio
+
+__all__ = ["Direction", "RadioPath", "RadioProfile", "delayed", "load_radio"]

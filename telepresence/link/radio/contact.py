@@ -1,0 +1,201 @@
+"""A contact: what a pass does to the signal. Light time from range, drop-outs from elevation.
+
+The margin of the link in dB, above the level at which one bit in a million is wrong, is
+
+    M = margin − 20 lg(range / 1000 km) − edge_loss · e + (fading + edge_fading · e) · F(t),
+    e = exp(−(elevation − horizon) / edge)
+
+with F(t) a random curve of mean 0 and variance 1 that depends on the seed and on time only, so
+that both directions fade together. docs/radio.md has the reasons.
+"""
+
+from dataclasses import dataclass
+from math import cos, erfc, exp, log, log10, pi, sin, sqrt
+from pathlib import Path
+from typing import Any
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.link.radio.orbit import next_overflight, read_elements
+
+_LIGHT_KM_S = 299_792.458
+#: Eb/N0 at which an uncoded BPSK receiver takes one bit in a million wrong, dB.
+_NOMINAL_DB = 10.53
+#: Above this margin no session ever sees an error (2e-13 a bit), so none is worked out.
+_ERROR_FREE_DB = 3.5
+#: The curve never goes further from 0.
+_FURTHEST = 5.7
+#: How often the fading is looked at, where it matters.
+_STEP_NS = 10 * NS_PER_MS
+#: Fades of this many standard deviations are rare enough to call the link usable.
+_USABLE_DEVIATIONS = 3.0
+_MASK = (1 << 64) - 1
+
+STORED_ELEMENTS = Path(__file__).with_name("iss.tle")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """A pass over a station, and how well the two hear each other during it.
+
+    elements: the file of the two-line element set.
+    after: the first pass that rises after this instant, UTC, and culminates at least
+        `least_peak_deg` high is taken.
+    latitude_deg, longitude_deg, altitude_m: the station.
+    horizon_deg: acquisition and loss of signal are at this elevation.
+    margin_db: the margin at a range of 1000 km.
+    edge_loss_db, edge_fading_db: loss and standard deviation of the fading at the horizon, on top;
+        both fall by 1/e with every `edge_deg` of elevation.
+    fading_db: standard deviation of the fading at any elevation.
+    fading_s: the fading is a new one after this time.
+    lock_db: below this margin a receiver finds no frames at all.
+    light_time: whether range counts for the delay.
+    """
+
+    elements: Path = STORED_ELEMENTS
+    after: str = "2015-08-18T14:00:00Z"
+    least_peak_deg: float = 30.0
+    latitude_deg: float = 47.8811
+    longitude_deg: float = 11.0853
+    altitude_m: float = 660.0
+    horizon_deg: float = 1.5
+    margin_db: float = 10.0
+    edge_loss_db: float = 14.0
+    edge_fading_db: float = 6.0
+    edge_deg: float = 1.2
+    fading_db: float = 1.0
+    fading_s: float = 0.7
+    lock_db: float = -3.0
+    light_time: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class ContactState:
+    """Light time in ns, its change a nanosecond, and how good the signal is, until `until_ns`."""
+
+    until_ns: int
+    delay_ns: float
+    slope: float
+    signal: bool
+    bit_error_rate: float
+
+
+def bit_error_rate(margin_db: float) -> float:
+    """Of an uncoded BPSK receiver: Q(√(2 Eb/N0)), Eb/N0 being the margin above the nominal one."""
+    return 0.5 * erfc(sqrt(10 ** ((margin_db + _NOMINAL_DB) / 10)))
+
+
+def _mixed(number: int) -> int:
+    """64 well-mixed bits (Steele, Lea, Flood 2014, SplitMix64)."""
+    number = (number + 0x9E3779B97F4A7C15) & _MASK
+    number = ((number ^ (number >> 30)) * 0xBF58476D1CE4E5B9) & _MASK
+    number = ((number ^ (number >> 27)) * 0x94D049BB133111EB) & _MASK
+    return number ^ (number >> 31)
+
+
+class FadingCurve:
+    """A random curve of time: mean 0 and variance 1 at every instant, at most 5.7 from 0.
+
+    A normal number at every knot; in between the cosine and the sine weight of the two knots, whose
+    squares add up to 1. Each knot is made from the seed and its own number alone.
+    """
+
+    def __init__(self, seed: int, knot_ns: int) -> None:
+        self._seed = _mixed(seed & _MASK)
+        self._knot_ns = knot_ns
+        self._number: int | None = None
+        self._here = self._there = 0.0
+
+    def at(self, time_ns: int) -> float:
+        number, rest = divmod(time_ns, self._knot_ns)
+        if number != self._number:
+            self._number = number
+            self._here, self._there = self._knot(number), self._knot(number + 1)
+        angle = pi / 2 * rest / self._knot_ns
+        return self._here * cos(angle) + self._there * sin(angle)
+
+    def _knot(self, number: int) -> float:
+        # Box and Muller 1958; four standard deviations are enough for a fade.
+        bits = _mixed(self._seed ^ (number & _MASK))
+        radius = sqrt(-2 * log(((bits >> 11) + 1) / (1 << 53)))
+        return min(radius, 4.0) * cos(2 * pi * _mixed(bits) / (1 << 64))
+
+
+class ContactFading:
+    """A contact on its own time, ns: 0 is the acquisition of signal that the orbit predicts."""
+
+    def __init__(self, contact: Contact, *, seed: int) -> None:
+        self._contact = contact
+        self._flight = next_overflight(
+            read_elements(contact.elements),
+            (contact.latitude_deg, contact.longitude_deg, contact.altitude_m),
+            contact.after,
+            contact.horizon_deg,
+            contact.least_peak_deg,
+        )
+        self._curve = FadingCurve(seed, round(contact.fading_s * NS_PER_S))
+        self._loss_ns = round(self._flight.visible_s * NS_PER_S)
+        self._last = len(self._flight.ranges_km) - 1
+        self._levels = [
+            self._level(distance, elevation)
+            for distance, elevation in zip(
+                self._flight.ranges_km, self._flight.elevations_deg, strict=True
+            )
+        ]
+        self._light_ns = [
+            distance / _LIGHT_KM_S * NS_PER_S * contact.light_time
+            for distance in self._flight.ranges_km
+        ]
+
+    def state(self, time_ns: int) -> ContactState:
+        """What is so at an instant; outside the pass there is no signal."""
+        if not 0 <= time_ns < self._loss_ns:
+            until_ns = 0 if time_ns < 0 else 1 << 62
+            light_ns = self._light_ns[0 if time_ns < 0 else self._last]
+            return ContactState(until_ns, light_ns, 0.0, signal=False, bit_error_rate=0.0)
+        second, rest_ns = divmod(time_ns, NS_PER_S)
+        until_ns = min((second + 1) * NS_PER_S, self._loss_ns)
+        slope = (self._light_ns[second + 1] - self._light_ns[second]) / NS_PER_S
+        light_ns = self._light_ns[second] + slope * rest_ns
+        here, there = self._levels[second], self._levels[second + 1]
+        part = rest_ns / NS_PER_S
+        margin = here[0] + part * (there[0] - here[0])
+        deviation = here[1] + part * (there[1] - here[1])
+        if margin - _FURTHEST * deviation > _ERROR_FREE_DB and (
+            there[0] - _FURTHEST * there[1] > _ERROR_FREE_DB
+        ):
+            return ContactState(until_ns, light_ns, slope, signal=True, bit_error_rate=0.0)
+        until_ns = min(until_ns, time_ns - time_ns % _STEP_NS + _STEP_NS)
+        margin += deviation * self._curve.at(time_ns)
+        signal = margin >= self._contact.lock_db
+        errors = bit_error_rate(margin) if signal and margin < _ERROR_FREE_DB else 0.0
+        return ContactState(until_ns, light_ns, slope, signal=signal, bit_error_rate=errors)
+
+    def longest_delay_ns(self) -> float:
+        return max(self._light_ns)
+
+    def margins(self) -> list[tuple[float, float]]:
+        """Mean margin and its standard deviation in dB, second by second."""
+        return list(self._levels)
+
+    def windows(self) -> dict[str, Any]:
+        """What the orbit predicts: instants in seconds after acquisition, and the culmination."""
+        margin_at_usable = [mean - _USABLE_DEVIATIONS * sigma for mean, sigma in self._levels]
+        usable = [second for second, margin in enumerate(margin_at_usable) if margin >= 0]
+        flight = self._flight
+        return {
+            "acquisition": flight.rise,
+            "acquisition_s": 0.0,
+            "usable_from_s": float(usable[0]) if usable else None,
+            "usable_to_s": float(usable[-1]) if usable else None,
+            "loss_s": round(flight.visible_s, 3),
+            "peak_s": float(flight.elevations_deg.index(max(flight.elevations_deg))),
+            "peak_deg": round(max(flight.elevations_deg), 2),
+            "nearest_km": round(min(flight.ranges_km), 1),
+            "farthest_km": round(max(flight.ranges_km), 1),
+        }
+
+    def _level(self, distance_km: float, elevation_deg: float) -> tuple[float, float]:
+        contact = self._contact
+        edge = exp(-(elevation_deg - contact.horizon_deg) / contact.edge_deg)
+        margin = contact.margin_db - 20 * log10(distance_km / 1000) - contact.edge_loss_db * edge
+        return margin, contact.fading_db + contact.edge_fading_db * edge

@@ -1,0 +1,165 @@
+"""The radio path: frames arrive after a delay, with bits flipped, or never."""
+
+from collections import deque
+from math import inf, log1p
+from random import Random
+from typing import Any
+
+from telepresence.link.radio.channel import FOREVER_NS, Channel
+
+
+def hazard(probability: float) -> float:
+    """-ln(1 - p): what a trial takes from the exponentially distributed way to the next hit."""
+    return -log1p(-probability) if probability < 1.0 else inf
+
+
+class RadioPath:
+    """A delay line through a channel that may err; `handle_frame`, then `poll_transmit`.
+
+    delay_ns: from `handle_frame` to the moment at which `poll_transmit` gives the frame out.
+    loss: probability from 0 to 1 that a frame gets lost; `seed` makes the losses repeatable.
+    channel: how delay and errors change with time, on top of the two; `RadioProfile.path` makes it.
+    epoch_ns: the instant at which the channel's time is 0.
+
+    Instants must not go back. The same seed and the same calls give the same frames. A frame that
+    comes out has its length, and was not overtaken; some of its bits may be flipped.
+
+    Errors cost nothing until they strike: a frame takes its hazard, -ln(1 - p) a bit and a frame,
+    from an exponentially distributed store, and only where that is used up, something happens. As
+    the store has no memory, the probabilities may change at any frame.
+    """
+
+    def __init__(
+        self,
+        *,
+        delay_ns: int = 0,
+        loss: float = 0.0,
+        seed: int | str = 0,
+        channel: Channel | None = None,
+        epoch_ns: int = 0,
+    ) -> None:
+        if delay_ns < 0 or not 0.0 <= loss <= 1.0:
+            raise ValueError("delay_ns must not be negative, loss must be from 0 to 1")
+        self._random = Random(seed)
+        self._store = self._random.expovariate(1.0)
+        self._fixed_delay_ns = self._delay_ns = delay_ns
+        self._fixed_hazard = self._per_frame = hazard(loss)
+        self._per_octet = 0.0
+        self._slope = 0.0
+        self._channel = channel
+        self._epoch_ns = epoch_ns
+        self._since_ns = 0
+        self._until_ns = FOREVER_NS if channel is None else -FOREVER_NS
+        self._open = True
+        self._no_signal = False
+        self._no_signal_ns = 0
+        self._now_ns = epoch_ns
+        self._arrival_ns = -FOREVER_NS
+        self._least_ns, self._most_ns = FOREVER_NS, -1
+        self._under_way: deque[tuple[int, bytes]] = deque()
+        self.frames_sent = 0
+        self.frames_lost = 0
+        self.frames_hit = 0
+        self.bits_flipped = 0
+
+    @property
+    def delay_ns(self) -> int:
+        """The delay of a frame that leaves at the last frame's instant."""
+        return self._delay_ns + int((self._now_ns - self._since_ns) * self._slope)
+
+    def handle_frame(self, frame: bytes, now_ns: int) -> None:
+        """A frame leaves the antenna."""
+        if now_ns >= self._until_ns:
+            self._change(now_ns)
+        self._now_ns = now_ns
+        self.frames_sent += 1
+        left = self._store - self._per_frame - len(frame) * self._per_octet
+        if left < 0.0:
+            struck = self._strike(frame)
+            if struck is None:
+                self.frames_lost += 1
+                return
+            frame = struck
+        else:
+            self._store = left
+        arrival_ns = now_ns + self._delay_ns + int((now_ns - self._since_ns) * self._slope)
+        if arrival_ns < self._arrival_ns:
+            # A joint between two segments of the delay may be a nanosecond off.
+            arrival_ns = self._arrival_ns
+        self._arrival_ns = arrival_ns
+        self._under_way.append((arrival_ns, frame))
+
+    def poll_transmit(self, now_ns: int) -> bytes | None:
+        """The next frame that has arrived by `now_ns`. Call until None."""
+        if self._under_way and self._under_way[0][0] <= now_ns:
+            return self._under_way.popleft()[1]
+        return None
+
+    def poll_timeout(self) -> int | None:
+        """When the next frame arrives."""
+        return self._under_way[0][0] if self._under_way else None
+
+    def report(self) -> dict[str, Any]:
+        """Counts, and the delay now, least and most; with a channel its outages and contact."""
+        self._note_delay()
+        told: dict[str, Any] = {
+            "delay_ns": self.delay_ns,
+            "delay_min_ns": self._least_ns,
+            "delay_max_ns": self._most_ns,
+            "frames_sent": self.frames_sent,
+            "frames_lost": self.frames_lost,
+            "frames_hit": self.frames_hit,
+            "bits_flipped": self.bits_flipped,
+            "frames_under_way": len(self._under_way),
+        }
+        if self._channel is not None:
+            told["no_signal_ns"] = self._no_signal_ns + self._silent_ns(self._now_ns)
+            told |= self._channel.report(self._now_ns - self._epoch_ns)
+        return told
+
+    def _note_delay(self) -> None:
+        delay_ns = self.delay_ns
+        self._least_ns = min(self._least_ns, delay_ns)
+        self._most_ns = max(self._most_ns, delay_ns)
+
+    def _silent_ns(self, now_ns: int) -> int:
+        return min(now_ns, self._until_ns) - self._since_ns if self._no_signal else 0
+
+    def _change(self, now_ns: int) -> None:
+        """Take over what the channel does from now on."""
+        assert self._channel is not None
+        if self.frames_sent:
+            self._note_delay()
+            self._no_signal_ns += self._silent_ns(now_ns)
+        condition = self._channel.condition(now_ns - self._epoch_ns)
+        self._since_ns, self._until_ns = now_ns, condition.until_ns + self._epoch_ns
+        self._delay_ns = self._fixed_delay_ns + round(condition.delay_ns)
+        self._slope = condition.slope
+        self._open = not (condition.blackout or condition.no_signal)
+        self._no_signal = condition.no_signal
+        per_frame = self._fixed_hazard + hazard(condition.frame_loss)
+        self._per_frame = per_frame if self._open else inf
+        self._per_octet = 8 * hazard(condition.bit_error_rate)
+        self._now_ns = now_ns
+        self._note_delay()
+
+    def _strike(self, frame: bytes) -> bytes | None:
+        """The store has run out within this frame: lost as a whole, or flipped bit by bit."""
+        if not self._open:
+            return None
+        at = self._store - self._per_frame
+        draw = self._random.expovariate
+        if at < 0.0:
+            self._store = draw(1.0)
+            return None
+        per_bit = self._per_octet / 8
+        bits = 8 * len(frame)
+        octets = bytearray(frame)
+        while at < bits * per_bit:
+            bit = min(int(at / per_bit), bits - 1)
+            octets[bit >> 3] ^= 0x80 >> (bit & 7)
+            self.bits_flipped += 1
+            at = (bit + 1) * per_bit + draw(1.0)
+        self._store = at - bits * per_bit
+        self.frames_hit += 1
+        return bytes(octets)

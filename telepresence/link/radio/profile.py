@@ -1,0 +1,226 @@
+"""A radio profile: all that makes a radio what it is, as data. Built-in ones are at the end."""
+
+from dataclasses import dataclass
+from math import pi
+from random import Random
+from typing import Any, Literal
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.errors import ConfigError
+from telepresence.link.radio.channel import Channel
+from telepresence.link.radio.contact import Contact, ContactFading
+from telepresence.link.radio.orbit import parse_utc
+from telepresence.link.radio.outages import BlackoutClock, BurstClock, random_windows
+from telepresence.link.radio.path import RadioPath
+
+Direction = Literal["uplink", "downlink"]
+
+#: The states of bursts change at the beginning of a slot.
+SLOT_NS = NS_PER_MS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bursts:
+    """Bursts of errors, of each direction by itself (`BurstClock`).
+
+    gap_s, mean_ms: mean time between two bursts, and mean length of one.
+    frame_loss, bit_error_rate: within a burst.
+    """
+
+    gap_s: float
+    mean_ms: float
+    frame_loss: float = 0.0
+    bit_error_rate: float = 0.0
+
+    def __post_init__(self) -> None:
+        _within("bursts.gap_s", self.gap_s, 0.001, 1e6)
+        _within("bursts.mean_ms", self.mean_ms, 1, 1e6)
+        _within("bursts.frame_loss", self.frame_loss, 0, 1)
+        _within("bursts.bit_error_rate", self.bit_error_rate, 0, 0.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blackout:
+    """Nothing gets through for a while, in one direction ("uplink", "downlink") or in "both"."""
+
+    start_s: float
+    seconds: float
+    direction: str = "both"
+
+    def __post_init__(self) -> None:
+        _within("blackouts.start_s", self.start_s, 0, 1e6)
+        _within("blackouts.seconds", self.seconds, 0.001, 1e6)
+        if self.direction not in ("both", "uplink", "downlink"):
+            raise ConfigError(
+                f'blackouts.direction is "{self.direction}": take both, uplink or downlink'
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomBlackouts:
+    """Blackouts of both directions at random: exponential gaps, lengths evenly between two."""
+
+    gap_s: float
+    shortest_s: float
+    longest_s: float
+
+    def __post_init__(self) -> None:
+        _within("random_blackouts.gap_s", self.gap_s, 0.001, 1e6)
+        _within("random_blackouts.shortest_s", self.shortest_s, 0.001, 1e6)
+        _within("random_blackouts.longest_s", self.longest_s, self.shortest_s, 1e6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadioProfile:
+    """What a radio does to frames, both ways alike but for `blackouts` of one direction.
+
+    name, description: for reports and lists.
+    delay_ms: one way; of a `contact` that of the equipment, on top of the light time.
+    delay_swing_ms, delay_period_s: the delay swings so far to both sides, once in so long.
+    frame_loss, bit_error_rate: probabilities that are always there.
+    bursts, blackouts, random_blackouts, contact: what comes on top, if anything.
+    start_s: how long after its acquisition a contact is at the beginning.
+    """
+
+    name: str
+    description: str = ""
+    delay_ms: float = 0.0
+    delay_swing_ms: float = 0.0
+    delay_period_s: float = 60.0
+    frame_loss: float = 0.0
+    bit_error_rate: float = 0.0
+    bursts: Bursts | None = None
+    blackouts: tuple[Blackout, ...] = ()
+    random_blackouts: RandomBlackouts | None = None
+    contact: Contact | None = None
+    start_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        _within("delay_ms", self.delay_ms, 0, 10_000)
+        _within("delay_swing_ms", self.delay_swing_ms, 0, self.delay_ms)
+        _within("delay_period_s", self.delay_period_s, 0.1, 1e6)
+        if 2 * pi * self.delay_swing_ms > 100 * self.delay_period_s:
+            least = 2 * pi * self.delay_swing_ms / 100
+            raise ConfigError(
+                f"delay_period_s is {self.delay_period_s:g}: a swing of {self.delay_swing_ms:g} ms "
+                f"needs at least {least:.3g}, or the delay would change by more than 10 %"
+            )
+        _within("frame_loss", self.frame_loss, 0, 1)
+        _within("bit_error_rate", self.bit_error_rate, 0, 0.5)
+        _within("start_s", self.start_s, -1e6, 1e6)
+        if self.contact is not None:
+            _check_contact(self.contact)
+
+    def path(self, direction: Direction, *, seed: int, epoch_ns: int) -> RadioPath:
+        """The path of one direction's frames; `epoch_ns` is the instant of the profile's time 0.
+
+        Of the same seed, blackouts and fading are the same in both directions and in any process;
+        bit errors, losses and bursts are each direction's own. ConfigError if the contact's
+        elements cannot be read, or have no such pass.
+        """
+        bursts = more = contact = None
+        if self.bursts is not None:
+            bursts = BurstClock(
+                gap_s=self.bursts.gap_s,
+                mean_ms=self.bursts.mean_ms,
+                frame_loss=self.bursts.frame_loss,
+                bit_error_rate=self.bursts.bit_error_rate,
+                slot_ns=SLOT_NS,
+                random=Random(f"{seed} {direction} bursts"),
+            )
+        if self.random_blackouts is not None:
+            more = random_windows(
+                Random(f"{seed} blackouts"),
+                gap_s=self.random_blackouts.gap_s,
+                shortest_s=self.random_blackouts.shortest_s,
+                longest_s=self.random_blackouts.longest_s,
+            )
+        if self.contact is not None:
+            contact = ContactFading(self.contact, seed=seed)
+        given = [
+            (round(each.start_s * NS_PER_S), round((each.start_s + each.seconds) * NS_PER_S))
+            for each in self.blackouts
+            if each.direction in ("both", direction)
+        ]
+        channel = Channel(
+            labels={"profile": self.name, "direction": direction},
+            delay_ns=self.delay_ms * NS_PER_MS,
+            swing_ns=self.delay_swing_ms * NS_PER_MS,
+            period_ns=self.delay_period_s * NS_PER_S,
+            frame_loss=self.frame_loss,
+            bit_error_rate=self.bit_error_rate,
+            bursts=bursts,
+            blackouts=BlackoutClock(given, more),
+            contact=contact,
+            start_ns=round(self.start_s * NS_PER_S),
+        )
+        return RadioPath(channel=channel, seed=f"{seed} {direction} errors", epoch_ns=epoch_ns)
+
+    @property
+    def longest_delay_ns(self) -> int:
+        """The longest delay one way, for time-outs."""
+        longest = (self.delay_ms + self.delay_swing_ms) * NS_PER_MS
+        if self.contact is not None:
+            longest += ContactFading(self.contact, seed=0).longest_delay_ns()
+        return round(longest)
+
+    def contact_windows(self) -> dict[str, Any] | None:
+        """What the orbit predicts (`ContactFading.windows`), or None without a contact."""
+        return ContactFading(self.contact, seed=0).windows() if self.contact else None
+
+
+def _within(name: str, value: float, least: float, most: float) -> None:
+    if not least <= value <= most:
+        raise ConfigError(f"{name} is {value:g}: it must be from {least:g} to {most:g}")
+
+
+_CONTACT_LIMITS = {
+    "least_peak_deg": (0, 90),
+    "latitude_deg": (-90, 90),
+    "longitude_deg": (-360, 360),
+    "altitude_m": (-500, 10_000),
+    "horizon_deg": (0, 60),
+    "margin_db": (-100, 100),
+    "edge_loss_db": (0, 100),
+    "edge_fading_db": (0, 20),
+    "edge_deg": (0.01, 90),
+    "fading_db": (0, 20),
+    "fading_s": (0.01, 1000),
+    "lock_db": (-10, 100),
+}
+
+
+def _check_contact(contact: Contact) -> None:
+    for name, (least, most) in _CONTACT_LIMITS.items():
+        _within(f"contact.{name}", getattr(contact, name), least, most)
+    if parse_utc(contact.after) is None:
+        raise ConfigError(
+            f'contact.after is "{contact.after}": write it like "2015-08-18T14:00:00Z"'
+        )
+
+
+_PROFILES = (
+    RadioProfile(name="cable", description="a cable: no delay, no error"),
+    RadioProfile(
+        name="clean",
+        description="Kontur-2's link on a good day, the station high: 10 ms one way, no error",
+        delay_ms=10.0,
+    ),
+    RadioProfile(
+        name="iss-pass",
+        description="the ISS over Weilheim on 18 August 2015, from acquisition to loss of signal",
+        delay_ms=8.5,
+        bursts=Bursts(gap_s=20.0, mean_ms=4.0, frame_loss=0.3, bit_error_rate=1e-4),
+        contact=Contact(),
+    ),
+    RadioProfile(
+        name="geo",
+        description="by a geostationary relay: 600 to 800 ms round trip, some errors",
+        delay_ms=350.0,
+        delay_swing_ms=50.0,
+        delay_period_s=120.0,
+        bit_error_rate=1e-8,
+        bursts=Bursts(gap_s=10.0, mean_ms=6.0, frame_loss=0.5, bit_error_rate=1e-4),
+    ),
+)
+BUILT_IN = {profile.name: profile for profile in _PROFILES}
