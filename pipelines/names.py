@@ -32,6 +32,9 @@ def received_topic(stream: str) -> str:
     return f"received/{stream}"
 
 
+#: The source of a block of sound that had to be made up: heard, but never captured.
+CONCEALED = "concealed"
+
 #: How often a sender reports, and the robot's side its state. The link keeps room for that:
 #: `telepresence.link.arithmetic.RESERVE_BPS`.
 REPORT_INTERVAL_NS = 2 * NS_PER_S

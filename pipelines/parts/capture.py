@@ -1,8 +1,8 @@
 """An input's process: from its source into its topic."""
 
-from kontur_av.media import CaptureStamp
 from kontur_av.sources import open_audio, open_video
-from kontur_av.sources.source import BLOCK_SAMPLES, AudioSource, VideoSource
+from kontur_av.sources.source import BLOCK_SAMPLES
+from pipelines.cores.capturing import Capturing
 from pipelines.names import input_topic
 from pipelines.parts.robot_state import newest_state
 from pipelines.process import PATIENCE_NS, Context
@@ -24,14 +24,15 @@ def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
             clock=clock,
             scenes=video_scenes(newest_state(bus)),
         )
-        captured = _Captured(context, source)
+        capturing = Capturing(context.probe)
+        context.on_flush(lambda: capturing.tell(source.faults, source.last_fault))
         loan = writer.loan_picture(stream.width, stream.height)
         while not context.stopping:
             stamp = source.read(loan.picture, PATIENCE_NS)
             if stamp is not None:
                 loan.publish(stamp)
                 loan = writer.loan_picture(stream.width, stream.height)
-                captured.count(stamp)
+                capturing.handle_captured(stamp)
             context.tick(clock.now_ns())
         loan.give_back()
         source.close()
@@ -48,34 +49,12 @@ def run_microphone(context: Context, *, name: str) -> None:
             clock=clock,
             scenes=audio_scenes(newest_state(bus)),
         )
-        captured = _Captured(context, source)
+        capturing = Capturing(context.probe)
+        context.on_flush(lambda: capturing.tell(source.faults, source.last_fault))
         while not context.stopping:
             frame = source.read(PATIENCE_NS)
             if frame is not None:
                 writer.publish_audio(frame)
-                captured.count(frame.stamp)
+                capturing.handle_captured(frame.stamp)
             context.tick(clock.now_ns())
         source.close()
-
-
-class _Captured:
-    """Counts what a source gives, and tells it with the faults that the source has survived."""
-
-    def __init__(self, context: Context, source: VideoSource | AudioSource) -> None:
-        self._probe = context.probe
-        self._source = source
-        self._captured = 0
-        self._last_ns: int | None = None
-        context.on_flush(self._fill)
-
-    def count(self, stamp: CaptureStamp) -> None:
-        self._captured += 1
-        self._last_ns = stamp.capture_ns
-
-    def _fill(self) -> None:
-        self._probe.total("captured", self._captured)
-        self._probe.total("source_faults", self._source.faults)
-        if self._last_ns is not None:
-            self._probe.gauge("captured_ns", self._last_ns)
-        if self._source.last_fault:
-            self._probe.gauge("source_fault", self._source.last_fault)

@@ -11,14 +11,13 @@ from typing import Any
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.session_files import make_session_root
 from pipelines.control import MAX_LINE_OCTETS, console_path
+from pipelines.cores.choosing import Console
 from pipelines.process import LOOPBACK, PATIENCE_NS, Context
-from pipelines.setup import TELECOMMAND, TELEMETRY, Setup
-from telepresence.tmtc import Housekeeping, SelectDone, SelectFailed, TelecommandSender
+from pipelines.setup import TELECOMMAND, TELEMETRY
+from telepresence.tmtc import SelectDone
 
 #: How many terminals may ask at once; a further one is turned away.
 _MOST_CLIENTS = 8
-#: What a telecommand and its answer may take beside the radio's delay.
-_ANSWER_NS = 500 * NS_PER_MS
 
 
 class _Client:
@@ -30,38 +29,26 @@ class _Client:
         self.token: int | None = None
 
 
-def telecommand_sender(setup: Setup, *, first_token: int) -> TelecommandSender:
-    """One that repeats no telecommand before its answer can have come."""
-    delay_ns = round(setup.radio_delay_ms * NS_PER_MS)
-    return TelecommandSender(first_token=first_token, timeout_ns=_ANSWER_NS + 2 * delay_ns)
-
-
 def run_console(context: Context) -> None:
     """Turn requests from the control socket into telecommands, and their ends into answers."""
-    clock, probe, setup = context.clock, context.probe, context.setup
+    clock, setup = context.clock, context.setup
     udp = context.listen(setup.ports.exit(TELEMETRY))
     gateway = (LOOPBACK, setup.ports.entry(TELECOMMAND))
-    sender = telecommand_sender(setup, first_token=secrets.randbits(16))
+    console = Console(setup, context.probe, first_token=secrets.randbits(16))
+    patience_s = console.sender.tries * console.sender.timeout_ns / NS_PER_S
     listener = _listen(context)
     clients: list[_Client] = []
-    housekeeping = 0
-
-    def fill() -> None:
-        probe.total("telecommands", sender.sent)
-        probe.total("telecommands_repeated", sender.repeated)
-        probe.total("garbage", sender.garbage)
-        probe.total("housekeeping", housekeeping)
 
     def answer(token: int, **content: Any) -> None:
         for client in [client for client in clients if client.token == token]:
             _answer(client, **content)
             clients.remove(client)
 
-    context.on_flush(fill)
+    context.on_flush(console.tell)
     while not context.stopping:
         now_ns = clock.now_ns()
         context.tick(now_ns)
-        due_ns = sender.poll_timeout()
+        due_ns = console.poll_timeout()
         wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, max(0, due_ns - now_ns))
         asking = [client.link for client in clients if client.token is None]
         ready = select.select([udp, listener, *asking], [], [], wait_ns / NS_PER_S)[0]
@@ -84,23 +71,19 @@ def run_console(context: Context) -> None:
                 _answer(client, ok=False, error=error, mistake=True)
                 clients.remove(client)
             else:
-                client.token = sender.select(camera, now_ns)
-                _tell(client, wait_s=sender.tries * sender.timeout_ns / NS_PER_S)
+                client.token = console.select(camera, now_ns)
+                _tell(client, wait_s=patience_s)
         while (datagram := context.receive(udp)) is not None:
-            sender.handle_packet(datagram, now_ns)
-        while (packet := sender.poll_transmit(now_ns)) is not None:
+            console.handle_packet(datagram, now_ns)
+        while (packet := console.poll_transmit(now_ns)) is not None:
             udp.sendto(packet, gateway)
-        while (event := sender.next_event()) is not None:
+        while (event := console.next_event()) is not None:
             if isinstance(event, SelectDone):
                 round_trip_ms = event.round_trip_ns / NS_PER_MS
                 answer(event.token, ok=event.ok, camera=event.name, round_trip_ms=round_trip_ms)
-            elif isinstance(event, SelectFailed):
+            else:
                 why = "a later request came" if event.superseded else "no acknowledgement came"
                 answer(event.token, ok=False, error=f"select {event.name}: {why}")
-            elif isinstance(event, Housekeeping):
-                housekeeping += 1
-                probe.gauge("camera", event.name)
-                probe.gauge("force_n", event.force_n)
         gone = [client for client in clients if client.link.fileno() < 0]
         for client in gone:
             clients.remove(client)

@@ -2,13 +2,20 @@
 
 import select
 from pathlib import Path
+from typing import Protocol
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.session_files import session_root
-from pipelines.probe import Probe
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VideoStream, VoiceStream
+
+
+class Receiving(Protocol):
+    """What takes a stream's datagrams."""
+
+    def handle_packet(self, datagram: bytes, now_ns: int) -> None: ...
+
+    def handle_report(self, datagram: bytes, now_ns: int) -> bool: ...
 
 
 class Incoming:
@@ -20,7 +27,7 @@ class Incoming:
     """
 
     def __init__(
-        self, context: Context, stream: VideoStream | VoiceStream, receiver: RtpReceiver
+        self, context: Context, stream: VideoStream | VoiceStream, receiver: Receiving
     ) -> None:
         ports = context.setup.ports
         self._clock = context.clock
@@ -57,16 +64,3 @@ def replace_file(path: Path, content: bytes) -> None:
     partial = path.with_suffix(".new")
     partial.write_bytes(content)
     partial.replace(path)
-
-
-def report_reception(probe: Probe, receiver: RtpReceiver) -> None:
-    """Put a receiver's counters into the probe."""
-    counts = receiver.counts
-    probe.total("rtp_packets", counts.received)
-    probe.total("rtp_lost", counts.lost)
-    probe.total("rtp_reordered", counts.reordered)
-    probe.total("rtp_duplicates", counts.duplicates)
-    probe.total("rtp_late", counts.late)
-    probe.total("garbage", counts.garbage)
-    probe.total("sources", counts.sources)
-    probe.gauge("jitter_ns", receiver.jitter_ns)

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from pipelines.parts.console import _Client, _read, telecommand_sender
+from pipelines.cores.choosing import telecommand_sender
+from pipelines.parts.console import _Client, _read
 from pipelines.setups import BUILT_IN
 from telepresence.tmtc import SelectDone, TelecommandReceiver
 

@@ -1,0 +1,28 @@
+"""What an input tells of itself."""
+
+from kontur_av.media import CaptureStamp
+from pipelines.probe import Probe
+
+
+class Capturing:
+    """Counts what a source gives."""
+
+    def __init__(self, probe: Probe) -> None:
+        self._probe = probe
+        self._captured = 0
+        self._last_ns: int | None = None
+
+    def handle_captured(self, stamp: CaptureStamp) -> None:
+        """The source gave a picture, or a block of sound."""
+        self._captured += 1
+        self._last_ns = stamp.capture_ns
+
+    def tell(self, faults: int = 0, last_fault: str = "") -> None:
+        """Put the counters into the probe, with the faults that the source has survived."""
+        probe = self._probe
+        probe.total("captured", self._captured)
+        probe.total("source_faults", faults)
+        if self._last_ns is not None:
+            probe.gauge("captured_ns", self._last_ns)
+        if last_fault:
+            probe.gauge("source_fault", last_fault)

@@ -1,0 +1,100 @@
+"""The two haptic endpoints, one cycle at a time: robot on the ground, joystick in space."""
+
+from itertools import chain
+from typing import Generic, TypeVar
+
+from kontur_av.clock import NS_PER_MS
+from pipelines.probe import Probe
+from telepresence.haptics.joystick import Joystick
+from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
+from telepresence.haptics.robot import Robot
+from telepresence.haptics.sample import Command, Feedback
+from telepresence.world import WorldState
+
+Out = TypeVar("Out")
+In = TypeVar("In")
+
+#: The world is drawn at 30 pictures a second: a state every 10 ms is fresh enough for all.
+_PUBLISH_EVERY = 10
+#: Once a millisecond.
+CYCLE_NS = NS_PER_MS
+
+
+class _End(Generic[Out, In]):
+    """In each cycle: `handle_datagram` for all that has come, `handle_cycle`, `poll_transmit`."""
+
+    def __init__(self, link: HapticLink[Out, In], probe: Probe) -> None:
+        self._probe = probe
+        self._link = link
+        # Looked up once: they are called a thousand times a second.
+        self.handle_datagram = link.handle_datagram
+        self.poll_transmit = link.poll_transmit
+        self._latest, self._handle_local = link.latest, link.handle_local
+        self._sent, self._received = probe.rows("haptic_tx"), probe.rows("haptic_rx")
+
+    def tell(self) -> None:
+        """Put the counters and stamps into the probe."""
+        link = self._link
+        for name, value in link.report().items():
+            self._probe.total(name, value)
+        self._sent.extend(chain.from_iterable(link.take_sent_stamps()))
+        self._received.extend(chain.from_iterable(link.take_received_stamps()))
+        while link.next_event() is not None:
+            pass
+
+
+class RobotEnd(_End[Feedback, Command]):
+    """Follows the commands, measures the force, and lets the world see where the tip is.
+
+    `next_event` gives a state every 10 cycles.
+    """
+
+    def __init__(self, probe: Probe) -> None:
+        super().__init__(robot_link(), probe)
+        self._robot = Robot()
+        self._step = self._robot.step
+        self._contact_since_ns: int | None = None
+        self._cycles = 0
+        self._state: WorldState | None = None
+
+    def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
+        """One cycle, which moves the robot on by `advance_ns`."""
+        self._handle_local(self._step(self._latest(now_ns), advance_ns), now_ns)
+        robot = self._robot
+        if not robot.contact:
+            self._contact_since_ns = None
+        elif self._contact_since_ns is None:
+            self._contact_since_ns = now_ns
+        self._cycles += 1
+        if self._cycles % _PUBLISH_EVERY == 0:
+            self._state = WorldState(
+                now_ns,
+                robot.x_m,
+                robot.y_m,
+                robot.force_n,
+                robot.contact,
+                self._contact_since_ns,
+            )
+
+    def next_event(self) -> WorldState | None:
+        """A state for the world to see, or None."""
+        state = self._state
+        if state is not None:
+            self._state = None
+        return state
+
+
+class JoystickEnd(_End[Command, Feedback]):
+    """Moves the handle as the simulated hand does, and puts the robot's force on it."""
+
+    def __init__(self, probe: Probe) -> None:
+        super().__init__(joystick_link(), probe)
+        self._step = Joystick().step
+
+    def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
+        """One cycle, which moves the joystick on by `advance_ns`."""
+        self._handle_local(self._step(self._latest(now_ns), advance_ns), now_ns)
+
+    def next_event(self) -> WorldState | None:
+        """The joystick has nothing to show: always None."""
+        return None

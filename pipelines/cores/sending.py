@@ -1,0 +1,204 @@
+"""How a coded stream leaves: numbered, paced below its cap, reported, and metered."""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from kontur_av.budget import Pacer
+from kontur_av.clock import NS_PER_S
+from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp
+from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
+from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
+from kontur_av.sources.source import BLOCK_NS
+from pipelines.names import REPORT_INTERVAL_NS, VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE, cname
+from pipelines.probe import Probe
+from pipelines.setup import VIDEO_PAYLOAD_OCTETS, VideoStream, VoiceStream
+from telepresence.link.profile import LinkProfile
+
+#: A block this old is no voice any more; it would only push the following ones back.
+_TOO_OLD_NS = 5 * BLOCK_NS
+
+
+@dataclass(frozen=True, slots=True)
+class RtpIdentity:
+    """What RFC 3550 section 5.1 asks to be random: a restarted sender is a new source."""
+
+    ssrc: int
+    first_sequence: int
+    timestamp_offset: int
+
+    @classmethod
+    def draw(cls, randbits: Callable[[int], int]) -> "RtpIdentity":
+        """One from `randbits`, which gives an integer of as many random bits as it is asked for."""
+        return cls(randbits(32), randbits(16), randbits(32))
+
+
+class _UnderWay:
+    """A coded picture or block of sound of which packets still wait in the pacer."""
+
+    __slots__ = ("capture_ns", "encoded_ns", "packets", "timestamp")
+
+    def __init__(self, packets: int, timestamp: int, capture_ns: int, encoded_ns: int) -> None:
+        self.packets = packets
+        self.timestamp = timestamp
+        self.capture_ns = capture_ns
+        self.encoded_ns = encoded_ns
+
+
+class _Sending:
+    """What both kinds of stream have. After each input send what `poll_transmit` gives until
+    None to the gateway's RTP port, and what `poll_report` gives to its RTCP port."""
+
+    def __init__(self, pacer: Pacer, rtp: RtpSender, probe: Probe) -> None:
+        self._pacer = pacer
+        self._rtp = rtp
+        self._probe = probe
+        self._out = probe.rows("out")
+        self._under_way: deque[_UnderWay] = deque()
+        self._captured = 0
+        self._encoded = 0
+        self._sent = 0
+
+    def poll_transmit(self, now_ns: int) -> bytes | None:
+        """The next RTP packet, if it may leave now. Call until None."""
+        packet = self._pacer.poll_transmit(now_ns)
+        if packet is None:
+            return None
+        self._out.extend((now_ns, len(packet) - RTP_HEADER_OCTETS))
+        unit = self._under_way[0]
+        unit.packets -= 1
+        if unit.packets == 0:
+            self._under_way.popleft()
+            self._sent += 1
+            self._probe.row("tx", unit.timestamp, unit.capture_ns, unit.encoded_ns, now_ns)
+        return packet
+
+    def poll_report(self, now_ns: int, ntp: Callable[[int], int]) -> bytes | None:
+        """The sender report (RFC 3550 section 6.4.1) if one is due."""
+        return self._rtp.poll_report(now_ns, ntp)
+
+    def goodbye(self, ntp: Callable[[int], int]) -> bytes | None:
+        """The last report, so that a successor is believed at once; None if nothing was sent."""
+        return self._rtp.goodbye(ntp)
+
+    def poll_timeout(self) -> int | None:
+        """When `poll_transmit` has something next; None while nothing waits."""
+        return self._pacer.poll_timeout()
+
+    def _queue(
+        self, packets: Sequence[bytes], octets: list[int], stamp: CaptureStamp, encoded_ns: int
+    ) -> None:
+        self._encoded += 1
+        timestamp = int.from_bytes(packets[0][4:8], "big")
+        self._under_way.append(_UnderWay(len(packets), timestamp, stamp.capture_ns, encoded_ns))
+        self._pacer.handle_access_unit(packets, octets, encoded_ns)
+
+    def _tell(self, refused: int) -> None:
+        probe = self._probe
+        probe.total("frames_captured", self._captured)
+        probe.total("frames_encoded", self._encoded)
+        probe.total("frames_sent", self._sent)
+        probe.total("frames_refused", refused)
+        probe.total("rtp_packets_sent", self._rtp.packets_sent)
+
+
+class VideoSending(_Sending):
+    """Says which picture to encode, and paces what comes out.
+
+    Ask `handle_picture` for each picture that comes; encode it if it says so, and give what the
+    encoder made to `handle_access_unit`.
+    """
+
+    def __init__(
+        self, stream: VideoStream, profile: LinkProfile, identity: RtpIdentity, probe: Probe
+    ) -> None:
+        pacer = Pacer(
+            cap_bps=stream.cap_bps, channel_bps=profile.media_bps, slack_ns=NS_PER_S // stream.fps
+        )
+        # Small enough that no part of a coded picture takes more than a picture's share.
+        largest = min(VIDEO_PAYLOAD_OCTETS, pacer.max_payload_octets)
+        rtp = _rtp_sender(stream, identity, VIDEO_PAYLOAD_TYPE, VIDEO_CLOCK_HZ, largest)
+        super().__init__(pacer, rtp, probe)
+        self._picture_octets = stream.cap_bps // (8 * stream.fps)
+        self._waiting_octets = 0
+        self._refused_by_link = 0
+
+    def handle_backlog(self, octets: int) -> None:
+        """So much video waits in the gateway."""
+        self._waiting_octets = octets
+
+    def handle_picture(self, now_ns: int, *, skipped: int = 0) -> bool:
+        """A picture is there, the newest one; whether to encode it now.
+
+        skipped: pictures that came before it and were never looked at. The pacer keeps the cap;
+        a link that leaves out slots carries less than that, so one picture at the most may wait
+        in the gateway: one more would be shown late.
+        """
+        self._captured += 1 + skipped
+        if self._waiting_octets > self._picture_octets:
+            self._refused_by_link += 1
+            return False
+        return self._pacer.ready_for_picture(now_ns)
+
+    def handle_access_unit(self, unit: AccessUnit) -> None:
+        """The picture is encoded, at `unit.encoded_ns`."""
+        packets = self._rtp.video_packets(unit)
+        octets = [len(packet) - RTP_HEADER_OCTETS for packet in packets]
+        self._queue(packets, octets, unit.stamp, unit.encoded_ns)
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        self._tell(self._pacer.pictures_refused + self._refused_by_link)
+        self._probe.gauge("backlog_octets", self._pacer.backlog_octets)
+
+
+class VoiceSending(_Sending):
+    """Says which block of sound to encode, and sends what comes out at a constant rate.
+
+    Ask `handle_block` for each block; encode it if it says so, and give the Opus packet to
+    `handle_packet`.
+    """
+
+    def __init__(
+        self, stream: VoiceStream, profile: LinkProfile, identity: RtpIdentity, probe: Probe
+    ) -> None:
+        # The rate is constant, but a process that was held up would send two packets at once.
+        pacer = Pacer(cap_bps=stream.cap_bps, channel_bps=profile.media_bps)
+        rtp = _rtp_sender(stream, identity, VOICE_PAYLOAD_TYPE, AUDIO_CLOCK_HZ)
+        super().__init__(pacer, rtp, probe)
+        self._too_old = 0
+
+    def handle_block(self, stamp: CaptureStamp, now_ns: int) -> bool:
+        """A block of sound is there; whether to encode it."""
+        self._captured += 1
+        if now_ns - stamp.capture_ns > _TOO_OLD_NS:
+            self._too_old += 1
+            return False
+        return True
+
+    def handle_packet(self, data: bytes, stamp: CaptureStamp, encoded_ns: int) -> None:
+        """The block is encoded, at `encoded_ns`."""
+        self._queue(self._rtp.audio_packets(data, stamp), [len(data)], stamp, encoded_ns)
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        self._tell(self._too_old)
+
+
+def _rtp_sender(
+    stream: VideoStream | VoiceStream,
+    identity: RtpIdentity,
+    payload_type: int,
+    clock_rate_hz: int,
+    max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS,
+) -> RtpSender:
+    return RtpSender(
+        payload_type=payload_type,
+        clock_rate_hz=clock_rate_hz,
+        ssrc=identity.ssrc,
+        first_sequence=identity.first_sequence,
+        timestamp_offset=identity.timestamp_offset,
+        cname=cname(stream.name),
+        report_interval_ns=REPORT_INTERVAL_NS,
+        max_payload_octets=max_payload_octets,
+    )
