@@ -1,0 +1,143 @@
+"""The supervision message: twelve octets that the two ends of the link tell each other.
+
+It takes the first 12 octets of a packet zone (docs/link.md says which code of the first header
+pointer shows it). All numbers are big-endian; the layout is this project's own.
+
+octet 0, high 4 bits   version, whose place never changes
+octet 0, low 4 bits    kind: 0 ALIVE, 1 CONFIGURE, 2 CONFIRM, 3 REJECT
+octet 1                state (3 bits, `LinkState`), then a bit each: master, signal, application,
+                       fresh, sending
+octets 2..3            life of the sender, 1..65535: another one each time it starts
+octets 4..5            life of the peer whose messages arrive in this contact, 0 while none does
+octets 6..7            digest of the configuration (`supervision_configuration`)
+octets 8..11           ALIVE, CONFIRM: ids of the header contexts held, an octet a flow, 0 none
+                       CONFIGURE, REJECT: rates of the sender's way out and way in, 16 bits each,
+                       in kbit/s
+
+Only a master sends CONFIGURE, only a slave CONFIRM.
+"""
+
+import struct
+from enum import IntEnum
+from typing import NamedTuple
+
+MESSAGE_OCTETS = 12
+CONTEXTS = 4
+
+_LAYOUT = struct.Struct(">BBHHH4s")
+_RATES = struct.Struct(">HH")
+_STATE_SHIFT = 5
+_MASTER, _SIGNAL, _APPLICATION, _FRESH, _SENDING = 0x10, 0x08, 0x04, 0x02, 0x01
+
+
+class LinkState(IntEnum):
+    """How far the two ends have come; docs/link-contact.md draws it.
+
+    CHECK: the local check has not passed. SEARCH: no signal, or no message in it yet.
+    CONFIGURE: a peer that fits is there; master and slave have not both agreed, or it is deaf.
+    APPROVE: agreed; application data has not arrived both ways yet. CONNECTED: it has.
+    REFUSED: the peer is one that must not be talked to.
+    """
+
+    CHECK = 0
+    SEARCH = 1
+    CONFIGURE = 2
+    APPROVE = 3
+    CONNECTED = 4
+    REFUSED = 5
+
+
+class MessageKind(IntEnum):
+    """What a message is for."""
+
+    ALIVE = 0
+    CONFIGURE = 1
+    CONFIRM = 2
+    REJECT = 3
+
+
+class SupervisionMessage(NamedTuple):
+    """One message.
+
+    version: 1..15. life, heard: see the module. digest: 0..65535.
+    signal: good frames of the peer arrive. application: data of the peer's applications has
+    arrived since the contact or the last reset; fresh: some has lately; sending: some has lately
+    been sent. contexts: of ALIVE and CONFIRM, else zeros. rates_kbps: of CONFIGURE and REJECT
+    (way out, way in), else zeros.
+    """
+
+    version: int
+    kind: MessageKind
+    state: LinkState
+    master: bool
+    signal: bool
+    application: bool
+    fresh: bool
+    sending: bool
+    life: int
+    heard: int
+    digest: int
+    contexts: tuple[int, int, int, int] = (0, 0, 0, 0)
+    rates_kbps: tuple[int, int] = (0, 0)
+
+
+_TELLS_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
+
+
+def pack_message(message: SupervisionMessage) -> bytes:
+    """Twelve octets."""
+    flags = (
+        message.state << _STATE_SHIFT
+        | (_MASTER if message.master else 0)
+        | (_SIGNAL if message.signal else 0)
+        | (_APPLICATION if message.application else 0)
+        | (_FRESH if message.fresh else 0)
+        | (_SENDING if message.sending else 0)
+    )
+    tells_rates = message.kind in _TELLS_RATES
+    return _LAYOUT.pack(
+        message.version << 4 | message.kind,
+        flags,
+        message.life,
+        message.heard,
+        message.digest,
+        _RATES.pack(*message.rates_kbps) if tells_rates else bytes(message.contexts),
+    )
+
+
+def message_version(data: bytes) -> int:
+    """The version that `data` says it is of, 1..15; 0 where it is no message of any."""
+    return data[0] >> 4 if len(data) == MESSAGE_OCTETS else 0
+
+
+def parse_message(data: bytes) -> SupervisionMessage | None:
+    """The message in `data`; None where no end that keeps to the layout can have sent it."""
+    if not message_version(data):
+        return None
+    first, flags, life, heard, digest, rest = _LAYOUT.unpack(data)
+    kind, state = first & 0xF, flags >> _STATE_SHIFT
+    master = bool(flags & _MASTER)
+    if (
+        kind > MessageKind.REJECT
+        or state > LinkState.REFUSED
+        or not life
+        or kind == (MessageKind.CONFIRM if master else MessageKind.CONFIGURE)
+    ):
+        return None
+    known = MessageKind(kind)
+    tells_rates = known in _TELLS_RATES
+    return SupervisionMessage(
+        version=first >> 4,
+        kind=known,
+        state=LinkState(state),
+        master=master,
+        signal=bool(flags & _SIGNAL),
+        application=bool(flags & _APPLICATION),
+        fresh=bool(flags & _FRESH),
+        sending=bool(flags & _SENDING),
+        life=life,
+        heard=heard,
+        digest=digest,
+        contexts=(0, 0, 0, 0) if tells_rates else (rest[0], rest[1], rest[2], rest[3]),
+        rates_kbps=_RATES.unpack(rest) if tells_rates else (0, 0),
+    )
