@@ -37,7 +37,16 @@ STAGES = ("capture_to_encoded", "encoded_to_sent", "sent_to_received", "received
 _PAUSE_NS = 3 * FLUSH_NS
 
 #: Series of rows and their widths.
-_WIDTHS = {"out": 2, "tx": 4, "rx": 2, "shown": 3, "haptic_tx": 2, "haptic_rx": 2, "lateness": 1}
+_WIDTHS = {
+    "out": 2,
+    "tx": 4,
+    "rx": 2,
+    "shown": 3,
+    "haptic_tx": 2,
+    "haptic_rx": 2,
+    "lateness": 1,
+    "sending": 1,
+}
 
 
 @dataclass(slots=True)
@@ -192,6 +201,8 @@ class ProcessFigures:
     totals: dict[str, int] = field(default_factory=dict)
     gauges: dict[str, Any] = field(default_factory=dict)
     lateness: Histogram = field(default_factory=Histogram)
+    #: From a slot's deadline to the instant at which its frame had been sent; of a gateway.
+    sending: Histogram = field(default_factory=Histogram)
     #: Snapshots of nested counters (`link`) of the lives that have ended.
     ended_links: list[dict[str, Any]] = field(default_factory=list)
     #: When it told something for the first and for the last time.
@@ -291,6 +302,8 @@ class Collector:
         rows = np.frombuffer(values, np.int64).reshape(-1, _WIDTHS[kind])
         if kind == "lateness":
             figures.lateness.add(rows)
+        elif kind == "sending":
+            figures.sending.add(rows)
         elif kind in ("haptic_tx", "haptic_rx"):
             for name, (sender, receiver) in HAPTIC_ENDS.items():
                 if kind == "haptic_tx" and process == sender:

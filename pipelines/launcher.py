@@ -72,6 +72,7 @@ class Child:
 class Launcher:
     """Runs `parts` until it is told to stop.
 
+    seed: what the radio's chances derive from.
     show: called about once a second, with this launcher, to tell the user how things are.
     """
 
@@ -80,6 +81,7 @@ class Launcher:
     parts: Sequence[Part]
     clock: MonotonicClock
     snapshots: Path | None = None
+    seed: int = 0
     show: Callable[["Launcher"], None] | None = None
     collector: Collector = field(init=False)
     children: list[Child] = field(init=False)
@@ -231,6 +233,7 @@ class Launcher:
             probe=Probe(link),
             snapshots=self.snapshots,
             started_ns=self.started_ns,
+            seed=self.seed,
         )
         try:
             signal.set_wakeup_fd(-1)

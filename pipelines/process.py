@@ -10,11 +10,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
-from kontur_av.topics import TopicBus
 from pipelines.probe import Probe
 from pipelines.setup import Setup
+
+if TYPE_CHECKING:
+    from kontur_av.topics import TopicBus
 
 LOOPBACK = "127.0.0.1"
 MAX_DATAGRAM_OCTETS = 65_535
@@ -24,6 +27,7 @@ PATIENCE_NS = 100 * NS_PER_MS
 #: The 1 kHz loops go first; a voice that is late by milliseconds already needs a larger buffer.
 LOOP_PRIORITY, VOICE_PRIORITY = 10, 5
 
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
 
 
@@ -41,6 +45,7 @@ class Context:
     A part runs until `stopping`; it calls `tick` at least every PATIENCE_NS.
 
     started_ns: when the session began, for all lives of the part alike.
+    seed: what the radio's chances derive from.
     """
 
     session: str
@@ -49,6 +54,7 @@ class Context:
     probe: Probe
     snapshots: Path | None = None
     started_ns: int = 0
+    seed: int = 0
     stopping: bool = False
     _fill: list[Callable[[], None]] = field(default_factory=list)
 
@@ -62,8 +68,10 @@ class Context:
         now_ns = self.clock.now_ns()
         return (now_ns // period_ns + 2) * period_ns + round(phase * period_ns)
 
-    def open_bus(self) -> TopicBus:
+    def open_bus(self) -> "TopicBus":
         """This process's door to shared memory."""
+        from kontur_av.topics import TopicBus
+
         return TopicBus(self.session)
 
     def listen(self, port: int) -> socket.socket:
@@ -157,24 +165,27 @@ def become(part: Part, context: Context) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
-    prctl = ctypes.CDLL(None, use_errno=True).prctl
+    libc = ctypes.CDLL(None, use_errno=True)
+    prctl = libc.prctl
     # A launcher that is killed takes its processes along.
     prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     prctl(_PR_SET_NAME, f"kav {part.name}".encode()[:15])
     if part.priority:
-        context.probe.gauge("scheduler", _take_realtime(prctl, part.priority))
+        context.probe.gauge("scheduler", _take_realtime(libc, part.priority))
 
 
-def _take_realtime(prctl: Callable[..., int], priority: int) -> str:
+def _take_realtime(libc: ctypes.CDLL, priority: int) -> str:
     if priority == LOOP_PRIORITY:
         # No collection in the middle of a slot: these loops make no reference cycles.
         gc.collect()
         gc.freeze()
         gc.disable()
+        # What was touched once is never paged out again. Where it is not permitted: no harm.
+        libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError:
         # Without permission at least no timer is rounded up (the default is 50 µs).
-        prctl(_PR_SET_TIMERSLACK, 1)
+        libc.prctl(_PR_SET_TIMERSLACK, 1)
         return "other"
     return "fifo"

@@ -56,8 +56,8 @@ def build_report(
         "streams": {stream.name: _stream(stream, collector, seconds) for stream in setup.streams},
         "haptic": {name: _haptic(name, setup, collector, seconds) for name in HAPTIC_ENDS},
         "link": {
-            "uplink": _link(setup, collector, "uplink"),
-            "downlink": _link(setup, collector, "downlink"),
+            "uplink": link_figures(setup, collector, "uplink"),
+            "downlink": link_figures(setup, collector, "downlink"),
         },
         # A setup without voices has nothing to compare them with.
         "skew_ms": {
@@ -142,7 +142,8 @@ def haptic_bps(profile: LinkProfile, samples: int, seconds: float) -> int:
     return round(samples * profile.insert_octets * 8 / max(seconds, 1e-9))
 
 
-def _link(setup: Setup, collector: Collector, direction: str) -> dict[str, Any]:
+def link_figures(setup: Setup, collector: Collector, direction: str) -> dict[str, Any]:
+    """One direction of the link, as far as its two gateways have told of it."""
     up = direction == "uplink"
     near = collector.process("ground_gateway" if up else "space_gateway")
     far = collector.process("space_gateway" if up else "ground_gateway")
@@ -173,6 +174,7 @@ def _link(setup: Setup, collector: Collector, direction: str) -> dict[str, Any]:
         "packets": _sum_tables([life["packets"] for life in received]),
         "packets_dropped": _sum_tables([life["packets_dropped"] for life in received]),
         "lateness_us": summary_us(near.lateness),
+        "sent_after_us": summary_us(near.sending),
         "slips": near.total("slips"),
     }
 
@@ -219,7 +221,7 @@ def _told(name: str, setup: Setup, collector: Collector) -> dict[str, Any]:
 def failures(setup: Setup, collector: Collector, seconds: float) -> list[str]:
     """What went wrong by the project's own measure; an empty list is a run that went well."""
     found = []
-    delay_ns = round(setup.radio_delay_ms * NS_PER_MS)
+    delay_ns = setup.radio_profile.longest_delay_ns
     long_enough = seconds >= (MISSED_NS + delay_ns) / NS_PER_S
     for stream in setup.streams:
         figures = collector.streams[stream.name]

@@ -5,6 +5,7 @@ A user's own setup is a TOML file with the same fields: `pipelines.setup_file`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import ceil
 from typing import Literal
 
@@ -23,6 +24,7 @@ from telepresence.link.flows import (
     voice_flow,
 )
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.radio import RadioPath, RadioProfile, delayed, load_radio
 from telepresence.tmtc.packets import check_name
 from telepresence.world import DEFAULT_SCENES
 
@@ -35,6 +37,8 @@ GROUND_MIC, ISS_CAMERA, ISS_MIC = "ground_mic", "iss_camera", "iss_mic"
 VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
 #: Small enough that no part of a coded picture takes more than a picture's share of the link.
 VIDEO_PAYLOAD_OCTETS = 1000
+#: The radio that does nothing to frames.
+NO_RADIO = "cable"
 #: How many ports a session takes, from its base port on.
 PORTS = 40
 
@@ -173,7 +177,9 @@ class Setup:
     cameras: what can be selected for the uplink video; the first is on at the start. `stereo` is
         merged from the inputs `left` and `right`; any other is the input of the same name.
     sources: for each input its source, as on the command line (`--source NAME=SPEC`).
-    radio_delay_ms: one way, both ways alike.
+    radio: what the radio does to frames: a built-in profile (`cable`, `clean`, `iss-pass`, `geo`)
+        or a file NAME.toml (docs/radio.md).
+    radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
     """
 
     name: str
@@ -185,6 +191,7 @@ class Setup:
     sources: Mapping[str, str] = field(default_factory=dict)
     uplink: LinkProfile = UPLINK
     downlink: LinkProfile = DOWNLINK
+    radio: str = NO_RADIO
     radio_delay_ms: float = 0.0
     #: Below the ports that Linux gives to whoever names none (32768 on), ours included.
     base_port: int = 27_000
@@ -202,6 +209,13 @@ class Setup:
                 )
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
+        if self.radio_delay_ms and self.radio != NO_RADIO:
+            raise ConfigError(
+                f"radio {self.radio} has a delay of its own: leave out the delay of "
+                f"{self.radio_delay_ms:g} ms, or take radio {NO_RADIO}"
+            )
+        # Read once, and now: a process that is started again later needs it, too.
+        _ = self.radio_profile
         Ports(base=self.base_port)
         for name in self.sources:
             if name not in self.inputs:
@@ -217,6 +231,17 @@ class Setup:
     @property
     def ports(self) -> Ports:
         return Ports(base=self.base_port)
+
+    @cached_property
+    def radio_profile(self) -> RadioProfile:
+        """What the radio does to frames."""
+        profile = load_radio(self.radio)
+        return delayed(profile, self.radio_delay_ms) if self.radio_delay_ms else profile
+
+    def radio_path(self, profile: LinkProfile, *, seed: int, epoch_ns: int) -> RadioPath:
+        """The radio of one direction; `epoch_ns` is the instant of the profile's time 0."""
+        up = profile is self.uplink
+        return self.radio_profile.path("uplink" if up else "downlink", seed=seed, epoch_ns=epoch_ns)
 
     @property
     def camera_inputs(self) -> tuple[str, ...]:

@@ -60,7 +60,12 @@ def setup_from_table(table: Mapping[str, Any]) -> Setup:
     sources = values.get("sources", {})
     if not isinstance(sources, Mapping) or not _is_strings(list(sources.values())):
         raise ConfigError('sources must be a table of strings, like left = "v4l2:/dev/video0"')
-    kinds: dict[str, Any] = {"name": str, "radio_delay_ms": (int, float), "base_port": int}
+    kinds: dict[str, Any] = {
+        "name": str,
+        "radio": str,
+        "radio_delay_ms": (int, float),
+        "base_port": int,
+    }
     for name, kind in kinds.items():
         value = values.get(name)
         if value is not None and (isinstance(value, bool) or not isinstance(value, kind)):

@@ -19,6 +19,7 @@ from pipelines.ground import ground_parts
 from pipelines.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
 from pipelines.live import LiveView
 from pipelines.process import Part, Stage
+from pipelines.radio_options import add_radio_arguments, port_changes, radio_changes
 from pipelines.report import build_report
 from pipelines.sessions import clear_dead_sessions, hold_session
 from pipelines.setup import STEREO, Setup, VideoStream
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
-    parser.add_argument("--radio-delay-ms", type=float, metavar="D", help="delay one way")
+    add_radio_arguments(parser)
     parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
     loudness = parser.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
@@ -76,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
             parts=parts,
             clock=clock,
             snapshots=snapshots,
+            seed=args.seed,
             show=view.show,
         )
         launcher.run(args.seconds)
@@ -132,12 +134,8 @@ def session_parts(setup: Setup, *, snapshots: bool = False) -> list[Part]:
 def chosen_setup(args: argparse.Namespace) -> Setup:
     """The setup that the options name, with what they change; ConfigError if it cannot work."""
     setup = load_setup(args.setup)
-    changes: dict[str, Any] = {"sources": {**setup.sources, **parse_sources(args.source)}}
-    if args.radio_delay_ms is not None:
-        changes["radio_delay_ms"] = args.radio_delay_ms
-    if args.base_port is not None:
-        changes["base_port"] = args.base_port
-    return replace(setup, **changes)
+    sources = {**setup.sources, **parse_sources(args.source)}
+    return replace(setup, sources=sources, **radio_changes(args), **port_changes(args))
 
 
 def parse_sources(options: Sequence[str]) -> Mapping[str, str]:

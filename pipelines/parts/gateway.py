@@ -1,122 +1,239 @@
-"""A segment's gateway process: UDP ports on one side, one transfer frame a slot on the other."""
+"""A segment's gateway process: UDP ports on one side, one transfer frame a slot on the other.
+
+A slot, in the order in which things happen: a little before its deadline the process wakes, takes
+what has come to the flows' ports, and waits for the instant itself; then it fetches the newest
+haptic sample, packs the frame and sends it. What comes by radio goes on at once, at any time, and
+after that there is the rest of the slot for figures.
+"""
 
 import select
+from contextlib import ExitStack
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
+from pipelines.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
 from pipelines.names import BACKLOG, backlog_topic
-from pipelines.process import PATIENCE_NS, Context, Segment
+from pipelines.process import LOOPBACK, PATIENCE_NS, Context, Segment
+from pipelines.setup import Setup
+from pipelines.slot_clock import Alarm, Margin
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.link.flows import Level
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import Gateway
-from telepresence.link.radio import RadioPath
-from telepresence.link.receiver import HapticReceived
+from telepresence.link.receiver import HapticReceived, PacketReceived
 
 #: A burst larger than this in one slot waits in the socket for the next one.
 _MOST_DATAGRAMS = 64
 #: How often, at the most, the senders are told what waits.
 _TELL_NS = 4 * NS_PER_MS
+#: What figures take at the worst: they are put together when so much of a slot is left.
+_FIGURES_NS = NS_PER_MS // 2
+
+_ON_THIS_MACHINE = EndAddresses()
 
 
-def run_gateway(context: Context, *, segment: Segment) -> None:
-    """Bind the flows' ports, and exchange one frame a slot with the other segment."""
-    clock, probe, setup = context.clock, context.probe, context.setup
-    ports = setup.ports
-    ground = segment is Segment.GROUND
-    flows = (setup.uplink_flows, setup.downlink_flows)
-    gateway = Gateway(
-        transmit=setup.uplink if ground else setup.downlink,
-        transmit_flows=flows[0] if ground else flows[1],
-        receive=setup.downlink if ground else setup.uplink,
-        receive_flows=flows[1] if ground else flows[0],
-        radio=RadioPath(delay_ns=round(setup.radio_delay_ms * NS_PER_MS)),
+class _Ports:
+    """The sockets of one end, and what strangers have sent to them."""
+
+    def __init__(
+        self, setup: Setup, segment: Segment, gateway: Gateway, addresses: EndAddresses
+    ) -> None:
+        ports = setup.ports
+        if segment is Segment.GROUND:
+            radio, peer = ports.ground_radio, ports.space_radio
+            haptic_entry, haptic_exit = ports.ground_haptic, ports.robot
+        else:
+            radio, peer = ports.space_radio, ports.ground_radio
+            haptic_entry, haptic_exit = ports.space_haptic, ports.joystick
+
+        def entry(port: int) -> Inlet:
+            return Inlet((addresses.apps_bind, port), addresses.apps)
+
+        def exit_to(port: int) -> Outlet:
+            return outlet(addresses.apps_bind, (addresses.apps, port))
+
+        self.radio, self._not_peer = open_peer(
+            (addresses.bind, radio), addresses.peer or (LOOPBACK, peer)
+        )
+        self.to_peer = Outlet(self.radio)
+        self.haptic, self.to_haptic_end = entry(haptic_entry), exit_to(haptic_exit)
+        self.entries = {flow.name: entry(ports.entry(flow.name)) for flow in gateway.sender.flows}
+        self.exits = {flow.name: exit_to(ports.exit(flow.name)) for flow in gateway.receiver.flows}
+        self._radio_strangers = 0
+        self.local = select.epoll()
+        self._by_fd = {inlet.udp.fileno(): name for name, inlet in self.entries.items()}
+        for fd in (*self._by_fd, self._not_peer.fileno()):
+            self.local.register(fd, select.EPOLLIN)
+
+    def fetch_local(self, gateway: Gateway, now_ns: int) -> None:
+        """Take what waits in the flows' ports, and throw away what strangers sent by radio."""
+        # One question for all of them: to be told by an empty socket that it is empty costs more.
+        poll, by_fd, entries = self.local.poll, self._by_fd, self.entries
+        taken = 0
+        while taken < _MOST_DATAGRAMS and (ready := poll(0)):
+            taken += len(ready)
+            for fd, _events in ready:
+                flow = by_fd.get(fd)
+                if flow is None:
+                    self._radio_strangers += receive(self._not_peer, 1) is not None
+                    continue
+                datagram = entries[flow].receive(MAX_PACKET_OCTETS + 1)
+                if datagram is not None:
+                    gateway.handle_datagram(flow, datagram, now_ns)
+
+    def strangers(self) -> dict[str, int]:
+        """Datagrams of strangers by port."""
+        counts = {"radio": self._radio_strangers, "haptic": self.haptic.strangers}
+        return counts | {name: inlet.strangers for name, inlet in self.entries.items()}
+
+    def unsent(self) -> int:
+        """Frames that the system did not take."""
+        return self.to_peer.failed
+
+
+def make_gateway(context: Context, segment: Segment) -> Gateway:
+    """The core of one end, with the radio on its way out."""
+    setup = context.setup
+    up = setup.uplink, setup.uplink_flows
+    down = setup.downlink, setup.downlink_flows
+    (transmit, sent), (receive, received) = (up, down) if segment is Segment.GROUND else (down, up)
+    return Gateway(
+        transmit=transmit,
+        transmit_flows=sent,
+        receive=receive,
+        receive_flows=received,
+        radio=setup.radio_path(transmit, seed=context.seed, epoch_ns=context.started_ns),
     )
-    radio = context.listen(ports.ground_radio if ground else ports.space_radio)
-    to_peer = context.sender(ports.space_radio if ground else ports.ground_radio)
-    haptic = context.listen(ports.ground_haptic if ground else ports.space_haptic)
-    to_haptic_end = context.sender(ports.robot if ground else ports.joystick)
-    entries = {context.listen(ports.entry(flow.name)): flow.name for flow in gateway.sender.flows}
-    exits = {flow.name: context.sender(ports.exit(flow.name)) for flow in gateway.receiver.flows}
-    local = select.epoll()
-    by_fd = {udp.fileno(): (udp, name) for udp, name in entries.items()}
-    by_fd[haptic.fileno()] = (haptic, "")
-    for fd in by_fd:
-        local.register(fd, select.EPOLLIN)
+
+
+def run_gateway(
+    context: Context,
+    *,
+    segment: Segment,
+    addresses: EndAddresses = _ON_THIS_MACHINE,
+    tell_backlog: bool = True,
+) -> None:
+    """Bind the flows' ports, and exchange one frame a slot with the other segment.
+
+    tell_backlog: tell the session's video sender through shared memory how much video waits.
+    """
+    clock, probe = context.clock, context.probe
+    gateway = make_gateway(context, segment)
+    ports = _Ports(context.setup, segment, gateway, addresses)
     slot_ns = gateway.sender.profile.slot_ns
     schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(slot_ns), period_ns=slot_ns)
+    alarm, margin = Alarm(), Margin()
+    wake = select.epoll()
+    radio_fd = ports.radio.fileno()
+    wake.register(radio_fd, select.EPOLLIN)
+    alarm.register(wake)
+    crowd = select.epoll()
+    crowd.register(ports.haptic.udp.fileno(), select.EPOLLIN)
     # Looked up once: what follows runs a thousand times a second.
-    receive, clock_ns, handle_wakeup = context.receive, clock.now_ns, schedule.handle_wakeup
-    handle_haptic, handle_radio = gateway.sender.handle_haptic, gateway.handle_radio
-    next_event, poll_radio = gateway.receiver.next_event, gateway.radio.poll_transmit
+    clock_ns, handle_wakeup, sleep, set_alarm = (
+        clock.now_ns,
+        schedule.handle_wakeup,
+        wake.poll,
+        alarm.set,
+    )
+    handle_haptic, handle_radio = gateway.handle_haptic, gateway.handle_radio
+    handle_slot, poll_radio, radio_due_ns = (
+        gateway.handle_slot,
+        gateway.poll_transmit,
+        gateway.poll_timeout,
+    )
+    next_event, fetch_local, learn_margin = (
+        gateway.next_event,
+        ports.fetch_local,
+        margin.handle_wakeup,
+    )
     radio_octets = gateway.receiver.profile.frame_octets + 1
     haptic_octets = gateway.sender.profile.insert_octets + 1
+    from_radio, to_peer, exits = ports.radio, ports.to_peer.send, ports.exits
+    fetch_haptic, more_haptic = ports.haptic.receive, crowd.poll
+    to_haptic_end = ports.to_haptic_end.send
     waiting_octets = gateway.sender.waiting_octets
-    to_listen = [radio]
-    add_lateness = probe.rows("lateness").append
+    add_lateness, add_sending = probe.rows("lateness").append, probe.rows("sending").append
 
     def fill() -> None:
         probe.total("slips", schedule.slips)
         probe.total("cycles", schedule.cycles)
+        probe.total("unsent", ports.unsent())
+        for name, count in ports.strangers().items():
+            if count:
+                probe.total(f"strangers_{name}", count)
         probe.gauge("link", gateway.report(clock_ns()))
-
-    def fetch_local(now_ns: int) -> None:
-        # There is nearly always one sample: no need to ask. For all that is seldom, one question
-        # costs a third of what it costs to be told by an empty socket that it is empty.
-        sample = receive(haptic, haptic_octets)
-        if sample is not None:
-            handle_haptic(sample, now_ns)
-        for _ in range(_MOST_DATAGRAMS):
-            ready = local.poll(0)
-            if not ready:
-                return
-            for fd, _events in ready:
-                udp, flow = by_fd[fd]
-                datagram = receive(udp, MAX_PACKET_OCTETS + 1)
-                if datagram is None:
-                    continue
-                if flow:
-                    gateway.handle_datagram(flow, datagram, now_ns)
-                else:
-                    handle_haptic(datagram, now_ns)
 
     def fetch_radio(now_ns: int) -> None:
         # One a wake-up: there is hardly ever a second, and asking for it costs a system call.
-        frame = receive(radio, radio_octets)
+        frame = receive(from_radio, radio_octets)
         if frame is not None:
             handle_radio(frame, now_ns)
         while (event := next_event()) is not None:
             if isinstance(event, HapticReceived):
                 to_haptic_end(event.sample)
-            else:
-                exits[event.flow.name](event.data)
+            elif isinstance(event, PacketReceived):
+                exits[event.flow.name].send(event.data)
+
+    def send_due(now_ns: int) -> None:
+        while (frame := poll_radio(now_ns)) is not None:
+            to_peer(frame)
 
     context.on_flush(fill)
-    with context.open_bus() as bus:
-        writer = bus.writer(
-            backlog_topic(gateway.sender.profile.name), max_octets=BACKLOG.size, wake=False
-        )
+    with ExitStack() as stack:
+        writer = None
+        if tell_backlog:
+            writer = stack.enter_context(context.open_bus()).writer(
+                backlog_topic(gateway.sender.profile.name), max_octets=BACKLOG.size, wake=False
+            )
         told = -1
-        tick_ns = tell_ns = 0
+        figures_ns = tell_ns = 0
+        deadline_ns = schedule.next_deadline_ns
+        wake_ns = deadline_ns - margin.ns
+        set_alarm(wake_ns)
         while not context.stopping:
-            wait_ns = schedule.next_deadline_ns - clock_ns()
-            # What comes in goes on at once; what goes out is fetched at its slot, to be newest.
-            ready = select.select(to_listen, (), (), wait_ns / NS_PER_S if wait_ns > 0 else 0)[0]
+            events = sleep()
             now_ns = clock_ns()
-            if ready:
-                fetch_radio(now_ns)
-            lateness_ns = handle_wakeup(now_ns)
-            if lateness_ns < 0:
-                continue
-            add_lateness(lateness_ns)
-            fetch_local(now_ns)
-            gateway.handle_slot(now_ns)
-            while (frame := poll_radio(now_ns)) is not None:
-                to_peer(frame)
-            waiting = waiting_octets(Level.VIDEO)
-            if waiting != told and now_ns >= tell_ns:
-                told, tell_ns = waiting, now_ns + _TELL_NS
-                writer.publish_octets(BACKLOG.pack(told), CaptureStamp(now_ns, 0, "gateway"))
-            if now_ns >= tick_ns:
-                tick_ns = now_ns + PATIENCE_NS
-                context.tick(now_ns)
+            for fd, _event in events:
+                if fd == radio_fd:
+                    fetch_radio(now_ns)
+            if now_ns < wake_ns:
+                if deadline_ns - now_ns > _FIGURES_NS and now_ns >= figures_ns:
+                    figures_ns = now_ns + PATIENCE_NS
+                    context.tick(now_ns)
+                send_due(now_ns)
+            else:
+                fetch_local(gateway, now_ns)
+                now_ns = clock_ns()
+                learn_margin(now_ns - wake_ns)
+                while now_ns < deadline_ns:
+                    now_ns = clock_ns()
+                add_lateness(handle_wakeup(now_ns))
+                # Only the newest sample counts; there is nearly always one, hardly ever a second.
+                sample = fetch_haptic(haptic_octets)
+                if sample is not None:
+                    handle_haptic(sample, now_ns)
+                    for _ in range(_MOST_DATAGRAMS):
+                        if not more_haptic(0):
+                            break
+                        sample = fetch_haptic(haptic_octets)
+                        if sample is not None:
+                            handle_haptic(sample, now_ns)
+                handle_slot(now_ns)
+                send_due(now_ns)
+                add_sending(clock_ns() - deadline_ns)
+                deadline_ns = schedule.next_deadline_ns
+                wake_ns = deadline_ns - margin.ns
+                if writer is not None and now_ns >= tell_ns:
+                    waiting = waiting_octets(Level.VIDEO)
+                    if waiting != told:
+                        told, tell_ns = waiting, now_ns + _TELL_NS
+                        writer.publish_octets(
+                            BACKLOG.pack(told), CaptureStamp(now_ns, 0, "gateway")
+                        )
+                if now_ns >= figures_ns + PATIENCE_NS:
+                    # Nothing comes by radio.
+                    figures_ns = now_ns + PATIENCE_NS
+                    context.tick(now_ns)
+            due_ns = radio_due_ns()
+            set_alarm(wake_ns if due_ns is None or due_ns > wake_ns else due_ns)

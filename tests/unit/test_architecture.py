@@ -39,6 +39,7 @@ SHELLS = {
     "pipelines/cli.py": "the command itself",
     "pipelines/command.py": "addresses, files and signals of a command",
     "pipelines/control.py": "the control socket",
+    "pipelines/datagrams.py": "the sockets of a gateway",
     "pipelines/devices.py": "asks the system for its devices",
     "pipelines/doctor.py": "asks the system for everything",
     "pipelines/launcher.py": "processes",
@@ -47,6 +48,7 @@ SHELLS = {
     "pipelines/receive.py": "a command",
     "pipelines/send.py": "a command",
     "pipelines/sessions.py": "processes, and what they leave",
+    "pipelines/slot_clock.py": "a timer of the system",
     "pipelines/stream.py": "a command",
 }
 

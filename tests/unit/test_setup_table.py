@@ -8,8 +8,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpSender
 from pipelines.names import HOUSEKEEPING_INTERVAL_NS, REPORT_INTERVAL_NS, cname
-from pipelines.parts import video_send
-from pipelines.setup import VIDEO_PAYLOAD_OCTETS, Ports, Setup, VideoStream
+from pipelines.setup import Ports, Setup, VideoStream
 from pipelines.setup_file import load_setup
 from pipelines.setups import BUILT_IN
 from telepresence.link.arithmetic import RESERVE_BPS, RESUME_OCTETS, TAG_OCTETS
@@ -18,6 +17,7 @@ from telepresence.tmtc import Housekeeping, pack_packet
 EVERY_FIELD = """
 name = "wrist"
 cameras = ["wrist", "stereo"]
+radio = "cable"
 radio_delay_ms = 12.5
 base_port = 21000
 
@@ -56,7 +56,7 @@ def test_every_field_of_a_file_arrives(tmp_path):
     for entry in fields(Setup):
         assert f"{entry.name}" in EVERY_FIELD, f"{entry.name} is not in the file of this test"
     assert (setup.name, setup.cameras) == ("wrist", ("wrist", "stereo"))
-    assert (setup.radio_delay_ms, setup.base_port) == (12.5, 21_000)
+    assert (setup.radio, setup.radio_delay_ms, setup.base_port) == ("cable", 12.5, 21_000)
     video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
     assert asdict(setup.uplink_video) == video
     down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
@@ -133,7 +133,6 @@ def test_a_large_picture_takes_several_packets():
     assert seldom.packets_per_s == 11
     # A cap so low that no packet of 1000 octets may leave within 100 ms.
     assert VideoStream(name="uplink_video", cap_bps=20_000, fps=1).payload_octets == 375
-    assert video_send._MAX_PAYLOAD_OCTETS == VIDEO_PAYLOAD_OCTETS
 
 
 def test_the_reserve_holds_the_reports_and_the_telemetry_of_a_session():
@@ -197,3 +196,24 @@ def test_a_camera_is_no_microphone_whatever_its_name():
     assert setup.kind_of("a_mic") == "video"
     with pytest.raises(ConfigError, match="no input iss_mic"):
         setup.kind_of("iss_mic")
+
+
+def test_a_radio_is_a_profile_or_a_cable_with_a_delay(tmp_path):
+    file = tmp_path / "storm.toml"
+    file.write_text("delay_ms = 40\nframe_loss = 0.1\n")
+    assert own_setup().radio_profile.longest_delay_ns == 0
+    assert own_setup(radio=str(file)).radio_profile.frame_loss == 0.1
+    assert own_setup(radio_delay_ms=12.5).radio_profile.longest_delay_ns == 12_500_000
+    with pytest.raises(ConfigError, match="radio geo has a delay of its own.* or take radio cable"):
+        own_setup(radio="geo", radio_delay_ms=12.5)
+    with pytest.raises(ConfigError, match="unknown radio storm"):
+        own_setup(radio="storm")
+
+
+def test_a_direction_has_its_own_radio_from_the_same_seed():
+    setup = own_setup(radio="geo")
+    one, other = (
+        setup.radio_path(profile, seed=3, epoch_ns=5).report()
+        for profile in (setup.uplink, setup.downlink)
+    )
+    assert (one["direction"], other["direction"]) == ("uplink", "downlink")

@@ -1,0 +1,38 @@
+"""The options of the radio and of the ports, which several commands share."""
+
+import argparse
+from typing import Any
+
+from kontur_av.errors import ConfigError
+from pipelines.setup import NO_RADIO
+
+
+def add_radio_arguments(parser: argparse.ArgumentParser, *, delay: bool = True) -> None:
+    """`--radio`, `--seed` and, with `delay`, `--radio-delay-ms`."""
+    parser.add_argument(
+        "--radio", metavar="PROFILE", help="cable, clean, iss-pass, geo or FILE.toml"
+    )
+    if delay:
+        parser.add_argument(
+            "--radio-delay-ms", type=float, metavar="D", help="a cable with a delay one way"
+        )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="what the radio's chances derive from"
+    )
+
+
+def radio_changes(args: argparse.Namespace) -> dict[str, Any]:
+    """What the options change in the setup: they win over its radio, whichever it has."""
+    delay_ms = getattr(args, "radio_delay_ms", None)
+    if args.radio is not None and delay_ms is not None:
+        raise ConfigError("--radio and --radio-delay-ms: give one of them")
+    if args.radio is not None:
+        return {"radio": args.radio, "radio_delay_ms": 0.0}
+    if delay_ms is not None:
+        return {"radio": NO_RADIO, "radio_delay_ms": delay_ms}
+    return {}
+
+
+def port_changes(args: argparse.Namespace) -> dict[str, Any]:
+    """What `--base-port` changes in the setup."""
+    return {} if args.base_port is None else {"base_port": args.base_port}
