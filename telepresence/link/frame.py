@@ -9,7 +9,12 @@ import struct
 from binascii import crc_hqx
 from functools import lru_cache
 
-from telepresence.link.profile import FECF_OCTETS, LinkProfile
+from telepresence.link.profile import (
+    FECF_OCTETS,
+    HEADER_OCTETS,
+    MPDU_HEADER_OCTETS,
+    LinkProfile,
+)
 
 COUNT_MODULUS = 1 << 24
 COUNT_MASK = COUNT_MODULUS - 1
@@ -19,8 +24,8 @@ _SAMPLE_FLAG = 0x20
 _SIGNALING_MUST_BE_ZERO = 0xC0
 _POINTER_MASK = 0x1F
 
-#: From this length on, a run of zeros is cheaper to look up than to divide.
-_LONG_ZERO_RUN = 64
+#: From this length on, a known tail's part in the CRC is cheaper to look up than to divide.
+_LONG_TAIL = 64
 
 
 class Pointers:
@@ -45,8 +50,8 @@ class Pointers:
 
 
 #: A received frame whose FECF was right: frame count, sample (None where there is none), first
-#: header pointer, packet zone (longer by the insert zone where there is no sample; empty where the
-#: pointer is `idle`). A bare tuple, because one is made every millisecond.
+#: header pointer, packet zone (longer by the insert zone where there is no sample). A bare tuple,
+#: because one is made every millisecond.
 Frame = tuple[int, bytes | None, int, bytes]
 
 
@@ -74,12 +79,14 @@ class FrameCodec:
         self._idle_sample = bytes(profile.packet_zone_octets)
         self._idle_plain = bytes(profile.largest_zone_octets)
         # Most frames of a wide link are idle, and most of their cost would be dividing zeros.
-        self._wide = profile.packet_zone_octets >= _LONG_ZERO_RUN and not self._in_signaling
-        if self._wide:
-            self._pack_idle_sample = struct.Struct(f">HI{profile.insert_octets}sH").pack
-            self._pack_idle_plain = struct.Struct(">HIH").pack
-            self._after_sample = _zero_run(profile.packet_zone_octets)
-            self._after_plain = _zero_run(profile.largest_zone_octets)
+        self._sample_tail: _KnownTail | None = None
+        self._plain_tail: _KnownTail | None = None
+        self._pack_head = struct.Struct(">HI").pack
+        if profile.packet_zone_octets >= _LONG_TAIL and not self._in_signaling:
+            code = self._idle.to_bytes(MPDU_HEADER_OCTETS, "big")
+            start = HEADER_OCTETS + profile.insert_octets
+            self._sample_tail = _KnownTail(start, code + self._idle_sample)
+            self._plain_tail = _KnownTail(HEADER_OCTETS, code + self._idle_plain)
 
     def pack(self, count: int, sample: bytes | None, pointer: int, zone: bytes) -> bytes:
         """`profile.frame_octets` octets. `count` is taken modulo 2^24; `zone` fills what the
@@ -98,27 +105,29 @@ class FrameCodec:
 
     def pack_idle(self, count: int, sample: bytes | None) -> bytes:
         """The same with pointer `idle` and a zone of zeros."""
-        if not self._wide:
+        known = self._plain_tail if sample is None else self._sample_tail
+        if known is None:
             zone = self._idle_plain if sample is None else self._idle_sample
             return self.pack(count, sample, self._idle, zone)
         count = (count & COUNT_MASK) << 8
+        head: bytes
         if sample is None:
-            head: bytes = self._pack_idle_plain(self._first16, count, self._idle)
-            zone, (high, low) = self._idle_plain, self._after_plain
+            head = self._pack_head(self._first16, count)
         else:
-            head = self._pack_idle_sample(self._first16, count | _SAMPLE_FLAG, sample, self._idle)
-            zone, (high, low) = self._idle_sample, self._after_sample
-        register = crc_hqx(head, 0xFFFF)
-        fecf = high[register >> 8] ^ low[register & 0xFF]
-        return head + zone + fecf.to_bytes(FECF_OCTETS, "big")
+            head = self._pack_head(self._first16, count | _SAMPLE_FLAG) + sample
+        return head + known.tail + known.fecf(head).to_bytes(FECF_OCTETS, "big")
 
     def parse(self, frame: bytes) -> Frame | str:
         """The frame, or in one word the reason why it is none of ours."""
         if len(frame) != self._frame_octets:
             return "length"
         has_sample = frame[5] & _SAMPLE_FLAG
+        known = self._sample_tail if has_sample else self._plain_tail
+        if known is not None and frame.startswith(known.tail, known.start):
+            if known.fecf(frame[: known.start]) != frame[-2] << 8 | frame[-1]:
+                return "fecf"
         # The CRC of a frame together with its own CRC is zero.
-        if crc_hqx(frame, 0xFFFF):
+        elif crc_hqx(frame, 0xFFFF):
             return "fecf"
         sample: bytes | None
         if self._in_signaling:
@@ -141,13 +150,29 @@ class FrameCodec:
         return rest >> 8, sample, pointer, zone
 
 
+class _KnownTail:
+    """A frame's octets from `start` to its FECF, where they are known beforehand.
+
+    What they make of a CRC register is linear in the register, but for a constant: so it is looked
+    up by the register's two halves.
+    """
+
+    def __init__(self, start: int, tail: bytes) -> None:
+        self.start = start
+        self.tail = tail
+        self._high, self._low = _halves(tail)
+
+    def fecf(self, head: bytes) -> int:
+        """The FECF of `head` followed by the tail."""
+        register = crc_hqx(head, 0xFFFF)
+        return self._high[register >> 8] ^ self._low[register & 0xFF]
+
+
 @lru_cache(maxsize=16)
-def _zero_run(octets: int) -> tuple[list[int], list[int]]:
-    """What `octets` zeros make of a CRC register: the division is linear, so its two halves may be
-    looked up apart and added."""
-    zeros = bytes(octets)
-    high = [crc_hqx(zeros, half << 8) for half in range(0x100)]
-    low = [crc_hqx(zeros, half) for half in range(0x100)]
+def _halves(tail: bytes) -> tuple[list[int], list[int]]:
+    constant = crc_hqx(tail, 0)
+    high = [crc_hqx(tail, half << 8) for half in range(0x100)]
+    low = [crc_hqx(tail, half) ^ constant for half in range(0x100)]
     return high, low
 
 
@@ -172,9 +197,14 @@ TAG_RESUME = 0x04  # 0x04..0x07: resume the packet in flight of level 0..3
 MAX_PACKET_OCTETS = 2048
 
 
+#: A closed piece's length is one octet up to here; above, two octets with the highest bit set.
+LARGEST_SHORT_LENGTH = 0x7F
+LONG_LENGTH = 0x8000
+
+
 def length_octets(profile: LinkProfile) -> int:
-    """How many octets tell the length of a closed piece."""
-    return 1 if profile.largest_zone_octets <= 0x100 else 2
+    """How many octets tell the length of a closed piece, at the most."""
+    return 1 if profile.largest_zone_octets <= LARGEST_SHORT_LENGTH + 2 else 2
 
 
 # Until header compression speaks in kinds.

@@ -5,16 +5,16 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_S
-from telepresence.link.flows import Flow, FlowKind, Level, check_flows
+from telepresence.link.flows import MAX_FLOWS, Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
     COUNT_MASK,
     COUNT_MODULUS,
     KIND_CONTEXT,
-    KIND_CONTROL,
     KIND_MASK,
     KIND_RAW,
     KIND_SHIFT,
+    LARGEST_SHORT_LENGTH,
     MAX_PACKET_OCTETS,
     NUMBER_MASK,
     TAG_FILL,
@@ -22,13 +22,20 @@ from telepresence.link.frame import (
     TAG_RESUME,
     FrameCodec,
     Pointers,
-    length_octets,
 )
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.shim import RtpDecompressor
 
 #: A frame that is so little behind is late or repeated; one further behind is of a new life.
 _LATE_FRAMES = 32
+#: So many late frames that follow each other are none: the peer began anew just below.
+_LATE_RUN = 4
+
+_new_event = tuple.__new__
+
+_KIND_BITS = KIND_MASK << KIND_SHIFT
+#: The level that each control code resumes; -1 for the codes that mean nothing.
+_RESUMED = [-1] * TAG_RESUME + [*range(len(Level))]
 
 
 class HapticReceived(NamedTuple):
@@ -84,11 +91,12 @@ class LinkReceiver:
         self._pointers = Pointers(profile)
         self._idle = self._pointers.idle
         self._no_start = self._pointers.no_start
-        self._length_octets = length_octets(profile)
         self._decompressors = [
             RtpDecompressor(flow, profile.slot_ns) if flow.kind is FlowKind.RTP else None
             for flow in self.flows
         ]
+        self._levels = [int(flow.level) for flow in self.flows]
+        self._levels += [-1] * (MAX_FLOWS - len(self.flows))
         self._context_ids = (0,) * sum(item is not None for item in self._decompressors)
         self._events: deque[LinkEvent] = deque()
         self._partials: list[_Partial | None] = [None] * len(Level)
@@ -97,8 +105,9 @@ class LinkReceiver:
         self._count = -1
         self._next24 = -1
         self._last_ns = 0
-        #: The last late frame's count, and the last good frame's at that time.
-        self._last_late = (-1, -1)
+        #: Of the late frames that followed each other: the last good frame's count, the next one's
+        #: if they go on, and how many there were.
+        self._late = (-1, -1, 0)
         self.frames_received = 0
         self.frames_lost = 0
         self.restarts = 0
@@ -129,7 +138,8 @@ class LinkReceiver:
         if sample is not None:
             if self.deliver:
                 self.haptic_received += 1
-                self._events.append(HapticReceived(sample, now_ns))
+                # Each millisecond, so without the constructor that a NamedTuple writes in Python.
+                self._events.append(_new_event(HapticReceived, (sample, now_ns)))
             else:
                 self.haptic_unapproved += 1
         on_air = self._on_air
@@ -164,11 +174,11 @@ class LinkReceiver:
         else:
             ahead = count24 - last & COUNT_MASK
             behind = COUNT_MODULUS - ahead
-            if count24 and (ahead == 0 or behind < _LATE_FRAMES):
-                # Two in a row are no straggler: the peer began anew just below.
-                follows = self._last_late == (count24 - 1, last)
-                self._last_late = count24, last
-                if not (ahead and follows):
+            if ahead == 0 or behind < _LATE_FRAMES:
+                goes_on = self._late[:2] == (last, count24)
+                run = self._late[2] + 1 if goes_on else 1
+                self._late = last, count24 + 1, run
+                if ahead == 0 or run < _LATE_RUN:
                     self._drop_frame("late")
                     return False
                 self._restart(count24)
@@ -268,56 +278,64 @@ class LinkReceiver:
                 continue
             if tag == TAG_FILL:
                 return
-            number = tag & NUMBER_MASK
-            resumed = tag >> KIND_SHIFT & KIND_MASK == KIND_CONTROL
-            if resumed:
-                level = number - TAG_RESUME
-                known = level >= 0
-            else:
-                known = number < len(self.flows)
-                level = self.flows[number].level if known else 0
-            if not known:
+            resumed = tag & _KIND_BITS == 0
+            level = (_RESUMED if resumed else self._levels)[tag & NUMBER_MASK]
+            if level < 0:
                 self._malformed()
                 return
             end = size
             if tag & CLOSED:
-                start = position + self._length_octets
-                end = start + int.from_bytes(zone[position:start], "big")
+                # Missing octets read as zeros, and the piece then ends beyond the zone.
+                length = int.from_bytes(zone[position : position + 1], "big")
+                position += 1
+                if length > LARGEST_SHORT_LENGTH:
+                    low = int.from_bytes(zone[position : position + 1], "big")
+                    length = (length & LARGEST_SHORT_LENGTH) << 8 | low
+                    position += 1
+                end = position + length
                 if end > size:
                     self._malformed()
                     return
-                position = start
             piece = zone[position:end]
-            if resumed:
-                self._extend(level, piece)
-            else:
+            position = end
+            if not resumed:
                 if self._partials[level] is not None:
                     # At most one packet a level is under way: the sender has given that one up.
+                    self._partials[level] = None
                     self._drop_packet("incomplete")
-                self._partials[level] = _Partial(tag & ~CLOSED, self._count, piece)
+                if tag & CLOSED:
+                    self._deliver(tag & ~CLOSED, self._count, piece, now_ns)
+                else:
+                    self._partials[level] = _Partial(tag, self._count, piece)
+                    self._on_air = level
+                continue
+            self._extend(level, piece)
             if tag & CLOSED:
                 self._finish(level, now_ns)
             else:
                 self._on_air = level
-            position = end
 
     def _deliver(self, tag: int, count: int, body: bytes, now_ns: int) -> None:
         number, kind = tag & NUMBER_MASK, tag >> KIND_SHIFT
-        flow, decompressor = self.flows[number], self._decompressors[number]
+        decompressor = self._decompressors[number]
         packet: bytes | str
         if decompressor is not None:
             packet = decompressor.decompress(kind, body, count)
             if kind == KIND_CONTEXT:
                 self._note_contexts()
+            if isinstance(packet, str):
+                self._drop_packet(packet)
+                return
+        elif kind == KIND_RAW:
+            packet = body
         else:
-            packet = body if kind == KIND_RAW else "malformed"
-        if isinstance(packet, str):
-            self._drop_packet(packet)
-        elif not self.deliver:
-            self._drop_packet("unapproved")
-        else:
+            self._drop_packet("malformed")
+            return
+        if self.deliver:
             self.packets_received[number] += 1
-            self._events.append(PacketReceived(flow, packet, now_ns))
+            self._events.append(PacketReceived(self.flows[number], packet, now_ns))
+        else:
+            self._drop_packet("unapproved")
 
     def report(self) -> dict[str, Any]:
         """Frames, samples and packets, received, lost and dropped by reason."""

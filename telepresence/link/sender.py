@@ -8,13 +8,14 @@ from telepresence.link.frame import (
     CLOSED,
     KIND_RAW,
     KIND_SHIFT,
+    LARGEST_SHORT_LENGTH,
+    LONG_LENGTH,
     MAX_PACKET_OCTETS,
     TAG_FILL,
     TAG_PAD,
     TAG_RESUME,
     FrameCodec,
     Pointers,
-    length_octets,
 )
 from telepresence.link.profile import (
     FECF_OCTETS,
@@ -70,7 +71,6 @@ class LinkSender:
         self._pointers = Pointers(profile)
         self._sample_zone_octets = profile.packet_zone_octets
         self._plain_zone_octets = profile.largest_zone_octets
-        self._length_octets = length_octets(profile)
         limits = {**DEFAULT_LIMITS, **(limits or {})}
         self._queues = [PacketQueue(limits[level]) for level in Level]
         self._queued = [queue.items for queue in self._queues]
@@ -244,22 +244,26 @@ class LinkSender:
         key = "packet_headers" if packet.tag >> KIND_SHIFT else "framing"
         if remaining >= rest - 1:
             self._carried[key] += 1
-            tag = bytes((packet.tag,))
-            segment = tag + self._piece(packet, rest - 1)
+            segment = bytes((packet.tag,)) + self._piece(packet, rest - 1)
             if remaining >= rest:
                 self._on_air = packet
                 packet.tag = TAG_RESUME + packet.level
             # One that ends with the zone needs no more than the next frame's pointer.
             return segment
-        if remaining + 1 + self._length_octets > rest:
+        short = remaining <= LARGEST_SHORT_LENGTH
+        if not short and remaining + 3 > rest:
             # One octet too short to be left open, one too long for its length: one pad octet.
             self._carried["framing"] += 1
             packet.since_ns = now_ns
             self._waiting[packet.level] = packet
             return bytes((TAG_PAD,))
         self._carried[key] += 1
-        self._carried["framing"] += self._length_octets
-        head = bytes((packet.tag | CLOSED,)) + remaining.to_bytes(self._length_octets, "big")
+        tag = packet.tag | CLOSED
+        if short:
+            self._carried["framing"] += 1
+            return bytes((tag, remaining)) + self._piece(packet, remaining)
+        self._carried["framing"] += 2
+        head = bytes((tag,)) + (LONG_LENGTH | remaining).to_bytes(2, "big")
         return head + self._piece(packet, remaining)
 
     def _piece(self, packet: _InFlight, octets: int) -> bytes:

@@ -1,11 +1,21 @@
-"""Transfer frames octet by octet, both ways."""
+"""Transfer frames octet by octet, both ways, against the book's arithmetic done bit by bit."""
 
 import struct
 from binascii import crc_hqx
 
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from telepresence.link.flows import Level, packet_flow, video_flow, voice_flow
-from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.receiver import HapticReceived, LinkReceiver, PacketReceived
+from telepresence.link.frame import FrameCodec, Pointers
+from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.receiver import (
+    HapticReceived,
+    LinkReceiver,
+    PacketReceived,
+    SupervisionReceived,
+)
 from telepresence.link.sender import LinkSender
 
 FLOWS = [
@@ -15,6 +25,7 @@ FLOWS = [
     packet_flow("tmtc", Level.TMTC),
 ]
 SAMPLE = bytes.fromhex("0001020304050607 08090a0b")
+MESSAGE = b"supervision!"
 
 
 def crc16_by_division(octets: bytes) -> int:
@@ -27,9 +38,70 @@ def crc16_by_division(octets: bytes) -> int:
     return register
 
 
+def bits(value: int, width: int) -> str:
+    assert 0 <= value < 1 << width
+    return f"{value:0{width}b}"
+
+
+def frame_by_bits(profile, count, sample, pointer, zone):
+    """The fields of CCSDS 732.0-B 4.1.2, one after the other, as strings of bits."""
+    in_signaling = profile.pointer_in_signaling
+    header = (
+        "01"  # transfer frame version number
+        + bits(profile.scid, 8)
+        + bits(profile.vcid, 6)
+        + bits(count % 2**24, 24)
+        + "0"  # replay flag
+        + "0"  # VC frame count usage flag
+        + ("0" if sample is None else "1")
+        + bits(pointer if in_signaling else 0, 5)
+    )
+    mpdu = "" if in_signaling else "00000" + bits(pointer, 11)
+    octets = b"".join(
+        int(piece, 2).to_bytes(len(piece) // 8, "big") if isinstance(piece, str) else piece
+        for piece in (header, sample or b"", *([mpdu] if mpdu else []), zone)
+    )
+    return octets + crc16_by_division(octets).to_bytes(2, "big")
+
+
 def test_fecf_is_the_books_crc():
     assert crc16_by_division(b"123456789") == 0x29B1
     assert crc_hqx(b"123456789", 0xFFFF) == 0x29B1
+
+
+#: Room for every code beside the largest zone: 27 octets of zones, and 2043.
+WIDEST = [
+    LinkProfile(name="short", frame_octets=35, scid=0, vcid=63, pointer_in_signaling=True),
+    LinkProfile(name="long", frame_octets=2053, scid=255, vcid=0),
+]
+
+
+@pytest.mark.parametrize("profile", [UPLINK, DOWNLINK, *WIDEST], ids=lambda profile: profile.name)
+@given(data=st.data())
+def test_codec_writes_and_reads_what_the_book_says(profile, data):
+    count = data.draw(st.integers(0, 2**25))
+    insert = st.binary(min_size=profile.insert_octets, max_size=profile.insert_octets)
+    sample = data.draw(st.none() | insert)
+    size = profile.largest_zone_octets if sample is None else profile.packet_zone_octets
+    zone = data.draw(st.binary(max_size=12)).ljust(size, b"\0")
+    codes = Pointers(profile)
+    named = (codes.no_start, codes.idle, codes.preempt, codes.supervision)
+    pointer = data.draw(st.integers(0, size) | st.sampled_from(named))
+    assert set(named).isdisjoint(range(size + 1))
+    codec = FrameCodec(profile)
+    frame = codec.pack(count, sample, pointer, zone)
+    assert frame == frame_by_bits(profile, count, sample, pointer, zone)
+    assert len(frame) == profile.frame_octets
+    assert codec.parse(frame) == (count % 2**24, sample, pointer, zone)
+    idle = codec.pack_idle(count, sample)
+    assert idle == codec.pack(count, sample, codes.idle, bytes(size))
+    assert codec.parse(idle) == (count % 2**24, sample, codes.idle, bytes(size))
+    # Up to three flipped bits are always noticed, in a frame that is idle, too.
+    for flipped in (frame, idle):
+        wrong = int.from_bytes(flipped, "big")
+        for bit in data.draw(st.sets(st.integers(0, 8 * len(frame) - 1), min_size=1, max_size=3)):
+            wrong ^= 1 << bit
+        assert codec.parse(wrong.to_bytes(len(frame), "big")) == "fecf"
 
 
 def test_uplink_frame_by_hand():
@@ -39,66 +111,124 @@ def test_uplink_frame_by_hand():
     frame = sender.poll_transmit(0)
     # '01' version, 0x4B = '01001011' SCID, '000001' VCID: 0101 0010 1100 0001.
     header = bytes.fromhex("52c1 000005 20")  # sample flag; first header pointer 0
-    # '1' closed, '001' raw, '0011' flow 3; 3 octets; 7 octets of fill.
-    zone = bytes.fromhex("93 03 616263 00 000000000000")
+    # '1' closed, '0001' raw, '011' flow 3; 3 octets; 7 octets of fill.
+    zone = bytes.fromhex("8b 03 616263 00 000000000000")
     body = header + SAMPLE + zone
     assert frame == body + struct.pack(">H", crc16_by_division(body))
-    assert frame.hex() == ("52c100000520000102030405060708090a0b9303616263000000000000006a25")
+    assert frame.hex() == "52c100000520000102030405060708090a0b8b0361626300000000000000" + "46dd"
 
 
-def test_uplink_packet_over_three_frames_and_a_telecommand_between():
+def test_uplink_packet_over_frames_a_telecommand_between_and_a_slot_without_sample():
     sender = LinkSender(UPLINK, FLOWS, first_count=0xFFFFFF)
-    sender.handle_packet("maintenance", bytes(range(0x30, 0x48)), 0)  # 24 octets
-    first = sender.poll_transmit(0)
-    sender.handle_packet("tmtc", b"TC", 0)
-    second = sender.poll_transmit(0)
-    third = sender.poll_transmit(0)
-    fourth = sender.poll_transmit(0)
-    # No sample: flag 0, insert zone zero. Open raw tag of flow 2 and the first 11 octets.
-    assert first[2:18].hex() == "ffffff00" + "00" * 12
-    assert first[18:30].hex() == "12" + bytes(range(0x30, 0x3B)).hex()
-    # Pointer 13: preempted. The telecommand closed, then level 3 resumed (open) to the end.
-    assert second[2:6].hex() == "0000000d"
-    assert second[18:30].hex() == "93025443" + "07" + bytes(range(0x3B, 0x42)).hex()
-    # Pointer 6: the packet's last six octets, then fill.
-    assert third[2:6].hex() == "00000106"
-    assert third[18:30].hex() == bytes(range(0x42, 0x48)).hex() + "000000000000"
-    # Pointer 14: only idle.
-    assert fourth[2:6].hex() == "0000020e"
-    assert fourth[18:30] == bytes(12)
+    sender.handle_packet("maintenance", bytes(range(0x30, 0x60)), 0)  # 48 octets
+    zones = []
+    for slot in range(5):
+        if slot != 1:
+            sender.handle_haptic(SAMPLE, 0)
+        if slot == 2:
+            sender.handle_packet("tmtc", b"TC", 0)
+        frame = sender.poll_transmit(0, MESSAGE if slot == 3 else None)
+        zones.append((frame[2:6].hex(), frame[6 if slot == 1 else 18 : 30].hex()))
+    assert zones == [
+        # Open raw tag of flow 2 and the first 11 octets.
+        ("ffffff20", "0a" + bytes(range(0x30, 0x3B)).hex()),
+        # No sample: pointer 31, no start, and 24 octets that go on.
+        ("0000001f", bytes(range(0x3B, 0x53)).hex()),
+        # Pointer 29: preempted. The telecommand closed, then level 3 resumed (open) to the end.
+        ("0000013d", "8b025443" + "07" + bytes(range(0x53, 0x5A)).hex()),
+        # Pointer 28: a supervision message has the zone.
+        ("0000023c", MESSAGE.hex()),
+        # Pointer 6: the packet's last six octets, then fill.
+        ("00000326", bytes(range(0x5A, 0x60)).hex() + "000000000000"),
+    ]
+    # Pointer 30: only idle, with a sample and without.
+    sender.handle_haptic(SAMPLE, 0)
+    assert sender.poll_transmit(0)[2:30] == bytes.fromhex("000004 3e") + SAMPLE + bytes(12)
+    assert sender.poll_transmit(0)[2:30] == bytes.fromhex("000005 1e") + bytes(24)
+    assert sender.octets() == {
+        "header": 7 * 6,
+        "fecf": 7 * 2,
+        "haptic": 5 * 12,
+        "tmtc": 2,
+        "voice": 0,
+        "video": 0,
+        "maintenance": 48,
+        "rtcp": 0,
+        "packet_headers": 2,
+        "framing": 2,
+        "supervision": 12,
+        "idle": 6 + 12 + 24 + 12 - 12,
+    }
 
 
 def test_downlink_frame():
     sender = LinkSender(DOWNLINK, FLOWS)
     sender.handle_haptic(SAMPLE, 0)
-    rtp = bytes.fromhex("80e0 0007 00015f90 deadbeef") + b"payload"
-    sender.handle_packet("video", rtp, 0)
+    sender.handle_packet("tmtc", bytes(range(20)), 0)
+    sender.handle_packet("maintenance", b"m" * 200, 0)
+    sender.handle_packet("maintenance", b"n" * 500, 0)
     frame = sender.poll_transmit(0)
     assert len(frame) == 500
-    # SCID 0x4C; M_PDU header: five spare bits and pointer 0; closed context of flow 0, 19 octets.
+    # SCID 0x4C; M_PDU header: five spare bits and pointer 0.
     assert frame[:20].hex() == "5301" + "000000" + "20" + SAMPLE.hex() + "0000"
-    assert frame[20:42] == bytes.fromhex("a0 0013") + rtp
-    assert frame[42:498] == bytes(456)
+    assert frame[20:42] == bytes.fromhex("8b 14") + bytes(range(20))
+    # 200 octets are told by two: 1 and 15 bits of length.
+    assert frame[42:245] == bytes.fromhex("8a 80c8") + b"m" * 200
+    assert frame[245:498] == bytes.fromhex("0a") + b"n" * 252
     assert frame[498:] == struct.pack(">H", crc16_by_division(frame[:498]))
+    # Without a sample the M_PDU header follows the primary header; pointer 248.
+    second = sender.poll_transmit(0)
+    assert second[:8].hex() == "5301" + "000001" + "00" + "00f8"
+    assert second[8:498] == b"n" * 248 + bytes(242)
     idle = sender.poll_transmit(0)
-    assert idle[:20].hex() == "5301" + "000001" + "00" + "00" * 12 + "07fe"
+    assert idle[:8].hex() == "5301" + "000002" + "00" + "07fe"
+    assert idle[8:498] == bytes(490)
+    told = sender.poll_transmit(0, MESSAGE)
+    assert told[:20] == bytes.fromhex("5301 000003 00 07fc") + MESSAGE
+    assert told[20:498] == bytes(478)
 
 
-def test_compressed_headers():
-    """Three octets for video, one for voice, after the tag."""
+def test_one_octet_too_long_for_its_length_is_padded():
     sender = LinkSender(DOWNLINK, FLOWS)
-    video = struct.Struct(">BBHII")
-    sender.handle_packet("video", video.pack(0x80, 96, 10, 1000, 1) + b"v", 0)
-    sender.handle_packet("voice", video.pack(0x80, 97, 20, 5000, 2) + b"w", 0)
-    sender.poll_transmit(0)
-    sender.handle_packet("video", video.pack(0x80, 0x80 | 96, 11, 4000, 1) + b"V", 0)
-    sender.handle_packet("voice", video.pack(0x80, 97, 21, 5960, 2) + b"W", 0)
-    zone = sender.poll_transmit(0)[20:]
-    # Voice first: compressed, generation 0, flow 1; two octets; 21.
-    assert zone[:5].hex() == "c1" + "0002" + "15" + b"W".hex()
-    # Marker 1, sequence 000001011, timestamp 4000 = 00111110100000: 1000 0010 1100 1111 1010 0000.
-    assert zone[5:12].hex() == "c0" + "0004" + "82cfa0" + b"V".hex()
-    assert zone[12] == 0
+    sender.handle_haptic(SAMPLE, 0)
+    sender.handle_packet("maintenance", b"m" * 476, 0)
+    zone = sender.poll_transmit(0)[20:498]
+    assert zone == bytes.fromhex("01 0a") + b"m" * 476
+    assert sender.poll_transmit(0)[6:8].hex() == "07fe"  # it has ended with that zone
+
+
+def test_what_was_cut_off_is_not_told_to_have_ended():
+    """Its tag stands in the frame before, so the next one must not say that it ends here."""
+    sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
+    sender.handle_packet("maintenance", bytes(100), 0)
+    frames = [sender.poll_transmit(0)]
+    sender.flush(0)
+    frames += [sender.poll_transmit(0, MESSAGE), sender.poll_transmit(0), sender.poll_transmit(0)]
+    assert frames[1][5] == 0x1C
+    assert frames[2][5:30] == bytes.fromhex("1d 00") + bytes(23)  # preempted, and fill
+    assert frames[3][5] == 0x1E
+    sender.handle_packet("maintenance", b"next", 0)
+    for frame in (*frames, sender.poll_transmit(0)):
+        assert receiver.handle_frame(frame, 0)
+    assert [event[0] for event in iter(receiver.next_event, None)] == [MESSAGE, FLOWS[2]]
+    assert receiver.packets_dropped == {"incomplete": 1}
+
+
+def test_kinds_of_rtp_packets_and_their_flow():
+    """Raw is kind 1, a context kind 2; compressed ones are kinds 4 to 15."""
+    sender = LinkSender(UPLINK, FLOWS)
+    kinds = []
+    for number in range(40):
+        header = struct.pack(">BBHII", 0x80, 96, number, 3000 * number, 1)
+        sender.handle_packet("video", header + b"v", number * 33_000_000)
+        for slot in range(33):
+            frame = sender.poll_transmit((number * 33 + slot) * 1_000_000)
+            if slot == 0:
+                assert (frame[5], frame[6] & 0x87) == (0, 0x80)  # closed, flow 0
+                kinds.append(frame[6] >> 3 & 0xF)
+    assert kinds[0] in (1, 2)
+    assert set(kinds) <= {1, 2, *range(4, 16)}
+    assert 2 in kinds
 
 
 def test_what_is_written_is_read():
@@ -106,10 +236,12 @@ def test_what_is_written_is_read():
         sender, receiver = LinkSender(profile, FLOWS), LinkReceiver(profile, FLOWS)
         sender.handle_haptic(SAMPLE, 0)
         sender.handle_packet("tmtc", b"telecommand", 0)
-        for slot in range(3):
-            receiver.handle_frame(sender.poll_transmit(slot), slot)
+        for slot in range(4):
+            message = MESSAGE if slot == 3 else None
+            assert receiver.handle_frame(sender.poll_transmit(slot, message), slot)
         assert receiver.next_event() == HapticReceived(SAMPLE, 0)
         event = receiver.next_event()
         assert isinstance(event, PacketReceived)
         assert (event.flow.name, event.data) == ("tmtc", b"telecommand")
+        assert receiver.next_event() == SupervisionReceived(MESSAGE, 3)
         assert receiver.next_event() is None
