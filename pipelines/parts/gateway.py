@@ -6,6 +6,7 @@ haptic sample, packs the frame and sends it. What comes by radio goes on at once
 after that there is the rest of the slot for figures.
 """
 
+import secrets
 import select
 from contextlib import ExitStack
 
@@ -102,6 +103,10 @@ def make_gateway(context: Context, segment: Segment) -> Gateway:
         transmit_flows=sent,
         receive=receive,
         receive_flows=received,
+        master=segment is Segment.GROUND,
+        # By this the peer knows that it has another one before it.
+        life=1 + secrets.randbelow(0xFFFF),
+        now_ns=context.clock.now_ns(),
         radio=setup.radio_path(transmit, seed=context.seed, epoch_ns=context.started_ns),
     )
 

@@ -10,26 +10,55 @@ A shell that binds sockets needs six lines a wake-up:
 6. Until None: `next_event()` to the haptic endpoint or to the flow's local consumer.
 
 Between slots, `poll_timeout()` says when the radio gives the next frame out.
+
+Here the parts are joined: what supervision notices empties the sender's queues and the receiver's
+half packets, opens and closes delivery, and tells each end what the other holds of its headers.
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from kontur_av.clock import NS_PER_MS
 from telepresence.link.flows import Flow, Level
 from telepresence.link.profile import LinkProfile
 from telepresence.link.queues import QueueLimits
 from telepresence.link.radio import RadioPath
-from telepresence.link.receiver import LinkEvent, LinkReceiver
+from telepresence.link.receiver import (
+    HapticReceived,
+    LinkEvent,
+    LinkReceiver,
+    PacketReceived,
+    SupervisionReceived,
+)
 from telepresence.link.sender import LinkSender
+from telepresence.link.supervision import Supervisor
+from telepresence.link.supervision_configuration import Configuration, SupervisionTiming
+from telepresence.link.supervision_events import (
+    ApplicationReset,
+    ContextsHeld,
+    PeerDeaf,
+    PeerHears,
+    PeerMet,
+    SignalAcquired,
+    SignalLost,
+)
+
+#: The longest that a packet waits while the peer may not hear it: what comes out after a loss of
+#: signal was put in after it, or just before its end.
+LOST_PATIENCE_NS = 50 * NS_PER_MS
 
 
 class Gateway:
-    """Sender, radio path and receiver of one segment; see the module for the run loop.
+    """Sender, radio path, receiver and supervision of one segment; see the module for the run loop.
 
     transmit, receive: the profiles of the way out and of the way in.
     transmit_flows, receive_flows: the flow tables; the peer has them the other way round.
+    master: whether this end configures the other; exactly one of the two does.
+    life: 1..65535, another one each time the segment's gateway starts.
+    now_ns: the instant at which it begins; its local check has passed by then.
     radio: the path of the frames that go out; without one they leave at once.
     limits: queue limits by level, where they differ from the defaults.
+    timing: of the supervision, where it differs from the defaults.
     """
 
     def __init__(
@@ -39,16 +68,46 @@ class Gateway:
         transmit_flows: Sequence[Flow],
         receive: LinkProfile,
         receive_flows: Sequence[Flow],
+        master: bool,
+        life: int,
+        now_ns: int,
         radio: RadioPath | None = None,
         limits: Mapping[Level, QueueLimits] | None = None,
+        timing: SupervisionTiming | None = None,
     ) -> None:
         self.sender = LinkSender(transmit, transmit_flows, limits=limits)
         self.receiver = LinkReceiver(receive, receive_flows)
         self.radio = RadioPath() if radio is None else radio
+        self.supervisor = Supervisor(
+            master=master,
+            configuration=Configuration(
+                transmit=transmit,
+                transmit_flows=self.sender.flows,
+                receive=receive,
+                receive_flows=self.receiver.flows,
+            ),
+            life=life,
+            now_ns=now_ns,
+            timing=timing,
+        )
+        self._samples_sent = 0
+        self._restarts = 0
+        # Nobody has been heard yet.
+        self.sender.set_patience(LOST_PATIENCE_NS)
+        self.sender.handle_peer(heard=False)
+        self.handle_local_check(None, now_ns)
+
+    def handle_local_check(self, fault: str | None, now_ns: int) -> None:
+        """This end works (None), or a line that says what does not: then nothing is delivered."""
+        self.supervisor.handle_local_check(fault, now_ns)
+        self._follow_supervision()
 
     def handle_datagram(self, flow: str, data: bytes, now_ns: int) -> bool:
         """A local UDP payload for the other segment; False, and counted, where it is refused."""
-        return self.sender.handle_packet(flow, data, now_ns)
+        if not self.sender.handle_packet(flow, data, now_ns):
+            return False
+        self.supervisor.handle_application_sent(now_ns)
+        return True
 
     def handle_haptic(self, data: bytes, now_ns: int) -> bool:
         """A local sample for the other segment; False, and counted, if its length is wrong."""
@@ -56,15 +115,28 @@ class Gateway:
 
     def handle_radio(self, frame: bytes, now_ns: int) -> None:
         """What came from the other segment."""
-        meetings = self.receiver.meetings
-        self.receiver.handle_frame(frame, now_ns)
-        if self.receiver.meetings != meetings:
-            # Whoever begins to send has begun to listen, too, and knows no context yet.
-            self.sender.forget_contexts()
+        receiver, supervisor = self.receiver, self.supervisor
+        if not receiver.handle_frame(frame, now_ns):
+            return
+        if receiver.restarts != self._restarts:
+            self._handle_restart(now_ns)
+        was_silent = not supervisor.signal
+        supervisor.handle_frame(now_ns)
+        if was_silent:
+            self._follow_supervision()
 
     def handle_slot(self, now_ns: int) -> None:
         """A slot begins: exactly one frame goes to the antenna."""
-        self.radio.handle_frame(self.sender.poll_transmit(now_ns), now_ns)
+        supervisor, sender = self.supervisor, self.sender
+        message = None
+        if now_ns >= supervisor.poll_timeout():
+            message = supervisor.poll_transmit(now_ns)
+            self._follow_supervision()
+        frame = sender.poll_transmit(now_ns, message)
+        if sender.haptic_sent != self._samples_sent:
+            self._samples_sent = sender.haptic_sent
+            supervisor.handle_application_sent(now_ns)
+        self.radio.handle_frame(frame, now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """The next frame that reaches the other segment now. Call until None."""
@@ -75,13 +147,65 @@ class Gateway:
         return self.radio.poll_timeout()
 
     def next_event(self) -> LinkEvent | None:
-        """What the other segment sent. Call until None."""
-        return self.receiver.next_event()
+        """A sample or a packet that the other segment sent. Call until None."""
+        receiver, supervisor = self.receiver, self.supervisor
+        while (event := receiver.next_event()) is not None:
+            if isinstance(event, HapticReceived):
+                supervisor.handle_application(event.now_ns)
+                return event
+            if isinstance(event, PacketReceived):
+                supervisor.handle_application(event.now_ns)
+                # Only a packet brings a new context.
+                supervisor.handle_contexts(receiver.context_ids(), event.now_ns)
+                return event
+            supervisor.handle_message(event.message, event.now_ns)
+            self._follow_supervision()
+        return None
+
+    def _handle_restart(self, now_ns: int) -> None:
+        """The frame count began anew: whose frames these are is not known before a message."""
+        self._restarts = self.receiver.restarts
+        self.supervisor.handle_restart(now_ns)
+        messages = []
+        while (event := self.receiver.next_event()) is not None:
+            if isinstance(event, SupervisionReceived):
+                messages.append(event)
+        self._follow_supervision()
+        for message in messages:
+            self.supervisor.handle_message(message.message, now_ns)
+        self._follow_supervision()
+
+    def _follow_supervision(self) -> None:
+        """Do what follows from what supervision has noticed."""
+        sender, receiver, supervisor = self.sender, self.receiver, self.supervisor
+        while (event := supervisor.next_event()) is not None:
+            if isinstance(event, ContextsHeld):
+                sender.handle_acknowledgements(event.ids)
+            elif isinstance(event, SignalLost):
+                sender.flush(event.now_ns)
+                sender.set_patience(LOST_PATIENCE_NS)
+                sender.handle_peer(heard=False)
+                receiver.handle_signal_lost(event.now_ns)
+            elif isinstance(event, SignalAcquired):
+                sender.handle_peer(heard=True)
+            elif isinstance(event, PeerDeaf):
+                sender.flush(event.now_ns)
+                sender.set_patience(LOST_PATIENCE_NS)
+            elif isinstance(event, PeerHears):
+                sender.set_patience(None)
+            elif isinstance(event, PeerMet):
+                sender.forget_contexts()
+            elif isinstance(event, ApplicationReset):
+                sender.flush(event.now_ns)
+                sender.forget_contexts()
+                receiver.handle_signal_lost(event.now_ns)
+        receiver.deliver = supervisor.delivering
 
     def report(self, now_ns: int) -> dict[str, Any]:
-        """`transmit` and `receive`, each with its profile's name, and `radio`."""
+        """`transmit` and `receive`, each with its profile's name, `radio` and `supervision`."""
         return {
             "transmit": {"name": self.sender.profile.name, **self.sender.report(now_ns)},
             "receive": {"name": self.receiver.profile.name, **self.receiver.report()},
             "radio": self.radio.report(),
+            "supervision": self.supervisor.report(now_ns),
         }

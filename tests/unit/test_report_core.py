@@ -111,6 +111,9 @@ def test_a_gateway_that_was_killed_keeps_what_it_had_counted():
             transmit_flows=SETUP.uplink_flows,
             receive=SETUP.downlink,
             receive_flows=SETUP.downlink_flows,
+            master=True,
+            life=packets,
+            now_ns=now_ns,
         )
         for k in range(packets):
             # RTP that is not worth a context, and after it none at all.

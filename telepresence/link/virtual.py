@@ -1,0 +1,95 @@
+"""Both segments and the radio between them on virtual time: an hour of link in minutes.
+
+For tests, for figures, and for programs that want to know what the link would do to their traffic.
+Nothing in here is a model of the gateways: they are the very ones that a live session runs.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from telepresence.link.flows import Flow, Level
+from telepresence.link.gateway import Gateway
+from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.queues import QueueLimits
+from telepresence.link.radio import RadioPath
+from telepresence.link.receiver import LinkEvent
+
+
+class VirtualLink:
+    """A ground and a space gateway, a slot at a time.
+
+    uplink_flows, downlink_flows: what the two segments may send to each other.
+    up, down: the radio paths; without one a frame arrives in the instant in which it was sent.
+    seed: gives the two gateways their life numbers.
+
+    Put packets and samples into `ground` and `space` at `now_ns` (or at any instant before the
+    next slot), then call `step`. Slots of both segments begin at the same instants.
+    """
+
+    def __init__(
+        self,
+        *,
+        uplink_flows: Sequence[Flow],
+        downlink_flows: Sequence[Flow],
+        uplink: LinkProfile = UPLINK,
+        downlink: LinkProfile = DOWNLINK,
+        up: RadioPath | None = None,
+        down: RadioPath | None = None,
+        limits: Mapping[Level, QueueLimits] | None = None,
+        seed: int = 0,
+        start_ns: int = 0,
+    ) -> None:
+        if uplink.slot_ns != downlink.slot_ns:
+            raise ValueError("both directions need the same slot_ns")
+        self.slot_ns = uplink.slot_ns
+        self.now_ns = start_ns
+        self.ground = Gateway(
+            transmit=uplink,
+            transmit_flows=uplink_flows,
+            receive=downlink,
+            receive_flows=downlink_flows,
+            radio=up,
+            limits=limits,
+            master=True,
+            life=1 + seed % 0xFFFF,
+            now_ns=start_ns,
+        )
+        self.space = Gateway(
+            transmit=downlink,
+            transmit_flows=downlink_flows,
+            receive=uplink,
+            receive_flows=uplink_flows,
+            radio=down,
+            limits=limits,
+            master=False,
+            life=1 + (seed + 1) % 0xFFFF,
+            now_ns=start_ns,
+        )
+
+    def step(self) -> Iterator[tuple[Gateway, LinkEvent]]:
+        """One slot: a frame leaves each segment now; then, until the next slot, what arrives.
+
+        Gives the receiving gateway and the event, in the order of time. Exhaust it: time moves on
+        only then.
+        """
+        ground, space = self.ground, self.space
+        now_ns = self.now_ns
+        end_ns = now_ns + self.slot_ns
+        ground.handle_slot(now_ns)
+        space.handle_slot(now_ns)
+        while True:
+            for near, far in ((ground, space), (space, ground)):
+                while (frame := near.poll_transmit(now_ns)) is not None:
+                    far.handle_radio(frame, now_ns)
+                    while (event := far.next_event()) is not None:
+                        yield far, event
+            due = [t for t in (ground.poll_timeout(), space.poll_timeout()) if t is not None]
+            now_ns = min(due, default=end_ns)
+            if now_ns >= end_ns:
+                break
+        self.now_ns = end_ns
+
+    def run(self, duration_ns: int) -> Iterator[tuple[Gateway, LinkEvent]]:
+        """All slots that begin within `duration_ns` from now on."""
+        end_ns = self.now_ns + duration_ns
+        while self.now_ns < end_ns:
+            yield from self.step()
