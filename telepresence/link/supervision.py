@@ -86,6 +86,42 @@ class Supervisor:
     peer_life: the life of the peer that was checked, 0 before there was one.
     """
 
+    # More attributes than Python shares the keys of, read a thousand times a second.
+    __slots__ = (
+        "_agreed",
+        "_answer_patience",
+        "_application",
+        "_contexts",
+        "_counts",
+        "_digest",
+        "_events",
+        "_fault",
+        "_frame_ns",
+        "_message_ns",
+        "_next_ns",
+        "_pacing",
+        "_peer",
+        "_rates",
+        "_record",
+        "_refusal",
+        "_refused",
+        "_silence_ns",
+        "_suspect",
+        "_unanswered_ns",
+        "_unchecked",
+        "_version",
+        "configuration",
+        "delivering",
+        "life",
+        "master",
+        "peer_hears",
+        "peer_life",
+        "signal",
+        "state",
+        "timing",
+        "why",
+    )
+
     def __init__(
         self,
         *,
