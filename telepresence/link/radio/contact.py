@@ -3,7 +3,7 @@
 The margin of the link in dB, above the level at which one bit in a million is wrong, is
 
     M = margin − 20 lg(range / 1000 km) − edge_loss · e + (fading + edge_fading · e) · F(t),
-    e = exp(−(elevation − horizon) / edge)
+    e = exp(−((elevation − horizon) / edge)²)
 
 with F(t) a random curve of mean 0 and variance 1 that depends on the seed and on time only, so
 that both directions fade together. docs/radio.md has the reasons.
@@ -26,8 +26,8 @@ _ERROR_FREE_DB = 3.5
 _FURTHEST = 5.7
 #: How often the fading is looked at, where it matters.
 _STEP_NS = 10 * NS_PER_MS
-#: Fades of this many standard deviations are rare enough to call the link usable.
-_USABLE_DEVIATIONS = 3.0
+#: A link is called usable where only rarer fades than these end the lock: 1 of 160 of the time.
+_USABLE_DEVIATIONS = 2.5
 _MASK = (1 << 64) - 1
 
 STORED_ELEMENTS = Path(__file__).with_name("iss.tle")
@@ -44,7 +44,7 @@ class Contact:
     horizon_deg: acquisition and loss of signal are at this elevation.
     margin_db: the margin at a range of 1000 km.
     edge_loss_db, edge_fading_db: loss and standard deviation of the fading at the horizon, on top;
-        both fall by 1/e with every `edge_deg` of elevation.
+        `edge_deg` above it both are 1/e of that, and soon nothing.
     fading_db: standard deviation of the fading at any elevation.
     fading_s: the fading is a new one after this time.
     lock_db: below this margin a receiver finds no frames at all.
@@ -59,9 +59,9 @@ class Contact:
     altitude_m: float = 660.0
     horizon_deg: float = 1.5
     margin_db: float = 10.0
-    edge_loss_db: float = 14.0
-    edge_fading_db: float = 6.0
-    edge_deg: float = 1.2
+    edge_loss_db: float = 11.0
+    edge_fading_db: float = 6.5
+    edge_deg: float = 3.3
     fading_db: float = 1.0
     fading_s: float = 0.7
     lock_db: float = -3.0
@@ -121,11 +121,14 @@ class FadingCurve:
 
 
 class ContactFading:
-    """A contact on its own time, ns: 0 is the acquisition of signal that the orbit predicts."""
+    """A contact on its own time, ns: 0 is the acquisition of signal that the orbit predicts.
+
+    flight: range and elevation, second by second.
+    """
 
     def __init__(self, contact: Contact, *, seed: int) -> None:
         self._contact = contact
-        self._flight = next_overflight(
+        self.flight = next_overflight(
             read_elements(contact.elements),
             (contact.latitude_deg, contact.longitude_deg, contact.altitude_m),
             contact.after,
@@ -133,17 +136,17 @@ class ContactFading:
             contact.least_peak_deg,
         )
         self._curve = FadingCurve(seed, round(contact.fading_s * NS_PER_S))
-        self._loss_ns = round(self._flight.visible_s * NS_PER_S)
-        self._last = len(self._flight.ranges_km) - 1
+        self._loss_ns = round(self.flight.visible_s * NS_PER_S)
+        self._last = len(self.flight.ranges_km) - 1
         self._levels = [
             self._level(distance, elevation)
             for distance, elevation in zip(
-                self._flight.ranges_km, self._flight.elevations_deg, strict=True
+                self.flight.ranges_km, self.flight.elevations_deg, strict=True
             )
         ]
         self._light_ns = [
             distance / _LIGHT_KM_S * NS_PER_S * contact.light_time
-            for distance in self._flight.ranges_km
+            for distance in self.flight.ranges_km
         ]
 
     def state(self, time_ns: int) -> ContactState:
@@ -173,15 +176,11 @@ class ContactFading:
     def longest_delay_ns(self) -> float:
         return max(self._light_ns)
 
-    def margins(self) -> list[tuple[float, float]]:
-        """Mean margin and its standard deviation in dB, second by second."""
-        return list(self._levels)
-
     def windows(self) -> dict[str, Any]:
         """What the orbit predicts: instants in seconds after acquisition, and the culmination."""
-        margin_at_usable = [mean - _USABLE_DEVIATIONS * sigma for mean, sigma in self._levels]
-        usable = [second for second, margin in enumerate(margin_at_usable) if margin >= 0]
-        flight = self._flight
+        lowest = [mean - _USABLE_DEVIATIONS * sigma for mean, sigma in self._levels]
+        usable = [n for n, margin in enumerate(lowest) if margin >= self._contact.lock_db]
+        flight = self.flight
         return {
             "acquisition": flight.rise,
             "acquisition_s": 0.0,
@@ -196,6 +195,6 @@ class ContactFading:
 
     def _level(self, distance_km: float, elevation_deg: float) -> tuple[float, float]:
         contact = self._contact
-        edge = exp(-(elevation_deg - contact.horizon_deg) / contact.edge_deg)
+        edge = exp(-(((elevation_deg - contact.horizon_deg) / contact.edge_deg) ** 2))
         margin = contact.margin_db - 20 * log10(distance_km / 1000) - contact.edge_loss_db * edge
         return margin, contact.fading_db + contact.edge_fading_db * edge

@@ -9,7 +9,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from telepresence.link.radio.channel import Channel
 from telepresence.link.radio.contact import Contact, ContactFading
-from telepresence.link.radio.orbit import parse_utc
+from telepresence.link.radio.orbit import Overflight, parse_utc
 from telepresence.link.radio.outages import BlackoutClock, BurstClock, random_windows
 from telepresence.link.radio.path import RadioPath
 
@@ -163,6 +163,10 @@ class RadioProfile:
         if self.contact is not None:
             longest += ContactFading(self.contact, seed=0).longest_delay_ns()
         return round(longest)
+
+    def overflight(self) -> Overflight | None:
+        """Range and elevation second by second from acquisition to loss; None without a contact."""
+        return ContactFading(self.contact, seed=0).flight if self.contact else None
 
     def contact_windows(self) -> dict[str, Any] | None:
         """What the orbit predicts (`ContactFading.windows`), or None without a contact."""

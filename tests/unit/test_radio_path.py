@@ -1,0 +1,219 @@
+"""The radio path: delay and order, bits that are really flipped, and the statistics of both."""
+
+import itertools
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from telepresence.link.radio import RadioPath, RadioProfile, delayed, load_radio
+from telepresence.link.radio.profile import Blackout, Bursts, RandomBlackouts
+
+MS, S = 1_000_000, 1_000_000_000
+
+
+def through(path, frames, *, step_ns=MS):
+    """What arrives of frames sent once a step, as (index, frame), in order."""
+    arrived = []
+    for index, frame in enumerate(frames):
+        before = path.frames_lost
+        path.handle_frame(frame, index * step_ns)
+        if path.frames_lost == before:
+            arrived.append(index)
+    out = []
+    while (due_ns := path.poll_timeout()) is not None:
+        out.append(path.poll_transmit(due_ns))
+    assert len(out) == len(arrived)
+    return list(zip(arrived, out, strict=True))
+
+
+def flipped(one, other):
+    return [
+        8 * octet + bit
+        for octet, (a, b) in enumerate(zip(one, other, strict=True))
+        for bit in range(8)
+        if (a ^ b) & (0x80 >> bit)
+    ]
+
+
+def test_a_fixed_delay_and_no_loss_as_before():
+    path = RadioPath(delay_ns=5 * MS)
+    path.handle_frame(b"a", 0)
+    path.handle_frame(b"b", MS)
+    assert path.poll_timeout() == 5 * MS
+    assert path.poll_transmit(5 * MS - 1) is None
+    assert path.poll_transmit(6 * MS) == b"a"
+    assert path.poll_transmit(6 * MS) == b"b"
+    assert path.poll_transmit(6 * MS) is None
+    report = path.report()
+    assert (report["delay_ns"], report["frames_sent"], report["frames_lost"]) == (5 * MS, 2, 0)
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.03, 0.5, 1.0])
+def test_frames_get_lost_as_often_as_asked(probability):
+    path = RadioPath(loss=probability, seed=3)
+    number = 20_000
+    arrived = through(path, [bytes(32)] * number)
+    # Five standard deviations of a binomial distribution.
+    deviation = 5 * (number * probability * (1 - probability)) ** 0.5
+    assert abs(path.frames_lost - number * probability) <= deviation
+    assert len(arrived) == number - path.frames_lost
+
+
+@pytest.mark.parametrize("rate", [1e-4, 1e-2, 0.5])
+def test_bits_flip_as_often_as_asked_and_anywhere(rate):
+    profile = RadioProfile(name="noisy", bit_error_rate=rate)
+    path = profile.path("downlink", seed=1, epoch_ns=0)
+    number, octets = (4000 if rate < 1e-3 else 200), 250
+    frame = bytes(range(250))
+    places = Counter()
+    hit = 0
+    for _, got in through(path, [frame] * number):
+        wrong = flipped(frame, got)
+        places.update(wrong)
+        hit += bool(wrong)
+    bits = number * octets * 8
+    assert abs(places.total() - bits * rate) <= 5 * (bits * rate) ** 0.5
+    assert (path.bits_flipped, path.frames_hit) == (places.total(), hit)
+    # First and last bit, each half of the octets, each place within an octet.
+    halves = sum(count for place, count in places.items() if place < 1000)
+    assert abs(halves - places.total() / 2) <= 5 * places.total() ** 0.5
+    for bit in range(8):
+        share = sum(count for place, count in places.items() if place % 8 == bit)
+        assert abs(share - places.total() / 8) <= 5 * (places.total() / 8) ** 0.5
+    if rate == 0.5:
+        assert {0, 1999} <= set(places)
+
+
+def test_gaps_between_errors_are_geometric_across_frames():
+    # A frame of one octet ends often: what is left of a gap goes on in the next.
+    path = RadioProfile(name="noisy", bit_error_rate=0.02).path("uplink", seed=5, epoch_ns=0)
+    places = [
+        8 * index + place
+        for index, got in through(path, [b"\0"] * 100_000)
+        for place in flipped(b"\0", got)
+    ]
+    gaps = [after - before for before, after in itertools.pairwise(places)]
+    mean = sum(gaps) / len(gaps)
+    assert abs(mean - 50) < 5 * 50 / len(gaps) ** 0.5
+    for limit in (1, 10, 50, 150):
+        expected = 0.98**limit
+        longer = sum(gap > limit for gap in gaps) / len(gaps)
+        assert abs(longer - expected) < 5 * (expected / len(gaps)) ** 0.5
+
+
+def test_loss_and_bit_errors_together_keep_their_rates():
+    profile = RadioProfile(name="both", frame_loss=0.2, bit_error_rate=1e-3)
+    path = profile.path("uplink", seed=2, epoch_ns=0)
+    through(path, [bytes(32)] * 20_000)
+    assert abs(path.frames_lost - 4000) < 5 * 4000**0.5
+    bits = (20_000 - path.frames_lost) * 256
+    assert abs(path.bits_flipped - bits * 1e-3) < 5 * (bits * 1e-3) ** 0.5
+
+
+def everything(seed=4):
+    return RadioProfile(
+        name="all",
+        delay_ms=30.0,
+        delay_swing_ms=20.0,
+        delay_period_s=2.0,
+        frame_loss=0.01,
+        bit_error_rate=1e-4,
+        bursts=Bursts(gap_s=0.2, mean_ms=10, frame_loss=0.5, bit_error_rate=0.01),
+        blackouts=(Blackout(start_s=0.3, seconds=0.2),),
+        random_blackouts=RandomBlackouts(gap_s=0.5, shortest_s=0.01, longest_s=0.1),
+    )
+
+
+def test_same_seed_same_frames_and_each_direction_its_own():
+    frames = [bytes([index % 256]) * 32 for index in range(3000)]
+
+    def run(direction, seed):
+        return through(everything().path(direction, seed=seed, epoch_ns=0), frames)
+
+    assert run("uplink", 1) == run("uplink", 1)
+    assert run("uplink", 1) != run("uplink", 2)
+    assert run("uplink", 1) != run("downlink", 1)
+
+
+def test_the_epoch_shifts_all_of_it():
+    here = everything().path("uplink", seed=1, epoch_ns=0)
+    there = everything().path("uplink", seed=1, epoch_ns=77 * S + 13)
+    for index in range(3000):
+        here.handle_frame(bytes(32), index * MS)
+        there.handle_frame(bytes(32), index * MS + 77 * S + 13)
+        assert here.frames_lost == there.frames_lost
+        assert here.frames_hit == there.frames_hit
+    assert there.poll_timeout() == here.poll_timeout() + 77 * S + 13
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    steps=st.lists(st.integers(0, 3 * MS), min_size=1, max_size=300),
+    radio=st.sampled_from(["cable", "clean", "geo", "iss-pass", "all"]),
+    seed=st.integers(0, 2**32),
+)
+def test_nobody_is_overtaken_and_nobody_vanishes_uncounted(steps, radio, seed):
+    profile = everything() if radio == "all" else load_radio(radio)
+    path = profile.path("uplink", seed=seed, epoch_ns=0)
+    now_ns, last_ns, arrived = 0, -1, 0
+    for number, step in enumerate(steps):
+        now_ns += step
+        path.handle_frame(number.to_bytes(4, "big") * 8, now_ns)
+        path.poll_transmit(-1)
+    while (due_ns := path.poll_timeout()) is not None:
+        assert due_ns >= last_ns
+        assert path.poll_transmit(due_ns - 1) is None
+        frame = path.poll_transmit(due_ns)
+        assert frame is not None
+        assert len(frame) == 32
+        last_ns, arrived = due_ns, arrived + 1
+    assert arrived + path.frames_lost == path.frames_sent == len(steps)
+
+
+def test_the_delay_swings_between_its_limits():
+    quiet = replace(everything(), blackouts=(), random_blackouts=None, bursts=None, frame_loss=0.0)
+    path = quiet.path("uplink", seed=1, epoch_ns=0)
+    delays = []
+    for slot in range(4000):
+        path.handle_frame(bytes(32), slot * MS)
+        delays.append(path.delay_ns)
+    assert abs(max(delays) - 50 * MS) < 0.1 * MS
+    assert abs(min(delays) - 10 * MS) < 0.1 * MS
+    assert abs(delays[0] - 30 * MS) <= 1
+    # 20 ms · 2π / 2 s is 63 µs a millisecond; a step would be more.
+    assert max(abs(b - a) for a, b in itertools.pairwise(delays)) < 65_000
+    report = path.report()
+    assert abs(report["delay_min_ns"] - min(delays)) < 65_000
+    assert abs(report["delay_max_ns"] - max(delays)) < 65_000
+    assert report["delay_max_ns"] <= quiet.longest_delay_ns
+
+
+def test_a_blackout_ends_what_it_ends_and_is_accounted_for():
+    profile = RadioProfile(
+        name="dark",
+        blackouts=(
+            Blackout(start_s=2.0, seconds=1.0, direction="downlink"),
+            Blackout(start_s=1.0, seconds=0.1),
+        ),
+    )
+    got = {}
+    for direction in ("uplink", "downlink"):
+        path = profile.path(direction, seed=1, epoch_ns=0)
+        got[direction] = [index for index, _ in through(path, [bytes(32)] * 5000)]
+        report = path.report()
+        assert report["frames_lost"] * MS == report["blackout_ns"]
+    assert got["uplink"] == [*range(1000), *range(1100, 5000)]
+    assert got["downlink"] == [*range(1000), *range(1100, 2000), *range(3000, 5000)]
+
+
+def test_a_fixed_delay_instead_of_the_profiles_own():
+    for name in ("geo", "iss-pass", "cable"):
+        profile = delayed(load_radio(name), 12.5)
+        assert profile.longest_delay_ns == 12_500_000
+        path = profile.path("uplink", seed=1, epoch_ns=0)
+        path.handle_frame(bytes(32), 100 * S)
+        assert path.delay_ns == 12_500_000
+    assert delayed(load_radio("iss-pass"), 1).contact is not None
