@@ -3,41 +3,53 @@
 All numbers hold for a stream that fills its cap with packets of equal size, second after second. A
 packet that is interrupted costs a resume tag, which is charged to the level that interrupts. Voice
 interrupts video once a packet; that it does not always makes up for the length of a piece that
-happens to end in a zone shorter than its packet. What comes seldom (TM/TC, RTCP) is in the reserve.
+happens to end in a zone shorter than its packet. What comes seldom (TM/TC, RTCP, supervision) has
+its reserve.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
+from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from telepresence.link.compression import (
-    CONTEXT_LIFE_SLOTS,
-    GENERATION_PACKETS,
-    GENERATIONS,
-    REFRESH_SLOTS,
-    RTP_HEADER_OCTETS,
-    StrideForm,
-    TimedForm,
-)
+from telepresence.link.compression import FLEETING_REFRESH_NS
 from telepresence.link.flows import Level
 from telepresence.link.frame import length_octets
 from telepresence.link.profile import LinkProfile
+from telepresence.link.rtp_forms import CONTEXT_OCTETS, KIND_BARE, KIND_LONG, residue_octets
 
 TAG_OCTETS = 1
 RESUME_OCTETS = 1
 
-#: The compressed RTP header; other levels have none.
-_HEADER_OCTETS = {Level.VOICE: StrideForm.octets, Level.VIDEO: TimedForm.octets}
+#: What of the RTP header follows the tag; other levels have none. Voice keeps to its grid; of
+#: video the longest form is charged, which serves a camera of any regularity. Most need less.
+_HEADER_OCTETS = {Level.VOICE: residue_octets(KIND_BARE), Level.VIDEO: residue_octets(KIND_LONG)}
+
+#: Contexts a second and stream: as many as one-way, where none is acknowledged; two-way it is one
+#: in several seconds, and more only while a source changes.
+_CONTEXTS_PER_S = NS_PER_S / FLEETING_REFRESH_NS
 
 #: The levels whose packets interrupt a lower one's.
 _INTERRUPTING = (Level.TMTC, Level.VOICE)
 
-#: What is kept for TM/TC and RTCP, in octets a second with their tags: two streams' sender reports
-#: of 44 octets and a telemetry packet of 20, which interrupts, every two seconds; and a telecommand
-#: or its acknowledgement in five seconds.
-RESERVE_BPS = 8 * (45 + 11 + 4)
+#: What is kept for RTCP, in bit/s with tags: two streams' sender reports of 44 octets every two
+#: seconds.
+RTCP_RESERVE_BPS = 8 * 45
+#: For TM/TC: a telemetry packet of 20 octets, which interrupts, every two seconds; and a
+#: telecommand or its acknowledgement in five seconds.
+TMTC_RESERVE_BPS = 8 * (11 + 4)
+RESERVE_BPS = TMTC_RESERVE_BPS + RTCP_RESERVE_BPS
+
+#: Supervision messages a second when all is well: an alive message every 500 ms, and one for a
+#: context of the other direction that is acknowledged at once.
+SUPERVISION_MESSAGES_PER_S = 2 + 1
+
+
+def supervision_bps(profile: LinkProfile) -> int:
+    """What supervision takes of the levels below haptics: a message takes a whole packet zone."""
+    return SUPERVISION_MESSAGES_PER_S * 8 * profile.packet_zone_octets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,53 +67,50 @@ class StreamNeed:
     packets_per_s: float
     level: Level = Level.VIDEO
 
-    def overhead_bps(self, profile: LinkProfile) -> int:
-        """Headers and framing of the packets, and the full RTP headers among them."""
-        packets_per_s = self.packets_per_s
-        header_octets = _HEADER_OCTETS.get(self.level, 0)
-        octets = TAG_OCTETS + header_octets
-        if self.level in _INTERRUPTING:
-            octets += RESUME_OCTETS
+    def header_bps(self) -> int:
+        """Tags, and what of the RTP headers follows them."""
+        return ceil((TAG_OCTETS + _HEADER_OCTETS.get(self.level, 0)) * self.packets_per_s * 8)
+
+    def context_bps(self) -> int:
+        """What is more in the packets that carry a context."""
+        if self.level not in _HEADER_OCTETS:
+            return 0
+        return ceil((CONTEXT_OCTETS - _HEADER_OCTETS[self.level]) * _CONTEXTS_PER_S * 8)
+
+    def framing_bps(self, profile: LinkProfile) -> int:
+        """Tags that resume what the packets interrupt, and the lengths of closed pieces."""
+        octets = RESUME_OCTETS if self.level in _INTERRUPTING else 0
         length = length_octets(profile)
-        payload_octets = self.payload_bps / 8 / packets_per_s
-        if TAG_OCTETS + header_octets + payload_octets + length <= profile.packet_zone_octets:
+        header_octets = TAG_OCTETS + _HEADER_OCTETS.get(self.level, 0)
+        payload_octets = self.payload_bps / 8 / self.packets_per_s
+        if header_octets + payload_octets + length <= profile.packet_zone_octets:
             # It ends in the zone in which it began, and what it has interrupted may do so too.
             octets += 2 * length if self.level in _INTERRUPTING else length
-        full_per_s = self._full_headers_per_s(profile.slot_ns) if header_octets else 0.0
-        total = octets * packets_per_s + (RTP_HEADER_OCTETS - header_octets) * full_per_s
-        return ceil(total * 8)
+        return ceil(octets * self.packets_per_s * 8)
 
-    def _full_headers_per_s(self, slot_ns: int) -> float:
-        """How many of the packets carry their whole header, in the worst second."""
-        refreshes_per_s = NS_PER_S / (REFRESH_SLOTS * slot_ns)
-        if self.level is not Level.VIDEO:
-            return refreshes_per_s
-        generations_per_s = self.packets_per_s / GENERATION_PACKETS
-        life_s = CONTEXT_LIFE_SLOTS * slot_ns / NS_PER_S
-        if generations_per_s * life_s > GENERATIONS - 1:
-            # They are used up faster than they may be used again: for a while, all headers go raw.
-            return self.packets_per_s
-        if generations_per_s * life_s > 1:
-            return refreshes_per_s + generations_per_s
-        return refreshes_per_s
+    def overhead_bps(self, profile: LinkProfile) -> int:
+        """Headers, contexts and framing."""
+        return self.header_bps() + self.context_bps() + self.framing_bps(profile)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelNeed:
     """The sum, and what there is. All in bit/s.
 
-    payload_bps, overhead_bps: of all streams; reserve_bps: for TM/TC and RTCP.
+    payload_bps, overhead_bps: of all streams; reserve_bps: for TM/TC and RTCP; supervision_bps:
+    for the messages of the two ends' supervision.
     available_bps: what the profile has below haptics.
     """
 
     payload_bps: int
     overhead_bps: int
     reserve_bps: int
+    supervision_bps: int
     available_bps: int
 
     @property
     def needed_bps(self) -> int:
-        return self.payload_bps + self.overhead_bps + self.reserve_bps
+        return self.payload_bps + self.overhead_bps + self.reserve_bps + self.supervision_bps
 
     @property
     def spare_bps(self) -> int:
@@ -121,6 +130,7 @@ def channel_need(
         payload_bps=sum(stream.payload_bps for stream in streams),
         overhead_bps=sum(stream.overhead_bps(profile) for stream in streams),
         reserve_bps=reserve_bps,
+        supervision_bps=supervision_bps(profile),
         available_bps=profile.media_bps,
     )
 
@@ -152,3 +162,31 @@ def check_fit(
         f"has {need.available_bps / 1000:g} kbit/s below haptics, all streams with their headers "
         f"need {need.needed_bps / 1000:g}; use at most {fits_bps // 1000} kbit/s"
     )
+
+
+class TableLine(NamedTuple):
+    """One line of `channel_table`: what, for which stream ("" for none), and bit/s."""
+
+    what: str
+    stream: str
+    bps: int
+
+
+def channel_table(profile: LinkProfile, streams: Sequence[StreamNeed]) -> tuple[TableLine, ...]:
+    """The arithmetic of `channel_need` line by line.
+
+    The lines add up to `profile.media_bps` exactly, with what is spare as the last one: negative
+    where it does not fit. what: payload, headers, contexts, framing (of each stream), tmtc, rtcp,
+    supervision, spare.
+    """
+    lines = [TableLine("payload", stream.name, stream.payload_bps) for stream in streams]
+    lines += [TableLine("headers", stream.name, stream.header_bps()) for stream in streams]
+    lines += [TableLine("contexts", stream.name, stream.context_bps()) for stream in streams]
+    lines += [TableLine("framing", stream.name, stream.framing_bps(profile)) for stream in streams]
+    lines += [
+        TableLine("tmtc", "", TMTC_RESERVE_BPS),
+        TableLine("rtcp", "", RTCP_RESERVE_BPS),
+        TableLine("supervision", "", supervision_bps(profile)),
+    ]
+    taken_bps = sum(line.bps for line in lines)
+    return (*lines, TableLine("spare", "", profile.media_bps - taken_bps))

@@ -1,239 +1,349 @@
-"""RTP headers in three octets, or one: each packet decodable from its context and itself.
+"""RTP headers in one to three octets, correct whatever gets lost: which contexts, and when.
 
-A context is the full header of one earlier packet and the frame count at which that packet
-started. The frame count is the link's own time, known to both ends: it predicts the timestamp
-(or, for flows of constant stride, the sequence number), and the compressed header carries only
-the low bits that pick the right value near the prediction. Nothing depends on the packet before,
-so nothing has to converge after a loss.
+The receiver decompresses with the newest context that it holds. The sender knows every context
+that this may be: the last one acknowledged, and all that were sent since. It sends a compressed
+header only if *each* of them gives exactly this header back, by the receiver's own arithmetic
+(`rtp_forms`); else the packet takes its whole header along, raw or as a new context. So nothing
+depends on the packet before, no gap makes anything re-converge, and no loss, of packets or of
+acknowledgements, can make a header come out wrong.
 
-The receiver may hold any context of the current generation that is at most
-`CONTEXT_LIFE_SLOTS` old, because it may have missed the newer ones. So the compressor keeps all
-of these and compresses only what comes out exact from every one of them; else it sends the
-full header, as the first context of a new generation. A generation's number is not used again
-before its last context has died, so a receiver never mistakes one for another.
+**Two-way.** As long as no context is acknowledged, the receiver may hold none: whole headers.
+Afterwards every packet that arrives whole is decompressed, also the first one after a gap.
 
-The fields are those of RFC 3550 section 5.1. The scheme borrows the least-significant-bits
-encoding of ROHC (RFC 5795), whose feedback and state machines a one-way 1 ms link can do without.
+**One-way.** Who does not hear the peer gets no acknowledgements. Its contexts are sent once a
+second, bear no number, and die `FLEETING_LIFE_NS` after their packet was sent, at both ends; the
+set of possible ones is those that live. After a few whole headers it is taken for granted that one
+was received; a receiver that has none drops packets until the next. What the receiver may still
+hold from a two-way time stays in the set, until that dies too (`LIFE_NS`).
 """
 
-import struct
-from dataclasses import dataclass
-
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.flows import Flow
-from telepresence.link.frame import TYPE_COMPRESSED, TYPE_CONTEXT, TYPE_RAW
+from telepresence.link.rtp_forms import (
+    CONTEXT_OCTETS,
+    KIND_BARE,
+    KIND_CONTEXT,
+    KIND_LONG,
+    KIND_NEAR,
+    KIND_RAW,
+    KIND_SHORT,
+    PLAIN_RTP,
+    RTP_HEADER,
+    RTP_HEADER_OCTETS,
+    Context,
+    RtpForms,
+    parse_context,
+    residue_octets,
+)
+from telepresence.link.rtp_source import RtpSource
 
-RTP_HEADER = struct.Struct(">BBHII")
-RTP_HEADER_OCTETS = RTP_HEADER.size
-
-#: The first octet of a header without padding, extension and CSRC; only these are compressed.
-PLAIN_RTP = 0x80
-
-GENERATIONS = 4
-REFRESH_SLOTS = 1_000
-#: A gap of 10 s, with a refresh just missed before it and one just not due yet after it.
-CONTEXT_LIFE_SLOTS = 12_200
-
-#: How many sequence numbers the compressed header of a timed flow tells apart; so a generation
-#: of contexts serves as many packets.
-GENERATION_PACKETS = 1 << 9
-
-_SEQUENCE_MASK = GENERATION_PACKETS - 1
-_TIMESTAMP_BITS = 14
-_TIMESTAMP_MASK = (1 << _TIMESTAMP_BITS) - 1
-_TIMESTAMP_HALF = 1 << (_TIMESTAMP_BITS - 1)
-_U32 = 0xFFFF_FFFF
-
-
-@dataclass(frozen=True, slots=True)
-class Context:
-    """One full header: frame count at its packet's start, and the fields."""
-
-    count: int
-    payload_type: int
-    sequence: int
-    timestamp: int
-    ssrc: int
-
-
-class TimedForm:
-    """Three octets: marker, 9 bits of sequence number, 14 bits of timestamp.
-
-    For timestamps that are capture times: they follow the link's time up to the jitter between
-    capture and start of transmission, which may be ±91 ms around the context's (at 90 kHz).
-    """
-
-    octets = 3
-
-    def __init__(self, ticks: int, slot_units: int) -> None:
-        self._ticks = ticks
-        self._units = slot_units
-
-    def pack(self, marker: int, sequence: int, timestamp: int) -> bytes | None:
-        bits = marker << 23 | (sequence & _SEQUENCE_MASK) << 14 | timestamp & _TIMESTAMP_MASK
-        return bits.to_bytes(3, "big")
-
-    def unpack(self, header: bytes, context: Context, count: int) -> tuple[int, int, int]:
-        """Marker, sequence number, timestamp. The sequence number lies 0..511 after the context's,
-        the timestamp next to the prediction."""
-        bits = int.from_bytes(header, "big")
-        base = context.sequence
-        sequence = base + ((bits >> 14) - base & _SEQUENCE_MASK) & 0xFFFF
-        predicted = context.timestamp + (count - context.count) * self._ticks // self._units
-        off = bits - predicted & _TIMESTAMP_MASK
-        if off >= _TIMESTAMP_HALF:
-            off -= _TIMESTAMP_MASK + 1
-        return bits >> 23, sequence, predicted + off & _U32
-
-
-class StrideForm:
-    """One octet: 8 bits of sequence number; the timestamp advances by `stride` a packet.
-
-    The link's time predicts the sequence number to ±128 packets (2.5 s of 20 ms packets). A set
-    marker does not fit: such a packet takes its full header along.
-    """
-
-    octets = 1
-
-    def __init__(self, ticks: int, slot_units: int, stride: int) -> None:
-        self._ticks = ticks
-        self._units = slot_units * stride
-        self._stride = stride
-
-    def pack(self, marker: int, sequence: int, timestamp: int) -> bytes | None:
-        return None if marker else (sequence & 0xFF).to_bytes(1, "big")
-
-    def unpack(self, header: bytes, context: Context, count: int) -> tuple[int, int, int]:
-        """Marker (0), sequence number, timestamp."""
-        steps = (count - context.count) * self._ticks // self._units
-        off = header[0] - context.sequence - steps & 0xFF
-        steps += off - 0x100 if off >= 0x80 else off
-        return (
-            0,
-            context.sequence + steps & 0xFFFF,
-            context.timestamp + steps * self._stride & _U32,
-        )
-
-
-def form_of(flow: Flow, slot_ns: int) -> TimedForm | StrideForm:
-    """How `flow`'s headers are compressed. Ticks a slot are the fraction ticks / units."""
-    ticks = flow.clock_hz * slot_ns
-    if flow.stride_ticks:
-        return StrideForm(ticks, NS_PER_S, flow.stride_ticks)
-    return TimedForm(ticks, NS_PER_S)
+#: How long a context that can be acknowledged serves: longer than any gap between two passes'
+#: drop-outs; bounded, so that no frame count that comes round again can revive one.
+LIFE_NS = 900 * NS_PER_S
+#: How long any other does: a gap of 10 s, with a context just missed before it and one just not
+#: due yet after it.
+FLEETING_LIFE_NS = 12_200 * NS_PER_MS
+FLEETING_REFRESH_NS = NS_PER_S
+#: Two-way, a context that fits is renewed this seldom, to follow slow clocks.
+REFRESH_NS = 8 * NS_PER_S
+#: A context that is not acknowledged is followed by another after this time, then after twice
+#: as long, and so on.
+RETRY_NS = 100 * NS_PER_MS
+LONGEST_RETRY_NS = 3_200 * NS_PER_MS
+#: An acknowledgement is never as late as this: it tells that what was sent longer ago, and after
+#: the context that it names, has not arrived.
+ROUND_TRIP_NS = 30 * NS_PER_S
+#: The receiver may hold one of so many at the most; when there are as many, no new one is sent.
+MOST_POSSIBLE = 16
+#: So many whole headers are sent before a silent receiver is taken to hold a context.
+FIRST_WHOLE = 3
+#: Sequence numbers so far below or above prediction still fit every form; then it is time.
+_LEAST_SEQUENCE_ERROR, _MOST_SEQUENCE_ERROR = -2, 6
+#: What a context costs more than a raw header with what it replaces: the tag is paid anyway.
+_CONTEXT_COST_OCTETS = CONTEXT_OCTETS - 2
+_SHADOW_NS = NS_PER_S
 
 
 class RtpCompressor:
-    """One RTP flow's sending end."""
+    """One RTP flow's sending end. It begins one-way, with a peer that holds nothing."""
 
     def __init__(self, flow: Flow, slot_ns: int) -> None:
-        self._form = form_of(flow, slot_ns)
-        self._generation = GENERATIONS - 1
-        self._contexts: list[Context] = []
-        self._last_context_count: list[int | None] = [None] * GENERATIONS
-        self.compressed = 0
-        self.contexts = 0
-        self.raw = 0
-        self._refresh = False
+        self._flow = flow
+        self._forms = RtpForms(flow, slot_ns)
+        self._source: RtpSource | None = None
+        self._ssrc = -1
+        #: What the receiver may hold, oldest first; it may also hold nothing, see `_may_hold_none`.
+        self._possible: list[Context] = []
+        self._acknowledged: Context | None = None
+        #: The number that the peer has told last: not to be used anew while it may tell it again.
+        self._told = 0
+        self._number = 0
+        self._heard = False
+        self._whole = 0
+        # A would-be context, and what not having sent it has cost since the last one.
+        self._shadow: Context | None = None
+        self._regret_octets = 0
+        self._life, self._fleeting_life, self._round_trip, self._shadow_life = (
+            ns // slot_ns for ns in (LIFE_NS, FLEETING_LIFE_NS, ROUND_TRIP_NS, _SHADOW_NS)
+        )
+        self._refresh, self._fleeting_refresh, self._retry, self._longest_retry = (
+            ns // slot_ns for ns in (REFRESH_NS, FLEETING_REFRESH_NS, RETRY_NS, LONGEST_RETRY_NS)
+        )
+        self._kinds = dict.fromkeys(("bare", "short", "near", "long", "context", "raw"), 0)
+        self._header_octets = 0
+        self._packets = 0
 
-    def refresh(self) -> None:
-        """Send a context with the next packet: the receiving end has just begun to listen."""
-        self._refresh = True
+    def handle_peer(self, *, heard: bool) -> None:
+        """Whether the peer is heard from now on, and so its acknowledgements."""
+        self._heard = heard
+
+    def handle_acknowledgement(self, context_id: int, count: int) -> None:
+        """The peer has told which context is the newest that it holds; 0: none, or a fleeting one.
+
+        count: the frame count, not wrapped, that this end has come to. Numbers told to an earlier
+        life of this end must not be passed on to here.
+        """
+        self._told = context_id
+        oldest = count - self._round_trip
+        named = [context for context in self._possible if context.number == context_id]
+        if not context_id or not named:
+            self._acknowledged = None
+            self._whole = 0
+            self._possible = [
+                context
+                for context in self._possible
+                if context.number == 0 or context.count >= oldest
+            ]
+            return
+        self._acknowledged = named[0]
+        since = self._possible.index(named[0])
+        newer = self._possible[since + 1 :]
+        self._possible = named + [context for context in newer if context.count >= oldest]
+
+    def forget(self) -> None:
+        """A new life of the peer: it may hold nothing (but what was sent since it began)."""
+        self._acknowledged = None
+        self._told = 0
+        self._whole = 0
 
     def compress(self, data: bytes, count: int) -> tuple[int, bytes, int]:
-        """Tag type, body, and how many octets of the body are header.
+        """Kind, body, and how many octets of the body are header.
 
         data: an RTP packet. count: the frame count, not wrapped, of the frame it starts in.
         """
+        self._packets += 1
         if len(data) < RTP_HEADER_OCTETS or data[0] != PLAIN_RTP:
-            self.raw += 1
-            return TYPE_RAW, data, min(len(data), RTP_HEADER_OCTETS)
+            return self._raw(data)
         _, second, sequence, timestamp, ssrc = RTP_HEADER.unpack_from(data)
-        packet = Context(count, second & 0x7F, sequence, timestamp, ssrc)
-        contexts = self._contexts
-        while contexts and count - contexts[0].count > CONTEXT_LIFE_SLOTS:
-            del contexts[0]
-        header = self._form.pack(second >> 7, sequence, timestamp)
-        # A set marker may not fit the form and yet follow the contexts' line.
-        probe = header if header is not None else self._form.pack(0, sequence, timestamp)
-        fits = bool(contexts) and probe is not None and self._exact(probe, packet)
-        recent = bool(contexts) and count - contexts[-1].count < REFRESH_SLOTS
-        if fits and header is not None and recent and not self._refresh:
-            self.compressed += 1
-            body = header + data[RTP_HEADER_OCTETS:]
-            return TYPE_COMPRESSED + (self._generation << 4), body, len(header)
-        if not fits:
-            generation = self._free_generation(count)
-            if generation is None:
-                self.raw += 1
-                return TYPE_RAW, data, RTP_HEADER_OCTETS
-            self._generation = generation
-            contexts.clear()
-        contexts.append(packet)
-        self._refresh = False
-        self._last_context_count[self._generation] = count
-        self.contexts += 1
-        # The header's first octet is known but for its generation.
-        body = bytes((PLAIN_RTP | self._generation,)) + data[1:]
-        return TYPE_CONTEXT, body, RTP_HEADER_OCTETS
+        source = self._source
+        if source is None or ssrc != self._ssrc:
+            source = self._source = RtpSource(self._flow, self._forms, sequence, timestamp)
+            self._ssrc = ssrc
+            self._shadow = None
+        source.handle_packet(sequence, timestamp, count)
+        self._bury(count)
+        header = None
+        if self._possible and not self._may_hold_none():
+            header = self._fitting(self._possible, second, sequence, timestamp, count)
+        if not self._context_due(header, second, sequence, timestamp, count):
+            if header is None:
+                return self._raw(data)
+            kind, residue = header
+            self._note(_name(kind), len(residue))
+            return kind, residue + data[RTP_HEADER_OCTETS:], len(residue)
+        context = source.context(self._next_number(), count, second >> 7, second & 0x7F, ssrc)
+        self._possible.append(context)
+        self._shadow, self._regret_octets = context, 0
+        self._whole += 1
+        self._note("context", CONTEXT_OCTETS)
+        return KIND_CONTEXT, context.pack() + data[RTP_HEADER_OCTETS:], CONTEXT_OCTETS
 
-    def _exact(self, header: bytes, packet: Context) -> bool:
-        """Whether every context the receiver may hold gives back exactly this packet's header."""
-        unpack, count = self._form.unpack, packet.count
-        for context in self._contexts:
-            if context.ssrc != packet.ssrc or context.payload_type != packet.payload_type:
-                return False
-            _, sequence, timestamp = unpack(header, context, count)
-            if sequence != packet.sequence or timestamp != packet.timestamp:
-                return False
-        return True
+    def _raw(self, data: bytes) -> tuple[int, bytes, int]:
+        header_octets = min(len(data), RTP_HEADER_OCTETS)
+        self._whole += 1
+        self._note("raw", header_octets)
+        return KIND_RAW, data, header_octets
 
-    def _free_generation(self, count: int) -> int | None:
-        for step in range(1, GENERATIONS + 1):
-            generation = (self._generation + step) % GENERATIONS
-            last = self._last_context_count[generation]
-            if last is None or count - last > CONTEXT_LIFE_SLOTS:
-                return generation
+    def _bury(self, count: int) -> None:
+        """Forget the contexts that have died at the receiver as well."""
+        possible = self._possible
+        oldest, oldest_fleeting = count - self._life, count - self._fleeting_life
+        for context in possible:
+            if context.count < (oldest if context.number else oldest_fleeting):
+                break
+        else:
+            return
+        self._possible = [
+            context
+            for context in possible
+            if context.count >= (oldest if context.number else oldest_fleeting)
+        ]
+        if self._acknowledged not in self._possible:
+            self._acknowledged = None
+
+    def _may_hold_none(self) -> bool:
+        return self._acknowledged is None and (self._heard or self._whole < FIRST_WHOLE)
+
+    def _fitting(
+        self, contexts: list[Context], second: int, sequence: int, timestamp: int, count: int
+    ) -> tuple[int, bytes] | None:
+        """The shortest header, as kind and residue, that each of `contexts` gives back exactly."""
+        ssrc, payload_type, marker = self._ssrc, second & 0x7F, second >> 7
+        for context in contexts:
+            if context.ssrc != ssrc or context.payload_type != payload_type:
+                return None
+        assert self._source is not None
+        forms, index = self._forms, self._source.index
+        unpack, fields = forms.unpack, (marker, sequence, timestamp)
+        for pack in forms.packers:
+            kind, residue = pack(marker, sequence, timestamp, index)
+            for context in contexts:
+                if unpack(kind, residue, context, count) != fields:
+                    break
+            else:
+                return kind, residue
         return None
 
+    def _context_due(
+        self,
+        header: tuple[int, bytes] | None,
+        second: int,
+        sequence: int,
+        timestamp: int,
+        count: int,
+    ) -> bool:
+        """Whether this packet is to be sent as a new context."""
+        possible = self._possible
+        if not possible:
+            return True
+        if len(possible) >= MOST_POSSIBLE:
+            return False
+        newest = possible[-1]
+        age = count - newest.count
+        if age < self._retry:
+            return False
+        if not self._heard:
+            if age >= self._fleeting_refresh:
+                return True
+            # One more helps no packet as long as the older ones live, unless none is right at all.
+            return (
+                header is None
+                and self._fitting([newest], second, sequence, timestamp, count) is None
+            )
+        pending = sum(1 for context in possible if context.number)
+        if self._acknowledged is not None:
+            pending -= 1
+        if age >= (self._longest_retry if pending else self._refresh):
+            return True
+        if age < self._retry << max(0, pending - 1):
+            return False
+        if header is None:
+            return True
+        error = self._forms.sequence_error(newest, sequence, timestamp)
+        if not _LEAST_SEQUENCE_ERROR <= error <= _MOST_SEQUENCE_ERROR:
+            return True
+        return not pending and self._regretted(header, second, sequence, timestamp, count)
+
+    def _regretted(
+        self,
+        header: tuple[int, bytes],
+        second: int,
+        sequence: int,
+        timestamp: int,
+        count: int,
+    ) -> bool:
+        """Whether a newer context would by now have paid for itself.
+
+        Its price is paid once the contrary has cost as much: so a source that changes its habits
+        never costs more than twice what foresight would have paid.
+        """
+        octets = len(header[1])
+        shadow = self._shadow
+        if shadow is None or count - shadow.count >= self._shadow_life:
+            assert self._source is not None
+            self._shadow = self._source.context(0, count, second >> 7, second & 0x7F, self._ssrc)
+            return False
+        if octets:
+            better = self._fitting([shadow], second, sequence, timestamp, count)
+            if better is not None:
+                self._regret_octets = max(0, self._regret_octets + octets - len(better[1]))
+        return self._regret_octets >= _CONTEXT_COST_OCTETS
+
+    def _next_number(self) -> int:
+        """0 while the peer is not heard; else one that it can hold of no other context."""
+        if not self._heard:
+            return 0
+        taken = {context.number for context in self._possible} | {0, self._told}
+        while (self._number & 0xFF) in taken:
+            self._number += 1
+        number = self._number & 0xFF
+        self._number += 1
+        return number
+
+    def _note(self, name: str, header_octets: int) -> None:
+        self._kinds[name] += 1
+        self._header_octets += 1 + header_octets
+
     def report(self) -> dict[str, int]:
-        """Packets by how their header went."""
-        return {"compressed": self.compressed, "context": self.contexts, "raw": self.raw}
+        """Packets by how their header went, all packets, and their headers' octets with tags."""
+        return {**self._kinds, "packets": self._packets, "header_octets": self._header_octets}
 
 
 class RtpDecompressor:
-    """One RTP flow's receiving end."""
+    """One RTP flow's receiving end. It holds one context, the newest.
+
+    context_id: by which that one is to be acknowledged; 0 where it is none or a fleeting one.
+    """
 
     def __init__(self, flow: Flow, slot_ns: int) -> None:
-        self._form = form_of(flow, slot_ns)
-        self._contexts: list[Context | None] = [None] * GENERATIONS
+        self._unpack = RtpForms(flow, slot_ns).unpack
+        self._life, self._fleeting_life = LIFE_NS // slot_ns, FLEETING_LIFE_NS // slot_ns
+        self._context: Context | None = None
+        self.context_id = 0
 
     def forget(self) -> None:
-        """The peer has restarted: its generations begin anew."""
-        self._contexts = [None] * GENERATIONS
+        """The peer has restarted: what it sent before no longer counts."""
+        self._context = None
+        self.context_id = 0
 
-    def decompress(self, tag_type: int, body: bytes, count: int) -> bytes | str:
+    def decompress(self, kind: int, body: bytes, count: int) -> bytes | str:
         """The RTP packet, or in one word the reason why there is none.
 
         count: the frame count, not wrapped, of the frame in which the packet started.
         """
-        if tag_type == TYPE_RAW:
-            return body
-        if tag_type == TYPE_CONTEXT:
-            if len(body) < RTP_HEADER_OCTETS or body[0] & ~(GENERATIONS - 1) != PLAIN_RTP:
+        if kind >= KIND_BARE:
+            context = self._context
+            if context is None:
+                return "no_context"
+            life = self._life if context.number else self._fleeting_life
+            if count - context.count > life:
+                return "no_context"
+            fields = self._unpack(kind, body, context, count)
+            if fields is None:
                 return "malformed"
-            _, second, sequence, timestamp, ssrc = RTP_HEADER.unpack_from(body)
-            self._contexts[body[0] & (GENERATIONS - 1)] = Context(
-                count, second & 0x7F, sequence, timestamp, ssrc
-            )
-            return b"\x80" + body[1:]
-        form = self._form
-        context = self._contexts[(tag_type - TYPE_COMPRESSED) >> 4]
-        if context is None or count - context.count > CONTEXT_LIFE_SLOTS:
-            return "no_context"
-        if len(body) < form.octets:
+            marker, sequence, timestamp = fields
+            second = marker << 7 | context.payload_type
+            header = RTP_HEADER.pack(PLAIN_RTP, second, sequence, timestamp, context.ssrc)
+            return header + body[residue_octets(kind) :]
+        if kind == KIND_RAW:
+            return body
+        if kind != KIND_CONTEXT:
             return "malformed"
-        marker, sequence, timestamp = form.unpack(body[: form.octets], context, count)
-        second = marker << 7 | context.payload_type
-        header = RTP_HEADER.pack(PLAIN_RTP, second, sequence, timestamp, context.ssrc)
-        return header + body[form.octets :]
+        context = parse_context(body, count)
+        if context is None:
+            return "malformed"
+        self._context = context
+        self.context_id = context.number
+        second = context.marker << 7 | context.payload_type
+        header = RTP_HEADER.pack(
+            PLAIN_RTP, second, context.sequence, context.timestamp, context.ssrc
+        )
+        return header + body[CONTEXT_OCTETS:]
+
+
+def _name(kind: int) -> str:
+    if kind >= KIND_LONG:
+        return "long"
+    if kind >= KIND_NEAR:
+        return "near"
+    return "short" if kind >= KIND_SHORT else "bare"
