@@ -22,6 +22,8 @@ class _Parser(argparse.ArgumentParser):
 #: Commands with a module of their own, which has `add_arguments` and `run`.
 _MODULES = {
     "stream": "run a whole telepresence session on this machine",
+    "link": "run the radio link alone, for any programs",
+    "simulate": "run a session on virtual time: the same seed, the same report",
     "send": "send one stream as plain RTP, under a hard cap",
     "receive": "receive one stream of plain RTP",
 }

@@ -2,9 +2,11 @@
 
 import argparse
 import ipaddress
+import os
 import re
 import signal
 import socket
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,17 +24,32 @@ def check_options(args: argparse.Namespace) -> None:
             raise ConfigError(f"--{name} {value:g}: give a number above 0")
 
 
-def parse_address(text: str) -> tuple[str, int]:
-    """The IP address and the port in HOST:PORT or [IPv6]:PORT; ConfigError if there are none."""
+def parse_address(
+    text: str, option: str = "--to", family: socket.AddressFamily = socket.AF_UNSPEC
+) -> tuple[str, int]:
+    """The IP address and the port in HOST:PORT or [IPv6]:PORT; ConfigError if there are none.
+
+    option: what the error calls it. family: the version of IP, if not any will do.
+    """
     match = re.fullmatch(r"(\[[^\]]+\]|[^:]+):(\d{1,5})", text)
     if match is None or not 1 <= int(match[2]) <= 65534:
-        raise ConfigError(f"--to {text!r}: write HOST:PORT with a port from 1 to 65534")
+        raise ConfigError(f"{option} {text!r}: write HOST:PORT with a port from 1 to 65534")
     host, port = match[1].strip("[]"), int(match[2])
+    return resolve(host, text, option, family), port
+
+
+def resolve(
+    host: str, text: str, option: str, family: socket.AddressFamily = socket.AF_UNSPEC
+) -> str:
+    """The IP address of `host`; ConfigError, which says `option` and `text`, if it has none."""
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+        found = socket.getaddrinfo(host, None, family=family, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError):
-        raise ConfigError(f"--to {text!r}: no host is known by the name {host!r}") from None
-    return str(found[0][4][0]), port
+        version = "IPv4 " if family == socket.AF_INET else ""
+        raise ConfigError(
+            f"{option} {text!r}: no {version}host is known by the name {host!r}"
+        ) from None
+    return str(found[0][4][0])
 
 
 def parse_size(text: str, name: str = "--size") -> tuple[int, int]:
@@ -67,6 +84,19 @@ def write_text(path: str, text: str, option: str) -> None:
         Path(path).write_text(text, newline="")
     except OSError as error:
         raise ConfigError(f"{option} {path!r} cannot be written: {error.strerror}") from None
+
+
+@contextmanager
+def output_that_may_fail() -> Iterator[None]:
+    """Within it, a closed terminal or a reader that has gone spoils nothing but the output."""
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError:
+        # What is left of it would be tried, and fail, once more at the exit.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.close(nowhere)
 
 
 @contextmanager

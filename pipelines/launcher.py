@@ -6,6 +6,7 @@ memory.
 """
 
 import ctypes
+import errno
 import gc
 import os
 import resource
@@ -326,19 +327,24 @@ def hold_ports(setup: Setup) -> socket.socket:
     The launcher's own port is held as long as the socket is: of two sessions that are started
     at the same moment, only one gets it.
     """
-    held = _bound(setup.ports.launcher)
+    held = hold_port(setup.ports.launcher)
     for port in setup.ports.all():
         if port != setup.ports.launcher:
-            _bound(port).close()
+            hold_port(port).close()
     return held
 
 
-def _bound(port: int) -> socket.socket:
+def hold_port(port: int, address: str = LOOPBACK) -> socket.socket:
+    """What has the UDP port as long as it is open; ConfigError when it is taken."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        udp.bind((LOOPBACK, port))
-    except OSError:
+        udp.bind((address, port))
+    except OSError as error:
         udp.close()
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise ConfigError(
+                f"{address} is no address of this machine: take one of its own"
+            ) from None
         raise ConfigError(
             f"UDP port {port} is busy: end the program that has it (another session?), "
             "or choose other ports with --base-port"

@@ -1,19 +1,16 @@
 """`kontur-av stream`: a whole telepresence session on this machine, and its report."""
 
 import argparse
-import json
 import os
-import secrets
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.sources import check_spec
+from pipelines.command import output_that_may_fail
 from pipelines.doctor import NEEDED_SHM_OCTETS, check_shared_memory
 from pipelines.ground import ground_parts
 from pipelines.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
@@ -21,6 +18,7 @@ from pipelines.live import LiveView
 from pipelines.process import Part, Stage
 from pipelines.radio_options import add_radio_arguments, port_changes, radio_changes
 from pipelines.report import build_report
+from pipelines.report_file import check_writable, write_report
 from pipelines.sessions import clear_dead_sessions, hold_session
 from pipelines.setup import STEREO, Setup, VideoStream
 from pipelines.setup_file import load_setup
@@ -94,7 +92,8 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         write_report(args.report, report)
     if not args.quiet:
-        _print(report)
+        with output_that_may_fail():
+            print_summary(report)
     return 1 if report["failures"] else 0
 
 
@@ -108,17 +107,6 @@ def _live_view(*, quiet: bool, verbose: bool) -> Iterator[LiveView]:
         # A terminal that was closed takes no last picture; the report is still to be written.
         with suppress(OSError):
             view.__exit__(None, None, None)
-
-
-def _print(report: dict[str, Any]) -> None:
-    try:
-        print_summary(report)
-        sys.stdout.flush()
-    except OSError:
-        # Nobody reads it. What is left of it would be tried, and fail, once more at the exit.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, 1)
-        os.close(nowhere)
 
 
 def session_parts(setup: Setup, *, snapshots: bool = False) -> list[Part]:
@@ -219,19 +207,3 @@ def _made_directory(path: Path | None) -> Path | None:
     if not os.access(path, os.W_OK):
         raise ConfigError(f"--snapshots {path}: cannot be written to; choose another directory")
     return path.absolute()
-
-
-def check_writable(path: Path | None) -> None:
-    """ConfigError when `path` cannot be written: after the run it would be too late."""
-    if path is None:
-        return
-    directory = path.parent
-    if path.is_dir() or not directory.is_dir() or not os.access(directory, os.W_OK):
-        raise ConfigError(f"--report {path}: cannot be written; name a file in an open directory")
-
-
-def write_report(path: Path, report: Mapping[str, Any]) -> None:
-    """Write `report` whole or not at all."""
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    partial.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    partial.replace(path)

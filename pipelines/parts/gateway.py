@@ -9,6 +9,7 @@ after that there is the rest of the slot for figures.
 import secrets
 import select
 from contextlib import ExitStack
+from dataclasses import replace
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
@@ -22,6 +23,7 @@ from telepresence.link.flows import Level
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import Gateway
 from telepresence.link.receiver import HapticReceived, PacketReceived
+from telepresence.link.supervision_configuration import SupervisionTiming
 
 #: A burst larger than this in one slot waits in the socket for the next one.
 _MOST_DATAGRAMS = 64
@@ -29,6 +31,8 @@ _MOST_DATAGRAMS = 64
 _TELL_NS = 4 * NS_PER_MS
 #: What figures take at the worst: they are put together when so much of a slot is left.
 _FIGURES_NS = NS_PER_MS // 2
+#: What an answer takes besides the way there and back.
+_TURNAROUND_NS = 200 * NS_PER_MS
 
 _ON_THIS_MACHINE = EndAddresses()
 
@@ -109,6 +113,13 @@ def make_gateway(context: Context, segment: Segment) -> Gateway:
         now_ns=context.clock.now_ns(),
         radio=setup.radio_path(transmit, seed=context.seed, epoch_ns=context.started_ns),
     )
+
+
+def _timing(setup: Setup) -> SupervisionTiming:
+    """With patience enough for the radio's delay."""
+    timing = SupervisionTiming()
+    round_trip_ns = 2 * setup.radio_profile.longest_delay_ns + _TURNAROUND_NS
+    return replace(timing, round_trip_ns=max(timing.round_trip_ns, round_trip_ns))
 
 
 def run_gateway(

@@ -204,7 +204,7 @@ def test_a_radio_is_a_profile_or_a_cable_with_a_delay(tmp_path):
     assert own_setup().radio_profile.longest_delay_ns == 0
     assert own_setup(radio=str(file)).radio_profile.frame_loss == 0.1
     assert own_setup(radio_delay_ms=12.5).radio_profile.longest_delay_ns == 12_500_000
-    with pytest.raises(ConfigError, match="radio geo has a delay of its own.* or take radio cable"):
+    with pytest.raises(ConfigError, match=r"radio geo has .* take radio cable"):
         own_setup(radio="geo", radio_delay_ms=12.5)
     with pytest.raises(ConfigError, match="unknown radio storm"):
         own_setup(radio="storm")
