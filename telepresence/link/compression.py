@@ -31,6 +31,7 @@ from telepresence.link.rtp_forms import (
     RTP_HEADER,
     RTP_HEADER_OCTETS,
     Context,
+    Fields,
     RtpForms,
     parse_context,
     residue_octets,
@@ -57,8 +58,11 @@ ROUND_TRIP_NS = 30 * NS_PER_S
 MOST_POSSIBLE = 16
 #: So many whole headers are sent before a silent receiver is taken to hold a context.
 FIRST_WHOLE = 3
-#: Sequence numbers so far below or above prediction still fit every form; then it is time.
-_LEAST_SEQUENCE_ERROR, _MOST_SEQUENCE_ERROR = -2, 6
+#: Sequence numbers so far below and above what was predicted still fit, by octets of residue, and
+#: leave room for those to come until a new context is acknowledged.
+_SEQUENCE_ERRORS = ((0, 0), (-7, 13), (-3, 5))
+#: Octets of residue of each form, and of none.
+_OCTETS = (0, 1, 1, 2, 2)
 #: What a context costs more than a raw header with what it replaces: the tag is paid anyway.
 _CONTEXT_COST_OCTETS = CONTEXT_OCTETS - 2
 _SHADOW_NS = NS_PER_S
@@ -80,6 +84,7 @@ class RtpCompressor:
         self._number = 0
         self._heard = False
         self._whole = 0
+        self._sequence_error = 0
         # A would-be context, and what not having sent it has cost since the last one.
         self._shadow: Context | None = None
         self._regret_octets = 0
@@ -142,16 +147,20 @@ class RtpCompressor:
             self._shadow = None
         source.handle_packet(sequence, timestamp, count)
         self._bury(count)
+        fields = (second >> 7, sequence, timestamp)
+        payload_type = second & 0x7F
         header = None
-        if self._possible and not self._may_hold_none():
-            header = self._fitting(self._possible, second, sequence, timestamp, count)
-        if not self._context_due(header, second, sequence, timestamp, count):
+        if not self._possible:
+            self._whole = 0
+        elif not self._may_hold_none():
+            header = self._header(payload_type, fields, count)
+        if not self._context_due(header, payload_type, fields, count):
             if header is None:
                 return self._raw(data)
             kind, residue = header
             self._note(_name(kind), len(residue))
             return kind, residue + data[RTP_HEADER_OCTETS:], len(residue)
-        context = source.context(self._next_number(), count, second >> 7, second & 0x7F, ssrc)
+        context = source.context(self._next_number(), count, fields[0], payload_type, ssrc)
         self._possible.append(context)
         self._shadow, self._regret_octets = context, 0
         self._whole += 1
@@ -184,20 +193,20 @@ class RtpCompressor:
     def _may_hold_none(self) -> bool:
         return self._acknowledged is None and (self._heard or self._whole < FIRST_WHOLE)
 
-    def _fitting(
-        self, contexts: list[Context], second: int, sequence: int, timestamp: int, count: int
-    ) -> tuple[int, bytes] | None:
-        """The shortest header, as kind and residue, that each of `contexts` gives back exactly."""
-        ssrc, payload_type, marker = self._ssrc, second & 0x7F, second >> 7
-        for context in contexts:
+    def _header(self, payload_type: int, fields: Fields, count: int) -> tuple[int, bytes] | None:
+        """The shortest header, as kind and residue, that each possible context gives back."""
+        possible, ssrc = self._possible, self._ssrc
+        for context in possible:
             if context.ssrc != ssrc or context.payload_type != payload_type:
                 return None
         assert self._source is not None
         forms, index = self._forms, self._source.index
-        unpack, fields = forms.unpack, (marker, sequence, timestamp)
-        for pack in forms.packers:
-            kind, residue = pack(marker, sequence, timestamp, index)
-            for context in contexts:
+        unpack = forms.unpack
+        # The newest tells where to begin; what counts is that each gives the same.
+        first, self._sequence_error = forms.shortest(possible[-1], count, fields)
+        for pack in forms.packers[first:]:
+            kind, residue = pack(*fields, index)
+            for context in possible:
                 if unpack(kind, residue, context, count) != fields:
                     break
             else:
@@ -205,31 +214,25 @@ class RtpCompressor:
         return None
 
     def _context_due(
-        self,
-        header: tuple[int, bytes] | None,
-        second: int,
-        sequence: int,
-        timestamp: int,
-        count: int,
+        self, header: tuple[int, bytes] | None, payload_type: int, fields: Fields, count: int
     ) -> bool:
         """Whether this packet is to be sent as a new context."""
         possible = self._possible
+        assert self._source is not None
+        if not self._heard and not self._source.known:
+            # It would have to serve, unsuperseded, as long as it lives.
+            return False
         if not possible:
             return True
-        if len(possible) >= MOST_POSSIBLE:
-            return False
         newest = possible[-1]
         age = count - newest.count
-        if age < self._retry:
+        if age < self._retry or len(possible) >= MOST_POSSIBLE:
             return False
         if not self._heard:
             if age >= self._fleeting_refresh:
                 return True
-            # One more helps no packet as long as the older ones live, unless none is right at all.
-            return (
-                header is None
-                and self._fitting([newest], second, sequence, timestamp, count) is None
-            )
+            # One more helps no packet as long as the older ones live, unless all are of another.
+            return header is None and not self._serves(newest, payload_type, fields, count)
         pending = sum(1 for context in possible if context.number)
         if self._acknowledged is not None:
             pending -= 1
@@ -239,34 +242,30 @@ class RtpCompressor:
             return False
         if header is None:
             return True
-        error = self._forms.sequence_error(newest, sequence, timestamp)
-        if not _LEAST_SEQUENCE_ERROR <= error <= _MOST_SEQUENCE_ERROR:
+        least, most = _SEQUENCE_ERRORS[len(header[1])]
+        if not least <= self._sequence_error <= most:
             return True
-        return not pending and self._regretted(header, second, sequence, timestamp, count)
+        return not pending and self._regretted(len(header[1]), payload_type, fields, count)
 
-    def _regretted(
-        self,
-        header: tuple[int, bytes],
-        second: int,
-        sequence: int,
-        timestamp: int,
-        count: int,
-    ) -> bool:
+    def _serves(self, context: Context, payload_type: int, fields: Fields, count: int) -> bool:
+        """Whether `context` alone would do for this packet."""
+        if context.ssrc != self._ssrc or context.payload_type != payload_type:
+            return False
+        return self._forms.shortest(context, count, fields)[0] < len(self._forms.packers)
+
+    def _regretted(self, octets: int, payload_type: int, fields: Fields, count: int) -> bool:
         """Whether a newer context would by now have paid for itself.
 
-        Its price is paid once the contrary has cost as much: so a source that changes its habits
-        never costs more than twice what foresight would have paid.
+        Its price is paid once its lack has cost as much; so not knowing what the source will do
+        next costs at most as much again as knowing it would.
         """
-        octets = len(header[1])
         shadow = self._shadow
         if shadow is None or count - shadow.count >= self._shadow_life:
             assert self._source is not None
-            self._shadow = self._source.context(0, count, second >> 7, second & 0x7F, self._ssrc)
-            return False
-        if octets:
-            better = self._fitting([shadow], second, sequence, timestamp, count)
-            if better is not None:
-                self._regret_octets = max(0, self._regret_octets + octets - len(better[1]))
+            self._shadow = self._source.context(0, count, fields[0], payload_type, self._ssrc)
+        elif octets:
+            first, _ = self._forms.shortest(shadow, count, fields)
+            self._regret_octets += max(0, octets - _OCTETS[first])
         return self._regret_octets >= _CONTEXT_COST_OCTETS
 
     def _next_number(self) -> int:

@@ -31,7 +31,7 @@ each stands for the only value with these bits in a window around the prediction
     near   timestamp: within 128 ticks of a grid point (1.4 ms at 90 kHz); for cameras
     long   timestamp: 5120 ticks before to 3071 after the link's time; for what is on no grid
     index  (number of the grid point): 2 before to 1 after the one that the link's time shows
-    sequence: from 8 before to 23 after what the grid predicts (short), 4 before to 11 after (long)
+    sequence: from 12 before to 19 after what the grid predicts (short), 6 before to 9 after (long)
 """
 
 import struct
@@ -71,8 +71,8 @@ _U32 = 0xFFFF_FFFF
 _INDEX_BACK = 2
 _NEAR_BACK = 128
 _LONG_BACK = 5120
-_SHORT_SEQUENCE_BACK = 8
-_LONG_SEQUENCE_BACK = 4
+_SHORT_SEQUENCE_BACK = 12
+_LONG_SEQUENCE_BACK = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,11 +198,31 @@ class RtpForms:
         sequence = base + (octet - base & 0x1F)
         return octet >> 7, sequence & 0xFFFF, timestamp & _U32
 
-    def sequence_error(self, context: Context, sequence: int, timestamp: int) -> int:
-        """How far the sequence number is from what the grid predicts."""
-        off = signed32(timestamp - context.timestamp) - context.phase
-        index = (2 * PERIOD_PARTS * off + context.period) // (2 * context.period)
-        return (sequence - _sequence(context, index) + 0x8000 & 0xFFFF) - 0x8000
+    def shortest(self, context: Context, count: int, fields: Fields) -> tuple[int, int]:
+        """Which of `packers` is the first to serve, `len(packers)` for none; and how far the
+        sequence number is from what the grid predicts."""
+        marker, sequence, timestamp = fields
+        since = (count - context.count) * self._ticks // self._units
+        due = since + context.lead * self.lead_ticks
+        period, phase = context.period, context.phase
+        off = signed32(timestamp - context.timestamp)
+        index = (2 * PERIOD_PARTS * (off - phase) + period) // (2 * period)
+        error = (sequence - _sequence(context, index) + 0x8000 & 0xFFFF) - 0x8000
+        beside = off - phase - (index * period + PERIOD_PARTS // 2) // PERIOD_PARTS
+        steps = index - (2 * PERIOD_PARTS * (due - phase) + period) // (2 * period)
+        plain = marker == context.marker and not error
+        if -_INDEX_BACK <= steps < 4 - _INDEX_BACK:
+            if plain and not steps and not beside:
+                return 0, error
+            back = _SHORT_SEQUENCE_BACK
+            if -1 <= beside <= 1 and -back <= error < 0x20 - back:
+                return 1, error
+            if plain and -_NEAR_BACK <= beside < 0x100 - _NEAR_BACK:
+                return 2, error
+        back = _LONG_SEQUENCE_BACK
+        if -_LONG_BACK <= off - due < 0x2000 - _LONG_BACK and -back <= error < 0x10 - back:
+            return 3, error
+        return 4, error
 
 
 def residue_octets(kind: int) -> int:

@@ -4,6 +4,8 @@ Only the compressor uses this. It puts what it finds into contexts; a wrong gues
 never a wrong header.
 """
 
+from typing import NamedTuple
+
 from telepresence.link.flows import Flow
 from telepresence.link.rtp_forms import (
     LARGEST_LEAD,
@@ -26,6 +28,18 @@ _WAITS = 64
 _JUMPS_PER_S = 2
 #: Packets a picture are counted over one to two times as many pictures.
 _PICTURES = 64
+#: A line that fits so many pictures was no accident.
+_STEADY = 8
+#: So many pictures tell all of a source that keeps its grid to the tick, and so many of any other.
+_FEW, _MANY = 4, 32
+
+
+class _Picture(NamedTuple):
+    """A picture's number, and the sequence number and the timestamp of its first packet."""
+
+    number: int
+    sequence: int
+    timestamp: int
 
 
 class RtpSource:
@@ -50,9 +64,12 @@ class RtpSource:
         self._period = float(self._stride or flow.clock_hz // _ASSUMED_HZ)
         self._points = 1
         # First packets of pictures: the rate is measured from the older one.
-        self._marks = [(sequence, timestamp), (sequence, timestamp)]
-        self._picture_sequence = sequence
         self._pictures = 0
+        self._last_picture = _Picture(0, sequence, timestamp)
+        self._marks = [self._last_picture, self._last_picture]
+        # Pictures since the line was begun, and how far the worst one was beside it.
+        self._steady = 0
+        self._worst = 0.0
         self._wait = 0
         self._waits = 0
         self._least = self._most = self._older_least = self._older_most = 1 << 63
@@ -82,10 +99,10 @@ class RtpSource:
 
     def _handle_picture(self, step: int) -> None:
         timestamp = self._timestamp
-        self._picture_sequence = self._sequence
         self._pictures += 1
+        self._last_picture = _Picture(self._pictures, self._sequence, timestamp)
         if self._pictures % _PICTURES == 0:
-            self._marks = [self._marks[1], (self._sequence, timestamp)]
+            self._marks = [self._marks[1], self._last_picture]
         if self._stride:
             self.index += round(step / self._stride)
             self._grid = timestamp
@@ -95,10 +112,10 @@ class RtpSource:
         periods = round((timestamp - self._grid) / self._period)
         error = timestamp - self._grid - periods * self._period
         self.index += periods
+        self._steady += 1
+        self._worst = max(self._worst, abs(error))
         if abs(error) > self._period / 4 or (periods == 0 and step > 0):
-            # Not on the grid: a pause, another rate, or none at all. The next point starts anew.
-            self._points = 1
-            self._grid = timestamp
+            self._break()
             return
         if periods < 1:
             # Out of order (a picture that refers to later ones): no news of the line.
@@ -108,6 +125,26 @@ class RtpSource:
         scale = points * (points + 1)
         self._grid += periods * self._period + 2 * (2 * points - 1) / scale * error
         self._period += 6 / scale * error / periods
+
+    def _break(self) -> None:
+        """Not on the grid: a pause, another rate, or a source that has none."""
+        lasted = self._steady >= _STEADY
+        self._steady, self._worst = 0, 0.0
+        self._grid = float(self._timestamp)
+        # The next distance is the new period...
+        self._points = 1
+        first = self._marks[0]
+        ticks = self._timestamp - first.timestamp
+        if not lasted and ticks > 0 and self._pictures >= _STEADY:
+            # ... but where the last one did not last, the mean is the best there is.
+            self._period = ticks / (self._pictures - first.number)
+            self._points = _PICTURES
+
+    @property
+    def known(self) -> bool:
+        """Whether enough was seen for a context that serves for many seconds."""
+        exact = self._steady >= _FEW and self._worst <= 1
+        return exact or self._pictures >= _MANY or self._stride > 0
 
     def context(
         self, number: int, count: int, marker: int, payload_type: int, ssrc: int
@@ -136,11 +173,11 @@ class RtpSource:
         """Packets a period, in sixteenths."""
         if self._stride:
             return RATE_PARTS
-        (sequence, timestamp), _ = self._marks
-        ticks = self._timestamp - timestamp
+        first, last = self._marks[0], self._last_picture
+        ticks = last.timestamp - first.timestamp
         if ticks <= 0:
             return RATE_PARTS
-        rate = (self._picture_sequence - sequence) * self._period / ticks
+        rate = (last.sequence - first.sequence) * self._period / ticks
         # One packet a picture, but for pictures that were left out: exact as long as none is.
         if 7 / 8 <= rate <= 9 / 8:
             return RATE_PARTS
