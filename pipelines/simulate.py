@@ -1,0 +1,123 @@
+"""`kontur-av simulate`: a session on virtual time, as fast as the machine goes."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
+from pipelines.radio_options import add_radio_arguments, radio_changes
+from pipelines.setup import Setup
+from pipelines.setup_file import load_setup
+from pipelines.sim.costs import CodingCosts
+from pipelines.sim.inputs import check_sources as check_virtual_sources
+from pipelines.sim.session import Selection, Simulation
+from pipelines.sim.workers import Workers
+from pipelines.stream import check_sources, check_writable, parse_sources, write_report
+from pipelines.summary import print_summary
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av simulate`."""
+    parser.add_argument(
+        "--setup", required=True, metavar="NAME", help="spacejustin, taskboard or FILE.toml"
+    )
+    parser.add_argument("--seconds", type=float, required=True, metavar="S", help="of virtual time")
+    add_radio_arguments(parser)
+    parser.add_argument(
+        "--source",
+        action="append",
+        default=[],
+        metavar="NAME=SPEC",
+        help="what an input captures: scene:NAME or a media file; may be given several times",
+    )
+    parser.add_argument(
+        "--select",
+        action="append",
+        default=[],
+        metavar="T=CAMERA",
+        help="the operator selects CAMERA at second T; may be given several times",
+    )
+    parser.add_argument(
+        "--no-media", action="store_true", help="haptics and telecommands alone: much faster"
+    )
+    for cost in fields(CodingCosts):
+        what = cost.name.removesuffix("_ms").replace("_", " ")
+        parser.add_argument(
+            _option(cost.name),
+            type=float,
+            default=cost.default,
+            metavar="MS",
+            help=f"what it takes on virtual time to {what} ({cost.default} ms)",
+        )
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
+    parser.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the simulation; 1 if its report names a failure."""
+    if not 0 < args.seconds < 1e6:
+        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    setup = load_setup(args.setup)
+    sources = {**setup.sources, **parse_sources(args.source)}
+    setup = replace(setup, sources=sources, **radio_changes(args))
+    check_virtual_sources(setup)
+    check_sources(setup)
+    check_writable(args.report)
+    selections = parse_selections(args.select, setup)
+    costs = CodingCosts(**{cost.name: getattr(args, cost.name) for cost in fields(CodingCosts)})
+    report = simulate(
+        setup,
+        seconds=args.seconds,
+        seed=args.seed,
+        media=not args.no_media,
+        selections=selections,
+        costs=costs,
+    )
+    if args.report is not None:
+        write_report(args.report, report)
+    if not args.quiet:
+        print_summary(report)
+    return 1 if report["failures"] else 0
+
+
+def simulate(
+    setup: Setup,
+    *,
+    seconds: float,
+    seed: int,
+    media: bool = True,
+    selections: Sequence[Selection] = (),
+    costs: CodingCosts | None = None,
+) -> dict[str, Any]:
+    """The report of `seconds` of virtual time. The same arguments give the same report."""
+    with Workers() as workers:
+        simulation = Simulation(
+            setup, workers, seed=seed, media=media, selections=selections, costs=costs
+        )
+        simulation.run(round(seconds * NS_PER_S))
+        return simulation.report()
+
+
+def parse_selections(options: Sequence[str], setup: Setup) -> list[Selection]:
+    """T=CAMERA options; ConfigError for an instant that is none or a camera that there is not."""
+    selections = []
+    for option in options:
+        instant, equals, camera = option.partition("=")
+        try:
+            instant_ns = round(float(instant) * NS_PER_S)
+        except (ValueError, OverflowError):
+            instant_ns = -1
+        if not equals or instant_ns < 0:
+            raise ConfigError(f"--select {option}: write T=CAMERA, like 10=static for second 10")
+        if camera not in setup.cameras:
+            known = ", ".join(setup.cameras)
+            raise ConfigError(f"--select {option}: unknown camera {camera}: choose one of {known}")
+        selections.append(Selection(instant_ns, camera))
+    return selections
+
+
+def _option(cost: str) -> str:
+    return f"--{cost.replace('_', '-')}"
