@@ -178,15 +178,10 @@ def _halves(tail: bytes) -> tuple[list[int], list[int]]:
 
 # The tag octet, which stands wherever no packet goes on by itself (docs/link.md):
 # bit 7: the piece's length follows (CLOSED); else it fills the zone to its end.
-# bits 6..3: kind; bits 2..0: number of the flow, or what kind 0 (control) does.
+# bits 6..3: kind, control or one of rtp_forms; bits 2..0: number of the flow, or what control does.
 CLOSED = 0x80
 KIND_SHIFT = 3
-KIND_MASK = 0x0F
-KIND_CONTROL = 0
-KIND_RAW = 1
-KIND_CONTEXT = 2
-KIND_SHORT = 4  # 4..7: two bits belong to the compressed header
-KIND_LONG = 8  # 8..15: three bits belong to the compressed header
+KIND_BITS = 0x78
 NUMBER_MASK = 0x07
 TAG_FILL = 0x00
 TAG_PAD = 0x01
@@ -205,9 +200,3 @@ LONG_LENGTH = 0x8000
 def length_octets(profile: LinkProfile) -> int:
     """How many octets tell the length of a closed piece, at the most."""
     return 1 if profile.largest_zone_octets <= LARGEST_SHORT_LENGTH + 2 else 2
-
-
-# Until header compression speaks in kinds.
-TYPE_RAW = KIND_RAW << 4
-TYPE_CONTEXT = KIND_CONTEXT << 4
-TYPE_COMPRESSED = KIND_SHORT << 4

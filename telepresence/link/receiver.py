@@ -5,14 +5,13 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_S
+from telepresence.link.compression import RtpDecompressor
 from telepresence.link.flows import MAX_FLOWS, Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
     COUNT_MASK,
     COUNT_MODULUS,
-    KIND_CONTEXT,
-    KIND_MASK,
-    KIND_RAW,
+    KIND_BITS,
     KIND_SHIFT,
     LARGEST_SHORT_LENGTH,
     MAX_PACKET_OCTETS,
@@ -24,7 +23,7 @@ from telepresence.link.frame import (
     Pointers,
 )
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
-from telepresence.link.shim import RtpDecompressor
+from telepresence.link.rtp_forms import KIND_CONTEXT, KIND_RAW
 
 #: A frame that is so little behind is late or repeated; one further behind is of a new life.
 _LATE_FRAMES = 32
@@ -33,7 +32,6 @@ _LATE_RUN = 4
 
 _new_event = tuple.__new__
 
-_KIND_BITS = KIND_MASK << KIND_SHIFT
 #: The level that each control code resumes; -1 for the codes that mean nothing.
 _RESUMED = [-1] * TAG_RESUME + [*range(len(Level))]
 
@@ -278,7 +276,7 @@ class LinkReceiver:
                 continue
             if tag == TAG_FILL:
                 return
-            resumed = tag & _KIND_BITS == 0
+            resumed = tag & KIND_BITS == 0
             level = (_RESUMED if resumed else self._levels)[tag & NUMBER_MASK]
             if level < 0:
                 self._malformed()

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from telepresence.link.compression import RtpCompressor
 from telepresence.link.flows import Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
-    KIND_RAW,
     KIND_SHIFT,
     LARGEST_SHORT_LENGTH,
     LONG_LENGTH,
@@ -24,7 +24,7 @@ from telepresence.link.profile import (
     LinkProfile,
 )
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
-from telepresence.link.shim import RtpCompressor
+from telepresence.link.rtp_forms import KIND_RAW
 from telepresence.tmtc.packets import is_ours
 
 
