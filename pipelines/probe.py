@@ -79,17 +79,25 @@ class Probe:
     def flush(self, now_ns: int) -> None:
         """Send what was collected; on a full socket it is kept for the next time."""
         self._due_ns = now_ns + FLUSH_NS
-        message = self._message
-        sent = self._link is None or self._send(self._link)
-        for rows in message.series.values():
-            if sent:
-                del rows[:]
-            elif len(rows) > _MAX_SERIES_VALUES:
+        if self._link is None or self._send(self._link):
+            self.clear()
+            return
+        for rows in self._message.series.values():
+            if len(rows) > _MAX_SERIES_VALUES:
                 # Whole, because a row that is cut would shift all that follow.
                 self.dropped_values += len(rows)
                 del rows[:]
-        if sent:
-            message.gauges.clear()
+
+    @property
+    def message(self) -> Message:
+        """What was collected, for whoever needs no socket to get it; then `clear`."""
+        return self._message
+
+    def clear(self) -> None:
+        """Begin the next message."""
+        for rows in self._message.series.values():
+            del rows[:]
+        self._message.gauges.clear()
 
     def _send(self, link: socket.socket) -> bool:
         if self.dropped_values:

@@ -1,0 +1,58 @@
+"""What is to be done when, on virtual time."""
+
+from collections.abc import Callable
+from heapq import heappop, heappush
+
+#: Done at the instant that it is given.
+Action = Callable[[int], None]
+
+FAR_NS = 1 << 62
+
+
+class Agenda:
+    """Actions by their instants; those of one instant in the order in which they were entered.
+
+    next_ns: the first one's instant, `FAR_NS` when there is none.
+    """
+
+    def __init__(self) -> None:
+        self._entries: list[tuple[int, int, Action]] = []
+        self._entered = 0
+        self.next_ns = FAR_NS
+
+    def at(self, instant_ns: int, action: Action) -> None:
+        """Have `action` done at `instant_ns`."""
+        self._entered += 1
+        heappush(self._entries, (instant_ns, self._entered, action))
+        self.next_ns = self._entries[0][0]
+
+    def do_next(self) -> None:
+        """Do the first action, at its instant."""
+        instant_ns, _, action = heappop(self._entries)
+        self.next_ns = self._entries[0][0] if self._entries else FAR_NS
+        action(instant_ns)
+
+
+class Timer:
+    """Does one action at the instant that a core's `poll_timeout` names at the time."""
+
+    def __init__(self, agenda: Agenda, action: Action) -> None:
+        self._agenda = agenda
+        self._action = action
+        self._due_ns = FAR_NS
+
+    def set(self, due_ns: int | None, now_ns: int) -> None:
+        """Have the action done at `due_ns`, not before the next nanosecond; None: not at all."""
+        if due_ns is None:
+            self._due_ns = FAR_NS
+            return
+        due_ns = max(due_ns, now_ns + 1)
+        if due_ns != self._due_ns:
+            self._due_ns = due_ns
+            self._agenda.at(due_ns, self._expire)
+
+    def _expire(self, now_ns: int) -> None:
+        # What was entered for an instant that is due no more does nothing.
+        if now_ns == self._due_ns:
+            self._due_ns = FAR_NS
+            self._action(now_ns)

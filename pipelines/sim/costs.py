@@ -1,0 +1,34 @@
+"""What each step of coding takes on virtual time."""
+
+from dataclasses import asdict, dataclass
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class CodingCosts:
+    """Fixed durations (ms), all measured in live sessions on two cores (medians).
+
+    capture_ms: from a picture's capture to its being there for the encoder: drawing it, the
+        stereo merge, the selector, and three wake-ups.
+    encode_ms, decode_ms: of one picture, its wake-up included.
+    voice_encode_ms, voice_decode_ms: of one block of sound.
+    """
+
+    capture_ms: float = 4.0
+    encode_ms: float = 6.0
+    decode_ms: float = 3.0
+    voice_encode_ms: float = 1.2
+    voice_decode_ms: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not 0 <= value <= 1000:
+                option = f"--{name.replace('_', '-')}"
+                raise ConfigError(f"{option} {value:g}: take 0 to 1000 milliseconds")
+
+    def ns(self, name: str) -> int:
+        """The duration `name` in nanoseconds; never nothing, so that an effect has a cause."""
+        cost_ms: float = getattr(self, f"{name}_ms")
+        return max(1, round(cost_ms * NS_PER_MS))

@@ -1,0 +1,129 @@
+"""The receiving processes of a simulated session.
+
+Nothing that happens on the link depends on what a decoder makes of it: a decoder may work on
+while virtual time goes on, and is waited for only when its figures are told (`settle`).
+"""
+
+from collections import deque
+from collections.abc import Callable
+
+from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.playout import PlayoutBlock
+from pipelines.cores.receiving import VideoReceiving, VoiceReceiving
+from pipelines.cores.showing import Showing
+from pipelines.sim.agenda import Agenda, Timer
+from pipelines.sim.costs import CodingCosts
+from pipelines.sim.workers import Job, Worker
+
+
+class VideoReceiver:
+    """Takes RTP and its reports, decodes every unit, and shows the pictures."""
+
+    def __init__(
+        self,
+        stream: str,
+        receiving: VideoReceiving,
+        showing: Showing,
+        *,
+        agenda: Agenda,
+        decoder: Worker,
+        costs: CodingCosts,
+    ) -> None:
+        self._stream = stream
+        self._receiving = receiving
+        self._showing = showing
+        self._agenda = agenda
+        self._decoder = decoder
+        self._cost_ns = costs.ns("decode")
+        self._free_ns = 0
+        self._decoding: deque[tuple[int, int, int | None, Job]] = deque()
+        self._timer = Timer(agenda, self._expire)
+        self._counts = (0, 0, 0)
+        self.handle_report: Callable[[bytes, int], bool] = receiving.handle_report
+
+    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
+        """An RTP packet comes out of the link."""
+        self._receiving.handle_packet(datagram, now_ns)
+        self._drain(now_ns)
+
+    def _expire(self, now_ns: int) -> None:
+        self._receiving.handle_timeout(now_ns)
+        self._drain(now_ns)
+
+    def _drain(self, now_ns: int) -> None:
+        while (unit := self._receiving.next_event()) is not None:
+            # One after the other, as in the live process.
+            self._free_ns = max(now_ns, self._free_ns) + self._cost_ns
+            job = self._decoder.submit((unit.data, unit.timestamp))
+            self._agenda.at(self._free_ns, self._decoded(unit, job))
+        self._timer.set(self._receiving.poll_timeout(), now_ns)
+
+    def _decoded(self, unit: ReceivedUnit, job: Job) -> Callable[[int], None]:
+        def date(now_ns: int) -> None:
+            capture_ns = self._receiving.capture_ns(unit.timestamp)
+            self._decoding.append((now_ns, unit.timestamp, capture_ns, job))
+
+        return date
+
+    def settle(self, until_ns: int) -> None:
+        """Wait for all that was decoded by `until_ns`, and show it at its own instant."""
+        while self._decoding and self._decoding[0][0] <= until_ns:
+            shown_ns, timestamp, dated_ns, job = self._decoding.popleft()
+            pictures, self._counts = job.result()
+            for of, width, height in pictures:
+                capture_ns = dated_ns if of == timestamp else self._receiving.capture_ns(of)
+                stamp = self._receiving.handle_picture(of, width, height, capture_ns)
+                if stamp is not None:
+                    self._showing.handle_shown(self._stream, stamp, shown_ns)
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        decoded, corrupt, restarts = self._counts
+        self._receiving.tell(decoded=decoded, corrupt=corrupt, restarts=restarts)
+
+
+class VoiceReceiver:
+    """Takes RTP and its reports, and lets each block of sound be heard at its instant."""
+
+    def __init__(
+        self,
+        stream: str,
+        receiving: VoiceReceiving,
+        showing: Showing,
+        *,
+        agenda: Agenda,
+        decoder: Worker,
+        costs: CodingCosts,
+    ) -> None:
+        self._stream = stream
+        self._receiving = receiving
+        self._showing = showing
+        self._agenda = agenda
+        self._decoder = decoder
+        self._cost_ns = costs.ns("voice_decode")
+        self._decoding: deque[tuple[int, PlayoutBlock, int | None, Job]] = deque()
+        self._timer = Timer(agenda, self._expire)
+        self.handle_report: Callable[[bytes, int], bool] = receiving.handle_report
+        self.tell = receiving.tell
+
+    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
+        """An RTP packet comes out of the link."""
+        self._receiving.handle_packet(datagram, now_ns)
+        self._expire(now_ns)
+
+    def _expire(self, now_ns: int) -> None:
+        self._receiving.handle_timeout(now_ns)
+        while (block := self._receiving.next_event()) is not None:
+            job = self._decoder.submit(block.payload)
+            capture_ns = self._receiving.capture_ns(block.timestamp)
+            self._decoding.append((now_ns + self._cost_ns, block, capture_ns, job))
+        self._timer.set(self._receiving.poll_timeout(), now_ns)
+
+    def settle(self, until_ns: int) -> None:
+        """Wait for all that was decoded by `until_ns`, and let it be heard at its own instant."""
+        while self._decoding and self._decoding[0][0] <= until_ns:
+            heard_ns, block, capture_ns, job = self._decoding.popleft()
+            decoded = job.result()
+            stamp = self._receiving.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
+            if stamp is not None:
+                self._showing.handle_shown(self._stream, stamp, heard_ns)
