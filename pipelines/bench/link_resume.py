@@ -13,12 +13,12 @@ from telepresence.link.receiver import HapticReceived, PacketReceived
 from telepresence.link.supervision import LinkState
 from telepresence.link.virtual import VirtualLink
 
-#: How often each kind of packet is offered, and the octets of its payload: voice and video of
-#: `spacejustin`'s uplink, and telecommands.
+#: How often each kind of packet is offered, and the octets of its payload. Together they take nine
+#: tenths of the uplink: what waits there waits for the signal, not for its turn.
 _OFFERS = {
-    COMMANDS: (10 * NS_PER_MS, 20),
+    COMMANDS: (20 * NS_PER_MS, 12),
     VOICE: (20 * NS_PER_MS, 19),
-    VIDEO: (33 * NS_PER_MS, 354),
+    VIDEO: (33 * NS_PER_MS, 290),
 }
 _STAMP = struct.Struct(">Q")
 _LEAD_IN_NS = 3 * NS_PER_S

@@ -36,6 +36,7 @@ SHELLS = {
     "kontur_av/sources/camera.py": "a device",
     "kontur_av/sources/microphone.py": "a device",
     "kontur_av/sources/pipe.py": "a FIFO",
+    "pipelines/bench/link_live.py": "runs commands",
     "pipelines/cli.py": "the command itself",
     "pipelines/command.py": "addresses, files and signals of a command",
     "pipelines/control.py": "the control socket",

@@ -1,0 +1,26 @@
+"""`kontur-av bench`: figures that anybody can measure again, each beside a peer where there is one.
+
+A bench is a module of its name with `add_arguments(parser)` and `run(args)`.
+"""
+
+import argparse
+from importlib import import_module
+
+#: What can be measured, and what it is about.
+BENCHES = {
+    "link": "the radio link: delays on virtual time, punctuality and cost on this machine",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """A command for each bench."""
+    benches = parser.add_subparsers(dest="bench", required=True, metavar="BENCH")
+    for name, text in BENCHES.items():
+        command = benches.add_parser(name, help=text, description=text)
+        import_module(f"pipelines.bench.{name}").add_arguments(command)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the chosen bench."""
+    result: int = import_module(f"pipelines.bench.{args.bench}").run(args)
+    return result
