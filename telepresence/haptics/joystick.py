@@ -73,8 +73,19 @@ class Joystick:
         self.vy_m_s = 0.0
         self.motor_x_n = 0.0
         self.motor_y_n = 0.0
+        model = self.model
+        self._constants = (
+            model.mass_kg,
+            model.hand_stiffness_n_m,
+            model.hand_damping_n_s_m,
+            model.force_gain,
+            model.force_limit_n,
+            model.force_rate_n_s,
+        )
         self._index = 0
         self._into_ns = 0
+        #: How long the present point takes.
+        self._point_ns = script[0].move_ns + script[0].stay_ns
 
     @property
     def period_ns(self) -> int:
@@ -86,11 +97,14 @@ class Joystick:
 
         Of a `dt_ns` beyond 50 ms (the process stood still) only 50 ms are done.
         """
-        remaining_ns = min(dt_ns, _MAX_ADVANCE_NS)
-        while remaining_ns > 0:
-            part_ns = min(remaining_ns, _MAX_STEP_NS)
-            self._integrate(feedback, part_ns)
-            remaining_ns -= part_ns
+        if 0 < dt_ns <= _MAX_STEP_NS:
+            self._integrate(feedback, dt_ns)
+        else:
+            remaining_ns = min(dt_ns, _MAX_ADVANCE_NS)
+            while remaining_ns > 0:
+                part_ns = min(remaining_ns, _MAX_STEP_NS)
+                self._integrate(feedback, part_ns)
+                remaining_ns -= part_ns
         return Command(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s)
 
     def intention(self) -> tuple[float, float]:
@@ -107,38 +121,44 @@ class Joystick:
         )
 
     def _integrate(self, feedback: Feedback | None, dt_ns: int) -> None:
-        model = self.model
+        # Looked up at once, not one by one: this is done a thousand times a second.
+        mass, stiffness, damping, gain, limit, rate = self._constants
         dt_s = dt_ns / NS_PER_S
-        self._into_ns += dt_ns
-        point = self.script[self._index]
-        while self._into_ns >= point.move_ns + point.stay_ns:
-            self._into_ns -= point.move_ns + point.stay_ns
-            self._index = (self._index + 1) % len(self.script)
-            point = self.script[self._index]
+        self._into_ns = into_ns = self._into_ns + dt_ns
+        if into_ns >= self._point_ns:
+            self._next_point()
         to_x, to_y = self.intention()
 
         if feedback is None:
-            keep = max(0.0, 1.0 - dt_s / model.relax_s)
-            self.motor_x_n *= keep
-            self.motor_y_n *= keep
+            keep = max(0.0, 1.0 - dt_s / self.model.relax_s)
+            motor_x = self.motor_x_n * keep
+            motor_y = self.motor_y_n * keep
         else:
-            change = model.force_rate_n_s * dt_s
-            limit = model.force_limit_n
-            self.motor_x_n = _approach(
-                self.motor_x_n, model.force_gain * feedback.fx_n, change, limit
-            )
-            self.motor_y_n = _approach(
-                self.motor_y_n, model.force_gain * feedback.fy_n, change, limit
-            )
+            change = rate * dt_s
+            motor_x, motor_y = self.motor_x_n, self.motor_y_n
+            target_x, target_y = gain * feedback[0], gain * feedback[1]
+            if motor_x != target_x:
+                motor_x = _approach(motor_x, target_x, change, limit)
+            if motor_y != target_y:
+                motor_y = _approach(motor_y, target_y, change, limit)
+        self.motor_x_n, self.motor_y_n = motor_x, motor_y
 
-        stiffness, damping = model.hand_stiffness_n_m, model.hand_damping_n_s_m
-        force_x = stiffness * (to_x - self.x_m) - damping * self.vx_m_s + self.motor_x_n
-        force_y = stiffness * (to_y - self.y_m) - damping * self.vy_m_s + self.motor_y_n
+        x, y, vx, vy = self.x_m, self.y_m, self.vx_m_s, self.vy_m_s
+        force_x = stiffness * (to_x - x) - damping * vx + motor_x
+        force_y = stiffness * (to_y - y) - damping * vy + motor_y
         # Semi-implicit Euler: the new velocity moves the handle, which keeps the spring stable.
-        self.vx_m_s += force_x / model.mass_kg * dt_s
-        self.vy_m_s += force_y / model.mass_kg * dt_s
-        self.x_m += self.vx_m_s * dt_s
-        self.y_m += self.vy_m_s * dt_s
+        vx += force_x / mass * dt_s
+        vy += force_y / mass * dt_s
+        self.x_m = x + vx * dt_s
+        self.y_m = y + vy * dt_s
+        self.vx_m_s, self.vy_m_s = vx, vy
+
+    def _next_point(self) -> None:
+        while self._into_ns >= self._point_ns:
+            self._into_ns -= self._point_ns
+            self._index = (self._index + 1) % len(self.script)
+            point = self.script[self._index]
+            self._point_ns = point.move_ns + point.stay_ns
 
 
 def _approach(value: float, target: float, change: float, limit: float) -> float:

@@ -14,8 +14,8 @@ from telepresence.haptics.sample import (
     Feedback,
     pack_command,
     pack_feedback,
-    unpack_command,
-    unpack_feedback,
+    read_command,
+    read_feedback,
 )
 from telepresence.haptics.schedule import PeriodicSchedule
 
@@ -250,12 +250,12 @@ class HapticLink(Generic[Out, In]):
 
 def joystick_link(*, max_age_ns: int = MAX_AGE_NS) -> HapticLink[Command, Feedback]:
     """The end at the joystick: sends commands, receives feedback."""
-    return HapticLink(pack_command, unpack_feedback, max_age_ns=max_age_ns)
+    return HapticLink(pack_command, read_feedback, max_age_ns=max_age_ns)
 
 
 def robot_link(*, max_age_ns: int = MAX_AGE_NS) -> HapticLink[Feedback, Command]:
     """The end at the robot: sends feedback, receives commands."""
-    return HapticLink(pack_feedback, unpack_command, max_age_ns=max_age_ns)
+    return HapticLink(pack_feedback, read_command, max_age_ns=max_age_ns)
 
 
 def _take(stamps: deque[int]) -> list[tuple[int, int]]:

@@ -38,7 +38,9 @@ FLAG_SATURATED = 0x02
 FLAG_HOLDING = 0x04
 
 _LAYOUT = struct.Struct(">HBBhhhh")
+_pack, _unpack = _LAYOUT.pack, _LAYOUT.unpack
 _LIMIT = 32767
+_NEVER = -32768
 
 
 class Command(NamedTuple):
@@ -85,14 +87,15 @@ def pack_command(sequence: int, command: Command, holding: bool = False) -> byte
     A value that is not a number is a bug of the caller: ValueError.
     """
     x_m, y_m, vx_m_s, vy_m_s = command
-    return _pack(
-        sequence,
-        FLAG_HOLDING if holding else 0,
-        x_m / POSITION_M,
-        y_m / POSITION_M,
-        vx_m_s / VELOCITY_M_S,
-        vy_m_s / VELOCITY_M_S,
-    )
+    flags = FLAG_HOLDING if holding else 0
+    a, b, c, d = x_m / POSITION_M, y_m / POSITION_M, vx_m_s / VELOCITY_M_S, vy_m_s / VELOCITY_M_S
+    # One comparison for the ordinary case; a NaN fails it as well and is refused by round().
+    if not (-_LIMIT <= a <= _LIMIT and -_LIMIT <= b <= _LIMIT) or not (
+        -_LIMIT <= c <= _LIMIT and -_LIMIT <= d <= _LIMIT
+    ):
+        flags |= FLAG_SATURATED
+        a, b, c, d = _saturated(a), _saturated(b), _saturated(c), _saturated(d)
+    return _pack(sequence % SEQUENCE_MODULUS, flags, 0, round(a), round(b), round(c), round(d))
 
 
 def pack_feedback(sequence: int, feedback: Feedback, holding: bool = False) -> bytes:
@@ -106,54 +109,50 @@ def pack_feedback(sequence: int, feedback: Feedback, holding: bool = False) -> b
         flags |= FLAG_CONTACT
     if holding:
         flags |= FLAG_HOLDING
-    return _pack(
-        sequence, flags, x_m / POSITION_M, y_m / POSITION_M, fx_n / FORCE_N, fy_n / FORCE_N
-    )
+    a, b, c, d = x_m / POSITION_M, y_m / POSITION_M, fx_n / FORCE_N, fy_n / FORCE_N
+    if not (-_LIMIT <= a <= _LIMIT and -_LIMIT <= b <= _LIMIT) or not (
+        -_LIMIT <= c <= _LIMIT and -_LIMIT <= d <= _LIMIT
+    ):
+        flags |= FLAG_SATURATED
+        a, b, c, d = _saturated(a), _saturated(b), _saturated(c), _saturated(d)
+    return _pack(sequence % SEQUENCE_MODULUS, flags, 0, round(a), round(b), round(c), round(d))
 
 
 def unpack_command(data: bytes) -> CommandSample:
     """The command in `data`; ProtocolError when it isn't exactly one command sample."""
-    sequence, flags, x, y, vx, vy = _unpack(data)
-    if flags & FLAG_FEEDBACK:
-        raise ProtocolError("haptic sample: a feedback where a command is due")
-    return CommandSample(
-        sequence,
-        flags,
-        Command(x * POSITION_M, y * POSITION_M, vx * VELOCITY_M_S, vy * VELOCITY_M_S),
-    )
+    return CommandSample(*read_command(data))
 
 
 def unpack_feedback(data: bytes) -> FeedbackSample:
     """The feedback in `data`; ProtocolError when it isn't exactly one feedback sample."""
-    sequence, flags, x, y, fx, fy = _unpack(data)
+    return FeedbackSample(*read_feedback(data))
+
+
+def read_command(data: bytes) -> tuple[int, int, Command]:
+    """`unpack_command` as a plain tuple, for the loop at 1 kHz."""
+    if len(data) != SAMPLE_OCTETS:
+        raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
+    sequence, flags, _, x, y, vx, vy = _unpack(data)
+    if flags & FLAG_FEEDBACK:
+        raise ProtocolError("haptic sample: a feedback where a command is due")
+    if x == _NEVER or y == _NEVER or vx == _NEVER or vy == _NEVER:
+        raise ProtocolError("haptic sample: the count -32768 is never sent")
+    value = Command(x * POSITION_M, y * POSITION_M, vx * VELOCITY_M_S, vy * VELOCITY_M_S)
+    return sequence, flags, value
+
+
+def read_feedback(data: bytes) -> tuple[int, int, Feedback]:
+    """`unpack_feedback` as a plain tuple, for the loop at 1 kHz."""
+    if len(data) != SAMPLE_OCTETS:
+        raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
+    sequence, flags, _, x, y, fx, fy = _unpack(data)
     if not flags & FLAG_FEEDBACK:
         raise ProtocolError("haptic sample: a command where a feedback is due")
-    return FeedbackSample(
-        sequence,
-        flags,
-        Feedback(
-            fx * FORCE_N,
-            fy * FORCE_N,
-            x * POSITION_M,
-            y * POSITION_M,
-            bool(flags & FLAG_CONTACT),
-        ),
-    )
-
-
-def _pack(sequence: int, flags: int, a: float, b: float, c: float, d: float) -> bytes:
-    # One comparison for the ordinary case; a NaN fails it as well and is refused by round().
-    if not (
-        -_LIMIT <= a <= _LIMIT
-        and -_LIMIT <= b <= _LIMIT
-        and -_LIMIT <= c <= _LIMIT
-        and -_LIMIT <= d <= _LIMIT
-    ):
-        flags |= FLAG_SATURATED
-        a, b, c, d = _saturated(a), _saturated(b), _saturated(c), _saturated(d)
-    return _LAYOUT.pack(
-        sequence % SEQUENCE_MODULUS, flags, 0, round(a), round(b), round(c), round(d)
-    )
+    if x == _NEVER or y == _NEVER or fx == _NEVER or fy == _NEVER:
+        raise ProtocolError("haptic sample: the count -32768 is never sent")
+    contact = bool(flags & FLAG_CONTACT)
+    value = Feedback(fx * FORCE_N, fy * FORCE_N, x * POSITION_M, y * POSITION_M, contact)
+    return sequence, flags, value
 
 
 def _saturated(counts: float) -> float:
@@ -162,12 +161,3 @@ def _saturated(counts: float) -> float:
     if counts < -_LIMIT:
         return -_LIMIT
     return counts
-
-
-def _unpack(data: bytes) -> tuple[int, int, int, int, int, int]:
-    if len(data) != SAMPLE_OCTETS:
-        raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
-    sequence, flags, _, a, b, c, d = _LAYOUT.unpack(data)
-    if -_LIMIT - 1 in (a, b, c, d):
-        raise ProtocolError("haptic sample: the count -32768 is never sent")
-    return sequence, flags, a, b, c, d
