@@ -223,8 +223,7 @@ def _as_dicts(tasks: Sequence[Punctuality]) -> list[dict[str, Any]]:
 def _table(title: str, *headings: str) -> Table:
     table = Table(title=title, title_justify="left")
     for heading in headings:
-        justify = "left" if heading in _WORDS else "right"
-        table.add_column(heading, justify=justify)
+        table.add_column(heading, justify="left" if heading in _WORDS else "right")
     return table
 
 
