@@ -41,10 +41,9 @@ from telepresence.link.supervision_message import (
     LinkState,
     MessageKind,
     SupervisionMessage,
-    message_version,
     pack_message,
-    parse_message,
 )
+from telepresence.link.supervision_negotiation import Negotiation, Verdict
 from telepresence.link.supervision_pacing import MessagePacing
 from telepresence.link.supervision_record import SupervisionRecord
 
@@ -67,11 +66,17 @@ __all__ = [
 _NO_CONTEXTS = (0, 0, 0, 0)
 #: For a gateway that does not fetch them; then the oldest go.
 _EVENTS_DEPTH = 256
-#: Each answer that does not come makes the next wait twice as long, up to so many times.
-_LARGEST_PATIENCE = 32
 #: However slow the slots are: so many of them without a frame are no loss of signal yet.
 _LEAST_SLOTS = 3
-_TELLS_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
+
+_TIMEOUTS = {
+    "silence": "time-out: frames, but no message of the peer",
+    "answer": "time-out: the slave does not confirm, it is configured anew",
+}
+_RESETS = {
+    "idle": "reset: no application data either way",
+    "broken": "reset: the peer sends application data, none comes out here",
+}
 
 
 class Supervisor:
@@ -83,39 +88,26 @@ class Supervisor:
     state, why: where the link stands. signal: good frames arrive. peer_hears: the peer is heard
     and says that it hears this end. delivering: what arrives may be given to the applications,
     because the peer of this life has been checked; it stays so over a loss of signal.
-    peer_life: the life of the peer that was checked, 0 before there was one.
     """
 
-    # More attributes than Python shares the keys of, read a thousand times a second.
+    # Read thousands of times a second, and slots are read fastest.
     __slots__ = (
-        "_agreed",
-        "_answer_patience",
         "_application",
         "_contexts",
         "_counts",
-        "_digest",
         "_events",
         "_fault",
         "_frame_ns",
-        "_message_ns",
+        "_negotiation",
         "_next_ns",
         "_pacing",
-        "_peer",
-        "_rates",
         "_record",
-        "_refusal",
-        "_refused",
         "_silence_ns",
-        "_suspect",
-        "_unanswered_ns",
-        "_unchecked",
-        "_version",
         "configuration",
         "delivering",
         "life",
         "master",
         "peer_hears",
-        "peer_life",
         "signal",
         "state",
         "timing",
@@ -142,36 +134,32 @@ class Supervisor:
         self.signal = False
         self.peer_hears = False
         self.delivering = False
-        self.peer_life = 0
-        self._version = configuration.version
-        self._digest = configuration.digest(master=master)
-        self._rates = configuration.rates_kbps()
         # Whoever looks once a slot sees a loss up to a slot after it could.
         self._silence_ns = max(
             self.timing.loss_ns - configuration.transmit.slot_ns,
             _LEAST_SLOTS * configuration.receive.slot_ns,
         )
         self._fault: str | None = self.why
-        self._refusal: str | None = None
-        self._refused: tuple[int, ...] = ()
-        #: What a message that did not fit looked like: only its repetition is believed.
-        self._suspect: tuple[int, ...] = ()
-        self._unchecked = True
-        #: The newest message that fits, of this contact.
-        self._peer: SupervisionMessage | None = None
-        #: Master and slave of these two lives have agreed.
-        self._agreed = False
         self._contexts: tuple[int, int, int, int] = _NO_CONTEXTS
         self._frame_ns = now_ns
-        self._message_ns = now_ns
-        self._unanswered_ns: int | None = None
-        self._answer_patience = 1
+        self._next_ns = now_ns
+        self._negotiation = Negotiation(
+            master=master,
+            configuration=configuration,
+            life=life,
+            timing=self.timing,
+            now_ns=now_ns,
+        )
         self._application = ApplicationWatch(self.timing, now_ns)
         self._pacing = MessagePacing(self.timing, now_ns)
-        self._next_ns = now_ns
         self._events: deque[SupervisionEvent] = deque(maxlen=_EVENTS_DEPTH)
         self._record = SupervisionRecord(self.state, self.why, now_ns)
         self._counts = self._record.counts
+
+    @property
+    def peer_life(self) -> int:
+        """The life of the peer that was checked, 0 before there was one."""
+        return self._negotiation.peer_life
 
     def handle_frame(self, now_ns: int) -> None:
         """A good frame of the peer, whatever it carries."""
@@ -194,7 +182,8 @@ class Supervisor:
     def handle_contexts(self, ids: Sequence[int], now_ns: int) -> None:
         """What the local receiver holds: an id (1..255, 0 none) for each of up to four flows.
 
-        After `PeerMet`, have the receiver forget first: ids of a former life must not get here.
+        After `PeerMet` and `handle_restart`, have the receiver forget first: ids of a former life
+        must not get here.
         """
         first, second, third, fourth = (*ids, *_NO_CONTEXTS)[:4]
         contexts = (first, second, third, fourth)
@@ -211,33 +200,39 @@ class Supervisor:
     def handle_restart(self, now_ns: int) -> None:
         """The frame count says that the peer has begun anew: nothing of it is delivered before
         its first message. Closes the gap between its first frame and that."""
-        self._unchecked = True
-        self._forget_peer(now_ns)
+        self._negotiation.checked = False
+        self._negotiation.forget_peer()
+        self._contexts = _NO_CONTEXTS
+        self._note_hearing(now_ns)
         self._update(now_ns)
 
     def handle_message(self, message: bytes, now_ns: int) -> None:
         """Twelve octets out of a good frame. What is no message is counted; this never raises."""
-        version = message_version(message)
-        parsed = parse_message(message) if version == self._version else None
-        if not version or (parsed is None and version == self._version):
-            self._counts["messages_malformed"] += 1
-            return
-        self._counts["messages_received"] += 1
+        negotiation, counts = self._negotiation, self._counts
         self.handle_frame(now_ns)
-        if parsed is None:
-            why = f"the peer speaks version {version} of the link, this end {self._version}"
-            # Nothing but the version is known of its layout: the repetition must be exact.
-            self._mismatch(tuple(message), f"{why}: install the same on both", now_ns)
+        before, before_life = negotiation.peer, negotiation.peer_life
+        verdict = negotiation.handle_message(message, now_ns)
+        if verdict is Verdict.MALFORMED:
+            counts["messages_malformed"] += 1
             return
-        signature = (parsed.master, parsed.life, parsed.digest)
-        if parsed.master is self.master:
-            role = "master" if self.master else "slave"
-            self._mismatch(signature, f"both ends are {role}: start one as the other", now_ns)
-        elif parsed.digest != self._digest:
-            exact = parsed.kind in _TELLS_RATES
-            self._mismatch(signature, self._difference(parsed), now_ns, exact=exact)
-        else:
-            self._accept(parsed, now_ns)
+        counts["messages_received"] += 1
+        if verdict is Verdict.SUSPECT or verdict is Verdict.REFUSED:
+            counts["messages_mismatched"] += 1
+        if verdict is Verdict.SUSPECT:
+            return
+        if verdict is Verdict.MET:
+            counts["peer_restarts"] += before_life != 0
+            before = None
+            # Contexts that its former life gave must not be said to be held.
+            self._contexts = _NO_CONTEXTS
+            self._events.append(PeerMet(now_ns, negotiation.peer_life, before_life != 0))
+        if verdict is not Verdict.FITS:
+            self._application.handle_contact(now_ns)
+        self._note_hearing(now_ns)
+        peer = negotiation.peer
+        if peer is not None:
+            self._heed(peer, before, now_ns)
+        self._update(now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """The message that this slot shall carry, or None. Ask once each slot."""
@@ -255,7 +250,7 @@ class Supervisor:
 
     def report(self, now_ns: int) -> dict[str, Any]:
         """State, peer, counts, contact windows and the last transitions with their reasons."""
-        peer = self._peer
+        peer = self._negotiation.peer
         return {
             "role": "master" if self.master else "slave",
             "life": self.life,
@@ -273,96 +268,33 @@ class Supervisor:
 
     def _acquire(self, now_ns: int) -> None:
         self.signal = True
-        self._message_ns = now_ns
+        self._negotiation.handle_contact(now_ns)
         self._application.handle_contact(now_ns)
         self._events.append(SignalAcquired(now_ns, self._record.handle_signal_acquired(now_ns)))
         self._update(now_ns)
 
     def _lose(self, now_ns: int) -> None:
         self.signal = self.peer_hears = False
-        self._peer = self._refusal = self._unanswered_ns = None
-        self._suspect = ()
+        self._negotiation.handle_contact(now_ns)
         self._application.handle_contact(now_ns)
         self._record.handle_signal_lost(self._frame_ns)
         self._events.append(SignalLost(now_ns, self._frame_ns))
 
-    def _forget_peer(self, now_ns: int) -> None:
-        self._peer = self._unanswered_ns = None
-        self._set_peer_hears(False, now_ns)
-
-    def _difference(self, peer: SupervisionMessage) -> str:
-        """What does not fit, as far as the message tells."""
-        mend = "give both ends the same setup"
-        if peer.kind not in _TELLS_RATES:
-            return f"the configuration differs: {mend}"
-        here = self.configuration
-        pairs = zip((here.transmit, here.receive), self._rates, peer.rates_kbps[::-1], strict=True)
-        wrong = [
-            f"{profile.name} has {mine} kbit/s here and {theirs} there"
-            for profile, mine, theirs in pairs
-            if mine != theirs
-        ]
-        return f"{', '.join(wrong) or 'frames or flows differ (rates agree)'}: {mend}"
-
-    def _mismatch(
-        self, signature: tuple[int, ...], why: str, now_ns: int, *, exact: bool = False
-    ) -> None:
-        """A message that does not fit. One alone may be an error that the FECF let through."""
-        self._counts["messages_mismatched"] += 1
-        if signature != self._suspect:
-            self._suspect = signature
-            return
-        self._forget_peer(now_ns)
-        self.peer_life = 0
-        self._unchecked = True
-        self._agreed = False
-        self._application.handle_contact(now_ns)
-        if exact or self._refusal is None or signature != self._refused:
-            self._refusal, self._refused = why, signature
-        self._update(now_ns)
-
-    def _accept(self, message: SupervisionMessage, now_ns: int) -> None:
-        """A message of a peer that fits."""
-        self._suspect, self._refusal = (), None
-        self._unchecked = False
-        if message.life != self.peer_life:
-            self._meet(message.life, now_ns)
-        before, self._peer = self._peer, message
-        self._message_ns = now_ns
-        hears = message.signal and message.heard == self.life
-        self._set_peer_hears(hears, now_ns)
-        if hears:
-            told = MessageKind.CONFIRM if self.master else MessageKind.CONFIGURE
-            if message.kind is told:
-                self._agreed = True
-            if message.kind not in _TELLS_RATES:
-                self._events.append(ContextsHeld(now_ns, message.contexts))
-        was_reset = before is not None and before.application and not message.application
-        self._application.handle_peer(was_reset=was_reset, sends=message.sending, now_ns=now_ns)
-        # The slave hears its master, and nothing keeps it from doing as it is told.
-        stuck = self.master and hears and message.state in (LinkState.SEARCH, LinkState.CONFIGURE)
-        if not stuck:
-            self._unanswered_ns, self._answer_patience = None, 1
-        elif self._unanswered_ns is None:
-            self._unanswered_ns = now_ns
-        self._update(now_ns)
-
-    def _meet(self, life: int, now_ns: int) -> None:
-        restarted = self.peer_life != 0
-        self._counts["peer_restarts"] += restarted
-        self.peer_life = life
-        self._peer = None
-        self._agreed = False
-        self._application.handle_contact(now_ns)
-        # Contexts that its former life gave must not be said to be held.
-        self._contexts = _NO_CONTEXTS
-        self._events.append(PeerMet(now_ns, life, restarted))
-
-    def _set_peer_hears(self, hears: bool, now_ns: int) -> None:
+    def _note_hearing(self, now_ns: int) -> None:
+        hears = self._negotiation.hears
         if hears != self.peer_hears:
             self.peer_hears = hears
             self._counts["peer_deaf"] += not hears
             self._events.append(PeerHears(now_ns) if hears else PeerDeaf(now_ns))
+
+    def _heed(
+        self, peer: SupervisionMessage, before: SupervisionMessage | None, now_ns: int
+    ) -> None:
+        """What the peer holds of headers, and how its applications fare."""
+        if self.peer_hears and peer.kind in (MessageKind.ALIVE, MessageKind.CONFIRM):
+            self._events.append(ContextsHeld(now_ns, peer.contexts))
+        was_reset = before is not None and before.application and not peer.application
+        self._application.handle_peer(was_reset=was_reset, sends=peer.sending, now_ns=now_ns)
 
     def _work(self, now_ns: int) -> bytes | None:
         """Time-outs, then the message if it is due."""
@@ -381,22 +313,13 @@ class Supervisor:
 
     def _supervise(self, now_ns: int) -> str | None:
         """What took too long. Looked at whenever a message is due: that is often enough."""
-        timing, peer = self.timing, self._peer
-        if peer is None:
-            return None
-        if now_ns - self._message_ns > timing.silence_ns + timing.round_trip_ns:
-            self._counts["timeouts_silence"] += 1
-            self._forget_peer(now_ns)
-            return "time-out: frames, but no message of the peer"
-        if self._unanswered_ns is not None:
-            if now_ns - self._unanswered_ns <= timing.answer_ns * self._answer_patience:
-                return None
-            self._counts["timeouts_answer"] += 1
-            self._answer_patience = min(2 * self._answer_patience, _LARGEST_PATIENCE)
-            self._unanswered_ns = now_ns
-            self._agreed = False
-            return "time-out: the slave does not confirm, it is configured anew"
-        if self.state not in (LinkState.APPROVE, LinkState.CONNECTED):
+        timeout = self._negotiation.timeout(now_ns)
+        if timeout is not None:
+            self._counts[f"timeouts_{timeout}"] += 1
+            self._note_hearing(now_ns)
+            return _TIMEOUTS[timeout]
+        peer = self._negotiation.peer
+        if peer is None or self.state not in (LinkState.APPROVE, LinkState.CONNECTED):
             return None
         approved = self.state is LinkState.CONNECTED
         reset = self._application.reset_due(peer_fresh=peer.fresh, approved=approved, now_ns=now_ns)
@@ -404,34 +327,22 @@ class Supervisor:
             return None
         self._counts[f"resets_{reset}"] += 1
         self._events.append(ApplicationReset(now_ns, reset))
-        if reset == "idle":
-            return "reset: no application data either way"
-        return "reset: the peer sends application data, none comes out here"
+        return _RESETS[reset]
 
     def _find_state(self) -> tuple[LinkState, str]:
         """The state that follows from what is known, and why it is no better one."""
-        peer = self._peer
         if self._fault is not None:
             return LinkState.CHECK, self._fault
         if not self.signal:
             return LinkState.SEARCH, "no signal"
-        if self._refusal is not None:
-            return LinkState.REFUSED, self._refusal
-        if peer is None:
-            return LinkState.SEARCH, "signal, and no message of the peer yet"
-        if not self.peer_hears:
-            return LinkState.CONFIGURE, "the peer does not hear this end"
-        if peer.state is LinkState.CHECK:
-            return LinkState.CONFIGURE, "the peer's local check has not passed"
-        if not self._agreed:
-            awaited = "the slave to confirm" if self.master else "the master to configure"
-            return LinkState.CONFIGURE, f"waits for {awaited}"
-        if self._application.arrived and peer.application:
+        peer = self._negotiation.peer
+        obstacle = self._negotiation.obstacle()
+        if obstacle is not None or peer is None:
+            return obstacle or (LinkState.SEARCH, "no peer")
+        here, there = self._application.arrived, peer.application
+        if here and there:
             return LinkState.CONNECTED, "application data both ways"
-        if self._application.arrived or peer.application:
-            where = "here" if peer.application else "at the peer"
-        else:
-            where = "either way"
+        where = "at the peer" if here else "here" if there else "either way"
         return LinkState.APPROVE, f"agreed; no application data {where} yet"
 
     def _update(self, now_ns: int, cause: str | None = None) -> None:
@@ -443,19 +354,16 @@ class Supervisor:
         before = self.state
         refined = state is LinkState.REFUSED and why != self.why
         self.state, self.why = state, why
-        self.delivering = self._fault is None and not self._unchecked
+        self.delivering = self._fault is None and self._negotiation.checked
         if state is not before or cause is not None or refined:
             self._record.handle_state(state, cause or why, now_ns)
             self._events.append(StateChanged(now_ns, before, state, cause or why))
         self._schedule(now_ns)
 
     def _schedule(self, now_ns: int) -> None:
-        peer, pacing = self._peer, self._pacing
-        settled = (
-            self.state is LinkState.CONNECTED
-            and peer is not None
-            and peer.state is LinkState.CONNECTED
-        )
+        peer, pacing = self._negotiation.peer, self._pacing
+        connected = LinkState.CONNECTED
+        settled = self.state is connected and peer is not None and peer.state is connected
         pacing.handle_content(
             self._content(), self._contexts, now_ns, heard=self.peer_hears, settled=settled
         )
@@ -463,35 +371,28 @@ class Supervisor:
         if self.signal:
             self._next_ns = min(self._next_ns, self._frame_ns + self._silence_ns)
 
-    def _kind(self) -> MessageKind:
-        peer = self._peer
-        if self.state is LinkState.REFUSED:
-            return MessageKind.REJECT
-        if peer is None or self.state is LinkState.CHECK:
-            return MessageKind.ALIVE
-        if self.master:
-            return MessageKind.ALIVE if self._agreed else MessageKind.CONFIGURE
-        asked = peer.kind is MessageKind.CONFIGURE
-        return MessageKind.CONFIRM if asked and self._agreed else MessageKind.ALIVE
-
     def _content(self) -> tuple[int, ...]:
         """All of a message whose change the peer must learn at once."""
-        heard = 0 if self._peer is None else self._peer.life
-        return (self._kind(), self.state, self.signal, self._application.arrived, heard)
+        peer = self._negotiation.peer
+        kind = self._negotiation.kind(self.state)
+        heard = 0 if peer is None else peer.life
+        return (kind, self.state, self.signal, self._application.arrived, heard)
 
     def _message(self, now_ns: int) -> SupervisionMessage:
+        negotiation, application = self._negotiation, self._application
+        peer = negotiation.peer
         return SupervisionMessage(
-            version=self._version,
-            kind=self._kind(),
+            version=negotiation.version,
+            kind=negotiation.kind(self.state),
             state=self.state,
             master=self.master,
             signal=self.signal,
-            application=self._application.arrived,
-            fresh=self._application.fresh(now_ns),
-            sending=self._application.sending(now_ns),
+            application=application.arrived,
+            fresh=application.fresh(now_ns),
+            sending=application.sending(now_ns),
             life=self.life,
-            heard=0 if self._peer is None else self._peer.life,
-            digest=self._digest,
+            heard=0 if peer is None else peer.life,
+            digest=negotiation.digest,
             contexts=self._contexts,
-            rates_kbps=self._rates,
+            rates_kbps=negotiation.rates_kbps,
         )

@@ -161,7 +161,7 @@ def test_connects_in_two_round_trips_and_a_few_messages(delay_slots):
         assert not end.of(SignalLost) + end.of(PeerDeaf) + end.of(ApplicationReset)
 
 
-@pytest.mark.parametrize("late", [30, 700, 60_000])
+@pytest.mark.parametrize("late", [30, 700, 10_000])
 @pytest.mark.parametrize("first", ["ground", "space"])
 def test_connects_however_late_one_side_starts(late, first):
     pair = Pair(delay_slots=12)
@@ -179,9 +179,9 @@ def test_settled_it_says_little_and_only_what_is_needed():
     pair.run(3 * S)
     before = [len(end.sent) for end in pair.ends]
     events = [len(end.events) for end in pair.ends]
-    pair.run(60 * S)
+    pair.run(20 * S)
     for end, sent, seen in zip(pair.ends, before, events, strict=True):
-        assert len(end.sent) - sent <= 120
+        assert len(end.sent) - sent <= 40
         assert all(isinstance(event, ContextsHeld) for event in end.events[seen:])
 
 
@@ -389,10 +389,10 @@ def test_a_link_without_programs_idles_for_minutes_and_is_there_at_once():
     pair.run(5 * S)
     sent = [len(end.sent) for end in pair.ends]
     changes = [len(end.of(StateChanged)) for end in pair.ends]
-    pair.run(300 * S)
+    pair.run(90 * S)
     assert pair.states == ("APPROVE", "APPROVE")
     for end, messages, changed in zip(pair.ends, sent, changes, strict=True):
-        assert len(end.sent) - messages <= 2 * 300
+        assert len(end.sent) - messages <= 2 * 90
         assert len(end.of(StateChanged)) == changed
         assert not end.of(ApplicationReset)
     for end in pair.ends:
@@ -407,7 +407,7 @@ def test_data_one_way_is_no_fault(sends):
     for end in pair.ends:
         end.sends = end.name == sends
     pair.start()
-    pair.run(100 * S)
+    pair.run(20 * S)
     assert pair.states == ("APPROVE", "APPROVE")
     for end in pair.ends:
         assert not end.of(ApplicationReset)
@@ -418,7 +418,7 @@ def test_data_one_way_is_no_fault(sends):
     pair.run(6 * S)
     assert pair.states == CONNECTED
     changes = [len(end.of(StateChanged)) for end in pair.ends]
-    pair.run(60 * S)
+    pair.run(20 * S)
     assert changes == [len(end.of(StateChanged)) for end in pair.ends]
 
 
@@ -426,7 +426,7 @@ def test_an_idle_link_is_reset_once():
     pair = connected()
     for end in pair.ends:
         end.sends = False
-    pair.run(60 * S)
+    pair.run(20 * S)
     assert pair.states == ("APPROVE", "APPROVE")
     resets = pair.ground.of(ApplicationReset) + pair.space.of(ApplicationReset)
     assert [reset.why for reset in resets] in (["idle"], ["idle", "idle"])
@@ -445,11 +445,11 @@ def test_a_broken_application_link_is_reset_again_and_again_but_ever_less_often(
         Pair.arrive(pair, end, message, None if end is pair.space else data, now_ns)
 
     pair.arrive = arrive
-    pair.run(300 * S)
+    pair.run(100 * S)
     assert pair.states == ("APPROVE", "APPROVE")
     resets = [event.now_ns for event in pair.space.of(ApplicationReset)]
     assert {event.why for event in pair.space.of(ApplicationReset)} == {"broken"}
-    assert 4 <= len(resets) <= 8
+    assert 3 <= len(resets) <= 6
     assert 2 * S * MS <= resets[1] - resets[0] < resets[-1] - resets[-2]
     assert not pair.ground.of(ApplicationReset)
     del pair.arrive
@@ -508,17 +508,17 @@ def test_single_messages_that_are_wrong_break_nothing():
     pair = connected()
     pair.garble = 0.5
     events = len(pair.ground.events)
-    pair.run(120 * S)
+    pair.run(40 * S)
     assert pair.states == CONNECTED
     for end in pair.ends:
         counts = end.supervisor.report(pair.slot * MS)["counts"]
-        assert counts["messages_malformed"] + counts["messages_mismatched"] > 50
+        assert counts["messages_malformed"] + counts["messages_mismatched"] > 20
         assert not end.of(PeerDeaf) + end.of(SignalLost) + end.of(ApplicationReset)
         assert len(end.of(PeerMet)) == 1
     assert len(pair.ground.events) > events
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_whatever_happened_it_ends_connected(seed):
     """Blackouts, lost and garbled messages, restarts, faults; then the link is left alone."""
     random = Random(seed)

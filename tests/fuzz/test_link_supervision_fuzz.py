@@ -1,0 +1,94 @@
+"""Invariant: whatever a supervisor is handed as a message, it counts it and goes on.
+
+Nothing is raised, the peer is never taken for connected or fit to deliver on the strength of
+octets that no end of this configuration sent, the rate of messages stays bounded, and a peer
+that does fit is found again as soon as it is heard.
+"""
+
+import os
+from random import Random
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from telepresence.link.flows import tmtc_flow, video_flow
+from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.supervision import Configuration, LinkState, StateChanged, Supervisor
+
+MS = 1_000_000
+GROUND = Configuration(
+    transmit=UPLINK,
+    transmit_flows=[tmtc_flow("tc"), video_flow("video")],
+    receive=DOWNLINK,
+    receive_flows=[tmtc_flow("tm")],
+)
+SPACE = Configuration(
+    transmit=DOWNLINK,
+    transmit_flows=[tmtc_flow("tm")],
+    receive=UPLINK,
+    receive_flows=[tmtc_flow("tc"), video_flow("video")],
+)
+MESSAGES = int(os.environ.get("KONTUR_FUZZ_MESSAGES", "20000"))
+
+
+def begun(*, master):
+    supervisor = Supervisor(
+        master=master, configuration=GROUND if master else SPACE, life=2 - master, now_ns=0
+    )
+    supervisor.handle_local_check(None, 0)
+    return supervisor
+
+
+def drain(supervisor):
+    events = []
+    while event := supervisor.next_event():
+        events.append(event)
+    return events
+
+
+def talk(one, other, since, slots):
+    """Both ends hear each other, with data, for so many slots."""
+    for slot in range(since, since + slots):
+        for sender, receiver in ((one, other), (other, one)):
+            message = sender.poll_transmit(slot * MS)
+            receiver.handle_frame(slot * MS)
+            if message is not None:
+                receiver.handle_message(message, slot * MS)
+            if receiver.delivering:
+                receiver.handle_application(slot * MS)
+            drain(receiver)
+    assert one.state is other.state is LinkState.CONNECTED
+
+
+@given(st.lists(st.binary(max_size=40), max_size=40), st.booleans())
+def test_octets_of_any_length(datagrams, master):
+    supervisor = begun(master=master)
+    for slot, data in enumerate(datagrams):
+        supervisor.handle_message(data, slot * MS)
+        supervisor.poll_transmit(slot * MS)
+    counts = supervisor.report(len(datagrams) * MS)["counts"]
+    assert counts["messages_malformed"] + counts["messages_received"] == len(datagrams)
+    drain(supervisor)
+    talk(supervisor, begun(master=not master), len(datagrams), 100)
+
+
+def test_mutated_messages():
+    random = Random(5)
+    victim, peer = begun(master=True), begun(master=False)
+    talk(victim, peer, 0, 100)
+    sent = 0
+    for slot in range(100, 100 + MESSAGES):
+        now_ns = slot * MS
+        peer.handle_frame(now_ns)
+        message = bytearray(peer.poll_transmit(now_ns) or random.randbytes(12))
+        for _ in range(random.choice((1, 1, 2, 12))):
+            message[random.randrange(12)] ^= 1 << random.randrange(8)
+        victim.handle_message(bytes(message), now_ns)
+        sent += victim.poll_transmit(now_ns) is not None
+        changes = [event for event in drain(victim) if isinstance(event, StateChanged)]
+        assert len(changes) <= 1
+        drain(peer)
+    assert sent <= MESSAGES // 10 + 1
+    counts = victim.report(0)["counts"]
+    assert counts["messages_malformed"] + counts["messages_mismatched"] > MESSAGES // 2
+    talk(victim, peer, 100 + MESSAGES, 4000)

@@ -1,0 +1,154 @@
+"""The supervision message octet by octet, as docs/link-contact.md has it."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from telepresence.link.flows import Level, packet_flow, voice_flow
+from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.supervision import Configuration, LinkState, Supervisor
+from telepresence.link.supervision_message import (
+    MessageKind,
+    SupervisionMessage,
+    message_version,
+    pack_message,
+    parse_message,
+)
+
+ALIVE = SupervisionMessage(
+    version=1,
+    kind=MessageKind.ALIVE,
+    state=LinkState.CONNECTED,
+    master=True,
+    signal=True,
+    application=True,
+    fresh=False,
+    sending=True,
+    life=0x1234,
+    heard=0xABCD,
+    digest=0x55AA,
+    contexts=(7, 0, 255, 1),
+)
+VECTORS = [
+    (ALIVE, "10 9d 1234 abcd 55aa 0700ff01"),
+    (
+        SupervisionMessage(
+            version=1,
+            kind=MessageKind.CONFIGURE,
+            state=LinkState.CONFIGURE,
+            master=True,
+            signal=True,
+            application=False,
+            fresh=False,
+            sending=False,
+            life=1,
+            heard=2,
+            digest=3,
+            rates_kbps=(256, 4000),
+        ),
+        "11 58 0001 0002 0003 0100 0fa0",
+    ),
+    (
+        SupervisionMessage(
+            version=1,
+            kind=MessageKind.CONFIRM,
+            state=LinkState.APPROVE,
+            master=False,
+            signal=True,
+            application=True,
+            fresh=True,
+            sending=False,
+            life=2,
+            heard=1,
+            digest=3,
+            contexts=(0, 9, 0, 0),
+        ),
+        "12 6e 0002 0001 0003 00090000",
+    ),
+    (
+        SupervisionMessage(
+            version=15,
+            kind=MessageKind.REJECT,
+            state=LinkState.REFUSED,
+            master=False,
+            signal=False,
+            application=False,
+            fresh=False,
+            sending=False,
+            life=0xFFFF,
+            heard=0,
+            digest=0,
+            rates_kbps=(4000, 256),
+        ),
+        "f3 a0 ffff 0000 0000 0fa0 0100",
+    ),
+]
+
+
+@pytest.mark.parametrize(("message", "octets"), VECTORS)
+def test_golden(message, octets):
+    assert pack_message(message) == bytes.fromhex(octets)
+    assert parse_message(bytes.fromhex(octets)) == message
+
+
+@pytest.mark.parametrize(
+    ("octets", "what"),
+    [
+        ("009d1234abcd55aa0700ff01", "version 0"),
+        ("149d1234abcd55aa0700ff01", "kind 4"),
+        ("10dd1234abcd55aa0700ff01", "state 6"),
+        ("109d0000abcd55aa0700ff01", "life 0"),
+        ("129d1234abcd55aa0700ff01", "CONFIRM of a master"),
+        ("118d1234abcd55aa0700ff01", "CONFIGURE of a slave"),
+        ("109d1234abcd55aa0700ff", "too short"),
+        ("109d1234abcd55aa0700ff0101", "too long"),
+        ("", "nothing"),
+    ],
+)
+def test_what_no_end_sends_is_no_message(octets, what):
+    assert parse_message(bytes.fromhex(octets)) is None, what
+
+
+@given(st.binary(min_size=12, max_size=12))
+def test_what_is_read_is_written_the_same(data):
+    message = parse_message(data)
+    if message is not None:
+        assert message_version(data) == message.version
+        assert pack_message(message) == data
+
+
+UP = [packet_flow("tc", Level.TMTC), voice_flow("voice")]
+DOWN = [packet_flow("tm", Level.TMTC)]
+GROUND = Configuration(transmit=UPLINK, transmit_flows=UP, receive=DOWNLINK, receive_flows=DOWN)
+SPACE = Configuration(transmit=DOWNLINK, transmit_flows=DOWN, receive=UPLINK, receive_flows=UP)
+TEXT = """\
+32 12 1000000 75 1 1
+tc 0 raw 0 0
+voice 1 rtp 48000 960
+500 12 1000000 76 1 0
+tm 0 raw 0 0
+"""
+
+
+def test_digest_is_the_crc_of_this_text_at_both_ends():
+    assert GROUND.text(master=True) == SPACE.text(master=False) == TEXT
+    assert GROUND.digest(master=True) == SPACE.digest(master=False) == crc16(TEXT.encode())
+    # Which of the ends is the master is part of it: the ways have a direction.
+    assert GROUND.digest(master=True) != SPACE.digest(master=True)
+
+
+def crc16(data):
+    """x^16 + x^12 + x^5 + 1, begun with all ones (CCSDS 732.0-B clause 4.1.6.2), bit by bit."""
+    register = 0xFFFF
+    for octet in data:
+        for bit in range(7, -1, -1):
+            out = register >> 15 ^ octet >> bit & 1
+            register = (register << 1 & 0xFFFF) ^ (0x1021 if out else 0)
+    return register
+
+
+def test_first_message_of_a_ground_station():
+    supervisor = Supervisor(master=True, configuration=GROUND, life=0x1234, now_ns=0)
+    supervisor.handle_local_check(None, 0)
+    digest = f"{crc16(TEXT.encode()):04x}"
+    assert supervisor.poll_transmit(0).hex() == f"10301234{'0000'}{digest}00000000"
