@@ -10,7 +10,7 @@ that both directions fade together. docs/radio.md has the reasons.
 """
 
 from dataclasses import dataclass
-from math import cos, erfc, exp, log, log10, pi, sin, sqrt
+from math import cos, erfc, exp, hypot, log, log10, pi, sin, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,6 @@ _LIGHT_KM_S = 299_792.458
 _NOMINAL_DB = 10.53
 #: Above this margin no session ever sees an error (2e-13 a bit), so none is worked out.
 _ERROR_FREE_DB = 3.5
-#: The curve never goes further from 0.
-_FURTHEST = 5.7
 #: How often the fading is looked at, where it matters.
 _STEP_NS = 10 * NS_PER_MS
 #: A link is called usable where only rarer fades than these end the lock: 1 of 160 of the time.
@@ -93,7 +91,7 @@ def _mixed(number: int) -> int:
 
 
 class FadingCurve:
-    """A random curve of time: mean 0 and variance 1 at every instant, at most 5.7 from 0.
+    """A random curve of time: mean 0 and variance 1 at every instant.
 
     A normal number at every knot; in between the cosine and the sine weight of the two knots, whose
     squares add up to 1. Each knot is made from the seed and its own number alone.
@@ -106,12 +104,22 @@ class FadingCurve:
         self._here = self._there = 0.0
 
     def at(self, time_ns: int) -> float:
-        number, rest = divmod(time_ns, self._knot_ns)
+        """The curve at an instant."""
+        number = self._go_to(time_ns)
+        angle = pi / 2 * (time_ns - number * self._knot_ns) / self._knot_ns
+        return self._here * cos(angle) + self._there * sin(angle)
+
+    def reach(self, time_ns: int) -> tuple[float, int]:
+        """How far from 0 the curve may be from an instant to the next knot, and when that is."""
+        number = self._go_to(time_ns)
+        return hypot(self._here, self._there), (number + 1) * self._knot_ns
+
+    def _go_to(self, time_ns: int) -> int:
+        number = time_ns // self._knot_ns
         if number != self._number:
             self._number = number
             self._here, self._there = self._knot(number), self._knot(number + 1)
-        angle = pi / 2 * rest / self._knot_ns
-        return self._here * cos(angle) + self._there * sin(angle)
+        return number
 
     def _knot(self, number: int) -> float:
         # Box and Muller 1958; four standard deviations are enough for a fade.
@@ -160,15 +168,20 @@ class ContactFading:
         slope = (self._light_ns[second + 1] - self._light_ns[second]) / NS_PER_S
         light_ns = self._light_ns[second] + slope * rest_ns
         here, there = self._levels[second], self._levels[second + 1]
-        part = rest_ns / NS_PER_S
+        # At the beginning of the step, so that whoever asks within it is told the same.
+        step_ns = time_ns - time_ns % _STEP_NS
+        part = (step_ns - second * NS_PER_S) / NS_PER_S
         margin = here[0] + part * (there[0] - here[0])
         deviation = here[1] + part * (there[1] - here[1])
-        if margin - _FURTHEST * deviation > _ERROR_FREE_DB and (
-            there[0] - _FURTHEST * there[1] > _ERROR_FREE_DB
-        ):
+        reach, knot_ns = self._curve.reach(step_ns)
+        # Straight lines from here to the end of the second are nowhere lower than at an end.
+        lowest = min(margin - reach * deviation, there[0] - reach * there[1])
+        if lowest > max(_ERROR_FREE_DB, self._contact.lock_db):
+            # Every step that begins before the knot.
+            until_ns = min(until_ns, -(-knot_ns // _STEP_NS) * _STEP_NS)
             return ContactState(until_ns, light_ns, slope, signal=True, bit_error_rate=0.0)
-        until_ns = min(until_ns, time_ns - time_ns % _STEP_NS + _STEP_NS)
-        margin += deviation * self._curve.at(time_ns)
+        until_ns = min(until_ns, step_ns + _STEP_NS)
+        margin += deviation * self._curve.at(step_ns)
         signal = margin >= self._contact.lock_db
         errors = bit_error_rate(margin) if signal and margin < _ERROR_FREE_DB else 0.0
         return ContactState(until_ns, light_ns, slope, signal=signal, bit_error_rate=errors)

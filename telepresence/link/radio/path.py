@@ -45,6 +45,7 @@ class RadioPath:
         self._fixed_delay_ns = self._delay_ns = delay_ns
         self._fixed_hazard = self._per_frame = hazard(loss)
         self._per_octet = 0.0
+        self._risky = self._per_frame > 0.0
         self._slope = 0.0
         self._channel = channel
         self._epoch_ns = epoch_ns
@@ -73,16 +74,19 @@ class RadioPath:
             self._change(now_ns)
         self._now_ns = now_ns
         self.frames_sent += 1
-        left = self._store - self._per_frame - len(frame) * self._per_octet
-        if left < 0.0:
-            struck = self._strike(frame)
-            if struck is None:
-                self.frames_lost += 1
-                return
-            frame = struck
-        else:
-            self._store = left
-        arrival_ns = now_ns + self._delay_ns + int((now_ns - self._since_ns) * self._slope)
+        if self._risky:
+            left = self._store - self._per_frame - len(frame) * self._per_octet
+            if left < 0.0:
+                struck = self._strike(frame)
+                if struck is None:
+                    self.frames_lost += 1
+                    return
+                frame = struck
+            else:
+                self._store = left
+        arrival_ns = now_ns + self._delay_ns
+        if self._slope:
+            arrival_ns += int((now_ns - self._since_ns) * self._slope)
         if arrival_ns < self._arrival_ns:
             # A joint between two segments of the delay may be a nanosecond off.
             arrival_ns = self._arrival_ns
@@ -140,6 +144,7 @@ class RadioPath:
         per_frame = self._fixed_hazard + hazard(condition.frame_loss)
         self._per_frame = per_frame if self._open else inf
         self._per_octet = 8 * hazard(condition.bit_error_rate)
+        self._risky = self._per_frame > 0.0 or self._per_octet > 0.0
         self._now_ns = now_ns
         self._note_delay()
 
