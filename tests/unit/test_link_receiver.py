@@ -8,7 +8,7 @@ import pytest
 from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow
 from telepresence.link.frame import FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
-from telepresence.link.receiver import LinkReceiver, PacketReceived
+from telepresence.link.receiver import LinkReceiver, PacketReceived, SupervisionReceived
 from telepresence.link.sender import LinkSender
 
 MS = 1_000_000
@@ -44,14 +44,14 @@ def test_restarted_peer_is_followed_at_once():
 
 
 def test_restart_whose_first_frames_are_lost():
-    """Be it far below or just below the last count, at most one frame goes before it shows."""
+    """Far below the last count the next frame shows it; just below, the fourth."""
     for first_count in (1_000_000, 0):
         receiver = LinkReceiver(UPLINK, FLOWS)
         now_ns = feed(receiver, frames(20, first_count))
         feed(receiver, frames(12)[3:], now_ns)
         assert receiver.restarts == 1
         assert receiver.frames_lost == 0
-        assert receiver.frames_received >= 20 + 8
+        assert receiver.frames_received >= 20 + 6
 
 
 def test_jump_ahead_that_no_time_explains_is_a_restart():
@@ -62,21 +62,88 @@ def test_jump_ahead_that_no_time_explains_is_a_restart():
 
 
 def test_contexts_of_a_former_life_are_not_used():
-    """The new peer numbers its contexts anew; the frame with its first one is lost."""
+    """The new peer believes its contexts to be held; the frames with them are lost."""
     receiver = LinkReceiver(UPLINK, FLOWS)
-    former, present = (LinkSender(UPLINK, FLOWS) for _ in range(2))
-    for life, sender in enumerate((former, present)):
-        for slot in range(100):
-            if slot % 10 == 0:
-                header = struct.pack(">BBHII", 0x80, 96, slot // 10, slot * 90, life)
+    now_ns = 0
+    for life in range(2):
+        sender = LinkSender(UPLINK, FLOWS)
+        sender.handle_peer(heard=True)
+        for slot in range(2000):
+            if slot % 33 == 0:
+                header = struct.pack(">BBHII", 0x80, 96, slot // 33, slot // 33 * 3000, life)
                 sender.handle_packet("video", header + b"picture", slot * MS)
             frame = sender.poll_transmit(slot * MS)
-            if not (life and slot == 1):
-                receiver.handle_frame(frame, (life * 100 + slot) * MS)
+            if life and slot < 1000:
+                sender.handle_acknowledgements([slot % 255 + 1])
+            else:
+                receiver.handle_frame(frame, now_ns)
+            now_ns += MS
+        if not life:
+            assert receiver.context_ids()[0] > 0
+            assert receiver.packets_received[1] == 61
+        while event := receiver.next_event():
+            assert event.data[8:12] == bytes([0, 0, 0, life])
     assert receiver.restarts == 1
-    assert receiver.packets_received[1] == 10
-    assert receiver.packets_dropped == {"incomplete": 1, "no_context": 9}
-    assert all(event.data[8:12] == bytes(4) for event in iter(receiver.next_event, None))
+
+
+def test_nothing_is_delivered_unapproved_but_supervision():
+    sender, receiver = LinkSender(DOWNLINK, FLOWS), LinkReceiver(DOWNLINK, FLOWS)
+    receiver.deliver = False
+    sender.handle_haptic(bytes(12), 0)
+    sender.handle_packet("tmtc", b"telecommand", 0)
+    assert receiver.handle_frame(sender.poll_transmit(0), 0)
+    assert receiver.handle_frame(sender.poll_transmit(0, b"supervision!"), 1)
+    assert receiver.next_event() == SupervisionReceived(b"supervision!", 1)
+    assert receiver.next_event() is None
+    assert receiver.report()["haptic"] == {"received": 0, "unapproved": 1}
+    assert receiver.packets_dropped == {"unapproved": 1}
+    receiver.deliver = True
+    sender.handle_packet("tmtc", b"telecommand", 0)
+    receiver.handle_frame(sender.poll_transmit(0), 2)
+    assert receiver.next_event().data == b"telecommand"
+
+
+def test_signal_lost_drops_what_came_in_part():
+    sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
+    sender.handle_packet("tmtc", bytes(100), 0)
+    for slot in range(3):
+        receiver.handle_frame(sender.poll_transmit(slot), slot)
+    receiver.handle_signal_lost(3)
+    for slot in range(3, 8):
+        receiver.handle_frame(sender.poll_transmit(slot), slot)
+    assert receiver.next_event() is None
+    assert receiver.packets_dropped == {"incomplete": 1}
+
+
+def test_flushed_is_never_sent_and_counted_by_level():
+    sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
+    for name, data in (("rtcp", b"\x80\xc8" + bytes(60)), ("tmtc", b"t" * 60), ("tmtc", b"u" * 9)):
+        sender.handle_packet(name, data, 0)
+        receiver.handle_frame(sender.poll_transmit(0), 0)
+    sender.flush(0)
+    sender.handle_packet("tmtc", b"after", 0)
+    for _ in range(9):
+        receiver.handle_frame(sender.poll_transmit(0), 0)
+    assert [event.data for event in iter(receiver.next_event, None)] == [b"after"]
+    queues = sender.report(0)["queue"]
+    assert queues["tmtc"]["drops"]["signal_lost"] == 2
+    assert queues["video"]["drops"]["signal_lost"] == 1
+
+
+def test_patience_and_interruption_end_what_waits():
+    """A packet that is being sent waits for nothing; one that is interrupted waits."""
+    for patience_ns, reason, age in ((None, "expired", 700), (50 * MS, "signal_lost", 60)):
+        sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
+        sender.set_patience(patience_ns)
+        sender.handle_packet("rtcp", b"\x80\xc8" + bytes(98), 0)
+        for slot in range(age):
+            if slot % 2:
+                sender.handle_packet("tmtc", bytes(60), slot * MS)
+            receiver.handle_frame(sender.poll_transmit(slot * MS), slot * MS)
+        for slot in range(age, age + 3000):
+            receiver.handle_frame(sender.poll_transmit(slot * MS), slot * MS)
+        assert sender.report(0)["queue"]["video"]["drops"][reason] == 1
+        assert receiver.packets_received[2] == 0
 
 
 def test_repeated_and_late_frames_are_dropped():
@@ -116,21 +183,27 @@ def resealed(body):
 def test_tags_that_mean_nothing_are_counted():
     receiver = LinkReceiver(UPLINK, FLOWS)
     codec = FrameCodec(UPLINK)
-    zones = ["0f" + "00" * 11, "1e" + "00" * 11, "90ff" + "00" * 10, "31" + "00" * 11]
+    # A control code that means nothing; a flow that is not in the table; pieces that end beyond the
+    # zone, with a short length and a long one; a length, and its second octet, beyond the zone;
+    # a reserved kind.
+    zones = ["03", "0b", "8817", "888100", "01" * 23 + "88", "01" * 22 + "8880", "9802abcd"]
     for count, zone in enumerate(zones):
-        receiver.handle_frame(codec.pack(count, None, 0, bytes.fromhex(zone)), 0)
-    receiver.handle_frame(codec.pack(len(zones), None, 0, bytes(12)), 0)
-    assert receiver.packets_dropped["malformed"] == 3
+        zone = bytes.fromhex(zone).ljust(24, b"\0")
+        assert receiver.handle_frame(codec.pack(count, None, 0, zone), 0)
+    # Pointers that are neither a position nor a code.
+    for pointer in (25, 26, 27):
+        assert receiver.handle_frame(codec.pack(pointer - 18, None, pointer, bytes(24)), 0)
+    assert receiver.packets_dropped["malformed"] == len(zones) + 3
     assert receiver.next_event() is None
-    assert receiver.frames_received == len(zones) + 1
+    assert receiver.frames_received == len(zones) + 3
 
 
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
 def test_every_length_from_every_position(profile):
     """A packet of each length, begun at each place of the zone, arrives as it was sent."""
-    zone = profile.packet_zone_octets
-    positions = range(zone) if zone < 20 else (0, 1, zone - 5, zone - 4, zone - 3, zone - 2)
-    lengths = range(40) if zone < 20 else [*range(8), *range(zone - 12, zone + 4), 2 * zone]
+    zone = profile.largest_zone_octets
+    positions = range(zone) if zone < 25 else (0, 1, zone - 5, zone - 4, zone - 3, zone - 2)
+    lengths = [*range(40), *range(zone - 12, zone + 4), 127, 128, 2 * zone]
     for before in positions:
         for length in lengths:
             sender, receiver = LinkSender(profile, FLOWS), LinkReceiver(profile, FLOWS)
