@@ -265,7 +265,7 @@ class RtpCompressor:
             self._shadow = self._source.context(0, count, fields[0], payload_type, self._ssrc)
         elif octets:
             first, _ = self._forms.shortest(shadow, count, fields)
-            self._regret_octets += max(0, octets - _OCTETS[first])
+            self._regret_octets = max(0, self._regret_octets + octets - _OCTETS[first])
         return self._regret_octets >= _CONTEXT_COST_OCTETS
 
     def _next_number(self) -> int:

@@ -27,9 +27,9 @@ _WAITS = 64
 #: Waits that differ by more than this part of a second are of a source that has jumped.
 _JUMPS_PER_S = 2
 #: Packets a picture are counted over one to two times as many pictures.
-_PICTURES = 64
+_PICTURES = 128
 #: A line that fits so many pictures was no accident.
-_STEADY = 8
+_STEADY = 16
 #: So many pictures tell all of a source that keeps its grid to the tick, and so many of any other.
 _FEW, _MANY = 4, 32
 
@@ -128,17 +128,9 @@ class RtpSource:
 
     def _break(self) -> None:
         """Not on the grid: a pause, another rate, or a source that has none."""
-        lasted = self._steady >= _STEADY
         self._steady, self._worst = 0, 0.0
-        self._grid = float(self._timestamp)
-        # The next distance is the new period...
         self._points = 1
-        first = self._marks[0]
-        ticks = self._timestamp - first.timestamp
-        if not lasted and ticks > 0 and self._pictures >= _STEADY:
-            # ... but where the last one did not last, the mean is the best there is.
-            self._period = ticks / (self._pictures - first.number)
-            self._points = _PICTURES
+        self._grid = float(self._timestamp)
 
     @property
     def known(self) -> bool:
@@ -153,7 +145,19 @@ class RtpSource:
         low = min(self._least, self._older_least)
         high = max(self._most, self._older_most)
         lead = round((self._wait - (low + high) / 2) / self._forms.lead_ticks)
-        phase = round(self._grid) - self._timestamp
+        period, phase = self._period, round(self._grid) - self._timestamp
+        pictures, sequences, ticks = (
+            last - first for last, first in zip(self._last_picture, self._marks[0], strict=True)
+        )
+        if not self._stride and self._steady < _STEADY <= pictures and ticks > 0:
+            # On no grid; the mean distance still tells the sequence number.
+            period, phase = ticks / pictures, 0
+        rate = 1.0
+        if not self._stride and ticks > 0:
+            rate = sequences * period / ticks
+            # One packet a picture, but for pictures that were left out: exact while none is.
+            if 7 / 8 <= rate <= 9 / 8:
+                rate = 1.0
         return Context(
             number=number,
             count=count,
@@ -162,23 +166,9 @@ class RtpSource:
             sequence=self._sequence & 0xFFFF,
             timestamp=self._timestamp & 0xFFFF_FFFF,
             ssrc=ssrc,
-            period=max(1, min(round(self._period * PERIOD_PARTS), LARGEST_PERIOD)),
-            rate=self._rate(),
+            period=max(1, min(round(period * PERIOD_PARTS), LARGEST_PERIOD)),
+            rate=max(0, min(round(rate * RATE_PARTS), LARGEST_RATE)),
             phase=phase if -0x8000 <= phase < 0x8000 else 0,
             index=self.index & 3,
             lead=max(-LARGEST_LEAD, min(lead, LARGEST_LEAD)),
         )
-
-    def _rate(self) -> int:
-        """Packets a period, in sixteenths."""
-        if self._stride:
-            return RATE_PARTS
-        first, last = self._marks[0], self._last_picture
-        ticks = last.timestamp - first.timestamp
-        if ticks <= 0:
-            return RATE_PARTS
-        rate = (last.sequence - first.sequence) * self._period / ticks
-        # One packet a picture, but for pictures that were left out: exact as long as none is.
-        if 7 / 8 <= rate <= 9 / 8:
-            return RATE_PARTS
-        return max(0, min(round(rate * RATE_PARTS), LARGEST_RATE))
