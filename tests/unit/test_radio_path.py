@@ -8,8 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from telepresence.link.radio import RadioPath, RadioProfile, delayed, load_radio
-from telepresence.link.radio.profile import Blackout, Bursts, RandomBlackouts
+from telepresence.link.radio import (
+    Blackout,
+    Bursts,
+    RadioPath,
+    RadioProfile,
+    RandomBlackouts,
+    delayed,
+    load_radio,
+)
 
 MS, S = 1_000_000, 1_000_000_000
 
@@ -177,6 +184,8 @@ def test_the_delay_swings_between_its_limits():
     quiet = replace(everything(), blackouts=(), random_blackouts=None, bursts=None, frame_loss=0.0)
     path = quiet.path("uplink", seed=1, epoch_ns=0)
     delays = []
+    # A report before the first frame is no measurement.
+    assert path.report()["frames_sent"] == 0
     for slot in range(4000):
         path.handle_frame(bytes(32), slot * MS)
         delays.append(path.delay_ns)

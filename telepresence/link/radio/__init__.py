@@ -4,8 +4,25 @@
 `RadioPath` for the frames of one direction. docs/radio.md has the equations.
 """
 
+from telepresence.link.radio.contact import Contact
 from telepresence.link.radio.path import RadioPath
-from telepresence.link.radio.profile import Direction, RadioProfile
+from telepresence.link.radio.profile import (
+    Blackout,
+    Bursts,
+    Direction,
+    RadioProfile,
+    RandomBlackouts,
+)
 from telepresence.link.radio.profile_file import delayed, load_radio
 
-__all__ = ["Direction", "RadioPath", "RadioProfile", "delayed", "load_radio"]
+__all__ = [
+    "Blackout",
+    "Bursts",
+    "Contact",
+    "Direction",
+    "RadioPath",
+    "RadioProfile",
+    "RandomBlackouts",
+    "delayed",
+    "load_radio",
+]

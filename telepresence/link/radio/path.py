@@ -105,11 +105,12 @@ class RadioPath:
 
     def report(self) -> dict[str, Any]:
         """Counts, and the delay now, least and most; with a channel its outages and contact."""
-        self._note_delay()
+        if self.frames_sent:
+            self._note_delay()
         told: dict[str, Any] = {
             "delay_ns": self.delay_ns,
-            "delay_min_ns": self._least_ns,
-            "delay_max_ns": self._most_ns,
+            "delay_min_ns": min(self._least_ns, self.delay_ns),
+            "delay_max_ns": max(self._most_ns, self.delay_ns),
             "frames_sent": self.frames_sent,
             "frames_lost": self.frames_lost,
             "frames_hit": self.frames_hit,
