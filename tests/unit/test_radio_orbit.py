@@ -107,6 +107,16 @@ def test_fading_is_continuous_and_the_same_in_whatever_order():
     assert [again.at(time) for time in (19_990, 0, 7770)] == [values[-1], values[0], values[777]]
 
 
+def test_both_ends_see_the_same_fade_though_they_ask_at_instants_of_their_own():
+    here, there = ContactFading(Contact(), seed=6), ContactFading(Contact(), seed=6)
+    rates = set()
+    for step_ns in range(0, 60_000_000_000, 30_000_000):
+        one, other = here.state(step_ns + 300_000), there.state(step_ns + 9_700_000)
+        assert (one.signal, one.bit_error_rate) == (other.signal, other.bit_error_rate)
+        rates.add(one.bit_error_rate)
+    assert len(rates) > 100
+
+
 def test_sgp4_is_imported_for_a_pass_only():
     code = (
         "import sys\n"
