@@ -70,12 +70,15 @@ class _Ports:
         for fd in (*self._by_fd, self._not_peer.fileno()):
             self.local.register(fd, select.EPOLLIN)
 
-    def fetch_local(self, gateway: Gateway, now_ns: int) -> None:
-        """Take what waits in the flows' ports, and throw away what strangers sent by radio."""
-        # One question for all of them: to be told by an empty socket that it is empty costs more.
-        poll, by_fd, entries = self.local.poll, self._by_fd, self.entries
+    def fetch_local(self, ready: list[tuple[int, int]], gateway: Gateway, now_ns: int) -> None:
+        """Take what waits in the flows' ports, and throw away what strangers sent by radio.
+
+        ready: what `local.poll(0)` has said: one question for all of them; to be told by an empty
+        socket that it is empty costs more.
+        """
+        by_fd, entries = self._by_fd, self.entries
         taken = 0
-        while taken < _MOST_DATAGRAMS and (ready := poll(0)):
+        while ready and taken < _MOST_DATAGRAMS:
             taken += len(ready)
             for fd, _events in ready:
                 flow = by_fd.get(fd)
@@ -85,6 +88,7 @@ class _Ports:
                 datagram = entries[flow].receive(MAX_PACKET_OCTETS + 1)
                 if datagram is not None:
                     gateway.handle_datagram(flow, datagram, now_ns)
+            ready = self.local.poll(0)
 
     def strangers(self) -> dict[str, int]:
         """Datagrams of strangers by port."""
@@ -166,6 +170,7 @@ def run_gateway(
     radio_octets = gateway.receiver.profile.frame_octets + 1
     haptic_octets = gateway.sender.profile.insert_octets + 1
     from_radio, to_peer, exits = ports.radio, ports.to_peer.send, ports.exits
+    poll_local = ports.local.poll
     fetch_haptic, more_haptic = ports.haptic.receive, crowd.poll
     to_haptic_end = ports.to_haptic_end.send
     waiting_octets = gateway.sender.waiting_octets
@@ -191,6 +196,14 @@ def run_gateway(
             elif isinstance(event, PacketReceived):
                 exits[event.flow.name].send(event.data)
 
+    def fetch_newer(now_ns: int) -> None:
+        for _ in range(_MOST_DATAGRAMS):
+            if not more_haptic(0):
+                return
+            sample = fetch_haptic(haptic_octets)
+            if sample is not None:
+                handle_haptic(sample, now_ns)
+
     def send_due(now_ns: int) -> None:
         while (frame := poll_radio(now_ns)) is not None:
             to_peer(frame)
@@ -205,7 +218,8 @@ def run_gateway(
         told = -1
         figures_ns = tell_ns = 0
         deadline_ns = schedule.next_deadline_ns
-        wake_ns = deadline_ns - margin.ns
+        wake_ns = deadline_ns
+        due_ns = None
         set_alarm(wake_ns)
         while not context.stopping:
             events = sleep()
@@ -213,13 +227,17 @@ def run_gateway(
             for fd, _event in events:
                 if fd == radio_fd:
                     fetch_radio(now_ns)
+                    if now_ns >= figures_ns and deadline_ns - now_ns > _FIGURES_NS:
+                        figures_ns = now_ns + PATIENCE_NS
+                        context.tick(now_ns)
             if now_ns < wake_ns:
-                if deadline_ns - now_ns > _FIGURES_NS and now_ns >= figures_ns:
-                    figures_ns = now_ns + PATIENCE_NS
-                    context.tick(now_ns)
+                if due_ns is None or now_ns < due_ns:
+                    continue
                 send_due(now_ns)
             else:
-                fetch_local(gateway, now_ns)
+                ready = poll_local(0)
+                if ready:
+                    fetch_local(ready, gateway, now_ns)
                 now_ns = clock_ns()
                 learn_margin(now_ns - wake_ns)
                 while now_ns < deadline_ns:
@@ -229,12 +247,7 @@ def run_gateway(
                 sample = fetch_haptic(haptic_octets)
                 if sample is not None:
                     handle_haptic(sample, now_ns)
-                    for _ in range(_MOST_DATAGRAMS):
-                        if not more_haptic(0):
-                            break
-                        sample = fetch_haptic(haptic_octets)
-                        if sample is not None:
-                            handle_haptic(sample, now_ns)
+                    fetch_newer(now_ns)
                 handle_slot(now_ns)
                 send_due(now_ns)
                 add_sending(clock_ns() - deadline_ns)
