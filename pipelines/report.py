@@ -45,15 +45,18 @@ def build_report(
     cpu_s: Mapping[str, float],
     restarts: Mapping[str, int],
     launcher_cpu_s: float,
+    media: bool = True,
 ) -> dict[str, Any]:
     """The whole report.
 
     seconds: how long the session ran. cpu_s, restarts: of each process, over all its lives.
+    media: without, the session had no streams, whatever its setup says.
     """
+    streams = setup.streams if media else ()
     return {
         "setup": setup.name,
         "seconds": round(seconds, 3),
-        "streams": {stream.name: _stream(stream, collector, seconds) for stream in setup.streams},
+        "streams": {stream.name: _stream(stream, collector, seconds) for stream in streams},
         "haptic": {name: _haptic(name, setup, collector, seconds) for name in HAPTIC_ENDS},
         "link": {
             "uplink": link_figures(setup, collector, "uplink"),
@@ -77,7 +80,7 @@ def build_report(
             }
             for name in cpu_s
         },
-        "failures": failures(setup, collector, seconds),
+        "failures": failures(setup, collector, seconds, media=media),
     }
 
 
@@ -218,12 +221,14 @@ def _told(name: str, setup: Setup, collector: Collector) -> dict[str, Any]:
     return {**told, "counts": {count: figures.total(count) for count in figures.names()}}
 
 
-def failures(setup: Setup, collector: Collector, seconds: float) -> list[str]:
+def failures(
+    setup: Setup, collector: Collector, seconds: float, *, media: bool = True
+) -> list[str]:
     """What went wrong by the project's own measure; an empty list is a run that went well."""
     found = []
     delay_ns = setup.radio_profile.longest_delay_ns
     long_enough = seconds >= (MISSED_NS + delay_ns) / NS_PER_S
-    for stream in setup.streams:
+    for stream in setup.streams if media else ():
         figures = collector.streams[stream.name]
         largest_bps = figures.rate.max_bps(NS_PER_S)
         if largest_bps > stream.cap_bps:

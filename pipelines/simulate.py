@@ -8,14 +8,16 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from pipelines.command import output_that_may_fail
 from pipelines.radio_options import add_radio_arguments, radio_changes
+from pipelines.report_file import check_writable, write_report
 from pipelines.setup import Setup
 from pipelines.setup_file import load_setup
 from pipelines.sim.costs import CodingCosts
 from pipelines.sim.inputs import check_sources as check_virtual_sources
 from pipelines.sim.session import Selection, Simulation
 from pipelines.sim.workers import Workers
-from pipelines.stream import check_sources, check_writable, parse_sources, write_report
+from pipelines.stream import check_sources, parse_sources
 from pipelines.summary import print_summary
 
 
@@ -79,7 +81,8 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         write_report(args.report, report)
     if not args.quiet:
-        print_summary(report)
+        with output_that_may_fail():
+            print_summary(report)
     return 1 if report["failures"] else 0
 
 

@@ -45,19 +45,21 @@ def print_summary(report: Mapping[str, Any]) -> None:
             f"{kind} {100 * octets / total:.1f} %" for kind, octets in link["octets"].items()
         )
         console.print(f"{direction}: {link['frames']} frames, {link['slips']} slips; {shares}")
-    skews = (
+    skews = [
         f"{name.replace('_', ' to ')} {skew['p50']:+.1f} (p95 {skew['p95']:+.1f})"
         for name, skew in report["skew_ms"].items()
         if skew is not None
-    )
-    console.print("skew at the operator, ms: " + ", ".join(skews))
-    cpu = report["cpu"]
-    restarted = [name for name, entry in report["processes"].items() if entry["restarts"]]
-    console.print(
-        f"CPU: {cpu['total_s']:.1f} s, {cpu['cores_used']:.2f} of a core in "
-        f"{len(report['processes'])} processes"
-        + (f"; restarted: {', '.join(restarted)}" if restarted else "")
-    )
+    ]
+    if skews:
+        console.print("skew at the operator, ms: " + ", ".join(skews))
+    if "simulation" not in report:  # virtual time costs nothing
+        cpu = report["cpu"]
+        restarted = [name for name, entry in report["processes"].items() if entry["restarts"]]
+        console.print(
+            f"CPU: {cpu['total_s']:.1f} s, {cpu['cores_used']:.2f} of a core in "
+            f"{len(report['processes'])} processes"
+            + (f"; restarted: {', '.join(restarted)}" if restarted else "")
+        )
     for name, entry in report["processes"].items():
         if "silent_s" in entry:
             fault = f" ({entry['source_fault']})" if "source_fault" in entry else ""

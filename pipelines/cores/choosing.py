@@ -136,5 +136,5 @@ class Console:
 
 def telecommand_sender(setup: Setup, *, first_token: int) -> TelecommandSender:
     """One that repeats no telecommand before its answer can have come."""
-    delay_ns = round(setup.radio_delay_ms * NS_PER_MS)
+    delay_ns = setup.radio_profile.longest_delay_ns
     return TelecommandSender(first_token=first_token, timeout_ns=_ANSWER_NS + 2 * delay_ns)

@@ -15,7 +15,7 @@ from pipelines.setup import VOICE_PACKETS_PER_S, Setup
 from pipelines.sim.agenda import Agenda
 from pipelines.sim.studio import Picture, Shot
 from pipelines.sim.workers import Job, Worker
-from telepresence.world import VIEWS, WorldState
+from telepresence.world import WorldState
 
 #: What shows a picture, or blocks of sound, that was captured: (what, stamp, now).
 ShowPicture = Callable[[Picture, CaptureStamp, int], None]
@@ -66,7 +66,6 @@ class Camera(_Input):
     def __init__(
         self,
         name: str,
-        spec: str,
         fps: int,
         *,
         agenda: Agenda,
@@ -82,8 +81,9 @@ class Camera(_Input):
         self._cost_ns = cost_ns
         self._show = show
         if worker is None:
-            view = spec.partition(":")[2]
-            self._pace = Pace(fps, now_ns, phase=VIEWS[view])
+            # All at the same instants: the scenes' phases spread the load of a live machine, and
+            # here it is those who encode at the same time that share the cores.
+            self._pace = Pace(fps, now_ns)
             agenda.at(self._pace.due_ns(now_ns), self._capture)
         else:
             self._ask(name)

@@ -125,7 +125,6 @@ class Media:
         spec = scene.setup.source(name)
         camera = Camera(
             name,
-            spec,
             stream.fps,
             agenda=scene.agenda,
             worker=None if spec.startswith("scene:") else studio,

@@ -6,14 +6,14 @@ while virtual time goes on, and is waited for only when its figures are told (`s
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
-from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from pipelines.cores.receiving import VideoReceiving, VoiceReceiving
 from pipelines.cores.showing import Showing
 from pipelines.sim.agenda import Agenda, Timer
 from pipelines.sim.costs import CodingCosts
-from pipelines.sim.workers import Job, Worker
+from pipelines.sim.workers import Batch, Worker
 
 
 class VideoReceiver:
@@ -33,10 +33,10 @@ class VideoReceiver:
         self._receiving = receiving
         self._showing = showing
         self._agenda = agenda
-        self._decoder = decoder
+        self._decoder = Batch(decoder)
         self._cost_ns = costs.ns("decode")
         self._free_ns = 0
-        self._decoding: deque[tuple[int, int, int | None, Job]] = deque()
+        self._decoding: deque[tuple[int, int, int | None]] = deque()
         self._timer = Timer(agenda, self._expire)
         self._counts = (0, 0, 0)
         self.handle_report: Callable[[bytes, int], bool] = receiving.handle_report
@@ -54,22 +54,18 @@ class VideoReceiver:
         while (unit := self._receiving.next_event()) is not None:
             # One after the other, as in the live process.
             self._free_ns = max(now_ns, self._free_ns) + self._cost_ns
-            job = self._decoder.submit((unit.data, unit.timestamp))
-            self._agenda.at(self._free_ns, self._decoded(unit, job))
+            self._decoder.submit((unit.data, unit.timestamp))
+            self._agenda.at(self._free_ns, partial(self._date, unit.timestamp))
         self._timer.set(self._receiving.poll_timeout(), now_ns)
 
-    def _decoded(self, unit: ReceivedUnit, job: Job) -> Callable[[int], None]:
-        def date(now_ns: int) -> None:
-            capture_ns = self._receiving.capture_ns(unit.timestamp)
-            self._decoding.append((now_ns, unit.timestamp, capture_ns, job))
-
-        return date
+    def _date(self, timestamp: int, now_ns: int) -> None:
+        self._decoding.append((now_ns, timestamp, self._receiving.capture_ns(timestamp)))
 
     def settle(self, until_ns: int) -> None:
         """Wait for all that was decoded by `until_ns`, and show it at its own instant."""
         while self._decoding and self._decoding[0][0] <= until_ns:
-            shown_ns, timestamp, dated_ns, job = self._decoding.popleft()
-            pictures, self._counts = job.result()
+            shown_ns, timestamp, dated_ns = self._decoding.popleft()
+            pictures, self._counts = self._decoder.next_result()
             for of, width, height in pictures:
                 capture_ns = dated_ns if of == timestamp else self._receiving.capture_ns(of)
                 stamp = self._receiving.handle_picture(of, width, height, capture_ns)
@@ -99,9 +95,9 @@ class VoiceReceiver:
         self._receiving = receiving
         self._showing = showing
         self._agenda = agenda
-        self._decoder = decoder
+        self._decoder = Batch(decoder)
         self._cost_ns = costs.ns("voice_decode")
-        self._decoding: deque[tuple[int, PlayoutBlock, int | None, Job]] = deque()
+        self._decoding: deque[tuple[int, PlayoutBlock, int | None]] = deque()
         self._timer = Timer(agenda, self._expire)
         self.handle_report: Callable[[bytes, int], bool] = receiving.handle_report
         self.tell = receiving.tell
@@ -114,16 +110,16 @@ class VoiceReceiver:
     def _expire(self, now_ns: int) -> None:
         self._receiving.handle_timeout(now_ns)
         while (block := self._receiving.next_event()) is not None:
-            job = self._decoder.submit(block.payload)
+            self._decoder.submit(block.payload)
             capture_ns = self._receiving.capture_ns(block.timestamp)
-            self._decoding.append((now_ns + self._cost_ns, block, capture_ns, job))
+            self._decoding.append((now_ns + self._cost_ns, block, capture_ns))
         self._timer.set(self._receiving.poll_timeout(), now_ns)
 
     def settle(self, until_ns: int) -> None:
         """Wait for all that was decoded by `until_ns`, and let it be heard at its own instant."""
         while self._decoding and self._decoding[0][0] <= until_ns:
-            heard_ns, block, capture_ns, job = self._decoding.popleft()
-            decoded = job.result()
+            heard_ns, block, capture_ns = self._decoding.popleft()
+            decoded = self._decoder.next_result()
             stamp = self._receiving.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
             if stamp is not None:
                 self._showing.handle_shown(self._stream, stamp, heard_ns)

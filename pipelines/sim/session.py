@@ -173,6 +173,7 @@ class Simulation:
             cpu_s=dict.fromkeys(processes, 0.0),
             restarts=dict.fromkeys(processes, 0),
             launcher_cpu_s=0.0,
+            media=self._media is not None,
         )
         report["simulation"] = {
             "seed": self._seed,

@@ -38,6 +38,9 @@ class Shot(NamedTuple):
 #: A picture to encode: one shot, or the two of the stereo pair.
 Picture = tuple[Shot] | tuple[Shot | None, Shot | None]
 
+#: What becomes of an access unit: see `VideoDecoding`.
+Decoded = tuple[list[tuple[int, int, int]], tuple[int, int, int]]
+
 
 class VideoStudio:
     """Draws pictures, or plays them from files, and encodes those that are asked for.
@@ -114,18 +117,23 @@ class _Film:
 
 
 class VideoDecoding:
-    """Decodes every access unit. Job: (Annex B octets, timestamp); gives the pictures that come
-    out as (timestamp, width, height), and the decoder's counters: decoded, corrupt, restarts."""
+    """Decodes every access unit: a list of (Annex B octets, timestamp).
+
+    Gives for each the pictures that come out as (timestamp, width, height), and the decoder's
+    counters after it: decoded, corrupt, restarts.
+    """
 
     def __init__(self) -> None:
         self._decoder = H264Decoder()
 
-    def __call__(
-        self, job: tuple[bytes, int]
-    ) -> tuple[list[tuple[int, int, int]], tuple[int, int, int]]:
+    def __call__(self, units: Sequence[tuple[bytes, int]]) -> list[Decoded]:
+        return [self._decode(*unit) for unit in units]
+
+    def _decode(self, data: bytes, timestamp: int) -> Decoded:
         decoder = self._decoder
         pictures = [
-            (picture.timestamp, picture.width, picture.height) for picture in decoder.decode(*job)
+            (picture.timestamp, picture.width, picture.height)
+            for picture in decoder.decode(data, timestamp)
         ]
         return pictures, (decoder.decoded, decoder.corrupt_units, decoder.restarts)
 
@@ -175,15 +183,21 @@ class VoiceStudio:
 
 
 class VoiceDecoding:
-    """Decodes every Opus packet, or makes up what is missing (None). Gives whether it decoded."""
+    """Decodes Opus packets, or makes up what is missing (None): a list of either.
+
+    Gives for each whether it was decoded.
+    """
 
     def __init__(self) -> None:
         self._decoder = OpusDecoder()
 
-    def __call__(self, job: bytes | None) -> bool:
+    def __call__(self, packets: Sequence[bytes | None]) -> list[bool]:
+        return [self._decode(packet) for packet in packets]
+
+    def _decode(self, packet: bytes | None) -> bool:
         try:
-            if job is not None:
-                self._decoder.decode(job)
+            if packet is not None:
+                self._decoder.decode(packet)
                 return True
         except ProtocolError:
             pass

@@ -5,6 +5,7 @@ begun at once and waited for then. What comes out depends on the jobs and their 
 """
 
 import multiprocessing
+import pickle
 import signal
 import traceback
 from collections import deque
@@ -17,6 +18,9 @@ from typing import Any, Self
 import cv2
 
 from pipelines.launcher import keep_memory
+
+#: Jobs in a batch.
+_BATCH = 8
 
 #: Does one job after the other. Made in the process in which it works.
 Coder = Callable[[Any], Any]
@@ -59,14 +63,15 @@ class Worker:
         """Begin `job`, anything that can be pickled."""
         waiting = Job(self)
         self._open.append(waiting)
-        self._link.send(job)
+        self._link.send_bytes(pickle.dumps(job, pickle.HIGHEST_PROTOCOL))
         return waiting
 
     def receive(self) -> None:
         """Take the next result; wait for it if need be."""
         try:
-            fault, result = self._link.recv()
-        except EOFError:
+            # Of a process of ours only: the pipe is nobody else's.
+            fault, result = pickle.loads(self._link.recv_bytes())
+        except (EOFError, ConnectionError):
             fault, result = "its process has ended", None
         if fault:
             raise RuntimeError(f"coding failed: {fault}")
@@ -78,6 +83,37 @@ class Worker:
         self._process.join(5)
         if self._process.is_alive():
             self._process.kill()
+
+
+class Batch:
+    """Hands small jobs on many at a time: for results that nobody is in a hurry for.
+
+    The worker's coder gets a list of jobs and gives a list of results.
+    """
+
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
+        self._jobs: list[Any] = []
+        self._submitted: deque[Job] = deque()
+        self._results: deque[Any] = deque()
+
+    def submit(self, job: Any) -> None:
+        """Have `job` done sooner or later."""
+        self._jobs.append(job)
+        if len(self._jobs) == _BATCH:
+            self._begin()
+
+    def next_result(self) -> Any:
+        """The result of the earliest job whose result was not asked for yet; waits for it."""
+        while not self._results:
+            if not self._submitted:
+                self._begin()
+            self._results.extend(self._submitted.popleft().result())
+        return self._results.popleft()
+
+    def _begin(self) -> None:
+        self._submitted.append(self._worker.submit(self._jobs))
+        self._jobs = []
 
 
 class Workers:
@@ -118,8 +154,9 @@ def _work(make: Callable[[], Coder], link: Connection, others: list[Connection])
         try:
             coder = make()
             while True:
-                link.send(("", coder(link.recv())))
+                result = coder(pickle.loads(link.recv_bytes()))
+                link.send_bytes(pickle.dumps(("", result), pickle.HIGHEST_PROTOCOL))
         except (EOFError, ConnectionError):
             return
         except BaseException:
-            link.send((traceback.format_exc(), None))
+            link.send_bytes(pickle.dumps((traceback.format_exc(), None)))
