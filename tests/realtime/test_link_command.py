@@ -1,0 +1,173 @@
+"""The link alone: any program's datagrams through it, and nothing from strangers."""
+
+import contextlib
+import os
+import signal
+
+import pytest
+from running_link import (
+    RunningLink,
+    assert_books_are_right,
+    came,
+    eventually,
+    free_base_port,
+    listening,
+)
+
+from pipelines.setups import BUILT_IN
+
+pytestmark = pytest.mark.realtime
+
+SPACEJUSTIN = BUILT_IN["spacejustin"]
+FLOWS = (*SPACEJUSTIN.uplink_flows, *SPACEJUSTIN.downlink_flows)
+
+
+@pytest.fixture
+def start(tmp_path):
+    """start(*options, **how): the link, running; ended after the test in any case."""
+    with contextlib.ExitStack() as stack:
+        yield lambda *options, **how: stack.enter_context(
+            RunningLink(*options, directory=tmp_path, **how)
+        )
+
+
+@pytest.fixture
+def program():
+    """program(port, host): a socket of a program; closed after the test."""
+    with contextlib.ExitStack() as stack:
+        yield lambda port, host="127.0.0.1": stack.enter_context(listening(port, host))
+
+
+def until_through(sender, to, receiver, data):
+    """Send `data` until it comes out, as often as it takes; `sender` never gets an answer."""
+
+    def through():
+        sender.sendto(data, to)
+        return data in came(receiver)
+
+    eventually(through, f"{data!r} from {to} through the link")
+
+
+def rtp(sequence, payload_type=96):
+    header = bytes([0x80, payload_type]) + sequence.to_bytes(2, "big") + bytes(8)
+    return header + b"payload"
+
+
+def test_programs_talk_through_it_and_strangers_do_not(start, program):
+    link = start("--setup", "spacejustin")
+    ports = link.ports
+    anyone = program(0)
+    # In the order of first come: packets of all kinds, both ways, and samples.
+    exits = {flow.name: program(ports.exit(flow.name)) for flow in FLOWS}
+    for name in ("uplink_maintenance", "downlink_maintenance"):
+        until_through(anyone, ("127.0.0.1", ports.entry(name)), exits[name], name.encode())
+    for name in ("uplink_video", "downlink_video", "uplink_voice", "downlink_voice"):
+        where = "127.0.0.1", ports.entry(name)
+        until_through(anyone, where, exits[name], rtp(7))
+    joystick, robot = program(ports.joystick), program(ports.robot)
+    until_through(robot, ("127.0.0.1", ports.ground_haptic), joystick, b"force sample")
+    until_through(joystick, ("127.0.0.1", ports.space_haptic), robot, b"hand command")
+
+    children = link.children()
+    assert len(children) == 2
+    entries = [ports.entry(flow.name) for flow in FLOWS]
+    every = [ports.ground_radio, ports.space_radio, ports.ground_haptic, ports.space_haptic]
+    for port in every + entries:
+        for size in (0, 1, 12, 32, 500, 1400, 9000):
+            anyone.sendto(os.urandom(size), ("127.0.0.1", port))
+            anyone.sendto(bytes(size), ("127.0.0.1", port))
+    link.wait_for_line("strangers")
+    for name in ("uplink_maintenance", "downlink_maintenance"):
+        until_through(anyone, ("127.0.0.1", ports.entry(name)), exits[name], b"still there")
+    assert link.children() == children
+
+    def connected():
+        for name in ("uplink_maintenance", "downlink_maintenance"):
+            anyone.sendto(b"both ways", ("127.0.0.1", ports.entry(name)))
+        return any("ground connected" in line for line in link.lines())
+
+    eventually(connected, "application data both ways")
+    code, report = link.interrupt()
+    assert code == 0, link.output()
+
+    assert_books_are_right(report, SPACEJUSTIN)
+    assert report["failures"] == []
+    for end in ("ground", "space"):
+        assert report["gateways"][end]["strangers"] == {"radio": 14}
+        assert report["gateways"][end]["supervision"]["contacts"]
+    for link_report in report["link"].values():
+        assert link_report["refused"]["garbage"] > 0
+        assert link_report["refused"]["oversize"] > 0
+        assert link_report["frames_dropped"] == {}
+        assert link_report["lateness_us"]["max"] <= link_report["sent_after_us"]["max"]
+    assert report["link"]["uplink"]["octets"]["haptic"] > 0
+
+
+def test_two_ends_on_two_addresses_hear_each_other_alone(start, program):
+    hosts = "127.0.0.1", "127.0.0.2"
+    base = free_base_port(hosts)
+    options = ("--setup", "taskboard", "--radio", "clean", "--seed", "5")
+    ground = start(
+        *options,
+        *("--end", "ground", "--bind", hosts[0], "--peer", f"{hosts[1]}:{base + 1}"),
+        base_port=base,
+        name="ground",
+    )
+    space = start(
+        *options,
+        *("--end", "space", "--bind", hosts[1], "--peer", f"{hosts[0]}:{base}"),
+        *("--apps", "127.0.0.3", "--apps-bind", hosts[1]),
+        base_port=base,
+        name="space",
+    )
+    ports = ground.ports
+    assert eventually(lambda: "radio of the ground end: 127.0.0.1" in ground.output(), "the table")
+    here, there, stranger = program(0), program(0, "127.0.0.3"), program(0, "127.0.0.4")
+    up = program(ports.exit("uplink_maintenance"), "127.0.0.3")
+    down = program(ports.exit("downlink_maintenance"))
+    until_through(here, (hosts[0], ports.entry("uplink_maintenance")), up, b"up")
+    entry = hosts[1], ports.entry("downlink_maintenance")
+    for _ in range(3):
+        stranger.sendto(b"not from the programs", entry)
+        stranger.sendto(b"twelve octet", (hosts[1], ports.space_haptic))
+        # Of the right host, but not of its radio port.
+        here.sendto(bytes(500), (hosts[1], ports.space_radio))
+    until_through(there, entry, down, b"down")
+    code, report = ground.interrupt()
+    assert code == 0, ground.output()
+    assert report["ends"] == ["ground"]
+    assert report["radio"] == {"profile": "clean", "seed": 5}
+    assert report["link"]["uplink"]["frames"] > 0
+    assert report["link"]["downlink"]["packets"]["downlink_maintenance"] > 0
+    assert_books_are_right(report, BUILT_IN["taskboard"])
+    code, report = space.interrupt()
+    assert code == 0, space.output()
+    strangers = report["gateways"]["space"]["strangers"]
+    assert strangers == {"radio": 3, "downlink_maintenance": 3, "haptic": 3}
+    assert set(came(down)) <= {b"down"}
+
+
+def test_a_gateway_that_is_killed_comes_back_and_is_reported(start, program):
+    link = start("--setup", "taskboard")
+    ports = link.ports
+    anyone, out = program(0), program(ports.exit("uplink_maintenance"))
+    entry = "127.0.0.1", ports.entry("uplink_maintenance")
+    until_through(anyone, entry, out, b"before")
+    os.kill(link.children()[0], signal.SIGKILL)
+    until_through(anyone, entry, out, b"after")
+    code, report = link.interrupt()
+    assert code == 1
+    assert ["ground_gateway" in failure for failure in report["failures"]] == [True]
+
+
+def test_it_ends_by_itself_and_two_do_not_share_ports(start, capsys):
+    from pipelines.cli import main
+
+    link = start("--setup", "taskboard", "--seconds", "2", "-q")
+    eventually(lambda: len(link.children()) == 2, "the start")
+    assert main(["link", "--setup", "taskboard", "--base-port", str(link.base_port)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "busy" in line
+    code, report = link.end()
+    assert (code, link.output()) == (0, "")
+    assert report["seconds"] >= 2
