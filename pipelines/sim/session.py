@@ -177,7 +177,7 @@ class Simulation:
         )
         report["simulation"] = {
             "seed": self._seed,
-            "radio": self.setup.radio,
+            "radio": self.setup.radio_profile.name,
             "media": self._media is not None,
             "costs": asdict(self._costs),
         }

@@ -1,0 +1,225 @@
+"""A whole session on virtual time: every latency here is exact, whatever the machine does."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
+from pipelines.cli import main
+from pipelines.setup_file import load_setup
+from pipelines.sim.costs import CodingCosts
+from pipelines.sim.session import Selection
+from pipelines.simulate import simulate
+
+SECONDS = 4.0
+#: One way, of the radio that does nothing else.
+DELAY_MS = 2.0
+#: From a haptic cycle to the sender's slot, and from the other's slot to its cycle.
+TWO_HALVES_MS = 1.0
+COSTS = CodingCosts()
+
+
+def simulated(name, tmp_path_factory, **options):
+    radio = tmp_path_factory.mktemp("radio") / "straight.toml"
+    radio.write_text(f"delay_ms = {DELAY_MS}\n")
+    setup = replace(load_setup(name), radio=str(radio))
+    return setup, simulate(setup, seconds=SECONDS, seed=1, **options)
+
+
+@pytest.fixture(scope="module")
+def spacejustin(tmp_path_factory):
+    selections = [Selection(2 * NS_PER_S, "static")]
+    return simulated("spacejustin", tmp_path_factory, selections=selections)
+
+
+@pytest.fixture(scope="module")
+def taskboard(tmp_path_factory):
+    return simulated("taskboard", tmp_path_factory)
+
+
+@pytest.fixture(params=["spacejustin", "taskboard"])
+def session(request):
+    return request.getfixturevalue(request.param)
+
+
+def test_a_session_goes_well(session):
+    setup, report = session
+    assert report["failures"] == []
+    assert set(report["streams"]) == {stream.name for stream in setup.streams}
+    assert report["simulation"]["media"]
+
+
+def test_caps_are_kept_over_every_sliding_window(session):
+    for stream in session[1]["streams"].values():
+        assert 0 < stream["payload_bps_max_1s"] <= stream["cap_bps"]
+        assert stream["payload_bps_max_100ms"] <= 1.5 * stream["cap_bps"]
+
+
+def test_sequence_numbers_are_whole(session):
+    _, report = session
+    for name, stream in report["streams"].items():
+        sent = report["processes"][f"{name}_send"]["counts"]["rtp_packets_sent"]
+        for count in ("rtp_lost", "rtp_reordered", "rtp_duplicates", "rtp_late", "garbage"):
+            assert stream[count] == 0
+        # What is still under way at the end is less than a picture and its successor.
+        assert sent - 8 <= stream["rtp_packets"] <= sent
+        looked_at = stream["frames_encoded"] + stream["frames_refused"]
+        # The last one may still be in the encoder.
+        assert stream["frames_captured"] - 1 <= looked_at <= stream["frames_captured"]
+        assert stream["capture_stamp_error_us"] < 12  # a tick of the 90 kHz clock
+
+
+def test_every_haptic_sample_takes_the_same_time_whatever_the_media_do(session):
+    for direction in session[1]["haptic"].values():
+        assert direction["sent"] == SECONDS * 1000
+        assert direction["lost"] == 0
+        assert direction["received"] >= direction["sent"] - 4
+        for figure in ("p50", "max"):
+            assert direction["latency_ms"][figure] == DELAY_MS + TWO_HALVES_MS
+
+
+def test_latencies_of_pictures_are_costs_link_and_little_else(session):
+    for name, stream in session[1]["streams"].items():
+        if not name.endswith("video"):
+            continue
+        stages = stream["latency_ms"]["stages"]
+        coding_ms = COSTS.capture_ms + COSTS.encode_ms
+        # A picture that finds the encoder busy waits for it, half a period at the most.
+        assert coding_ms == pytest.approx(stages["capture_to_encoded"]["p50"], rel=0.005)
+        assert stages["capture_to_encoded"]["max"] < coding_ms + 17
+        assert COSTS.decode_ms <= stages["received_to_displayed"]["p50"] < COSTS.decode_ms + 0.1
+        assert stages["sent_to_received"]["max"] < 60
+        assert stream["latency_ms"]["p95"] < 75
+        assert stream["displayed_hz"] > 25
+
+
+def test_a_voice_waits_for_hardly_more_than_the_slots_it_needs(spacejustin):
+    _, report = spacejustin
+    for name in ("uplink_voice", "downlink_voice"):
+        stages = report["streams"][name]["latency_ms"]["stages"]
+        assert stages["capture_to_encoded"]["max"] == 20 + COSTS.voice_encode_ms
+        # Up, its 19 octets and their header fill two slots, and whole headers two more; it may
+        # just have missed one, and supervision may have taken one.
+        assert stages["sent_to_received"]["p95"] < DELAY_MS + 2
+        assert stages["sent_to_received"]["max"] < DELAY_MS + 5
+        assert report["streams"][name]["frames_concealed"] == 0
+    assert report["link"]["uplink"]["queue"]["voice"]["max_age_ns"] <= 2_000_000
+
+
+def test_the_ledger_has_every_octet(session):
+    setup, report = session
+    for profile in (setup.uplink, setup.downlink):
+        link = report["link"][profile.name]
+        assert link["frames"] == SECONDS * 1000
+        assert link["frames_lost"] == 0
+        assert sum(link["octets"].values()) == profile.frame_octets * link["frames"]
+
+
+def test_the_operator_selects_a_camera(spacejustin):
+    processes = spacejustin[1]["processes"]
+    assert processes["selector"]["selected"] == "static"
+    assert processes["selector"]["counts"]["switches"] == 1
+    assert processes["console"]["counts"]["telecommands"] == 1
+    assert processes["console"]["counts"]["telecommands_repeated"] == 0
+    assert processes["console"]["counts"]["housekeeping"] > 0
+
+
+def test_the_same_seed_gives_the_same_report_and_another_seed_another(tmp_path):
+    radio = tmp_path / "noisy.toml"
+    radio.write_text("delay_ms = 3.0\nbit_error_rate = 2e-5\nframe_loss = 0.002\n")
+
+    def words(name, seed):
+        options = ["--seconds", "1.2", "--seed", str(seed), "--radio", str(radio)]
+        return ["simulate", "--setup", "spacejustin", *options, "--report", str(tmp_path / name)]
+
+    elsewhere = subprocess.Popen(
+        [sys.executable, "-m", "pipelines.cli", *words("again", 1), "-q"],
+        env={**os.environ, "PYTHONHASHSEED": "4711"},
+    )
+    assert main([*words("first", 1), "-q"]) == main([*words("other", 2), "-q"]) == 0
+    assert elsewhere.wait(60) == 0
+    first, again, other = ((tmp_path / name).read_bytes() for name in ("first", "again", "other"))
+    assert first == again
+    parts = [json.loads(content) for content in (first, other)]
+    for part in parts:
+        del part["simulation"]
+    assert parts[0] != parts[1]
+    assert parts[0]["link"]["uplink"]["frames_lost"] > 0
+
+
+def test_all_resumes_after_a_blackout_and_nothing_comes_late(tmp_path):
+    radio = tmp_path / "dark.toml"
+    radio.write_text('name = "dark"\ndelay_ms = 2.0\n[[blackouts]]\nstart_s = 1.5\nseconds = 1.0\n')
+    setup = replace(load_setup("spacejustin"), radio=str(radio))
+    report = simulate(setup, seconds=4.5, seed=3)
+    assert report["failures"] == []
+    for name, stream in report["streams"].items():
+        # Two seconds of light before the end: whoever had not resumed would miss all of them.
+        least = 2.9 * (25 if name.endswith("video") else 50)
+        assert stream["frames_displayed"] >= least
+        assert stream["rtp_lost"] > 0
+        # A picture that came out after the dark would be a second old.
+        assert stream["latency_ms"]["max"] < 250
+        assert stream["payload_bps_max_1s"] <= stream["cap_bps"]
+    for direction in report["haptic"].values():
+        assert direction["latency_ms"]["max"] == DELAY_MS + TWO_HALVES_MS
+        assert direction["received"] == pytest.approx(3500, abs=10)
+    for profile in (setup.uplink, setup.downlink):
+        link = report["link"][profile.name]
+        assert link["frames_lost"] == 1000
+        assert sum(link["octets"].values()) == profile.frame_octets * link["frames"]
+
+
+@pytest.fixture
+def clip(tmp_path):
+    path = tmp_path / "clip.mp4"
+    with av.open(str(path), "w") as container:
+        video = container.add_stream("libx264", rate=Fraction(25))
+        video.width, video.height, video.pix_fmt = 320, 240, "yuv420p"
+        for number in range(20):
+            picture = np.full((240, 320, 3), 10 * number, np.uint8)
+            frame = av.VideoFrame.from_ndarray(picture, "rgb24")
+            for packet in video.encode(frame):
+                container.mux(packet)
+        for packet in video.encode(None):
+            container.mux(packet)
+    return path
+
+
+def test_files_play_at_their_own_instants_and_go_on_from_their_end(clip):
+    sources = {"static": str(clip)}
+    setup = replace(load_setup("taskboard"), cameras=("static",), sources=sources)
+    report = simulate(setup, seconds=2.0, seed=1)
+    stream = report["streams"]["uplink_video"]
+    assert report["failures"] == []
+    assert stream["frames_captured"] == 50
+    assert stream["frames_displayed"] >= 45
+
+
+def test_sources_that_live_in_real_time_are_refused_in_one_line(capsys):
+    words = ["simulate", "--setup", "taskboard", "--seconds", "1", "--source", "static=v4l2:/dev/x"]
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "static" in line
+    assert "real time" in line
+
+
+@pytest.mark.parametrize(
+    "words", [["--select", "1=roof"], ["--select", "soon=head"], ["--encode-ms", "-1"]]
+)
+def test_what_cannot_be_meant_is_refused(words, capsys):
+    assert main(["simulate", "--setup", "spacejustin", "--seconds", "1", *words]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_costs_have_bounds():
+    with pytest.raises(ConfigError, match="--decode-ms"):
+        CodingCosts(decode_ms=5000)
