@@ -168,6 +168,19 @@ def test_both_ways(blackout_ms, phase):
     assert one.states == ("CONNECTED", "CONNECTED")
 
 
+def test_what_waits_is_thrown_away_when_the_signal_is_lost():
+    one = session()
+    sender = one.link.ground.sender
+    one.run(25)
+    assert sum(sender.waiting_octets(level) for level in Level)
+    one.shut(one.down)
+    while one.link.ground.supervisor.signal:
+        one.step()
+    assert not sum(sender.waiting_octets(level) for level in Level)
+    drops = [queue["drops"] for queue in sender.report(one.link.now_ns)["queue"].values()]
+    assert sum(drop["signal_lost"] for drop in drops)
+
+
 def test_one_way_up_telecommands_act_without_acknowledgement():
     one = session()
     one.command("left")

@@ -176,7 +176,10 @@ def test_connects_however_late_one_side_starts(late, first):
 
 def test_settled_it_says_little_and_only_what_is_needed():
     pair = connected()
+    # Each knows that the other is connected: no reason to go on insisting.
+    assert max(len(end.sent) for end in pair.ends) <= 8
     pair.run(3 * S)
+    assert max(len(end.sent) for end in pair.ends) <= 8 + 7
     before = [len(end.sent) for end in pair.ends]
     events = [len(end.events) for end in pair.ends]
     pair.run(20 * S)
@@ -352,6 +355,18 @@ def test_what_does_not_fit_is_refused_and_named(space, why, late):
     assert pair.states == CONNECTED
 
 
+def test_a_new_life_that_does_not_fit_is_delivered_no_longer():
+    pair = connected()
+    pair.space.configuration = varied(receive_flows=UP[:2])
+    pair.space.start(0x3333, pair.slot)
+    pair.run(50)
+    pair.never_connected = True
+    count = len(pair.ground.delivered)
+    pair.run(2 * S)
+    assert pair.states == ("REFUSED", "REFUSED")
+    assert len(pair.ground.delivered) == count
+
+
 @pytest.mark.parametrize("masters", [(True, True), (False, False)])
 def test_two_of_the_same_role_refuse_each_other(masters):
     pair = Pair(masters=masters)
@@ -422,15 +437,20 @@ def test_data_one_way_is_no_fault(sends):
     assert changes == [len(end.of(StateChanged)) for end in pair.ends]
 
 
-def test_an_idle_link_is_reset_once():
+@pytest.mark.parametrize("first", ["ground", "space"])
+def test_an_idle_link_is_reset_once_and_approved_anew_by_data_both_ways(first):
     pair = connected()
     for end in pair.ends:
         end.sends = False
     pair.run(20 * S)
     assert pair.states == ("APPROVE", "APPROVE")
     resets = pair.ground.of(ApplicationReset) + pair.space.of(ApplicationReset)
-    assert [reset.why for reset in resets] in (["idle"], ["idle", "idle"])
+    assert {reset.why for reset in resets} == {"idle"}
     assert max(len(end.of(ApplicationReset)) for end in pair.ends) == 1
+    for end in pair.ends:
+        end.sends = end.name == first
+    pair.run(3 * S)
+    assert pair.states == ("APPROVE", "APPROVE")
     for end in pair.ends:
         end.sends = True
     pair.run(50)
