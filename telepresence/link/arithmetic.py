@@ -18,7 +18,13 @@ from telepresence.link.compression import FLEETING_REFRESH_NS
 from telepresence.link.flows import Level
 from telepresence.link.frame import length_octets
 from telepresence.link.profile import LinkProfile
-from telepresence.link.rtp_forms import CONTEXT_OCTETS, KIND_BARE, KIND_LONG, residue_octets
+from telepresence.link.rtp_forms import (
+    CONTEXT_OCTETS,
+    KIND_BARE,
+    KIND_LONG,
+    RTP_HEADER_OCTETS,
+    residue_octets,
+)
 
 TAG_OCTETS = 1
 RESUME_OCTETS = 1
@@ -26,6 +32,10 @@ RESUME_OCTETS = 1
 #: What of the RTP header follows the tag; other levels have none. Voice keeps to its grid; of
 #: video the longest form is charged, which serves a camera of any regularity. Most need less.
 _HEADER_OCTETS = {Level.VOICE: residue_octets(KIND_BARE), Level.VIDEO: residue_octets(KIND_LONG)}
+
+#: Above this rate video headers are reckoned whole: what belongs to a picture of so many packets is
+#: not told in a few bits.
+MOST_COMPRESSED_PER_S = 100
 
 #: Contexts a second and stream: as many as one-way, where none is acknowledged; two-way it is one
 #: in several seconds, and more only while a source changes.
@@ -67,23 +77,29 @@ class StreamNeed:
     packets_per_s: float
     level: Level = Level.VIDEO
 
+    @property
+    def header_octets(self) -> int:
+        """The tag of a packet, and what of the RTP header follows it."""
+        if self.level is Level.VIDEO and self.packets_per_s > MOST_COMPRESSED_PER_S:
+            return TAG_OCTETS + RTP_HEADER_OCTETS
+        return TAG_OCTETS + _HEADER_OCTETS.get(self.level, 0)
+
     def header_bps(self) -> int:
         """Tags, and what of the RTP headers follows them."""
-        return ceil((TAG_OCTETS + _HEADER_OCTETS.get(self.level, 0)) * self.packets_per_s * 8)
+        return ceil(self.header_octets * self.packets_per_s * 8)
 
     def context_bps(self) -> int:
         """What is more in the packets that carry a context."""
         if self.level not in _HEADER_OCTETS:
             return 0
-        return ceil((CONTEXT_OCTETS - _HEADER_OCTETS[self.level]) * _CONTEXTS_PER_S * 8)
+        return ceil((TAG_OCTETS + CONTEXT_OCTETS - self.header_octets) * _CONTEXTS_PER_S * 8)
 
     def framing_bps(self, profile: LinkProfile) -> int:
         """Tags that resume what the packets interrupt, and the lengths of closed pieces."""
         octets = RESUME_OCTETS if self.level in _INTERRUPTING else 0
         length = length_octets(profile)
-        header_octets = TAG_OCTETS + _HEADER_OCTETS.get(self.level, 0)
         payload_octets = self.payload_bps / 8 / self.packets_per_s
-        if header_octets + payload_octets + length <= profile.packet_zone_octets:
+        if self.header_octets + payload_octets + length <= profile.packet_zone_octets:
             # It ends in the zone in which it began, and what it has interrupted may do so too.
             octets += 2 * length if self.level in _INTERRUPTING else length
         return ceil(octets * self.packets_per_s * 8)

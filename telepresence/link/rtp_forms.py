@@ -191,7 +191,7 @@ class RtpForms:
             timestamp = base + (octet - base & 0xFF)
             return context.marker, _sequence(context, index) & 0xFFFF, timestamp & _U32
         index = base + ((octet >> 5) - context.index - base & 3)
-        timestamp = _point(context, index)
+        timestamp = _point(context, index) & _U32
         beside = (kind - KIND_SHORT - timestamp % 3) % 3
         timestamp += -1 if beside == 2 else beside
         base = _sequence(context, index) - _SHORT_SEQUENCE_BACK

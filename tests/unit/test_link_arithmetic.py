@@ -6,8 +6,10 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from telepresence.link.arithmetic import (
+    MOST_COMPRESSED_PER_S,
     StreamNeed,
     channel_need,
+    channel_table,
     check_fit,
     largest_payload_bps,
 )
@@ -33,10 +35,11 @@ def test_rates_of_the_profiles():
 
 
 def test_the_setups_fit():
-    # 93 000 payload; 30*4 + 50*3 octets of headers and a context a second each; 480 in reserve.
+    # 93 000 payload; 30*3 + 50*2 octets of headers and resume tags, a context a second each; 480 in
+    # reserve for TM/TC and RTCP, and three supervision messages a second of 12 octets.
     need = check_fit(UPLINK, [video(85), VOICE])
-    assert need.needed_bps == 93_000 + (30 * 4 + 50 * 3 + 9 + 11) * 8 + 480
-    assert need.spare_bps == 96_000 - need.needed_bps >= 0
+    assert need.needed_bps == 93_000 + (30 * 3 + 50 * 2 + 17 + 19) * 8 + 480 + 3 * 12 * 8
+    assert need.spare_bps == 96_000 - need.needed_bps == 424
     assert channel_need(UPLINK, [video(85, packets_per_s=35), VOICE]).fits
     assert channel_need(UPLINK, [video(90, packets_per_s=35)]).fits
 
@@ -50,6 +53,28 @@ def test_a_cap_too_high_is_refused_with_the_one_that_fits():
     assert channel_need(UPLINK, [video(94)]).fits
     exact = StreamNeed(name="v", payload_bps=fits_bps, packets_per_s=30)
     assert channel_need(UPLINK, [exact]).spare_bps == 0
+
+
+@pytest.mark.parametrize(
+    ("profile", "streams"),
+    [
+        (UPLINK, [video(85), VOICE]),
+        (UPLINK, [video(95), VOICE]),
+        (DOWNLINK, [video(512, 90), VOICE]),
+        (UPLINK, []),
+    ],
+    ids=["fits", "too much", "down", "nothing"],
+)
+def test_the_table_adds_up_to_the_channel(profile, streams):
+    table = channel_table(profile, streams)
+    need = channel_need(profile, streams)
+    assert sum(line.bps for line in table) == profile.media_bps
+    assert table[-1] == ("spare", "", need.spare_bps)
+    by_what = {what: sum(line.bps for line in table if line.what == what) for what, _, _ in table}
+    overhead = ("headers", "contexts", "framing")
+    assert sum(by_what.get(what, 0) for what in overhead) == need.overhead_bps
+    assert by_what["tmtc"] + by_what["rtcp"] == need.reserve_bps
+    assert by_what["supervision"] == need.supervision_bps
 
 
 def overhead_bps_of_a_run(profile, video_bps, packets_per_s, voice_bps, seconds=30):
@@ -94,15 +119,17 @@ def test_no_run_needs_more_than_was_reckoned(profile, video_kbps, packets_per_s,
     rates = (video_kbps * 1000, packets_per_s, voice_kbps * 1000)
     measured_bps = overhead_bps_of_a_run(profile, *rates)
     print(f"{measured_bps:.0f} of {reckoned_bps}")
-    assert 0.5 * reckoned_bps < measured_bps <= reckoned_bps
+    assert measured_bps <= reckoned_bps
+    # Above that rate the reckoning is for a source with many packets a picture.
+    assert measured_bps > 0.5 * reckoned_bps or packets_per_s > MOST_COMPRESSED_PER_S
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"frame_octets": 20}, "at least 26"),
+        ({"frame_octets": 20}, "at least 34"),
         ({"frame_octets": 40, "pointer_in_signaling": True}, "set it to false"),
-        ({"frame_octets": 4000}, "at most 2066"),
+        ({"frame_octets": 4000}, "at most 2053"),
         ({"frame_octets": 32, "scid": 256}, "scid"),
     ],
 )
@@ -114,7 +141,7 @@ def test_profiles_that_cannot_be(changes, message):
 def test_flow_tables_that_cannot_be():
     with pytest.raises(ConfigError, match="twice"):
         check_flows([video_flow("a"), video_flow("a")])
-    with pytest.raises(ConfigError, match="at most 16"):
+    with pytest.raises(ConfigError, match="at most 8"):
         check_flows([video_flow(str(k)) for k in range(17)])
     with pytest.raises(ConfigError, match="clock_hz"):
         Flow(name="rtp", level=Level.VIDEO, kind=FlowKind.RTP)

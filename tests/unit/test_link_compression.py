@@ -153,6 +153,15 @@ def test_a_peer_that_begins_anew_is_sent_whole_headers_once_that_is_known():
     assert path.outcomes[-1][1] == KIND_BARE
 
 
+def test_whole_headers_again_as_soon_as_the_peers_new_life_is_known():
+    path = Path(VOICE)
+    source = voice(Random(1), 2)
+    kinds = [path.send(*next(source)) for _ in range(30)]
+    assert kinds[-1] == KIND_BARE
+    path.compressor.forget()
+    assert path.send(*next(source)) in (KIND_RAW, KIND_CONTEXT)
+
+
 def test_no_more_contexts_than_a_second_needs_while_nothing_is_acknowledged():
     """A peer that is heard and holds nothing: the sender tries again, less and less often."""
     compressor = RtpCompressor(VOICE, SLOT_NS)
@@ -170,19 +179,18 @@ def test_no_more_contexts_than_a_second_needs_while_nothing_is_acknowledged():
 
 
 def test_a_number_that_the_peer_may_still_tell_is_not_given_to_another_context():
-    """The peer holds a context and hears nothing more, while hundreds follow."""
+    """The peer holds a context, even a dead one, and hears nothing more, while hundreds follow."""
     compressor = RtpCompressor(VOICE, SLOT_NS)
     compressor.handle_peer(heard=True)
     given = []
-    for count, packet in voice(Random(1), 1000):
-        kind, body, _ = compressor.compress(packet, count)
+    for number in range(1000):
+        count = number * 3300
+        kind, body, _ = compressor.compress(rtp(number, count * 48), count)
         if kind == KIND_CONTEXT:
             given.append(body[0])
-        if given:
-            compressor.handle_acknowledgement(given[0], count)
-    assert len(given) > 300
-    assert given.count(given[0]) == 1
-    assert 0 not in given
+        compressor.handle_acknowledgement(given[0], count)
+    assert len(given) > 900
+    assert set(given[1:]) == set(range(1, 256)) - {given[0]}
 
 
 def test_an_acknowledgement_tells_what_has_not_arrived():
