@@ -22,6 +22,7 @@ _INPUTS = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_v
 #: A picture or a sound that stays out for this long, and for this many periods, is missed.
 MISSED_NS = 2 * NS_PER_S
 _MISSED_PERIODS = 4
+_FOR_EVER_NS = 1 << 62
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,21 @@ def missed_ns(stream: VideoStream | VoiceStream) -> int:
 
 def _missed_ns(fps: int) -> int:
     return max(MISSED_NS, _MISSED_PERIODS * NS_PER_S // fps)
+
+
+def signal_ns(segment: str, collector: Collector) -> int:
+    """How long the gateway of `segment` had heard the other one without a pause when it told last.
+
+    Without end where no gateway has told of its contacts.
+    """
+    figures = collector.process(f"{segment}_gateway")
+    supervision = figures.gauges.get("link", {}).get("supervision")
+    if supervision is None:
+        return _FOR_EVER_NS
+    if not supervision["signal"]:
+        return 0
+    acquired_ns: int = supervision["begun_ns"] + supervision["contacts"][-1]["acquired_ns"]
+    return figures.told_ns - acquired_ns
 
 
 def stopped_ns(stream: VideoStream | VoiceStream, setup: Setup, collector: Collector) -> int:

@@ -73,6 +73,24 @@ def test_a_stream_that_nobody_saw_is_a_failure():
     assert failures(SETUP, told(displayed=0), 1.0) == []
 
 
+def hearing(collector, since_ns, *, signal=True):
+    """The same collector, whose gateway in space has heard the ground since then, as of 9 s."""
+    contacts = [{"acquired_ns": 0, "lost_ns": 5}, {"acquired_ns": since_ns - 1000, "lost_ns": None}]
+    supervision = {"signal": signal, "begun_ns": 1000, "contacts": contacts}
+    link = {"link": {"supervision": supervision}}
+    collector.handle_message("space_gateway", Message({}, link, {}), 9 * NS_PER_S)
+    return collector
+
+
+def test_what_the_radio_keeps_back_is_no_failure():
+    unseen = told(displayed=0, received=0)
+    in_space = ["uplink_video: nothing was displayed", "haptic_up: no sample was received"]
+    down = ["haptic_down: no sample was received"]
+    assert failures(SETUP, hearing(unseen, 2 * NS_PER_S), 9.0) == in_space + down
+    assert failures(SETUP, hearing(unseen, 8 * NS_PER_S), 9.0) == down
+    assert failures(SETUP, hearing(unseen, 2 * NS_PER_S, signal=False), 9.0) == down
+
+
 def test_a_hand_that_felt_nothing_is_a_failure():
     assert len(failures(SETUP, told(received=0), 5.0)) == 2
 
