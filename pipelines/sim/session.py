@@ -80,6 +80,9 @@ class Simulation:
         self._samples_down: list[bytes] = []
         self._ground = self._gateway("ground")
         self._space = self._gateway("space")
+        # When the next frame arrives: asked twice a slot, so without a detour.
+        self._up_timeout = self._ground.radio.poll_timeout
+        self._down_timeout = self._space.radio.poll_timeout
         self._robot = RobotEnd(self._probe("robot"))
         self._joystick = JoystickEnd(self._probe("joystick"))
         self._add(self._robot, self._joystick)
@@ -185,16 +188,15 @@ class Simulation:
 
     def _advance(self, until_ns: int) -> None:
         """All that happens up to `until_ns` beside the slots and the haptic cycles."""
-        ground, space, agenda = self._ground, self._space, self._agenda
-        up_timeout, down_timeout = ground.poll_timeout, space.poll_timeout
+        up_timeout, down_timeout, agenda = self._up_timeout, self._down_timeout, self._agenda
         while True:
             next_ns = agenda.next_ns
             earliest_ns = next_ns if next_ns <= until_ns else until_ns
             up_ns, down_ns = up_timeout(), down_timeout()
             if up_ns is not None and up_ns <= earliest_ns and (down_ns is None or up_ns <= down_ns):
-                self._carry(ground, space, self._samples_up, up_ns)
+                self._carry(self._ground, self._space, self._samples_up, up_ns)
             elif down_ns is not None and down_ns <= earliest_ns:
-                self._carry(space, ground, self._samples_down, down_ns)
+                self._carry(self._space, self._ground, self._samples_down, down_ns)
             elif next_ns <= until_ns:
                 agenda.do_next()
             else:
@@ -202,16 +204,18 @@ class Simulation:
 
     def _carry(self, sender: Gateway, receiver: Gateway, samples: list[bytes], now_ns: int) -> None:
         """A frame arrives, and what was in it goes where it belongs."""
-        handle_radio, next_event = receiver.handle_radio, receiver.next_event
-        while (frame := sender.poll_transmit(now_ns)) is not None:
-            handle_radio(frame, now_ns)
-            while (event := next_event()) is not None:
-                if isinstance(event, HapticReceived):
-                    samples.append(event.sample)
-                elif isinstance(event, PacketReceived):
-                    consumer = self._consumers.get(event.flow.name)
-                    if consumer is not None:
-                        consumer(event.data, now_ns)
+        frame = sender.poll_transmit(now_ns)
+        if frame is None:
+            return
+        receiver.handle_radio(frame, now_ns)
+        next_event = receiver.next_event
+        while (event := next_event()) is not None:
+            if isinstance(event, HapticReceived):
+                samples.append(event.sample)
+            elif isinstance(event, PacketReceived):
+                consumer = self._consumers.get(event.flow.name)
+                if consumer is not None:
+                    consumer(event.data, now_ns)
 
     def _gateway(self, segment: str) -> Gateway:
         setup = self.setup
