@@ -195,6 +195,7 @@ class Gateway:
                 sender.set_patience(None)
             elif isinstance(event, PeerMet):
                 sender.forget_contexts()
+                receiver.forget_contexts()
             elif isinstance(event, ApplicationReset):
                 sender.flush(event.now_ns)
                 sender.forget_contexts()

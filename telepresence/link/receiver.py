@@ -29,6 +29,9 @@ from telepresence.link.rtp_forms import KIND_CONTEXT, KIND_RAW
 _LATE_FRAMES = 32
 #: So many late frames that follow each other are none: the peer began anew just below.
 _LATE_RUN = 4
+#: So many frames from nowhere that follow each other are of a new life of the peer; a single one is
+#: rather a flipped bit that no checksum found.
+_STRAY_RUN = 2
 
 _new_event = tuple.__new__
 
@@ -103,9 +106,9 @@ class LinkReceiver:
         self._count = -1
         self._next24 = -1
         self._last_ns = 0
-        #: Of the late frames that followed each other: the last good frame's count, the next one's
-        #: if they go on, and how many there were.
-        self._late = (-1, -1, 0)
+        #: Of the late or stray frames that followed each other: the last good frame's count, the
+        #: next one's if they go on, and how many there were.
+        self._astray = (-1, -1, 0)
         self.frames_received = 0
         self.frames_lost = 0
         self.restarts = 0
@@ -159,6 +162,14 @@ class LinkReceiver:
         """The newest context held of each RTP flow, in the table's order; 0 for none."""
         return self._context_ids
 
+    def forget_contexts(self) -> None:
+        """The peer has begun a new life, which the frame count need not have shown: its contexts
+        have the numbers of the former ones, and none of those must be said to be held."""
+        for decompressor in self._decompressors:
+            if decompressor is not None:
+                decompressor.forget()
+        self._note_contexts()
+
     def next_event(self) -> LinkEvent | None:
         """What has been received, in order. Call until None."""
         return self._events.popleft() if self._events else None
@@ -171,16 +182,17 @@ class LinkReceiver:
             self._count = count24
         else:
             ahead = count24 - last & COUNT_MASK
-            behind = COUNT_MODULUS - ahead
-            if ahead == 0 or behind < _LATE_FRAMES:
-                goes_on = self._late[:2] == (last, count24)
-                run = self._late[2] + 1 if goes_on else 1
-                self._late = last, count24 + 1, run
-                if ahead == 0 or run < _LATE_RUN:
-                    self._drop_frame("late")
+            late = ahead == 0 or COUNT_MODULUS - ahead < _LATE_FRAMES
+            if late or (count24 and not self._explained(ahead, now_ns)):
+                goes_on = self._astray[:2] == (last, count24)
+                run = self._astray[2] + 1 if goes_on else 1
+                self._astray = last, count24 + 1, run
+                if ahead == 0 or run < (_LATE_RUN if late else _STRAY_RUN):
+                    self._drop_frame("late" if late else "stray")
                     return False
                 self._restart(count24)
-            elif self._is_restart(count24, ahead, now_ns):
+            elif count24 == 0:
+                # Each life begins at 0.
                 self._restart(count24)
             else:
                 self.frames_lost += ahead - 1
@@ -188,21 +200,16 @@ class LinkReceiver:
                 self._count = last + ahead
         return True
 
-    def _is_restart(self, count24: int, ahead: int, now_ns: int) -> bool:
-        """Whether a jump is rather a new life of the peer than a loss: each begins at 0, and no
-        more frames can be lost than the time since the last one had slots for."""
+    def _explained(self, ahead: int, now_ns: int) -> bool:
+        """Whether the time since the last frame had slots for so many."""
         elapsed_ns = now_ns - self._last_ns
-        lost_ns = ahead * self.profile.slot_ns
-        return count24 == 0 or lost_ns > 2 * elapsed_ns + NS_PER_S
+        return ahead * self.profile.slot_ns <= 2 * elapsed_ns + NS_PER_S
 
     def _restart(self, count24: int) -> None:
         self.restarts += 1
         self.meetings += 1
         self._drop_partials()
-        for decompressor in self._decompressors:
-            if decompressor is not None:
-                decompressor.forget()
-        self._note_contexts()
+        self.forget_contexts()
         self._count = count24
 
     def _note_contexts(self) -> None:
