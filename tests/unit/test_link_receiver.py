@@ -44,7 +44,7 @@ def test_restarted_peer_is_followed_at_once():
 
 
 def test_restart_whose_first_frames_are_lost():
-    """Far below the last count the next frame shows it; just below, the fourth."""
+    """Far below the last count the second frame shows it; just below, the fourth."""
     for first_count in (1_000_000, 0):
         receiver = LinkReceiver(UPLINK, FLOWS)
         now_ns = feed(receiver, frames(20, first_count))
@@ -59,6 +59,17 @@ def test_jump_ahead_that_no_time_explains_is_a_restart():
     now_ns = feed(receiver, frames(5, 7_000_000))
     feed(receiver, frames(5, 9_000_000), now_ns)
     assert (receiver.restarts, receiver.frames_lost) == (1, 0)
+
+
+def test_a_count_that_comes_from_nowhere_once_is_a_flipped_bit():
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    sent = frames(10, 100)
+    for wild in (5_000_000, 99 - 40, 1):
+        sent[4] = FrameCodec(UPLINK).pack(wild, None, 0, bytes(24))
+        receiver = LinkReceiver(UPLINK, FLOWS)
+        feed(receiver, sent)
+        assert receiver.frames_dropped == {"stray": 1}
+        assert (receiver.restarts, receiver.frames_lost) == (0, 1)
 
 
 def test_contexts_of_a_former_life_are_not_used():
