@@ -1,5 +1,7 @@
 """`kontur-av link`: a mistake is one line that names the mend; every channel has its ports."""
 
+from pathlib import Path
+
 import pytest
 
 from pipelines import link
@@ -101,3 +103,17 @@ def test_one_end_shows_and_binds_its_own_ports_only():
     for end, bound in zip(Segment, both, strict=True):
         shown = {channel.in_port for channel in channels(SPACEJUSTIN, [end])} - {None}
         assert len(bound - shown) == 1  # the radio's
+
+
+@pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
+def test_the_ports_of_the_documentation_are_those_of_the_link(setup):
+    text = (Path(__file__).parents[2] / "docs" / "gateways.md").read_text(encoding="utf-8")
+    rows = [line.split("|") for line in text.splitlines() if line.startswith("| `")]
+    column = {"spacejustin": 6, "taskboard": 7}[setup.name]
+    documented = [
+        (row[1].strip(" `"), int(row[3]), int(row[4])) for row in rows if row[column].strip()
+    ]
+    assert documented == [
+        (channel.name, channel.in_port, channel.out_port)
+        for channel in channels(setup, list(Segment))
+    ]
