@@ -11,13 +11,13 @@ import select
 from contextlib import ExitStack
 from dataclasses import replace
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp
 from pipelines.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
+from pipelines.margin import Margin
 from pipelines.names import BACKLOG, backlog_topic
 from pipelines.process import LOOPBACK, PATIENCE_NS, Context, Segment
 from pipelines.setup import Setup
-from pipelines.slot_clock import Alarm, Margin
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.link.flows import Level
 from telepresence.link.frame import MAX_PACKET_OCTETS
@@ -142,20 +142,12 @@ def run_gateway(
     ports = _Ports(context.setup, segment, gateway, addresses)
     slot_ns = gateway.sender.profile.slot_ns
     schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(slot_ns), period_ns=slot_ns)
-    alarm, margin = Alarm(), Margin()
-    wake = select.epoll()
-    radio_fd = ports.radio.fileno()
-    wake.register(radio_fd, select.EPOLLIN)
-    alarm.register(wake)
+    margin = Margin()
+    to_listen = [ports.radio]
     crowd = select.epoll()
     crowd.register(ports.haptic.udp.fileno(), select.EPOLLIN)
     # Looked up once: what follows runs a thousand times a second.
-    clock_ns, handle_wakeup, sleep, set_alarm = (
-        clock.now_ns,
-        schedule.handle_wakeup,
-        wake.poll,
-        alarm.set,
-    )
+    clock_ns, handle_wakeup, sleep = clock.now_ns, schedule.handle_wakeup, select.select
     handle_haptic, handle_radio = gateway.handle_haptic, gateway.handle_radio
     handle_slot, poll_radio, radio_due_ns = (
         gateway.handle_slot,
@@ -218,21 +210,20 @@ def run_gateway(
         told = -1
         figures_ns = tell_ns = 0
         deadline_ns = schedule.next_deadline_ns
-        wake_ns = deadline_ns
-        due_ns = None
-        set_alarm(wake_ns)
+        wake_ns = alarm_ns = deadline_ns
         while not context.stopping:
-            events = sleep()
+            wait_ns = alarm_ns - clock_ns()
+            # Not epoll, whose timeouts have whole milliseconds; a timerfd costs more than it gains.
+            heard = sleep(to_listen, (), (), wait_ns / NS_PER_S if wait_ns > 0 else 0)[0]
             now_ns = clock_ns()
-            for fd, _event in events:
-                if fd == radio_fd:
-                    fetch_radio(now_ns)
-                    if now_ns >= figures_ns and deadline_ns - now_ns > _FIGURES_NS:
-                        figures_ns = now_ns + PATIENCE_NS
-                        context.tick(now_ns)
+            if heard:
+                fetch_radio(now_ns)
+                if now_ns >= figures_ns and deadline_ns - now_ns > _FIGURES_NS:
+                    figures_ns = now_ns + PATIENCE_NS
+                    context.tick(now_ns)
+            if now_ns < alarm_ns:
+                continue
             if now_ns < wake_ns:
-                if due_ns is None or now_ns < due_ns:
-                    continue
                 send_due(now_ns)
             else:
                 ready = poll_local(0)
@@ -265,4 +256,4 @@ def run_gateway(
                     figures_ns = now_ns + PATIENCE_NS
                     context.tick(now_ns)
             due_ns = radio_due_ns()
-            set_alarm(wake_ns if due_ns is None or due_ns > wake_ns else due_ns)
+            alarm_ns = wake_ns if due_ns is None or due_ns > wake_ns else due_ns

@@ -51,7 +51,6 @@ SHELLS = {
     "pipelines/report_file.py": "a file",
     "pipelines/send.py": "a command",
     "pipelines/sessions.py": "processes, and what they leave",
-    "pipelines/slot_clock.py": "a timer of the system",
     "pipelines/sim/workers.py": "processes",
     "pipelines/stream.py": "a command",
 }
