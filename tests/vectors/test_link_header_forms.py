@@ -58,6 +58,13 @@ def test_a_context_octet_by_octet():
         # Marker 1, sequence 4 low bits 0101, timestamp 13 low bits of 0x1400.
         (12 + 2, "b400", 1, 5, 0x1400),
         (12 + 1, "f000", 0, 65_535, 0x1000),
+        # The windows' edges: the point less 128 and plus 127; 12 before number 1 and 19 after it;
+        # 5120 ticks before due, at the first grid point, 6 before its number 65 535.
+        (8 + 2, "a6", 1, 1, 0x1326 - 128),
+        (8 + 2, "a5", 1, 1, 0x1326 + 127),
+        (5 + 0, "d5", 1, 65_525, 0x1326),
+        (5 + 0, "d4", 1, 20, 0x1326),
+        (12 + 1, "3d0c", 0, 65_529, 0xFFFF_FD0C),
     ],
 )
 def test_headers_octet_by_octet(kind, residue, marker, sequence, timestamp):
