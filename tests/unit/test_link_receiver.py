@@ -85,7 +85,7 @@ def test_contexts_of_a_former_life_are_not_used():
                 sender.handle_packet("video", header + b"picture", slot * MS)
             frame = sender.poll_transmit(slot * MS)
             if life and slot < 1000:
-                sender.handle_acknowledgements([slot % 255 + 1])
+                sender.handle_acknowledgements([1])
             else:
                 receiver.handle_frame(frame, now_ns)
             now_ns += MS
@@ -95,6 +95,7 @@ def test_contexts_of_a_former_life_are_not_used():
         while event := receiver.next_event():
             assert event.data[8:12] == bytes([0, 0, 0, life])
     assert receiver.restarts == 1
+    assert receiver.packets_dropped["no_context"] > 0
 
 
 def test_nothing_is_delivered_unapproved_but_supervision():
@@ -163,6 +164,20 @@ def test_repeated_and_late_frames_are_dropped():
     feed(receiver, [*sent[:5], sent[4], sent[6], sent[5], *sent[7:]])
     assert receiver.frames_dropped == {"late": 2}
     assert (receiver.frames_received, receiver.frames_lost, receiver.restarts) == (9, 1, 0)
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    feed(receiver, [*sent[:3], sent[6], *sent[3:6], *sent[7:]])
+    assert receiver.frames_dropped == {"late": 3}
+    assert (receiver.frames_received, receiver.restarts) == (7, 0)
+
+
+def test_a_packet_without_end_is_dropped_when_it_is_too_long():
+    receiver, codec = LinkReceiver(UPLINK, FLOWS), FrameCodec(UPLINK)
+    receiver.handle_frame(codec.pack(0, None, 0, b"\x08" + bytes(23)), 0)
+    for count in range(1, 100):
+        receiver.handle_frame(codec.pack(count, None, 31, bytes(24)), count * MS)
+    assert receiver.packets_dropped == {"oversize": 1}
+    assert receiver.handle_frame(codec.pack(100, None, 30, bytes(24)), 100 * MS)
+    assert receiver.next_event() is None
 
 
 @pytest.mark.parametrize(
