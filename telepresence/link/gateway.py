@@ -18,7 +18,7 @@ half packets, opens and closes delivery, and tells each end what the other holds
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.flows import Flow, Level
 from telepresence.link.profile import LinkProfile
 from telepresence.link.queues import QueueLimits
@@ -46,6 +46,11 @@ from telepresence.link.supervision_events import (
 #: The longest that a packet waits while the peer may not hear it: what comes out after a loss of
 #: signal was put in after it, or just before its end.
 LOST_PATIENCE_NS = 50 * NS_PER_MS
+#: A life begins with this frame count: far from where any other is.
+LIFE_SHIFT = 8
+#: After so long without a frame no header context of before is worth anything: its packets may
+#: have gone on for the whole range of the frame count.
+FORGET_NS = 900 * NS_PER_S
 
 
 class Gateway:
@@ -75,7 +80,10 @@ class Gateway:
         limits: Mapping[Level, QueueLimits] | None = None,
         timing: SupervisionTiming | None = None,
     ) -> None:
-        self.sender = LinkSender(transmit, transmit_flows, limits=limits)
+        # Two lives whose frame counts could be taken for one would share header contexts.
+        self.sender = LinkSender(
+            transmit, transmit_flows, limits=limits, first_count=life << LIFE_SHIFT
+        )
         self.receiver = LinkReceiver(receive, receive_flows)
         self.radio = RadioPath() if radio is None else radio
         self.supervisor = Supervisor(
@@ -188,6 +196,8 @@ class Gateway:
                 receiver.handle_signal_lost(event.now_ns)
             elif isinstance(event, SignalAcquired):
                 sender.handle_peer(heard=True)
+                if event.gap_ns > FORGET_NS:
+                    self._forget_received(event.now_ns)
             elif isinstance(event, PeerDeaf):
                 sender.flush(event.now_ns)
                 sender.set_patience(LOST_PATIENCE_NS)
@@ -200,7 +210,13 @@ class Gateway:
                 sender.flush(event.now_ns)
                 sender.forget_contexts()
                 receiver.handle_signal_lost(event.now_ns)
+                self._forget_received(event.now_ns)
         receiver.deliver = supervisor.delivering
+
+    def _forget_received(self, now_ns: int) -> None:
+        """What is held of the peer's headers is not to be trusted any more."""
+        self.receiver.forget_contexts()
+        self.supervisor.handle_contexts(self.receiver.context_ids(), now_ns)
 
     def report(self, now_ns: int) -> dict[str, Any]:
         """`transmit` and `receive`, each with its profile's name, `radio` and `supervision`."""

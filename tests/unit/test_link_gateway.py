@@ -185,6 +185,7 @@ def test_a_peer_that_begins_late_or_anew_understands_the_next_packet(restart_at)
             far.handle_slot(now_ns)
             while (frame := far.poll_transmit(now_ns)) is not None:
                 ground.handle_radio(frame, now_ns)
+            assert ground.next_event() is None
             while (event := far.next_event()) is not None:
                 heard.append(event.data[3])
     assert heard[0] in (2, 3)
