@@ -6,8 +6,8 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_S
 from pipelines.collector import Collector
+from pipelines.link_figures import gateway_figures, link_figures
 from pipelines.process import Segment
-from pipelines.report import link_figures
 from pipelines.setup import Setup
 from telepresence.link.profile import LinkProfile
 
@@ -44,7 +44,7 @@ def build_link_report(
             direction: link_figures(setup, collector, direction)
             for direction in ("uplink", "downlink")
         },
-        "gateways": {end.value: _gateway(collector, end) for end in ends},
+        "gateways": {end.value: gateway_figures(collector, end.value) for end in ends},
         "cpu": {
             "total_s": round(sum(cpu_s.values()) + launcher_cpu_s, 2),
             "launcher_s": round(launcher_cpu_s, 2),
@@ -64,20 +64,6 @@ def build_link_report(
         },
         "failures": _failures(collector, ends, restarts),
     }
-
-
-def _gateway(collector: Collector, end: Segment) -> dict[str, Any]:
-    """What only this end knows: its supervision and its radio of the last life, and strangers."""
-    figures = collector.process(process_of(end))
-    last = list(figures.links())[-1:]
-    told: dict[str, Any] = {name: link[name] for link in last for name in ("supervision", "radio")}
-    prefix = "strangers_"
-    strangers = {
-        name.removeprefix(prefix): figures.total(name)
-        for name in figures.names()
-        if name.startswith(prefix)
-    }
-    return {**told, "strangers": strangers, "unsent": figures.total("unsent")}
 
 
 def _failures(
@@ -163,7 +149,7 @@ def summary_lines(report: Mapping[str, Any]) -> list[str]:
     for direction, link in report["link"].items():
         lines += _direction(direction, link)
     for end, told in report["gateways"].items():
-        lines.append(_end(end, told))
+        lines.append(end_line(end, told))
     cpu = report["cpu"]
     lines.append(f"CPU: {cpu['total_s']:.1f} s, {cpu['cores_used']:.2f} of a core")
     lines += [f"failed: {failure}" for failure in report["failures"]]
@@ -180,11 +166,7 @@ def _direction(direction: str, link: Mapping[str, Any]) -> list[str]:
             f"{late['max']:.0f} at most; sent after {sent['p50']:.0f} (p50), {sent['p99']:.0f} "
             "(p99)"
         )
-        total = sum(link["octets"].values())
-        shares = ", ".join(
-            f"{kind} {100 * octets / total:.2f} %" for kind, octets in link["octets"].items()
-        )
-        lines.append(f"  octets, of {total}: {shares}")
+        lines.append(f"  {ledger_line(link)}")
         drops = {
             f"{level}, {reason}": count
             for level, queue in link["queue"].items()
@@ -203,7 +185,14 @@ def _direction(direction: str, link: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _end(end: str, told: Mapping[str, Any]) -> str:
+def ledger_line(link: Mapping[str, Any]) -> str:
+    """Where a direction's octets went; 100 % in all."""
+    shares = link["octets_percent"].items()
+    used = ", ".join(f"{kind} {share:.2f}" for kind, share in shares)
+    return f"of {sum(link['octets'].values())} octets, in %: {used}"
+
+
+def end_line(end: str, told: Mapping[str, Any]) -> str:
     supervision = told.get("supervision", {})
     contacts = len(supervision.get("contacts", ()))
     contact_s = supervision.get("contact_ns", 0) / NS_PER_S

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from kontur_av.meters import Histogram
 from pipelines.collector import HAPTIC_ENDS, Collector, StreamFigures
+from pipelines.link_figures import gateway_figures, link_figures, summary_us
 from pipelines.setup import Setup, VideoStream, VoiceStream
 from pipelines.silence import MISSED_NS, missed_ns, signal_ns, silences, stopped_ns
 from telepresence.link.profile import LinkProfile
@@ -62,6 +62,7 @@ def build_report(
             "uplink": link_figures(setup, collector, "uplink"),
             "downlink": link_figures(setup, collector, "downlink"),
         },
+        "gateways": {end: gateway_figures(collector, end) for end in ("ground", "space")},
         # A setup without voices has nothing to compare them with.
         "skew_ms": {
             name: skew.summary_ms() if skew.count else None
@@ -145,73 +146,6 @@ def haptic_bps(profile: LinkProfile, samples: int, seconds: float) -> int:
     return round(samples * profile.insert_octets * 8 / max(seconds, 1e-9))
 
 
-def link_figures(setup: Setup, collector: Collector, direction: str) -> dict[str, Any]:
-    """One direction of the link, as far as its two gateways have told of it."""
-    up = direction == "uplink"
-    near = collector.process("ground_gateway" if up else "space_gateway")
-    far = collector.process("space_gateway" if up else "ground_gateway")
-    lives = [link["transmit"] for link in near.links()]
-    need = setup.need_up() if up else setup.need_down()
-    profile = setup.uplink if up else setup.downlink
-    octets: dict[str, int] = {}
-    for life in lives:
-        for kind, count in life["octets"].items():
-            octets[kind] = octets.get(kind, 0) + count
-    received = [link["receive"] for link in far.links()]
-    return {
-        "capacity_bps": profile.capacity_bps,
-        "below_haptics_bps": profile.media_bps,
-        "needed_at_caps_bps": {
-            "payload": need.payload_bps,
-            "headers": need.overhead_bps,
-            "reserve": need.reserve_bps,
-            "spare": need.spare_bps,
-        },
-        "frames": sum(life["frames"] for life in lives),
-        "frames_lost": sum(life["frames_lost"] for life in received),
-        "frames_dropped": _sum_tables([life["frames_dropped"] for life in received]),
-        "octets": octets,
-        "queue": _merged_queues([life["queue"] for life in lives]),
-        "headers": _merged_headers([life["headers"] for life in lives]),
-        "refused": _sum_tables([life["refused"] for life in lives]),
-        "packets": _sum_tables([life["packets"] for life in received]),
-        "packets_dropped": _sum_tables([life["packets_dropped"] for life in received]),
-        "lateness_us": summary_us(near.lateness),
-        "sent_after_us": summary_us(near.sending),
-        "slips": near.total("slips"),
-    }
-
-
-def _sum_tables(tables: list[dict[str, int]]) -> dict[str, int]:
-    sums: dict[str, int] = {}
-    for table in tables:
-        for name, value in table.items():
-            sums[name] = sums.get(name, 0) + value
-    return sums
-
-
-def _merged_queues(lives: list[dict[str, dict[str, Any]]]) -> dict[str, dict[str, Any]]:
-    """Each level's queue: as the last life left it, with what all lives counted."""
-    merged: dict[str, dict[str, Any]] = {}
-    for life in lives:
-        for level, queue in life.items():
-            before = merged.get(level)
-            merged[level] = dict(queue)
-            if before is None:
-                continue
-            merged[level].update(
-                accepted=before["accepted"] + queue["accepted"],
-                drops=_sum_tables([before["drops"], queue["drops"]]),
-                **{name: max(before[name], queue[name]) for name in ("max_octets", "max_age_ns")},
-            )
-    return merged
-
-
-def _merged_headers(lives: list[dict[str, dict[str, int]]]) -> dict[str, dict[str, int]]:
-    flows = dict.fromkeys(flow for life in lives for flow in life)
-    return {flow: _sum_tables([life.get(flow, {}) for life in lives]) for flow in flows}
-
-
 def _told(name: str, setup: Setup, collector: Collector) -> dict[str, Any]:
     figures = collector.process(name)
     told = {gauge: figures.gauges[gauge] for gauge in _WORTH_TELLING if gauge in figures.gauges}
@@ -263,14 +197,6 @@ def failures(
 def rounded(summary: Mapping[str, float]) -> dict[str, float]:
     """To the microsecond: more digits would be noise."""
     return {name: round(value, 3) for name, value in summary.items()}
-
-
-def summary_us(histogram: Histogram) -> dict[str, float]:
-    """A histogram's summary in microseconds."""
-    return {
-        **{name: round(value * 1000, 1) for name, value in histogram.summary_ms().items()},
-        "p99.9": round(histogram.percentile(99.9) / NS_PER_US, 1),
-    }
 
 
 def latency_ms(figures: StreamFigures) -> float | None:

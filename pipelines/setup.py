@@ -13,7 +13,13 @@ from kontur_av.budget import Pacer
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
 from kontur_av.opus import bitrate_under_cap
-from telepresence.link.arithmetic import ChannelNeed, StreamNeed, check_fit
+from telepresence.link.arithmetic import (
+    ChannelNeed,
+    StreamNeed,
+    TableLine,
+    channel_table,
+    check_fit,
+)
 from telepresence.link.flows import (
     Flow,
     Level,
@@ -317,6 +323,12 @@ class Setup:
     def need_down(self) -> ChannelNeed:
         """What the downlink carries at the caps; ConfigError when it does not fit."""
         return check_fit(self.downlink, _needs(self.downlink_voice, self.downlink_video))
+
+    def channel_table(self, direction: str) -> tuple[TableLine, ...]:
+        """The arithmetic of `need_up` ("uplink") or `need_down` ("downlink") line by line."""
+        if direction == "uplink":
+            return channel_table(self.uplink, _needs(self.uplink_voice, self.uplink_video))
+        return channel_table(self.downlink, _needs(self.downlink_voice, self.downlink_video))
 
 
 def _flows(stream: VideoStream | VoiceStream | None) -> tuple[Flow, ...]:

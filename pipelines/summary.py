@@ -7,6 +7,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from pipelines.link_report import end_line, ledger_line
+
 
 def print_summary(report: Mapping[str, Any]) -> None:
     """The streams, the senses and the cost, on standard output."""
@@ -40,11 +42,12 @@ def print_summary(report: Mapping[str, Any]) -> None:
         )
     console.print(streams)
     for direction, link in report["link"].items():
-        total = max(sum(link["octets"].values()), 1)
-        shares = ", ".join(
-            f"{kind} {100 * octets / total:.1f} %" for kind, octets in link["octets"].items()
+        console.print(
+            f"{direction}: {link['frames']} frames, {link['frames_lost']} lost, "
+            f"{link['slips']} slips; {ledger_line(link)}"
         )
-        console.print(f"{direction}: {link['frames']} frames, {link['slips']} slips; {shares}")
+    for end, told in report["gateways"].items():
+        console.print(end_line(end, told))
     skews = [
         f"{name.replace('_', ' to ')} {skew['p50']:+.1f} (p95 {skew['p95']:+.1f})"
         for name, skew in report["skew_ms"].items()

@@ -4,8 +4,12 @@ import json
 from array import array
 from dataclasses import replace
 
+from hypothesis import given
+from hypothesis import strategies as st
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.collector import Collector
+from pipelines.link_figures import ledger_percent, link_figures
 from pipelines.probe import Message
 from pipelines.report import build_report, failures
 from pipelines.setups import BUILT_IN
@@ -248,3 +252,24 @@ def test_an_input_that_never_gave_anything_is_named():
         collector.handle_message("camera_left", Message({"captured": 0}), now_ns)
     (silence,) = silences(SETUP, collector)
     assert str(silence) == "camera_left: no picture for 3 s"
+
+
+@given(st.dictionaries(st.text(min_size=1, max_size=8), st.integers(0, 10**12), max_size=12))
+def test_the_ledger_in_percent_is_a_hundred_exactly(octets):
+    shares = ledger_percent(octets)
+    if sum(octets.values()):
+        assert sum(round(100 * share) for share in shares.values()) == 10_000
+        total = sum(octets.values())
+        assert all(abs(shares[k] - 100 * n / total) < 0.0101 for k, n in octets.items())
+    else:
+        assert shares == {}
+
+
+def test_the_arithmetic_of_a_direction_adds_up_to_what_it_has():
+    for name in ("spacejustin", "taskboard"):
+        setup = BUILT_IN[name]
+        for direction, profile in (("uplink", setup.uplink), ("downlink", setup.downlink)):
+            lines = link_figures(setup, Collector([]), direction)["arithmetic"]
+            assert sum(line["bps"] for line in lines) == profile.media_bps
+            assert lines[-1]["what"] == "spare"
+            assert lines[-1]["bps"] > 0
