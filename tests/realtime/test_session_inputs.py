@@ -60,7 +60,9 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
     assert_sound(report)
     for direction, link in report["link"].items():
         assert all(count > 0 for count in link["refused"].values()), (direction, link["refused"])
-        assert sum(link["frames_dropped"].values()) > len(datagrams) // 4, direction
+    for end, gateway in report["gateways"].items():
+        # Whoever is not the other gateway is not even read.
+        assert gateway["strangers"]["radio"] > len(datagrams) // 4, end
     for name, stream in report["streams"].items():
         assert stream["garbage"] > 0, name
     for name, haptic in report["haptic"].items():
