@@ -130,9 +130,24 @@ class OpusDecoder:
         self.frame_samples = count
         return self._room[:count].copy()
 
-    def conceal(self) -> Pcm:
-        """libopus' guess at one lost packet: int16 of shape (frame_samples,), fading out."""
-        count = self._decode(self._state, None, 0, self._room_at, self.frame_samples, 0)
+    def recover(self, following: bytes, samples: int) -> Pcm:
+        """A lost packet of `samples` samples from the coarse copy in the one after it.
+
+        That is Opus' in-band error correction (RFC 6716 section 2.1.7); without such a copy it is
+        the same as `conceal`. int16 of shape (samples,). `following` is still to be decoded.
+        Raises ProtocolError on what is no Opus packet.
+        """
+        count = self._decode(self._state, following, len(following), self._room_at, samples, 1)
+        if count < 0:
+            raise ProtocolError(f"no Opus packet: {self._error(count)}")
+        return self._room[:count].copy()
+
+    def conceal(self, samples: int | None = None) -> Pcm:
+        """libopus' guess at what is missing: int16 of shape (samples,), fading out from packet to
+        packet. samples: a multiple of 2.5 ms, at most 5760; None: as the packet before had.
+        """
+        wanted = self.frame_samples if samples is None else samples
+        count = self._decode(self._state, None, 0, self._room_at, wanted, 0)
         if count < 0:
             raise self._error(count)
         return self._room[:count].copy()

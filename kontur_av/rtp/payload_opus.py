@@ -28,3 +28,18 @@ def opus_samples(payload: bytes) -> int:
     if not 0 < samples <= MAX_OPUS_SAMPLES:
         raise ProtocolError(f"an Opus packet of {samples} samples; 120 ms is the most")
     return samples
+
+
+def holds_copy(payload: bytes) -> bool:
+    """Whether an Opus packet of one frame carries a coarse copy of the packet before it.
+
+    That is the LBRR flag, which follows a voice activity flag for each 20 ms (RFC 6716 sections
+    4.2.3 and 4.2.4); only SILK and hybrid frames have it. Packets of several frames: no.
+    """
+    if len(payload) < 2 or payload[0] & 3:
+        return False
+    config = payload[0] >> 3
+    if config >= 16:
+        return False
+    parts = (1, 1, 2, 3)[config & 3] if config < 12 else 1
+    return bool(payload[1] & 0x80 >> parts)

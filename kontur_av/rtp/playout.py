@@ -2,40 +2,63 @@
 
 from collections import deque
 from dataclasses import dataclass
+from heapq import nlargest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES
-from kontur_av.rtp.payload_opus import opus_samples
+from kontur_av.rtp.payload_opus import holds_copy, opus_samples
 from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.rtp.wire import TimestampUnwrapper
 
 #: A transit that differs by more than this from the last one is a new time line, not jitter.
 _RESYNC_NS = 2 * NS_PER_S
+#: Packets that are late within this time are late for one reason: a hiccup.
+_HICCUP_NS = 250 * NS_PER_MS
+#: A block is stretched or shortened by at most this share: 25 ms a second, and half a semitone.
+_STRETCH = 40
+#: What the delay lacks up to this is stretched in, what it lacks beyond is filled with concealment.
+_STRETCHED_NS = 5 * NS_PER_MS
+#: The delay is not lowered for less.
+_SLACK_NS = 3 * NS_PER_MS
+#: libopus conceals in steps of 2.5 ms.
+_STEP_SAMPLES = AUDIO_CLOCK_HZ // 400
 
 
 @dataclass(frozen=True, slots=True)
 class PlayoutBlock:
-    """One block of sound whose time has come.
+    """One block of sound whose time has come. `kontur_av.voice.VoicePlayer` makes it sound.
 
     payload: an Opus packet, or None: the decoder conceals `samples` samples.
     timestamp: its 32-bit RTP timestamp.  play_ns: when its first sample is due.
+    samples: what it stands for.  played_samples: in the time of how many it is played.
+    recovered: `payload` is the packet after the missing one, and holds a copy of it.
+    inserted: it stands for nothing that was sent: it fills the time in which the delay grows.
     """
 
     payload: bytes | None
     timestamp: int
     samples: int
     play_ns: int
+    played_samples: int
+    recovered: bool = False
+    inserted: bool = False
 
 
 @dataclass(slots=True)
 class PlayoutCounts:
-    """played: blocks given out with sound.  concealed: without.  late: came after their time.
-    dropped: the oldest, pushed out of a full buffer.  garbage: no Opus.  resyncs: new time lines.
+    """played: blocks given out with sound.  recovered: with that of a copy.  concealed: without.
+    inserted: filled in where the delay grew.  stretched, shortened: blocks that were.
+    late: came after their time.  dropped: the oldest, pushed out of a full buffer.
+    garbage: no Opus.  resyncs: new time lines.
     """
 
     played: int = 0
+    recovered: int = 0
     concealed: int = 0
+    inserted: int = 0
+    stretched: int = 0
+    shortened: int = 0
     late: int = 0
     dropped: int = 0
     garbage: int = 0
@@ -50,16 +73,22 @@ class _Block:
 
 
 class PlayoutBuffer:
-    """A jitter buffer counted in time, not in packets.
+    """A jitter buffer counted in time, not in packets; what it gives out has no gap.
 
     Each packet's transit is its arrival minus its media time. A block is played at its media
-    time plus an offset: the largest transit of the last `window_ns` plus `margin_ns`, and at
-    least the smallest one plus `min_delay_ns`, at most plus `max_delay_ns`. More jitter raises
-    the offset at once; less lowers it slowly, by at most 1/40 of the time played, so that no
-    syllable is cut off.
+    time plus an offset. The offset wanted is the largest transit of the last `window_ns`, one
+    hiccup left out, plus `margin_ns`; at least the smallest one plus `min_delay_ns`, at most plus
+    `max_delay_ns`. A hiccup that comes alone costs the blocks that came too late: waiting for it
+    would help nobody, because it is over when it is seen. With the second one the offset grows.
+
+    It grows at once: what the decoder makes up is inserted before the next block, or, where a late
+    block has just been concealed, that is taken as the insertion, and the block is played after
+    it. Up to 5 ms are gained by stretching. It shrinks by shortening: each block is played in the
+    time of at most 1/40 fewer samples, so that the voice is half a semitone higher for as long.
 
     Feed `handle_packet`; when `poll_timeout` is due call `handle_timeout`, then drain
-    `next_event`. A missing block gives a concealment at its time, at most `max_concealed` in a
+    `next_event`. A missing block is recovered from the copy in its successor if that is there and
+    has one; else it gives a concealment at its time, at most `max_concealed` in a
     row; after that the buffer is silent until a packet comes. The oldest goes: a packet that
     comes after its time is dropped, and so is the oldest of more than `max_blocks`.
     """
@@ -70,7 +99,7 @@ class PlayoutBuffer:
         min_delay_ns: int = 10 * NS_PER_MS,
         max_delay_ns: int = 200 * NS_PER_MS,
         margin_ns: int = 5 * NS_PER_MS,
-        window_ns: int = 10 * NS_PER_S,
+        window_ns: int = 3 * NS_PER_S,
         max_concealed: int = 5,
         max_blocks: int = 50,
     ) -> None:
@@ -82,6 +111,8 @@ class PlayoutBuffer:
         self._max_concealed = max_concealed
         self._max_blocks = max_blocks
         self._events: deque[PlayoutBlock] = deque()
+        #: Up to when sound was given out: nothing may begin before.
+        self._free_ns: int | None = None
         self._reset()
 
     def _reset(self) -> None:
@@ -89,14 +120,19 @@ class PlayoutBuffer:
         self._blocks: dict[int, _Block] = {}
         self._unwrapper = TimestampUnwrapper()
         self._origin: int | None = None
-        # Candidates for the largest and the smallest transit of the window, as (when, transit):
-        # only those that no later one outdoes are kept, so both ends are found at the front.
-        self._largest: deque[tuple[int, int]] = deque()
+        # Candidates for the smallest transit of the window, as (when, transit): only those that
+        # no later one outdoes are kept, so the smallest is found at the front.
         self._smallest: deque[tuple[int, int]] = deque()
-        self._last_transit_ns = 0
+        # The largest transit of each stretch of _HICCUP_NS, as (when it began, transit).
+        self._hiccups: deque[tuple[int, int]] = deque()
+        self._last_transit_ns: int | None = None
         self._offset_ns: int | None = None
+        self._floor_ns: int | None = None
+        self._lowering = False
         self._next: int | None = None
         self._played_up_to: int | None = None
+        #: What was given out last is the concealment of this block, which may yet come.
+        self._just_concealed: int | None = None
         self._samples = BLOCK_SAMPLES
         self._concealed_in_row = 0
 
@@ -116,6 +152,16 @@ class PlayoutBuffer:
     def __len__(self) -> int:
         return len(self._blocks)
 
+    def hold(self, timestamp: int, until_ns: int | None) -> None:
+        """From now on play as if the block of `timestamp` were not wanted before `until_ns`.
+
+        That is reached by stretching alone, and kept within the largest delay. None: let go.
+        """
+        if until_ns is None or self._origin is None:
+            self._floor_ns = None
+        else:
+            self._floor_ns = until_ns - _ns(self._unwrapper.unwrap(timestamp))
+
     def handle_packet(self, packet: RtpReceived) -> None:
         """Take a packet; its `received_ns` is the instant of its arrival."""
         try:
@@ -130,7 +176,8 @@ class PlayoutBuffer:
             self._resync()
         media = self._unwrapper.unwrap(packet.timestamp)
         transit_ns = now_ns - _ns(media)
-        if self._largest and abs(transit_ns - self._last_transit_ns) > _RESYNC_NS:
+        last_ns = self._last_transit_ns
+        if last_ns is not None and abs(transit_ns - last_ns) > _RESYNC_NS:
             self._resync()
             media = self._unwrapper.unwrap(packet.timestamp)
             transit_ns = now_ns - _ns(media)
@@ -138,11 +185,13 @@ class PlayoutBuffer:
         if self._origin is None:
             self._origin = (packet.timestamp - media) & 0xFFFF_FFFF
         if self._played_up_to is not None and media < self._played_up_to:
-            self.counts.late += 1
-            return
+            if media != self._just_concealed or self._lacking_ns() <= 0:
+                self.counts.late += 1
+                return
+            self._rewind(media)
         self._blocks[media] = _Block(packet.payload, samples, now_ns)
         if self._next is None:
-            self._next = min(self._blocks)
+            self._begin(min(self._blocks), now_ns)
         elif media < self._next:
             self._next = media
         if len(self._blocks) > self._max_blocks:
@@ -159,38 +208,64 @@ class PlayoutBuffer:
 
     def _observe(self, now_ns: int, transit_ns: int) -> None:
         self._last_transit_ns = transit_ns
-        while self._largest and self._largest[-1][1] <= transit_ns:
-            self._largest.pop()
         while self._smallest and self._smallest[-1][1] >= transit_ns:
             self._smallest.pop()
-        self._largest.append((now_ns, transit_ns))
         self._smallest.append((now_ns, transit_ns))
-        for window in (self._largest, self._smallest):
+        hiccups = self._hiccups
+        if hiccups and now_ns - hiccups[-1][0] < _HICCUP_NS:
+            began_ns, largest_ns = hiccups[-1]
+            hiccups[-1] = began_ns, max(largest_ns, transit_ns)
+        else:
+            hiccups.append((now_ns, transit_ns))
+        for window in (self._smallest, hiccups):
             while window[0][0] < now_ns - self._window_ns:
                 window.popleft()
-        target_ns = self._target_ns()
-        if self._offset_ns is None or target_ns > self._offset_ns:
-            self._offset_ns = target_ns
         ceiling_ns = self._smallest[0][1] + self._max_delay_ns
-        if self._offset_ns > ceiling_ns:
+        if self._offset_ns is not None and self._offset_ns > ceiling_ns:
             # After a stall the queue empties in a burst: what is too old goes, all at once.
-            self._offset_ns = ceiling_ns
-            self._skip_overdue(now_ns)
+            self._skip_overdue(ceiling_ns, now_ns)
 
-    def _skip_overdue(self, now_ns: int) -> None:
-        assert self._offset_ns is not None
+    def _skip_overdue(self, offset_ns: int, now_ns: int) -> None:
         for media in sorted(self._blocks):
             samples = self._blocks[media].samples
-            if _ns(media + samples) + self._offset_ns > now_ns:
-                return
+            if _ns(media + samples) + offset_ns > now_ns:
+                break
             del self._blocks[media]
             self.counts.dropped += 1
             self._next = self._played_up_to = media + samples
+        self._offset_ns = offset_ns
+        if self._next is not None and self._free_ns is not None:
+            self._offset_ns = max(offset_ns, self._free_ns - _ns(self._next))
 
     def _target_ns(self) -> int:
+        """The offset that the jitter of the window asks for."""
         quickest_ns = self._smallest[0][1]
-        wanted_ns = max(self._largest[0][1] + self._margin_ns, quickest_ns + self._min_delay_ns)
+        late = nlargest(2, (transit_ns for _, transit_ns in self._hiccups))
+        wanted_ns = max(late[-1] + self._margin_ns, quickest_ns + self._min_delay_ns)
         return min(wanted_ns, quickest_ns + self._max_delay_ns)
+
+    def _lacking_ns(self) -> int:
+        """How much the offset is too small for the jitter."""
+        assert self._offset_ns is not None
+        return self._target_ns() - self._offset_ns
+
+    def _begin(self, media: int, now_ns: int) -> None:
+        """Play `media` next, after nothing or after a silence: any offset will do."""
+        earliest_ns = now_ns if self._played_up_to is not None else _ns(media)
+        if self._free_ns is not None:
+            earliest_ns = max(earliest_ns, self._free_ns)
+        self._offset_ns = max(self._target_ns(), self._floor_ns or 0, earliest_ns - _ns(media))
+        self._next = media
+
+    def _rewind(self, media: int) -> None:
+        """Take the concealment of `media` as what the delay has to grow by, and play it now."""
+        assert self._played_up_to is not None and self._offset_ns is not None
+        self._offset_ns += _ns(self._played_up_to - media)
+        self._next = self._played_up_to = media
+        self._just_concealed = None
+        self._concealed_in_row = 0
+        self.counts.concealed -= 1
+        self.counts.inserted += 1
 
     def poll_timeout(self) -> int | None:
         """When the next block is due; None while nothing is to be played or concealed."""
@@ -204,21 +279,31 @@ class PlayoutBuffer:
             self._play(due_ns)
 
     def _play(self, due_ns: int) -> None:
-        assert self._next is not None and self._origin is not None
+        assert self._next is not None
         media = self._next
-        timestamp = (self._origin + media) & 0xFFFF_FFFF
+        self._just_concealed = None
+        if self._played_up_to is not None and self._lacking_ns() > _STRETCHED_NS:
+            self._insert(media, due_ns)
+            return
         block = self._blocks.pop(media, None)
         if block is not None:
             self._concealed_in_row = 0
             self._samples = block.samples
             self.counts.played += 1
-            self._events.append(PlayoutBlock(block.payload, timestamp, block.samples, due_ns))
-            self._pass(media, block.samples)
+            self._emit(block.payload, media, block.samples, due_ns)
+            return
+        following = self._blocks.get(media + self._samples)
+        if following is not None and holds_copy(following.payload):
+            self._concealed_in_row = 0
+            self.counts.recovered += 1
+            self._emit(following.payload, media, self._samples, due_ns, recovered=True)
             return
         if self._concealed_in_row >= self._max_concealed:
             # Silence: go on with the earliest packet there is, or wait for one.
             self._concealed_in_row = 0
-            self._next = min(self._blocks) if self._blocks else None
+            self._next = None
+            if self._blocks:
+                self._begin(min(self._blocks), due_ns)
             return
         self._concealed_in_row += 1
         samples = self._samples
@@ -226,17 +311,64 @@ class PlayoutBuffer:
             # Blocks of another length may follow: conceal no further than to the next one.
             samples = min(samples, min(self._blocks) - media)
         self.counts.concealed += 1
-        self._events.append(PlayoutBlock(None, timestamp, samples, due_ns))
+        self._emit(None, media, samples, due_ns)
+        self._just_concealed = media
+
+    def _insert(self, media: int, due_ns: int) -> None:
+        """Fill what the offset lacks before `media`, a block's length at a time."""
+        assert self._origin is not None and self._offset_ns is not None
+        steps = -(-self._lacking_ns() * AUDIO_CLOCK_HZ // (NS_PER_S * _STEP_SAMPLES))
+        samples = min(steps * _STEP_SAMPLES, BLOCK_SAMPLES)
+        self.counts.inserted += 1
+        timestamp = (self._origin + media) & 0xFFFF_FFFF
+        self._events.append(PlayoutBlock(None, timestamp, samples, due_ns, samples, inserted=True))
+        self._offset_ns += _ns(samples)
+        self._free_ns = due_ns + _ns(samples)
+
+    def _emit(
+        self,
+        payload: bytes | None,
+        media: int,
+        samples: int,
+        due_ns: int,
+        *,
+        recovered: bool = False,
+    ) -> None:
+        assert self._origin is not None and self._offset_ns is not None
+        timestamp = (self._origin + media) & 0xFFFF_FFFF
+        played = samples + self._stretch(samples)
+        self._events.append(
+            PlayoutBlock(payload, timestamp, samples, due_ns, played, recovered=recovered)
+        )
+        self._offset_ns += _ns(played - samples)
+        self._free_ns = due_ns + _ns(played)
         self._pass(media, samples)
+
+    def _stretch(self, samples: int) -> int:
+        """By how many samples a block is to be longer, or, below 0, shorter."""
+        assert self._offset_ns is not None
+        wanted_ns = self._target_ns()
+        if self._floor_ns is not None:
+            ceiling_ns = self._smallest[0][1] + self._max_delay_ns
+            wanted_ns = max(wanted_ns, min(self._floor_ns, ceiling_ns))
+        lacking = (wanted_ns - self._offset_ns) * AUDIO_CLOCK_HZ // NS_PER_S
+        if lacking >= 0:
+            self._lowering = False
+        elif wanted_ns + _SLACK_NS < self._offset_ns:
+            self._lowering = True
+        if lacking > 0:
+            self.counts.stretched += 1
+            return min(lacking, samples // _STRETCH)
+        if self._lowering:
+            self.counts.shortened += 1
+            return max(lacking, -(samples // _STRETCH))
+        return 0
 
     def _pass(self, media: int, samples: int) -> None:
         self._next = self._played_up_to = media + samples
         for old in [old for old in self._blocks if old < self._next]:
             del self._blocks[old]
             self.counts.dropped += 1
-        if self._offset_ns is not None:
-            slower_ns = self._offset_ns - _ns(samples) // 40
-            self._offset_ns = max(min(self._offset_ns, self._target_ns()), slower_ns)
 
     def next_event(self) -> PlayoutBlock | None:
         """The next block that is due, or None."""
