@@ -56,7 +56,7 @@ def test_the_table_of_commands_has_each_command_with_its_options():
     rows = dict(re.findall(r"^\| `kontur-av (\w+)` \| (.*) \|$", README, re.MULTILINE))
     known = subcommands()
     assert set(rows) == set(known)
-    for name in ("stream", "send", "receive"):
+    for name in ("stream", "link", "simulate", "send", "receive"):
         options = {
             option
             for action in known[name]._actions
