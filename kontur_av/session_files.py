@@ -10,10 +10,13 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 
-#: A Unix socket's path has 107 octets (unix(7)); iceoryx2 adds an identifier of up to 39 digits
-#: and an ending to the prefix.
+_SHARED_MEMORY = Path("/dev/shm")
+
+#: A Unix socket's path has 107 octets (unix(7)); a session's directory may hold one, which is
+#: called something short.
 _SOCKET_PATH_OCTETS = 107
-_SOCKET_NAME_OCTETS = 39 + len(".event")
+_SOCKET_NAME_OCTETS = 16
+_SESSION_OCTETS = 31
 
 
 def session_root(session: str) -> Path:
@@ -47,15 +50,24 @@ def remove_session(session: str) -> int:
 
 def shared_memory(session: str) -> list[Path]:
     """What a session has in shared memory at present."""
-    return list(Path("/dev/shm").glob(f"{shared_memory_prefix(session)}*"))
+    return list(_SHARED_MEMORY.glob(f"{shared_memory_prefix(session)}*"))
+
+
+def bell_path(session: str, topic: str) -> Path:
+    """The FIFO that wakes the readers of a topic; `remove_session` removes it.
+
+    Where no file system keeps a journal of when it was written to.
+    """
+    digest = hashlib.sha256(topic.encode()).hexdigest()[:16]
+    return _SHARED_MEMORY / f"{shared_memory_prefix(session)}{digest}.bell"
 
 
 def user_root() -> Path:
     """This user's directory for all sessions: where TMPDIR says, if a socket's path fits there."""
     own = f"kontur-av-{os.getuid()}"
     chosen = Path(tempfile.gettempdir()) / own
-    longest = f"{chosen}/.{_digest('')}/{shared_memory_prefix('x')}"
-    if len(os.fsencode(longest)) + _SOCKET_NAME_OCTETS > _SOCKET_PATH_OCTETS:
+    longest = len(os.fsencode(chosen)) + 1 + _SESSION_OCTETS + 1 + _SOCKET_NAME_OCTETS
+    if longest > _SOCKET_PATH_OCTETS:
         chosen = Path("/tmp") / own
     _check_own(chosen)
     return chosen
@@ -79,19 +91,20 @@ def _check_own(directory: Path) -> None:
 
 
 def topics_root(session: str) -> Path:
-    """Where the topics of a session keep what is no shared memory, under a short name."""
+    """Where the topics of a session keep what is no shared memory."""
     return user_root() / f".{_digest(session)}"
 
 
 def shared_memory_prefix(session: str) -> str:
     """How the names of a session's shared memory begin; ConfigError for an unfit session name."""
-    if not re.fullmatch(r"[a-z0-9][a-z0-9-]{0,30}", session):
+    if not re.fullmatch(rf"[a-z0-9][a-z0-9-]{{0,{_SESSION_OCTETS - 1}}}", session):
         raise ConfigError(
-            f"session name {session!r}: at most 31 lower-case letters, digits and hyphens"
+            f"session name {session!r}: at most {_SESSION_OCTETS} lower-case letters, digits "
+            "and hyphens"
         )
     return f"kontur-av-{_digest(session)}_"
 
 
 def _digest(session: str) -> str:
-    """Stands for the session where its name would make a socket's path too long."""
+    """Stands for the session in names that have no room for its own."""
     return hashlib.sha256(session.encode()).hexdigest()[:8]

@@ -3,7 +3,8 @@
 A thin front of iceoryx2 (https://iceoryx.io): the writer fills a buffer that lies in shared
 memory already, a reader sees the same octets without a copy. A slow reader loses the oldest
 samples and never holds up the writer; a process that is killed takes nobody else along, and
-what it held is taken back when the next one joins.
+what it held is taken back when the next one joins. Readers that sleep are woken by the topic's
+bell, all with one system call of the writer: iceoryx2's own events take one for each.
 
 Use::
 
@@ -30,9 +31,14 @@ import iceoryx2 as iox2
 import numpy as np
 from numpy.typing import NDArray
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.bell import Bell, Ear, Sleeper
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, check_size
-from kontur_av.session_files import make_session_root, shared_memory_prefix, topics_root
+from kontur_av.session_files import (
+    bell_path,
+    make_session_root,
+    shared_memory_prefix,
+    topics_root,
+)
 
 MAX_READERS = 16
 #: A killed writer counts until somebody has cleaned up after it.
@@ -104,9 +110,9 @@ class Loan:
 class Writer:
     """Publishes into one topic. Never blocks; the readers' oldest samples give way."""
 
-    def __init__(self, publisher: Any, notifier: Any) -> None:
+    def __init__(self, publisher: Any, bell: Bell | None) -> None:
         self._publisher = publisher
-        self._notifier = notifier
+        self._bell = bell
 
     def loan(self, octets: int, width: int = 0, height: int = 0) -> Loan:
         """A buffer of `octets` octets in shared memory."""
@@ -135,8 +141,8 @@ class Writer:
         self.publish_octets(frame.samples.tobytes(), frame.stamp)
 
     def _wake(self) -> None:
-        if self._notifier is not None:
-            self._notifier.notify()
+        if self._bell is not None:
+            self._bell.ring()
 
 
 class Lease:
@@ -190,39 +196,29 @@ class Lease:
 class Reader:
     """Reads one topic, either the newest sample (`latest`) or each in turn (`next`)."""
 
-    def __init__(self, subscriber: Any, listener: Any) -> None:
+    def __init__(self, subscriber: Any, ear: Ear) -> None:
         self._subscriber = subscriber
-        self.listener = listener
-        self._waiter: Waiter | None = None
+        self._sleeper: Sleeper | None = None
+        #: For a `Waiter`.
+        self.ear = ear
         #: Samples passed over by `latest` because a newer one was there.
         self.skipped = 0
 
     def wait(self, timeout_ns: int) -> bool:
-        """Sleep until something is published or the time is over; whether something is there.
-
-        Not for a reader that a `Waiter` waits for.
-        """
-        if self._waiter is None:
-            # Not the listener's own timed wait, which counts in the kernel's ticks of 4 ms.
-            self._waiter = Waiter([self])
-        if self._subscriber.has_samples():
-            self.drain_wakeups()
+        """Sleep until something is there (True) or the time is over (False)."""
+        has_samples = self._subscriber.has_samples
+        if has_samples():
             return True
-        while self._waiter.wait(timeout_ns):
-            # A wake-up may be that of a sample which was read already: sleep on.
-            if self._subscriber.has_samples():
-                return True
-        return bool(self._subscriber.has_samples())
-
-    def drain_wakeups(self) -> None:
-        """Forget the wake-ups that have come in, so that the next wait really waits."""
-        self.listener.try_wait()
+        if self._sleeper is None:
+            self._sleeper = Sleeper([self.ear])
+        # It may ring for a sample which was read already: then it sleeps on.
+        return self._sleeper.sleep(timeout_ns, has_samples) or bool(has_samples())
 
     def close(self) -> None:
         """Leave the topic."""
-        self._waiter = None
+        self._sleeper = None
         self._subscriber.delete()
-        self.listener.delete()
+        self.ear.close()
 
     def next(self) -> Lease | None:
         """The oldest sample not yet read, or None."""
@@ -268,7 +264,9 @@ class TopicBus:
             .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
             .create(iox2.ServiceType.Ipc)
         )
+        self._session = session
         self._ports: list[Any] = []
+        self._bells: list[Bell] = []
         self._readers: list[Reader] = []
 
     def writer(self, topic: str, *, max_octets: int, wake: bool = True) -> Writer:
@@ -285,17 +283,19 @@ class TopicBus:
             .backpressure_strategy(iox2.BackpressureStrategy.DiscardData)
             .create()
         )
-        notifier = self._event_service(topic).notifier_builder().create() if wake else None
-        self._ports += [publisher] if notifier is None else [publisher, notifier]
-        return Writer(publisher, notifier)
+        bell = Bell(bell_path(self._session, topic)) if wake else None
+        self._ports.append(publisher)
+        if bell is not None:
+            self._bells.append(bell)
+        return Writer(publisher, bell)
 
     def reader(self, topic: str, *, depth: int = 1) -> Reader:
         """A reader that keeps at most `depth` unread samples; beyond that the oldest goes."""
         if not 1 <= depth <= _MAX_DEPTH:
             raise ValueError(f"depth {depth}: from 1 to {_MAX_DEPTH}")
+        ear = Ear(bell_path(self._session, topic))
         subscriber = self._data_service(topic).subscriber_builder().buffer_size(depth).create()
-        listener = self._event_service(topic).listener_builder().create()
-        reader = Reader(subscriber, listener)
+        reader = Reader(subscriber, ear)
         self._readers.append(reader)
         return reader
 
@@ -307,6 +307,8 @@ class TopicBus:
         """Give the ports back, then the node."""
         while self._readers:
             self._readers.pop().close()
+        while self._bells:
+            self._bells.pop().close()
         while self._ports:
             self._ports.pop().delete()
         self._node = None
@@ -337,42 +339,19 @@ class TopicBus:
             .open_or_create()
         )
 
-    def _event_service(self, topic: str) -> Any:
-        return (
-            self._node.service_builder(iox2.ServiceName.new(topic))
-            .event()
-            .max_notifiers(_MAX_WRITERS)
-            .max_listeners(MAX_READERS)
-            .max_nodes(_MAX_NODES)
-            .open_or_create()
-        )
-
 
 class Waiter:
-    """Sleeps until one of several readers has something, or a file descriptor is readable."""
+    """Sleeps until one of several readers has something new, or a file descriptor is readable.
+
+    Whoever was woken takes all that is there: only what is published later wakes again.
+    """
 
     def __init__(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> None:
-        self._readers = readers
-        self._set: Any = (
-            iox2.WaitSetBuilder.new()
-            .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
-            .create(iox2.ServiceType.Ipc)
-        )
-        # The guards detach when they are collected: they live as long as this object.
-        self._guards = [self._set.attach_notification(reader.listener) for reader in readers]
-        self._guards += [
-            self._set.attach_notification_fd(iox2.FileDescriptor.non_owning_new(fd))
-            for fd in sockets
-        ]
+        self._sleeper = Sleeper([reader.ear for reader in readers], sockets)
 
     def wait(self, timeout_ns: int) -> bool:
-        """Sleep until something may be there (True) or the time is over, to the millisecond."""
-        # Below a millisecond the wait set would not sleep at all.
-        timeout = iox2.Duration.from_nanos(max(NS_PER_MS, timeout_ns))
-        woken, _ = self._set.wait_and_process_with_timeout(timeout)
-        for reader in self._readers:
-            reader.drain_wakeups()
-        return bool(woken)
+        """Sleep until something may be there (True) or the time is over (False)."""
+        return self._sleeper.sleep(timeout_ns)
 
 
 def _view(sample: Any, octets: int) -> SampleView:

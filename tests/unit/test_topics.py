@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import socket
 import tempfile
 import time
 
@@ -184,8 +185,8 @@ def test_an_unfit_session_name_or_size_is_refused(session):
 
 
 @pytest.mark.parametrize("octets", [1, 12, 90])
-def test_a_long_name_in_a_deep_directory_leaves_room_for_sockets(monkeypatch, tmp_path, octets):
-    # Their paths have 107 octets at most, a user's number and a process' may be long as well.
+def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, tmp_path, octets):
+    # Its path has 107 octets at most, and a user's number may be long as well.
     directory = tmp_path / ("d" * octets)
     directory.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(directory))
@@ -198,6 +199,8 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_sockets(monkeypatch, tm
         bus.writer("pictures", max_octets=1).publish_octets(b"x", stamp(0))
         assert reader.wait(0)
         assert shared_memory(name)
+        with socket.socket(socket.AF_UNIX) as short:
+            short.bind(str(session_root(name) / "console"))
         user_root = session_root(name).parent
     assert remove_session(name) > 0
     assert not shared_memory(name)
