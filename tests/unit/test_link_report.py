@@ -100,8 +100,11 @@ def test_the_summary_says_what_the_report_holds():
     text = "\n".join(summary_lines(report))
     assert "taskboard, 0.4 s, radio cable" in text
     assert "uplink: 400 frames sent, 2 slips" in text
-    shares = re.findall(r"([\d.]+) %", text)
-    assert abs(sum(map(float, shares)) - 200) < 0.2
+    ledgers = re.findall(r"of \d+ octets, in %: (.*)", text)
+    assert len(ledgers) == 2
+    for ledger in ledgers:
+        shares = re.findall(r" ([\d.]+)", ledger)
+        assert round(sum(map(float, shares)), 6) == 100
     assert "from strangers: radio 4" in text
 
 
