@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
 from pipelines.probe import FLUSH_NS, Message
-from pipelines.skew import RECENT_DEPTH, Recent, Skew
+from pipelines.skew import RECENT_DEPTH, LipSyncShare, Recent, Skew
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.sample import SAMPLE_OCTETS, SEQUENCE_MODULUS
 
@@ -274,6 +274,7 @@ class Collector:
         self.haptics = {name: HapticFigures() for name in HAPTIC_ENDS}
         self.processes: dict[str, ProcessFigures] = {}
         self.skews = {name: Skew() for name in ("video_haptic", "audio_haptic", "audio_video")}
+        self.lip_sync = LipSyncShare()
 
     def process(self, name: str) -> ProcessFigures:
         """The figures of the process `name`."""
@@ -281,6 +282,10 @@ class Collector:
         if figures is None:
             figures = self.processes[name] = ProcessFigures()
         return figures
+
+    def total(self, name: str) -> int:
+        """A counter, over all processes."""
+        return sum(figures.total(name) for figures in self.processes.values())
 
     def handle_message(self, process: str, message: Message, now_ns: int) -> None:
         """A process has told something."""
@@ -337,3 +342,4 @@ class Collector:
                     heard_ns = audio.recent.at(displayed_ns)
                     if heard_ns is not None:
                         self.skews["audio_video"].add(heard_ns - latency_ns)
+                        self.lip_sync.add(displayed_ns, heard_ns - latency_ns)

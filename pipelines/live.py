@@ -12,14 +12,26 @@ from rich.text import Text
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.meters import RateMeter
+from pipelines.ages import shown_now
 from pipelines.collector import HAPTIC_ENDS
+from pipelines.cores.staleness import State
 from pipelines.launcher import Launcher
+from pipelines.marking import age_words
 from pipelines.probe import FLUSH_NS
 from pipelines.report import displayed_frames, haptic_cap_bps, latency_ms
+from pipelines.setup import VideoStream, VoiceStream
 from pipelines.silence import input_process, silences
 
 #: Figures are at most this old: a process tells twice a second, and may be late.
 _TOLD_AFTER_NS = 2 * FLUSH_NS
+
+
+_COLOURS = {
+    State.FRESH: "green",
+    State.DAMAGED: "yellow",
+    State.FROZEN: "yellow",
+    State.STALE: "bold white on red",
+}
 
 
 class LiveView:
@@ -72,7 +84,8 @@ def _streams(launcher: Launcher) -> Table:
         title=f"{launcher.setup.name}   {launcher.seconds:.0f} s   camera {selector}",
         title_justify="left",
     )
-    for heading in ("stream", "kbit/s", "max 1 s", "cap", "shown", "lost", "latency ms", "p99 ms"):
+    headings = ("stream", "kbit/s", "max 1 s", "cap", "shown", "lost", "latency ms", "p99 ms")
+    for heading in (*headings, "age"):
         table.add_column(heading, justify="left" if heading == "stream" else "right")
     for stream in launcher.setup.streams:
         figures = collector.streams[stream.name]
@@ -87,6 +100,7 @@ def _streams(launcher: Launcher) -> Table:
             str(collector.process(f"{stream.name}_receive").total("rtp_lost")),
             "-" if newest is None else f"{newest:.1f}",
             f"{figures.latency.percentile(99) / 1e6:.1f}",
+            _age(launcher, stream),
         )
     for name, (_, receiver) in HAPTIC_ENDS.items():
         histogram = collector.haptics[name].latency
@@ -105,6 +119,15 @@ def _streams(launcher: Launcher) -> Table:
             f"{histogram.percentile(99) / 1e6:.1f}",
         )
     return table
+
+
+def _age(launcher: Launcher, stream: VideoStream | VoiceStream) -> Text:
+    """How old what is shown is, with a word and a colour."""
+    now_ns = launcher.clock.now_ns()
+    state, age_ns = shown_now(stream, launcher.setup, launcher.collector, now_ns)
+    if state is State.NOTHING:
+        return Text("-")
+    return Text(f"{age_words(age_ns)} {state.value}", _COLOURS[state])
 
 
 def _inputs(launcher: Launcher) -> list[Text]:
@@ -152,6 +175,9 @@ def _line(launcher: Launcher) -> str:
             f"{collector.process(f'{stream.name}_receive').total('rtp_lost')} lost "
             f"{'-' if newest is None else f'{newest:.0f}'} ms"
         )
+        age = _age(launcher, stream)
+        if State.STALE.value in age.plain:
+            parts[-1] += f" {age.plain.upper()}"
     for name, (_, receiver) in HAPTIC_ENDS.items():
         received = collector.process(receiver)
         parts.append(

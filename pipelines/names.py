@@ -35,6 +35,23 @@ def received_topic(stream: str) -> str:
 #: The source of a block of sound that had to be made up: heard, but never captured.
 CONCEALED = "concealed"
 
+#: The source of a picture that suffers from a loss.
+DAMAGED = "damaged"
+
+
+def displayed_topic(stream: str) -> str:
+    """What a display shows of a stream: the picture, marked where it is stale."""
+    return f"displayed/{stream}"
+
+
+def lag_topic(stream: str) -> str:
+    """How late the newest picture of a stream was shown (`LAG`)."""
+    return f"lag/{stream}"
+
+
+#: A sample of `lag_topic`: the instant of display and the time since the capture, in ns.
+LAG = struct.Struct("=qq")
+
 #: How often a sender reports, and the robot's side its state. The link keeps room for that:
 #: `telepresence.link.arithmetic.RESERVE_BPS`.
 REPORT_INTERVAL_NS = 2 * NS_PER_S

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from pipelines.ages import spells
 from pipelines.collector import HAPTIC_ENDS, Collector, StreamFigures
 from pipelines.link_figures import gateway_figures, link_figures, summary_us
 from pipelines.setup import Setup, VideoStream, VoiceStream
@@ -21,6 +22,7 @@ _RECEIVED = (
     "garbage",
     "frames_damaged",
     "frames_concealed",
+    "frames_recovered",
     "frames_corrupt",
     "frames_undated",
     "frames_oversized",
@@ -56,7 +58,7 @@ def build_report(
     return {
         "setup": setup.name,
         "seconds": round(seconds, 3),
-        "streams": {stream.name: _stream(stream, collector, seconds) for stream in streams},
+        "streams": {stream.name: _stream(stream, setup, collector, seconds) for stream in streams},
         "haptic": {name: _haptic(name, setup, collector, seconds) for name in HAPTIC_ENDS},
         "link": {
             "uplink": link_figures(setup, collector, "uplink"),
@@ -68,6 +70,7 @@ def build_report(
             name: skew.summary_ms() if skew.count else None
             for name, skew in collector.skews.items()
         },
+        "lip_sync": collector.lip_sync.summary() if collector.lip_sync.counted_ns else None,
         "cpu": {
             "total_s": round(sum(cpu_s.values()) + launcher_cpu_s, 2),
             "launcher_s": round(launcher_cpu_s, 2),
@@ -86,7 +89,7 @@ def build_report(
 
 
 def _stream(
-    stream: VideoStream | VoiceStream, collector: Collector, seconds: float
+    stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, seconds: float
 ) -> dict[str, Any]:
     figures = collector.streams[stream.name]
     sender = collector.process(f"{stream.name}_send")
@@ -101,6 +104,8 @@ def _stream(
         "frames_displayed": displayed,
         "displayed_hz": round(displayed / max(seconds, 1e-9), 2),
         **{name: receiver.total(name) for name in _RECEIVED if name in receiver.names()},
+        "stale_after_ms": round(setup.stale_after_ns(stream) / NS_PER_MS, 3),
+        **spells(stream, collector),
         "latency_ms": {
             **rounded(figures.latency.summary_ms()),
             "stages": {
@@ -114,9 +119,7 @@ def _stream(
 
 def displayed_frames(collector: Collector, stream: str) -> int:
     """Pictures or blocks of sound that reached their display."""
-    return sum(
-        figures.total(f"{stream}.frames_displayed") for figures in collector.processes.values()
-    )
+    return collector.total(f"{stream}.frames_displayed")
 
 
 def _haptic(name: str, setup: Setup, collector: Collector, seconds: float) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from kontur_av.media import (
     empty_picture,
 )
 from kontur_av.meters import Histogram
-from kontur_av.opus import OpusEncoder, bitrate_under_cap
+from kontur_av.opus import OpusEncoder, bitrate_under_cap, heard_stamp
 from kontur_av.rtp.payload_h264 import (
     DEFAULT_MAX_PAYLOAD_OCTETS,
     NAL_PPS,
@@ -213,7 +213,7 @@ class _Audio:
         opus = self._encoder.encode(block.samples)
         self.encoded += 1
         self.encode_ns.add(self._clock.now_ns() - block.stamp.capture_ns)
-        packets = self.rtp.audio_packets(opus, block.stamp)
+        packets = self.rtp.audio_packets(opus, heard_stamp(block.stamp))
         self.pacer.handle_access_unit(packets, [len(opus)], self._clock.now_ns())
         return block.stamp
 

@@ -10,6 +10,7 @@ from math import ceil
 from typing import Literal
 
 from kontur_av.budget import Pacer
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
 from kontur_av.opus import bitrate_under_cap
@@ -45,6 +46,9 @@ VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
 VIDEO_PAYLOAD_OCTETS = 1000
 #: The radio that does nothing to frames.
 NO_RADIO = "cable"
+#: What is older than the radio's delay, this and so many periods is stale, if a setup says nothing.
+_STALE_NS = 100 * NS_PER_MS
+_STALE_PERIODS = 4
 #: How many ports a session takes, from its base port on.
 PORTS = 40
 
@@ -55,13 +59,17 @@ MAINTENANCE = "maintenance"
 
 @dataclass(frozen=True, kw_only=True)
 class VideoStream:
-    """An H.264 stream: its hard cap of RTP payload in bit/s, picture size and rate."""
+    """An H.264 stream: its hard cap of RTP payload in bit/s, picture size and rate.
+
+    stale_after_ms: what is shown is marked when it is older; None: `Setup.stale_after_ns`.
+    """
 
     name: str
     cap_bps: int
     width: int = 640
     height: int = 480
     fps: int = 30
+    stale_after_ms: float | None = None
 
     def __post_init__(self) -> None:
         if not 20_000 <= self.cap_bps <= 20_000_000:
@@ -70,6 +78,7 @@ class VideoStream:
             )
         if not 1 <= self.fps <= 120:
             raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
+        _check_stale_after(self)
         check_size(self.width, self.height)
 
     @property
@@ -85,10 +94,14 @@ class VideoStream:
 
 @dataclass(frozen=True, kw_only=True)
 class VoiceStream:
-    """An Opus stream in voice mode, mono 48 kHz, constant bit rate: RTP payload in bit/s."""
+    """An Opus stream in voice mode, mono 48 kHz, constant bit rate: RTP payload in bit/s.
+
+    stale_after_ms: what is heard is stale when it is older; None: `Setup.stale_after_ns`.
+    """
 
     name: str
     cap_bps: int
+    stale_after_ms: float | None = None
 
     def __post_init__(self) -> None:
         if self.cap_bps > 128_000:
@@ -99,6 +112,13 @@ class VoiceStream:
             bitrate_under_cap(self.cap_bps)
         except ConfigError as error:
             raise ConfigError(f"{self.name}: {error}") from None
+        _check_stale_after(self)
+
+
+def _check_stale_after(stream: VideoStream | VoiceStream) -> None:
+    after_ms = stream.stale_after_ms
+    if after_ms is not None and not 10 <= after_ms <= 600_000:
+        raise ConfigError(f"{stream.name}: stale after {after_ms:g} ms; take 10 to 600000")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +241,13 @@ class Setup:
                 f"{self.radio_delay_ms:g} ms, or take radio {NO_RADIO}"
             )
         # Read once, and now: a process that is started again later needs it, too.
-        _ = self.radio_profile
+        delay_ms = self.radio_profile.longest_delay_ns / NS_PER_MS
+        for stream in self.streams:
+            if stream.stale_after_ms is not None and stream.stale_after_ms <= delay_ms:
+                raise ConfigError(
+                    f"{stream.name}: stale after {stream.stale_after_ms:g} ms, but the radio takes "
+                    f"{delay_ms:g}: take more, or leave stale_after_ms out"
+                )
         Ports(base=self.base_port)
         for name in self.sources:
             if name not in self.inputs:
@@ -289,6 +315,21 @@ class Setup:
     def profile_of(self, stream: VideoStream | VoiceStream) -> LinkProfile:
         """The direction of the link that a stream takes."""
         return self.uplink if stream.name.startswith("uplink_") else self.downlink
+
+    def stale_after_ns(self, stream: VideoStream | VoiceStream) -> int:
+        """What is shown of `stream` is stale when it is older than this.
+
+        Without a figure of the stream's own: the radio's longest delay, 100 ms and four periods.
+        """
+        if stream.stale_after_ms is not None:
+            return round(stream.stale_after_ms * NS_PER_MS)
+        rate = stream.fps if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S
+        own_ns = _STALE_NS + _STALE_PERIODS * NS_PER_S // rate
+        return self.radio_profile.longest_delay_ns + own_ns
+
+    def picture_of(self, voice: VoiceStream) -> VideoStream | None:
+        """The video whose pictures are shown where `voice` is heard."""
+        return self.uplink_video if voice is self.uplink_voice else self.downlink_video
 
     @property
     def streams(self) -> tuple[VideoStream | VoiceStream, ...]:

@@ -16,6 +16,10 @@ from pipelines.setup import Setup, VideoStream, VoiceStream
 from pipelines.setups import BUILT_IN
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 
+_NUMBER = (int, float)
+_VOICE_KINDS: Mapping[str, Any] = {"cap_kbps": _NUMBER, "stale_after_ms": _NUMBER}
+_VIDEO_KINDS: Mapping[str, Any] = {**_VOICE_KINDS, "size": str, "fps": int}
+
 
 def load_setup(name: str) -> Setup:
     """A built-in setup by its name, or a user's own from a TOML file; ConfigError otherwise."""
@@ -47,8 +51,12 @@ def setup_from_table(table: Mapping[str, Any]) -> Setup:
             values[name] = _video(name, values[name])
     for name in ("uplink_voice", "downlink_voice"):
         if name in values:
-            entries = _checked(name, values[name], {"cap_kbps": (int, float)})
-            values[name] = VoiceStream(name=name, cap_bps=_cap_bps(name, entries))
+            entries = _checked(name, values[name], _VOICE_KINDS)
+            values[name] = VoiceStream(
+                name=name,
+                cap_bps=_cap_bps(name, entries),
+                stale_after_ms=entries.get("stale_after_ms"),
+            )
     for name, profile in (("uplink", UPLINK), ("downlink", DOWNLINK)):
         if name in values:
             values[name] = _profile(profile, values[name])
@@ -82,8 +90,8 @@ def _profile(profile: LinkProfile, table: object) -> LinkProfile:
 
 
 def _video(name: str, table: object) -> VideoStream:
-    entries = _checked(name, table, {"cap_kbps": (int, float), "size": str, "fps": int})
-    options: dict[str, Any] = {}
+    entries = _checked(name, table, _VIDEO_KINDS)
+    options: dict[str, Any] = {"stale_after_ms": entries.get("stale_after_ms")}
     if "size" in entries:
         options["width"], options["height"] = parse_size(entries["size"], f"{name}.size")
     if "fps" in entries:

@@ -4,6 +4,7 @@ from bisect import bisect_right
 from collections import deque
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.lipsync import EARLIEST_NS, LATEST_NS
 from kontur_av.meters import Histogram
 
 #: So many latencies are remembered to be compared with those of another sense.
@@ -61,3 +62,41 @@ class Skew:
         if p <= below:
             return -self._earlier.percentile(100 * (below - p) / below if below else 0)
         return self._later.percentile(100 * (p - below) / (100 - below))
+
+
+class LipSyncShare:
+    """For how much of the time sound and picture were together as ITU-R BT.1359 asks for it.
+
+    Each picture counts for as long as it is shown, at most half a second.
+    """
+
+    def __init__(self) -> None:
+        self._within_ns = self._early_ns = self._late_ns = 0
+        self._last: tuple[int, int] | None = None
+
+    def add(self, displayed_ns: int, skew_ns: int) -> None:
+        """A picture was displayed, and the sound at that instant came later by `skew_ns`."""
+        if self._last is not None:
+            before_ns, skew_before_ns = self._last
+            shown_ns = min(max(0, displayed_ns - before_ns), NS_PER_S // 2)
+            if skew_before_ns < -EARLIEST_NS:
+                self._early_ns += shown_ns
+            elif skew_before_ns > LATEST_NS:
+                self._late_ns += shown_ns
+            else:
+                self._within_ns += shown_ns
+        self._last = displayed_ns, skew_ns
+
+    def summary(self) -> dict[str, float]:
+        """Shares of the time, from 0 to 1: together, sound too early, sound too late."""
+        total_ns = max(1, self._within_ns + self._early_ns + self._late_ns)
+        return {
+            "within": round(self._within_ns / total_ns, 6),
+            "early": round(self._early_ns / total_ns, 6),
+            "late": round(self._late_ns / total_ns, 6),
+        }
+
+    @property
+    def counted_ns(self) -> int:
+        """The time that was looked at."""
+        return self._within_ns + self._early_ns + self._late_ns

@@ -55,6 +55,20 @@ def print_summary(report: Mapping[str, Any]) -> None:
     ]
     if skews:
         console.print("skew at the operator, ms: " + ", ".join(skews))
+    together = report["lip_sync"]
+    if together is not None:
+        console.print(
+            f"lip-sync (ITU-R BT.1359): {100 * together['within']:.1f} % of the time within, sound "
+            f"too early {100 * together['early']:.1f} %, too late {100 * together['late']:.1f} %"
+        )
+    for name, stream in report["streams"].items():
+        spells = ", ".join(
+            f"{word} {stream[f'{word}_ms']:.0f} ms ({stream[f'{word}_episodes']} times)"
+            for word in ("stale", "frozen", "damaged")
+            if stream.get(f"{word}_ms")
+        )
+        if spells:
+            console.print(f"{name}: {spells}")
     if "simulation" not in report:  # virtual time costs nothing
         cpu = report["cpu"]
         restarted = [name for name, entry in report["processes"].items() if entry["restarts"]]

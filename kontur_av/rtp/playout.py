@@ -244,6 +244,13 @@ class PlayoutBuffer:
         wanted_ns = max(late[-1] + self._margin_ns, quickest_ns + self._min_delay_ns)
         return min(wanted_ns, quickest_ns + self._max_delay_ns)
 
+    def _wanted_ns(self) -> int:
+        """The offset that jitter and `hold` ask for."""
+        target_ns = self._target_ns()
+        if self._floor_ns is None:
+            return target_ns
+        return max(target_ns, min(self._floor_ns, self._smallest[0][1] + self._max_delay_ns))
+
     def _lacking_ns(self) -> int:
         """How much the offset is too small for the jitter."""
         assert self._offset_ns is not None
@@ -254,7 +261,7 @@ class PlayoutBuffer:
         earliest_ns = now_ns if self._played_up_to is not None else _ns(media)
         if self._free_ns is not None:
             earliest_ns = max(earliest_ns, self._free_ns)
-        self._offset_ns = max(self._target_ns(), self._floor_ns or 0, earliest_ns - _ns(media))
+        self._offset_ns = max(self._wanted_ns(), earliest_ns - _ns(media))
         self._next = media
 
     def _rewind(self, media: int) -> None:
@@ -347,10 +354,7 @@ class PlayoutBuffer:
     def _stretch(self, samples: int) -> int:
         """By how many samples a block is to be longer, or, below 0, shorter."""
         assert self._offset_ns is not None
-        wanted_ns = self._target_ns()
-        if self._floor_ns is not None:
-            ceiling_ns = self._smallest[0][1] + self._max_delay_ns
-            wanted_ns = max(wanted_ns, min(self._floor_ns, ceiling_ns))
+        wanted_ns = self._wanted_ns()
         lacking = (wanted_ns - self._offset_ns) * AUDIO_CLOCK_HZ // NS_PER_S
         if lacking >= 0:
             self._lowering = False

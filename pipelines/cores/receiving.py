@@ -1,18 +1,21 @@
 """How a coded stream arrives: in order, dated, and at the right time."""
 
+from collections import OrderedDict
 from collections.abc import Callable
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.healing import Healing
+from kontur_av.lipsync import LipSync
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, CaptureStamp
 from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
-from pipelines.names import CONCEALED, VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE
+from pipelines.names import CONCEALED, DAMAGED, VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE
 from pipelines.probe import Probe
 from pipelines.setup import VideoStream, VoiceStream
 
-#: A hiccup is forgotten after this: most of them belong to a start or a switch, and come alone.
-_MEMORY_NS = 3 * NS_PER_S
+#: So many damaged units may wait in a decoder.
+_REMEMBERED = 256
 
 
 class _Receiving:
@@ -60,6 +63,9 @@ class VideoReceiving(_Receiving):
         self._name = stream.name
         self._largest_octets = stream.width * stream.height * 3 // 2
         self._depacketizer = H264Depacketizer()
+        self._healing = Healing()
+        #: Timestamps of units that are being decoded and will show damage.
+        self._hurt: OrderedDict[int, None] = OrderedDict()
         self._oversized = 0
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
@@ -81,12 +87,26 @@ class VideoReceiving(_Receiving):
         unit = self._depacketizer.next_event()
         if unit is not None:
             self._probe.row("rx", unit.timestamp, unit.received_ns)
+            if self._healing.handle_unit(unit):
+                self._hurt[unit.timestamp] = None
+                if len(self._hurt) > _REMEMBERED:
+                    self._hurt.popitem(last=False)
         return unit
 
     def handle_picture(
-        self, timestamp: int, width: int, height: int, capture_ns: int | None
+        self,
+        timestamp: int,
+        width: int,
+        height: int,
+        capture_ns: int | None,
+        *,
+        corrupt: bool = False,
     ) -> CaptureStamp | None:
-        """A unit is decoded; the stamp to show its picture with, None if it must not be shown."""
+        """A unit is decoded; the stamp to show its picture with, None if it must not be shown.
+
+        corrupt: the decoder knows of damage in it.
+        """
+        hurt = self._hurt.pop(timestamp, self) is None or corrupt
         if width * height * 3 // 2 > self._largest_octets:
             # No sender of ours: it would have shared memory grow as it likes.
             self._oversized += 1
@@ -95,7 +115,7 @@ class VideoReceiving(_Receiving):
             # Without a report nobody can say how old it is.
             self._undated += 1
             return None
-        return CaptureStamp(capture_ns, timestamp, self._name)
+        return CaptureStamp(capture_ns, timestamp, DAMAGED if hurt else self._name)
 
     def tell(self, *, decoded: int, corrupt: int, restarts: int) -> None:
         """Put the counters into the probe, with those of the decoder."""
@@ -126,8 +146,10 @@ class VoiceReceiving(_Receiving):
         )
         super().__init__(receiver, probe)
         self._name = stream.name
-        self._playout = PlayoutBuffer(window_ns=_MEMORY_NS)
+        self._playout = PlayoutBuffer()
+        self._lip_sync = LipSync()
         self._corrupt = 0
+        self._inserted_ns = 0
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
         """A datagram of the RTP port. Drain `next_event` afterwards."""
@@ -135,6 +157,19 @@ class VoiceReceiving(_Receiving):
         while (packet := self._receiver.next_event()) is not None:
             self._probe.row("rx", packet.timestamp, packet.received_ns)
             self._playout.handle_packet(packet)
+            self._hold(packet.timestamp, now_ns)
+
+    def _hold(self, timestamp: int, now_ns: int) -> None:
+        capture_ns = self._receiver.capture_ns(timestamp)
+        least_ns = self._lip_sync.least_latency_ns(now_ns)
+        if capture_ns is None or least_ns is None:
+            self._playout.hold(timestamp, None)
+        else:
+            self._playout.hold(timestamp, capture_ns + least_ns)
+
+    def handle_picture_shown(self, shown_ns: int, latency_ns: int) -> None:
+        """A picture of the same place was shown, so much after its capture."""
+        self._lip_sync.handle_picture(shown_ns, latency_ns)
 
     def handle_timeout(self, now_ns: int) -> None:
         """Play what is due by now. Drain `next_event` afterwards."""
@@ -155,6 +190,8 @@ class VoiceReceiving(_Receiving):
         nothing says how old it is."""
         if not decoded and block.payload is not None:
             self._corrupt += 1
+        if block.inserted:
+            self._inserted_ns += block.played_samples * NS_PER_S // AUDIO_CLOCK_HZ
         if capture_ns is None:
             self._undated += 1
             return None
@@ -164,7 +201,11 @@ class VoiceReceiving(_Receiving):
         """Put the counters into the probe."""
         self._tell()
         probe, counts = self._probe, self._playout.counts
-        probe.total("frames_decoded", counts.played - self._corrupt)
+        probe.total("frames_decoded", counts.played + counts.recovered - self._corrupt)
         probe.total("frames_concealed", counts.concealed + self._corrupt)
+        probe.total("frames_recovered", counts.recovered)
         probe.total("frames_late", counts.late)
+        probe.total("inserted_ns", self._inserted_ns)
+        probe.total("frames_stretched", counts.stretched)
+        probe.total("frames_shortened", counts.shortened)
         probe.gauge("playout_delay_ns", self._playout.delay_ns)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp
+from kontur_av.opus import heard_stamp
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from kontur_av.sources.source import BLOCK_NS
@@ -178,7 +179,8 @@ class VoiceSending(_Sending):
 
     def handle_packet(self, data: bytes, stamp: CaptureStamp, encoded_ns: int) -> None:
         """The block is encoded, at `encoded_ns`."""
-        self._queue(self._rtp.audio_packets(data, stamp), [len(data)], stamp, encoded_ns)
+        heard = heard_stamp(stamp)
+        self._queue(self._rtp.audio_packets(data, heard), [len(data)], heard, encoded_ns)
 
     def tell(self) -> None:
         """Put the counters into the probe."""

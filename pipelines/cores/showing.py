@@ -1,27 +1,59 @@
-"""A segment's display and loudspeaker: what was shown, and how old it was."""
+"""A segment's display and loudspeaker: what was shown, and how old it is all the time."""
 
 from collections.abc import Sequence
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
-from pipelines.names import CONCEALED
+from kontur_av.sources.source import BLOCK_NS
+from pipelines.cores.staleness import FROZEN_PERIODS, Staleness
+from pipelines.names import CONCEALED, DAMAGED
 from pipelines.probe import Probe
+from pipelines.setup import Setup, VideoStream, VoiceStream
 
 
 class Showing:
-    """Counts and times what comes to its end. `streams`: the names of those that do."""
+    """Counts and times what comes to its end. `streams`: those that do."""
 
-    def __init__(self, streams: Sequence[str], probe: Probe) -> None:
+    def __init__(
+        self, setup: Setup, streams: Sequence[VideoStream | VoiceStream], probe: Probe
+    ) -> None:
         self._probe = probe
-        self._shown = dict.fromkeys(streams, 0)
+        self._shown = {stream.name: 0 for stream in streams}
+        #: By stream.
+        self.staleness = {stream.name: _staleness(setup, stream) for stream in streams}
 
     def handle_shown(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
-        """A picture, or a block of sound, is shown at `now_ns`; made up sound does not count."""
+        """A picture, or a block of sound, is shown at `now_ns`.
+
+        Made up sound does not count, and makes nothing younger.
+        """
         if stamp.source == CONCEALED:
             return
         self._shown[stream] += 1
+        damaged = stamp.source == DAMAGED
+        self.staleness[stream].handle_shown(stamp.capture_ns, now_ns, damaged=damaged)
         self._probe.row(f"shown.{stream}", stamp.sequence, stamp.capture_ns, now_ns)
 
-    def tell(self) -> None:
-        """Put the counters into the probe."""
+    def tell(self, now_ns: int) -> None:
+        """Put the counters into the probe; all that is shown by `now_ns` is known."""
+        probe = self._probe
         for stream, shown in self._shown.items():
-            self._probe.total(f"{stream}.frames_displayed", shown)
+            probe.total(f"{stream}.frames_displayed", shown)
+        for stream, staleness in self.staleness.items():
+            staleness.handle_time(now_ns)
+            for name in ("stale", "frozen", "damaged"):
+                spell = getattr(staleness, name)
+                probe.total(f"{stream}.{name}_ns", spell.total_ns)
+                probe.total(f"{stream}.{name}_episodes", spell.episodes)
+            age_ns = staleness.age_ns(now_ns)
+            if age_ns is not None:
+                probe.gauge(f"{stream}.age_ns", age_ns)
+                probe.gauge(f"{stream}.state", staleness.state(now_ns).value)
+
+
+def _staleness(setup: Setup, stream: VideoStream | VoiceStream) -> Staleness:
+    stale_after_ns = setup.stale_after_ns(stream)
+    if isinstance(stream, VideoStream):
+        frozen_after_ns = FROZEN_PERIODS * NS_PER_S // stream.fps
+        return Staleness(stale_after_ns=stale_after_ns, frozen_after_ns=frozen_after_ns)
+    return Staleness(stale_after_ns=stale_after_ns, span_ns=BLOCK_NS)

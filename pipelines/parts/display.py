@@ -1,23 +1,77 @@
 """A segment's display and loudspeaker: where pictures and sounds come to their end.
 
 Without a screen or a sound card this is where they would go next; the instant of taking them out
-of shared memory counts as the instant of display.
+of shared memory counts as the instant of display. What a screen would show, a picture that is too
+old with a mark on it, is published as a topic.
 """
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.topics import Lease, TopicBus
 from pipelines.cores.showing import Showing
+from pipelines.cores.staleness import Staleness
+from pipelines.marking import mark_stale
 from pipelines.names import CONCEALED as CONCEALED
-from pipelines.names import received_topic
+from pipelines.names import LAG, displayed_topic, lag_topic, received_topic
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VideoStream, VoiceStream
+
+#: How often the age on a stale picture is drawn anew.
+_REDRAW_NS = 100 * NS_PER_MS
+
+
+class _Screen:
+    """What is shown of one video stream, as a topic of its own."""
+
+    def __init__(self, bus: TopicBus, stream: VideoStream, staleness: Staleness) -> None:
+        octets = stream.width * stream.height * 3 // 2
+        self._writer = bus.writer(displayed_topic(stream.name), max_octets=octets)
+        # Polled by who keeps the sound in step.
+        self._lag = bus.writer(lag_topic(stream.name), max_octets=LAG.size, wake=False)
+        self._staleness = staleness
+        self._lease: Lease | None = None
+        self._drawn_ns = 0
+
+    def handle_picture(self, lease: Lease, now_ns: int) -> None:
+        """The newest picture; it is kept until the next one comes."""
+        stamp = lease.stamp
+        self._lag.publish_octets(LAG.pack(now_ns, now_ns - stamp.capture_ns), stamp)
+        previous, self._lease = self._lease, lease
+        self._draw(now_ns)
+        if previous is not None:
+            previous.release()
+
+    def due_ns(self) -> int | None:
+        """When the mark has to be drawn (anew); None while there is no picture."""
+        stale_ns = self._staleness.stale_from_ns()
+        return None if stale_ns is None else max(stale_ns, self._drawn_ns + _REDRAW_NS)
+
+    def handle_time(self, now_ns: int) -> None:
+        """Draw the mark if it is due."""
+        due_ns = self.due_ns()
+        if due_ns is not None and now_ns >= due_ns:
+            self._draw(now_ns)
+
+    def _draw(self, now_ns: int) -> None:
+        assert self._lease is not None
+        self._drawn_ns = now_ns
+        frame = self._lease.video()
+        loan = self._writer.loan_picture(frame.width, frame.height)
+        np.copyto(loan.picture, frame.data)
+        stale_ns = self._staleness.stale_from_ns()
+        if stale_ns is not None and now_ns >= stale_ns:
+            mark_stale(loan.picture, now_ns - frame.stamp.capture_ns)
+        loan.publish(frame.stamp)
 
 
 def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream]) -> None:
     """Show the newest picture and every block of sound of `streams`."""
     clock = context.clock
-    showing = Showing([stream.name for stream in streams], context.probe)
-    context.on_flush(showing.tell)
+    showing = Showing(context.setup, streams, context.probe)
+    context.on_flush(lambda: showing.tell(clock.now_ns()))
     with context.open_bus() as bus:
         readers = [
             bus.reader(
@@ -25,15 +79,28 @@ def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream
             )
             for stream in streams
         ]
+        screens = {
+            stream.name: _Screen(bus, stream, showing.staleness[stream.name])
+            for stream in streams
+            if isinstance(stream, VideoStream)
+        }
         waiter = bus.waiter(readers)
         while not context.stopping:
-            context.tick(clock.now_ns())
-            waiter.wait(PATIENCE_NS)
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            due = [due_ns for screen in screens.values() if (due_ns := screen.due_ns()) is not None]
+            waiter.wait(min([PATIENCE_NS, *(max(0, due_ns - now_ns) for due_ns in due)]))
             for stream, reader in zip(streams, readers, strict=True):
-                take = reader.latest if isinstance(stream, VideoStream) else reader.next
+                screen = screens.get(stream.name)
+                take = reader.next if screen is None else reader.latest
                 while (lease := take()) is not None:
                     now_ns = clock.now_ns()
-                    stamp = lease.stamp
-                    lease.release()
-                    showing.handle_shown(stream.name, stamp, now_ns)
+                    showing.handle_shown(stream.name, lease.stamp, now_ns)
+                    if screen is None:
+                        lease.release()
+                    else:
+                        screen.handle_picture(lease, now_ns)
+            now_ns = clock.now_ns()
+            for screen in screens.values():
+                screen.handle_time(now_ns)
         del waiter

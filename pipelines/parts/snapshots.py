@@ -6,7 +6,7 @@ import cv2
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
-from pipelines.names import STEREO_TOPIC, received_topic
+from pipelines.names import STEREO_TOPIC, displayed_topic
 from pipelines.process import PATIENCE_NS, Context, Segment
 from pipelines.setup import STEREO
 
@@ -34,9 +34,9 @@ def run_snapshots(context: Context) -> None:
     """
     assert context.snapshots is not None
     clock, setup, probe = context.clock, context.setup, context.probe
-    topics = {f"{Segment.SPACE.value}-uplink_video": received_topic("uplink_video")}
+    topics = {f"{Segment.SPACE.value}-uplink_video": displayed_topic("uplink_video")}
     if setup.downlink_video:
-        topics[f"{Segment.GROUND.value}-downlink_video"] = received_topic("downlink_video")
+        topics[f"{Segment.GROUND.value}-downlink_video"] = displayed_topic("downlink_video")
     if STEREO in setup.cameras:
         topics[f"{Segment.GROUND.value}-stereo"] = STEREO_TOPIC
     written = failed = 0

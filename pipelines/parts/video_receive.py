@@ -35,6 +35,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                         picture.width,
                         picture.height,
                         receiving.capture_ns(picture.timestamp),
+                        corrupt=picture.corrupt,
                     )
                     if stamp is not None:
                         loan = writer.loan_picture(picture.width, picture.height)

@@ -67,29 +67,33 @@ class Media:
         self._scene = scene
         self._choice = choice
         self._receivers: list[VideoReceiver | VoiceReceiver] = []
+        #: All that was shown by then is known.
+        self._settled_ns = scene.start_ns
         # Virtual time has no offset to the time that stands in sender reports.
         self._clock = ManualClock(scene.start_ns)
         setup = scene.setup
         space = self._showing("space_display", [setup.uplink_video, setup.uplink_voice])
-        self._receive_video(setup.uplink_video, space)
+        pictures = self._receive_video(setup.uplink_video, space)
         self._send_uplink_video()
         if setup.uplink_voice is not None:
-            self._receive_voice(setup.uplink_voice, space)
+            self._receive_voice(setup.uplink_voice, space, pictures)
             self._send_voice(setup.uplink_voice, GROUND_MIC, scene.ground)
         ground = self._showing("ground_display", [setup.downlink_video, setup.downlink_voice])
+        pictures_down = None
         if setup.downlink_video is not None:
-            self._receive_video(setup.downlink_video, ground)
+            pictures_down = self._receive_video(setup.downlink_video, ground)
             studio = self._studio(setup.downlink_video, [ISS_CAMERA])
             sender = self._video_sender(setup.downlink_video, scene.space, studio)
             self._camera(ISS_CAMERA, setup.downlink_video, studio, sender.handle_picture)
         if setup.downlink_voice is not None:
-            self._receive_voice(setup.downlink_voice, ground)
+            self._receive_voice(setup.downlink_voice, ground, pictures_down)
             self._send_voice(setup.downlink_voice, ISS_MIC, scene.space)
 
-    def settle(self, until_ns: int) -> None:
-        """Wait for all that was decoded by `until_ns`."""
+    def settle(self, until_ns: int, now_ns: int) -> None:
+        """Wait for all that was decoded by `until_ns`; it is `now_ns`."""
         for receiver in self._receivers:
             receiver.settle(until_ns)
+        self._settled_ns = min(until_ns, now_ns)
 
     def _send_uplink_video(self) -> None:
         setup, stream = self._scene.setup, self._scene.setup.uplink_video
@@ -179,7 +183,7 @@ class Media:
         scene.telling.add(sender.tell)
         scene.telling.add(microphone.tell)
 
-    def _receive_video(self, stream: VideoStream, showing: Showing) -> None:
+    def _receive_video(self, stream: VideoStream, showing: Showing) -> VideoReceiver:
         scene = self._scene
         probe = scene.telling.probe(f"{stream.name}_receive")
         receiver = VideoReceiver(
@@ -191,8 +195,11 @@ class Media:
             costs=scene.costs,
         )
         self._add_receiver(stream.name, receiver)
+        return receiver
 
-    def _receive_voice(self, stream: VoiceStream, showing: Showing) -> None:
+    def _receive_voice(
+        self, stream: VoiceStream, showing: Showing, pictures: VideoReceiver | None
+    ) -> None:
         scene = self._scene
         probe = scene.telling.probe(f"{stream.name}_receive")
         receiver = VoiceReceiver(
@@ -203,6 +210,8 @@ class Media:
             decoder=scene.workers.start(VoiceDecoding),
             costs=scene.costs,
         )
+        if pictures is not None:
+            pictures.on_shown = receiver.handle_picture_shown
         self._add_receiver(stream.name, receiver)
 
     def _add_receiver(self, stream: str, receiver: VideoReceiver | VoiceReceiver) -> None:
@@ -214,10 +223,10 @@ class Media:
     def _showing(
         self, process: str, streams: Sequence[VideoStream | VoiceStream | None]
     ) -> Showing:
-        names = [stream.name for stream in streams if stream is not None]
+        present = [stream for stream in streams if stream is not None]
         telling = self._scene.telling
-        showing = Showing(names, telling.probe(process))
-        telling.add(showing.tell)
+        showing = Showing(self._scene.setup, present, telling.probe(process))
+        telling.add(lambda: showing.tell(self._settled_ns))
         return showing
 
     def _identity(self, stream: str) -> RtpIdentity:

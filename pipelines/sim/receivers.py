@@ -34,6 +34,8 @@ class VideoReceiver:
         self._showing = showing
         self._agenda = agenda
         self._decoder = Batch(decoder)
+        #: Called with (instant, latency) of each picture at the instant at which it is shown.
+        self.on_shown: Callable[[int, int], None] | None = None
         self._cost_ns = costs.ns("decode")
         self._free_ns = 0
         self._decoding: deque[tuple[int, int, int | None]] = deque()
@@ -59,16 +61,21 @@ class VideoReceiver:
         self._timer.set(self._receiving.poll_timeout(), now_ns)
 
     def _date(self, timestamp: int, now_ns: int) -> None:
-        self._decoding.append((now_ns, timestamp, self._receiving.capture_ns(timestamp)))
+        capture_ns = self._receiving.capture_ns(timestamp)
+        self._decoding.append((now_ns, timestamp, capture_ns))
+        if self.on_shown is not None and capture_ns is not None:
+            self.on_shown(now_ns, now_ns - capture_ns)
 
     def settle(self, until_ns: int) -> None:
         """Wait for all that was decoded by `until_ns`, and show it at its own instant."""
         while self._decoding and self._decoding[0][0] <= until_ns:
             shown_ns, timestamp, dated_ns = self._decoding.popleft()
             pictures, self._counts = self._decoder.next_result()
-            for of, width, height in pictures:
+            for of, width, height, corrupt in pictures:
                 capture_ns = dated_ns if of == timestamp else self._receiving.capture_ns(of)
-                stamp = self._receiving.handle_picture(of, width, height, capture_ns)
+                stamp = self._receiving.handle_picture(
+                    of, width, height, capture_ns, corrupt=corrupt
+                )
                 if stamp is not None:
                     self._showing.handle_shown(self._stream, stamp, shown_ns)
 
@@ -100,6 +107,7 @@ class VoiceReceiver:
         self._decoding: deque[tuple[int, PlayoutBlock, int | None]] = deque()
         self._timer = Timer(agenda, self._expire)
         self.handle_report: Callable[[bytes, int], bool] = receiving.handle_report
+        self.handle_picture_shown = receiving.handle_picture_shown
         self.tell = receiving.tell
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
@@ -110,7 +118,7 @@ class VoiceReceiver:
     def _expire(self, now_ns: int) -> None:
         self._receiving.handle_timeout(now_ns)
         while (block := self._receiving.next_event()) is not None:
-            self._decoder.submit(block.payload)
+            self._decoder.submit(block)
             capture_ns = self._receiving.capture_ns(block.timestamp)
             self._decoding.append((now_ns + self._cost_ns, block, capture_ns))
         self._timer.set(self._receiving.poll_timeout(), now_ns)

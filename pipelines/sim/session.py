@@ -165,7 +165,7 @@ class Simulation:
     def report(self) -> dict[str, Any]:
         """The report of all that was run so far: that of a live session, and `simulation`."""
         if self._media is not None:
-            self._media.settle(FAR_NS)
+            self._media.settle(FAR_NS, self._now_ns)
         self._telling.flush(self._now_ns)
         self.collector.handle_end()
         processes = self._telling.processes
@@ -259,7 +259,7 @@ class Simulation:
     def _flush(self, now_ns: int) -> None:
         self._now_ns = now_ns
         if self._media is not None:
-            self._media.settle(now_ns - _SETTLE_NS)
+            self._media.settle(now_ns - _SETTLE_NS, now_ns)
         self._telling.flush(now_ns)
         self._agenda.at(now_ns + FLUSH_NS, self._flush)
 

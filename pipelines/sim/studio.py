@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S, ManualClock
-from kontur_av.errors import ProtocolError
 from kontur_av.h264 import H264Decoder, H264Encoder
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, empty_picture
-from kontur_av.opus import OpusDecoder, OpusEncoder, bitrate_under_cap
+from kontur_av.opus import OpusEncoder, bitrate_under_cap
+from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.stereo import merge
+from kontur_av.voice import VoicePlayer
 from pipelines.setup import VideoStream, VoiceStream
 from telepresence.world import WorldState, audio_scenes, render
 
@@ -39,7 +40,7 @@ class Shot(NamedTuple):
 Picture = tuple[Shot] | tuple[Shot | None, Shot | None]
 
 #: What becomes of an access unit: see `VideoDecoding`.
-Decoded = tuple[list[tuple[int, int, int]], tuple[int, int, int]]
+Decoded = tuple[list[tuple[int, int, int, bool]], tuple[int, int, int]]
 
 
 class VideoStudio:
@@ -119,8 +120,8 @@ class _Film:
 class VideoDecoding:
     """Decodes every access unit: a list of (Annex B octets, timestamp).
 
-    Gives for each the pictures that come out as (timestamp, width, height), and the decoder's
-    counters after it: decoded, corrupt, restarts.
+    Gives for each the pictures that come out as (timestamp, width, height, corrupt), and the
+    decoder's counters after it: decoded, corrupt, restarts.
     """
 
     def __init__(self) -> None:
@@ -132,7 +133,7 @@ class VideoDecoding:
     def _decode(self, data: bytes, timestamp: int) -> Decoded:
         decoder = self._decoder
         pictures = [
-            (picture.timestamp, picture.width, picture.height)
+            (picture.timestamp, picture.width, picture.height, picture.corrupt)
             for picture in decoder.decode(data, timestamp)
         ]
         return pictures, (decoder.decoded, decoder.corrupt_units, decoder.restarts)
@@ -183,23 +184,10 @@ class VoiceStudio:
 
 
 class VoiceDecoding:
-    """Decodes Opus packets, or makes up what is missing (None): a list of either.
-
-    Gives for each whether it was decoded.
-    """
+    """Makes each `PlayoutBlock` of a list sound; gives for each whether it is what was sent."""
 
     def __init__(self) -> None:
-        self._decoder = OpusDecoder()
+        self._player = VoicePlayer()
 
-    def __call__(self, packets: Sequence[bytes | None]) -> list[bool]:
-        return [self._decode(packet) for packet in packets]
-
-    def _decode(self, packet: bytes | None) -> bool:
-        try:
-            if packet is not None:
-                self._decoder.decode(packet)
-                return True
-        except ProtocolError:
-            pass
-        self._decoder.conceal()
-        return False
+    def __call__(self, blocks: Sequence[PlayoutBlock]) -> list[bool]:
+        return [self._player.play(block)[1] for block in blocks]

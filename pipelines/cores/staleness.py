@@ -1,0 +1,105 @@
+"""How old what is shown is, all the time: stale, frozen or damaged, and for how long."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+#: A picture that is on display for more periods than these is a frozen one.
+FROZEN_PERIODS = 2
+
+
+class State(Enum):
+    """Of what is shown; the worst that applies."""
+
+    NOTHING = "nothing"
+    FRESH = "fresh"
+    DAMAGED = "damaged"
+    FROZEN = "frozen"
+    STALE = "stale"
+
+
+@dataclass(slots=True)
+class Spell:
+    """A condition that comes and goes: for how long it has lasted in all, and how often it came."""
+
+    total_ns: int = 0
+    episodes: int = 0
+    lasting: bool = False
+
+    def handle_time(self, begin_ns: int, end_ns: int, since_ns: int | None) -> None:
+        """Between these instants it applied from `since_ns` on; None: not at all."""
+        if since_ns is None or since_ns >= end_ns:
+            self.lasting = False
+            return
+        if since_ns > begin_ns or not self.lasting:
+            self.episodes += 1
+        self.lasting = True
+        self.total_ns += end_ns - max(begin_ns, since_ns)
+
+
+class Staleness:
+    """Follows what is shown of one stream: `handle_shown` for each, `handle_time` at any time.
+
+    stale_after_ns: older than this is stale. frozen_after_ns: a picture on display for longer is
+    frozen; None for a voice. span_ns: for how long what is shown goes on being new: a block of
+    sound. Nothing is counted before the first is shown.
+    """
+
+    def __init__(
+        self, *, stale_after_ns: int, frozen_after_ns: int | None = None, span_ns: int = 0
+    ) -> None:
+        self.stale_after_ns = stale_after_ns
+        self._frozen_after_ns = frozen_after_ns
+        self._span_ns = span_ns
+        self._capture_ns = 0
+        self._shown_ns: int | None = None
+        self._damage = False
+        self._counted_ns = 0
+        self.stale, self.frozen, self.damaged = Spell(), Spell(), Spell()
+
+    def handle_shown(self, capture_ns: int, now_ns: int, *, damaged: bool = False) -> None:
+        """From now on that is shown which was captured at `capture_ns`."""
+        self.handle_time(now_ns)
+        self._capture_ns, self._damage = capture_ns, damaged
+        self._shown_ns = now_ns
+        self._counted_ns = max(now_ns, self._counted_ns)
+
+    def handle_time(self, now_ns: int) -> None:
+        """Count what has passed by now."""
+        begin_ns = self._counted_ns
+        if self._shown_ns is None or now_ns <= begin_ns:
+            return
+        self._counted_ns = now_ns
+        self.stale.handle_time(begin_ns, now_ns, self.stale_from_ns())
+        self.frozen.handle_time(begin_ns, now_ns, self._frozen_from_ns())
+        self.damaged.handle_time(begin_ns, now_ns, self._shown_ns if self._damage else None)
+
+    def age_ns(self, now_ns: int) -> int | None:
+        """From the capture of what is shown now to now; None if nothing was shown yet."""
+        if self._shown_ns is None:
+            return None
+        # While a block of sound is played, what is heard is as old as its beginning was.
+        return max(self._shown_ns - self._capture_ns, now_ns - self._capture_ns - self._span_ns)
+
+    def stale_from_ns(self) -> int | None:
+        """When what is shown becomes stale; None if nothing was shown yet."""
+        if self._shown_ns is None:
+            return None
+        if self._shown_ns - self._capture_ns > self.stale_after_ns:
+            return self._shown_ns
+        return self._capture_ns + self._span_ns + self.stale_after_ns
+
+    def _frozen_from_ns(self) -> int | None:
+        if self._shown_ns is None or self._frozen_after_ns is None:
+            return None
+        return self._shown_ns + self._frozen_after_ns
+
+    def state(self, now_ns: int) -> State:
+        """What is to be said of what is shown now."""
+        stale_ns, frozen_ns = self.stale_from_ns(), self._frozen_from_ns()
+        if stale_ns is None:
+            return State.NOTHING
+        if now_ns >= stale_ns:
+            return State.STALE
+        if frozen_ns is not None and now_ns >= frozen_ns:
+            return State.FROZEN
+        return State.DAMAGED if self._damage else State.FRESH

@@ -1,0 +1,38 @@
+"""The mark on a picture that is too old to be acted upon."""
+
+import cv2
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import BLACK_LUMA, I420, planes
+
+_WHITE_LUMA = 235  # ITU-R BT.601, narrow range
+#: Signal red: (Y, U, V).
+_RED = (81, 90, 240)
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def age_words(age_ns: int) -> str:
+    """An age as people read it: 340 ms, 1.3 s, 75 s."""
+    if age_ns < NS_PER_S:
+        return f"{age_ns / NS_PER_MS:.0f} ms"
+    return f"{age_ns / NS_PER_S:.{1 if age_ns < 10 * NS_PER_S else 0}f} s"
+
+
+def mark_stale(picture: I420, age_ns: int) -> None:
+    """Draw a red frame and a banner with the age over `picture`, shape (h * 3 // 2, w)."""
+    luma, u, v = planes(picture)
+    height, width = luma.shape
+    banner = max(8, height // 10 // 2 * 2)
+    edge = max(2, height // 80 // 2 * 2)
+    for plane, value, share in ((luma, _RED[0], 1), (u, _RED[1], 2), (v, _RED[2], 2)):
+        plane[: banner // share] = value
+        plane[-(edge // share) :] = value
+        plane[:, : edge // share] = value
+        plane[:, -(edge // share) :] = value
+    text = f"STALE {age_words(age_ns)}"
+    thickness = max(1, banner // 16)
+    (wide, high), _ = cv2.getTextSize(text, _FONT, 1.0, thickness)
+    scale = min(0.6 * banner / high, 0.9 * width / wide)
+    at = (round((width - wide * scale) / 2), round((banner + high * scale) / 2))
+    cv2.putText(luma, text, at, _FONT, scale, BLACK_LUMA, 3 * thickness, cv2.LINE_AA)
+    cv2.putText(luma, text, at, _FONT, scale, _WHITE_LUMA, thickness, cv2.LINE_AA)
