@@ -7,8 +7,8 @@ Every wave begins with SPS, PPS and a recovery point SEI (clause D.2.8), where a
 late may start.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -19,6 +19,7 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.frame import PictureType
 
 from kontur_av.errors import ConfigError
+from kontur_av.h264_settings import H264Settings, coded_size_for
 from kontur_av.media import (
     I420,
     VIDEO_CLOCK_HZ,
@@ -29,39 +30,28 @@ from kontur_av.media import (
     planes,
 )
 from kontur_av.rtp.payload_h264 import NAL_SEI, join_annex_b, nal_type, split_annex_b
+from kontur_av.scaling import scale, scale_plane
 
 _SEI_USER_DATA_UNREGISTERED = 5
 
+#: From one refresh wave to the next.
+REFRESH_S = 1.0
+
 _MOST_PIXELS = 4096 * 4096  # as media.check_size has it
-
-#: x264's buffer model holds one picture, so that none is larger than its share, and the rate it
-#: is given lies this much above the cap, because in that mode it leaves about a tenth unused.
-#: Measured at 640x480, 30 Hz on film footage: 80 of 85 kbit/s and 482 of 512 kbit/s, the 95th
-#: percentile of capture-to-sent at 34 ms. A buffer of two pictures gives 0.4 dB more, and 60 ms.
-_RATE_OVER_CAP = Fraction(11, 10)
-
-#: What costs more time than it gives here. Measured on scenes and film, against the preset alone:
-#: 30 % less of a core at 85 and at 512 kbit/s; the mean PSNR 0.2 dB lower to 0.3 dB higher at 85,
-#: 0.1 dB lower to 0.5 dB higher at 512 kbit/s.
-_CHEAP = "weightp=0:aq-mode=0:subme=0"
-
-#: Flat scaling lists (clause 7.4.2.2.1) of 24 instead of 16 make every quantiser step 1.5 times as
-#: coarse. A thin channel drives x264 to its coarsest step, and past that it can save bits only by
-#: leaving blocks as they were: ghosts behind all that moves. Measured at 85 kbit/s on the worst
-#: twentieth of the pictures: 1 to 2 dB better on motion, 0.9 dB worse at most, the same at 512.
-_COARSE_STEPS = f"cqm4={','.join(['24'] * 16)}:cqm8={','.join(['24'] * 64)}"
 
 
 class H264Encoder:
     """libx264, set up for a thin channel. The hard cap is `kontur_av.budget.Pacer`'s to keep.
 
-    width, height: what `media.check_size` admits. fps: pictures a second that will be given; when
-        some are left out, each access unit keeps its size.
-    refresh_s: the time in which the whole picture is renewed; a decoder that joins without a key
-        picture has a whole picture after one to two of these. Half a second instead of a whole
-        one costs 0.3 dB at 512 kbit/s and nothing that can be measured at 85.
-    preset: libx264's. `superfast` costs 2 ms of a core a picture at 640x480 and 85 kbit/s (3 ms at
-        512); `veryfast` costs a half more and looks the same at these rates.
+    width, height: of the pictures that will be given; what `media.check_size` admits.
+    fps: pictures a second that will be given; when some are left out, each access unit keeps its
+        size. `follow_rate` changes it.
+    coded_size: (width, height) in which they are coded; None: `h264_settings.coded_size_for`. A
+        receiver gets them in this size, and scales them up with `DecodedPicture.scale_into`.
+    refresh_s: from the begin of one refresh wave to the next. A wave takes a picture for each
+        column of macroblocks, or all of this time if that is less; a decoder that joins without
+        a key picture has a whole picture at the end of the first wave that begins.
+    preset: libx264's, for what `h264_settings` leaves open.
 
     Raises ConfigError for what cannot be encoded, or when PyAV has no libx264.
     """
@@ -73,7 +63,8 @@ class H264Encoder:
         height: int,
         fps: float | Fraction,
         cap_bps: int,
-        refresh_s: float = 0.5,
+        coded_size: tuple[int, int] | None = None,
+        refresh_s: float = REFRESH_S,
         preset: str = "superfast",
     ) -> None:
         check_size(width, height)
@@ -82,11 +73,38 @@ class H264Encoder:
             raise ConfigError(f"{float(rate):g} pictures a second: take a rate from 1 to 120")
         if cap_bps < 10_000:
             raise ConfigError(f"H.264 at {cap_bps} bit/s: give it at least 10000")
+        coded = coded_size or coded_size_for(width, height, rate, cap_bps)
+        check_size(*coded)
+        if coded[0] > width or coded[1] > height:
+            raise ConfigError(
+                f"pictures of {width}x{height} coded as {coded[0]}x{coded[1]}: take no larger size"
+            )
         self.width, self.height = width, height
+        #: The size in which pictures are coded.
+        self.coded_size = coded
         #: Access units made so far.
         self.encoded = 0
-        self._ticks = Fraction(VIDEO_CLOCK_HZ) / rate
-        self._codec = _open_encoder(width, height, rate, cap_bps, refresh_s, preset)
+        self._small = None if coded == (width, height) else empty_picture(*coded)
+        self._settings = H264Settings(
+            width=coded[0],
+            height=coded[1],
+            rate=rate,
+            cap_bps=cap_bps,
+            refresh_s=refresh_s,
+            preset=preset,
+        )
+        self._begin()
+
+    @property
+    def refresh_pictures(self) -> int:
+        """From the begin of one refresh wave to the next."""
+        return self._settings.refresh_pictures
+
+    def follow_rate(self, hz: float) -> None:
+        """From the next picture on, which will be a key picture, `hz` of them come a second."""
+        rate = Fraction(min(max(hz, 1), 120)).limit_denominator(1001)
+        self._settings = replace(self._settings, rate=rate)
+        self._begin()
 
     def encode(
         self, frame: VideoFrame, now: Callable[[], int], *, force_keyframe: bool = False
@@ -100,48 +118,53 @@ class H264Encoder:
             raise ValueError(
                 f"picture of {frame.width}x{frame.height}, encoder for {self.width}x{self.height}"
             )
-        picture = av.VideoFrame.from_numpy_buffer(frame.data, "yuv420p")
-        picture.pts = int(self.encoded * self._ticks)
+        data = frame.data
+        if self._small is not None:
+            scale(data, self._small)
+            data = self._small
+        if self._given == 0:
+            # x264 guesses the size of a picture from those before it. Without any it spends a
+            # fifth of what it may: so the first one is coded twice, and goes out the second time.
+            self._give(data, force_keyframe=True)
+            force_keyframe = True
+        packet = self._give(data, force_keyframe=force_keyframe)
+        self.encoded += 1
+        unit = without_user_data(bytes(packet)) if packet.is_keyframe else bytes(packet)
+        return AccessUnit(unit, frame.stamp, packet.is_keyframe, now())
+
+    def _begin(self) -> None:
+        self._given = 0
+        self._codec = _open_encoder(self._settings)
+        self._ticks = Fraction(VIDEO_CLOCK_HZ) / self._settings.rate
+
+    def _give(self, data: I420, *, force_keyframe: bool) -> Any:
+        picture = av.VideoFrame.from_numpy_buffer(data, "yuv420p")
+        picture.pts = int(self._given * self._ticks)
         if force_keyframe:
             picture.pict_type = PictureType.I
         (packet,) = self._codec.encode(picture)
-        data = bytes(packet)
-        if self.encoded == 0:
-            data = without_user_data(data)
-        self.encoded += 1
-        return AccessUnit(data, frame.stamp, packet.is_keyframe, now())
+        self._given += 1
+        return packet
 
 
-def _open_encoder(
-    width: int, height: int, rate: Fraction, cap_bps: int, refresh_s: float, preset: str
-) -> VideoCodecContext:
+def _open_encoder(settings: H264Settings) -> VideoCodecContext:
     try:
         codec = av.CodecContext.create("libx264", "w")
     except (ValueError, av.FFmpegError) as error:
         raise ConfigError(
             "this PyAV has no libx264: install PyAV from its wheel, which carries one"
         ) from error
-    aim_bps = int(cap_bps * _RATE_OVER_CAP)
-    codec.width, codec.height, codec.pix_fmt = width, height, "yuv420p"
-    codec.framerate, codec.time_base = rate, Fraction(1, VIDEO_CLOCK_HZ)
-    codec.bit_rate = aim_bps
-    codec.gop_size = max(round(rate * Fraction(refresh_s)), 1)
+    codec.width, codec.height, codec.pix_fmt = settings.width, settings.height, "yuv420p"
+    codec.framerate, codec.time_base = settings.rate, Fraction(1, VIDEO_CLOCK_HZ)
+    codec.gop_size = settings.refresh_pictures
     codec.thread_count = 1
-    codec.options = {
-        "preset": preset,
-        "tune": "zerolatency",
-        "intra-refresh": "1",
-        "maxrate": str(aim_bps),
-        "bufsize": str(int(aim_bps / rate)),
-        # One slice a picture, because each has its header and forgets its contexts; a cut must not
-        # become an IDR picture; psy keeps grain, for which there are no bits here.
-        "x264-params": f"sliced-threads=0:scenecut=0:psy=0:{_CHEAP}:{_COARSE_STEPS}",
-    }
+    codec.options = settings.options()
     try:
         codec.open()
     except av.FFmpegError as error:
         raise ConfigError(
-            f"libx264 refuses {width}x{height} at {float(rate):g} Hz, preset {preset!r}: {error}"
+            f"libx264 refuses {settings.width}x{settings.height} at {float(settings.rate):g} Hz, "
+            f"preset {settings.preset!r}: {error}"
         ) from error
     return codec
 
@@ -177,10 +200,22 @@ class DecodedPicture:
         """Write the picture into `into`, of shape (height * 3 // 2, width): one copy, no other."""
         if into.shape != (self.height * 3 // 2, self.width):
             raise ValueError(f"room for {into.shape}, picture of {self.width}x{self.height}")
-        for plane, view in zip(self._frame.planes, planes(into), strict=True):
-            height, width = view.shape
+        for view, plane in zip(planes(into), self._planes(), strict=True):
+            view[:] = plane
+
+    def scale_into(self, into: I420) -> None:
+        """Write the picture into `into`, of shape (h * 3 // 2, w), in that size: no other copy."""
+        if into.shape == (self.height * 3 // 2, self.width):
+            self.copy_to(into)
+            return
+        for view, plane in zip(planes(into), self._planes(), strict=True):
+            scale_plane(plane, view)
+
+    def _planes(self) -> Iterator[I420]:
+        for plane, share in zip(self._frame.planes, (1, 2, 2), strict=True):
             rows = np.frombuffer(plane, np.uint8)[: plane.line_size * plane.height]
-            view[:] = rows.reshape(plane.height, plane.line_size)[:height, :width]
+            rows = rows.reshape(plane.height, plane.line_size)
+            yield rows[: self.height // share, : self.width // share]
 
     def to_i420(self) -> I420:
         """A copy of the picture of its own."""

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from kontur_av import h264
 from kontur_av.errors import ConfigError
 from kontur_av.h264 import H264Decoder, H264Encoder
+from kontur_av.h264_settings import coded_size_for
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.rtp.payload_h264 import nal_type, split_annex_b
 
@@ -32,7 +33,7 @@ def moving(count, width=SIZE[0], height=SIZE[1]):
 
 
 def encode(pictures, *, size=SIZE, keyframes=(), **options):
-    settings = {"fps": 30, "cap_bps": 85_000, **options}
+    settings = {"fps": 30, "cap_bps": 85_000, "coded_size": size, "refresh_s": 0.5, **options}
     encoder = H264Encoder(width=size[0], height=size[1], **settings)
     return [
         encoder.encode(
@@ -95,10 +96,53 @@ def test_headers_and_a_recovery_point_open_every_refresh_and_no_text_is_sent():
 
 
 def test_access_units_are_of_one_size_key_pictures_too(pictures):
-    units = encode(pictures("bikes.mp4", 90), size=(640, 480), keyframes=(45,))
+    units = encode(pictures("bikes.mp4", 90), size=(640, 480), keyframes=(45,), coded_size=None)
     share = 85_000 / 30 / 8
-    assert max(len(unit.data) for unit in units) < 1.15 * share
+    sizes = sorted(len(unit.data) for unit in units)
+    assert sizes[85] < 1.15 * share
+    assert sizes[-1] < 1.5 * share
     assert nal_type(split_annex_b(units[45].data)[-1]) == 5
+
+
+def test_a_thin_stream_is_coded_small_and_scaled_up_for_its_reader(pictures):
+    originals = list(pictures("bikes.mp4", 45))
+    units = encode(originals, size=(640, 480), coded_size=None)
+    decoder = H264Decoder()
+    shown = [p for i, unit in enumerate(units) for p in decoder.decode(unit.data, i)]
+    assert {(p.width, p.height) for p in shown} == {(320, 240)}
+    large = empty_picture(640, 480)
+    shown[-1].scale_into(large)
+    assert psnr_db(planes(large)[0], planes(originals[44])[0]) > 26
+    for part, original in zip(planes(large)[1:], planes(originals[44])[1:], strict=True):
+        assert psnr_db(part, original) > 28
+
+
+@pytest.mark.parametrize(
+    ("size", "cap_bps", "coded"),
+    [
+        ((640, 480), 85_000, (320, 240)),
+        ((640, 480), 90_000, (320, 240)),
+        ((640, 480), 200_000, (480, 360)),
+        ((640, 480), 512_000, (640, 480)),
+        ((320, 240), 85_000, (320, 240)),
+        ((176, 144), 20_000, (176, 144)),
+        ((1280, 720), 20_000, (320, 180)),
+    ],
+)
+def test_pictures_are_coded_as_large_as_there_are_bits(size, cap_bps, coded):
+    assert coded_size_for(*size, 30, cap_bps) == coded
+
+
+def test_an_encoder_that_follows_another_rate_begins_with_a_key_picture():
+    pictures = list(moving(60))
+    encoder = H264Encoder(width=320, height=240, fps=30, cap_bps=40_000, coded_size=(320, 240))
+    units = []
+    for i, picture in enumerate(pictures):
+        if i == 30:
+            encoder.follow_rate(15)
+        units.append(encoder.encode(VideoFrame(picture, CaptureStamp(i, i, "t")), lambda: 0))
+    assert [nal_type(split_annex_b(units[i].data)[-1]) for i in (0, 29, 30, 31)] == [5, 1, 5, 1]
+    assert sum(len(u.data) for u in units[30:]) > 1.5 * sum(len(u.data) for u in units[:30])
 
 
 def test_a_late_joiner_starts_clean_after_one_refresh_wave():
