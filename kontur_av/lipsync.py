@@ -19,17 +19,23 @@ _MARGIN_NS = 3 * NS_PER_MS
 class LipSync:
     """Knows how late the pictures of a place come, and so how late its sound must be at least.
 
-    A picture that is late by itself delays no sound; pictures that no longer come delay none.
+    A picture that is late by itself delays no sound, nor do pictures that no longer come or that
+    are too old to be of use; and no sound is delayed until it is too old itself.
+
+    oldest_picture_ns: older pictures do not count. oldest_sound_ns: no sound is made older.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, oldest_picture_ns: int, oldest_sound_ns: int) -> None:
+        self._oldest_picture_ns = oldest_picture_ns
+        self._oldest_sound_ns = oldest_sound_ns
         self._pictures: deque[tuple[int, int]] = deque()
         self._late_ns: int | None = None
 
     def handle_picture(self, shown_ns: int, latency_ns: int) -> None:
         """A picture was shown at `shown_ns`, `latency_ns` after its capture."""
-        self._pictures.append((shown_ns, latency_ns))
-        self._forget(shown_ns)
+        if latency_ns < self._oldest_picture_ns:
+            self._pictures.append((shown_ns, latency_ns))
+            self._forget(shown_ns)
 
     def _forget(self, now_ns: int) -> None:
         pictures = self._pictures
@@ -44,4 +50,4 @@ class LipSync:
             self._forget(now_ns)
         if self._late_ns is None:
             return None
-        return self._late_ns - EARLIEST_NS + _MARGIN_NS
+        return min(self._late_ns - EARLIEST_NS, self._oldest_sound_ns) + _MARGIN_NS

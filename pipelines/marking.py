@@ -3,7 +3,7 @@
 import cv2
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.media import BLACK_LUMA, I420, planes
+from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, planes
 
 _WHITE_LUMA = 235  # ITU-R BT.601, narrow range
 #: Signal red: (Y, U, V).
@@ -34,5 +34,8 @@ def mark_stale(picture: I420, age_ns: int) -> None:
     (wide, high), _ = cv2.getTextSize(text, _FONT, 1.0, thickness)
     scale = min(0.6 * banner / high, 0.9 * width / wide)
     at = (round((width - wide * scale) / 2), round((banner + high * scale) / 2))
+    half = at[0] // 2, at[1] // 2
+    for plane in (u, v):
+        cv2.putText(plane, text, half, _FONT, scale / 2, NEUTRAL_CHROMA, 2 * thickness)
     cv2.putText(luma, text, at, _FONT, scale, BLACK_LUMA, 3 * thickness, cv2.LINE_AA)
     cv2.putText(luma, text, at, _FONT, scale, _WHITE_LUMA, thickness, cv2.LINE_AA)

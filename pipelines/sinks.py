@@ -3,15 +3,14 @@
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from kontur_av.errors import ProtocolError
 from kontur_av.h264 import H264Decoder
 from kontur_av.meters import Histogram
-from kontur_av.opus import OpusDecoder
 from kontur_av.rtp.payload_h264 import H264Depacketizer
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceived, RtpReceiver
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
+from kontur_av.voice import VoicePlayer
 from pipelines.remux import MatroskaWriter
 
 
@@ -96,7 +95,7 @@ class AudioSink:
         self.decoded = 0
         self._concealed = self._corrupt = 0
         self._playout = PlayoutBuffer()
-        self._decoder = OpusDecoder()
+        self._player = VoicePlayer()
         self._time_line = _TimeLine(48_000)
         self._writer = writer
 
@@ -116,24 +115,19 @@ class AudioSink:
 
     def _drain(self) -> None:
         while (block := self._playout.next_event()) is not None:
-            if block.payload is None:
-                # libopus has nothing to go on before the first packet.
-                if self.decoded:
-                    self._decoder.conceal()
-                    self._concealed += 1
-                continue
-            try:
-                samples = self._decoder.decode(block.payload)
-            except ProtocolError:
-                self._corrupt += 1
+            _, decoded = self._player.play(block)
+            if not decoded:
+                self._corrupt += block.payload is not None
+                # Before the first packet there is nothing to make up anything from.
+                self._concealed += block.payload is None and self.decoded > 0
                 continue
             self.decoded += 1
             capture_ns = self.receiver.capture_ns(block.timestamp)
             if capture_ns is not None:
                 self.decoded_ns.add(block.play_ns - capture_ns)
-            if self._writer is not None:
+            if self._writer is not None and block.payload is not None and not block.recovered:
                 ticks = self._time_line.ticks(block.timestamp, block.play_ns)
-                self._writer.add_opus(block.payload, ticks, samples.size)
+                self._writer.add_opus(block.payload, ticks, block.samples)
 
     def report(self) -> dict[str, Any]:
         counts = self._playout.counts
@@ -142,6 +136,7 @@ class AudioSink:
             "frames_decoded": self.decoded,
             "frames_corrupt": self._corrupt + counts.garbage,
             "frames_concealed": self._concealed,
+            "frames_recovered": counts.recovered,
             "frames_late": counts.late,
             "frames_dropped": counts.dropped,
             "playout_delay_ms": self._playout.delay_ns / NS_PER_MS,

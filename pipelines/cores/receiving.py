@@ -10,9 +10,10 @@ from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, CaptureStamp
 from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.sources.source import BLOCK_NS
 from pipelines.names import CONCEALED, DAMAGED, VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE
 from pipelines.probe import Probe
-from pipelines.setup import VideoStream, VoiceStream
+from pipelines.setup import Setup, VideoStream, VoiceStream
 
 #: So many damaged units may wait in a decoder.
 _REMEMBERED = 256
@@ -136,7 +137,11 @@ class VoiceReceiving(_Receiving):
     """
 
     def __init__(
-        self, stream: VoiceStream, from_ntp: Callable[[int], int] | None, probe: Probe
+        self,
+        setup: Setup,
+        stream: VoiceStream,
+        from_ntp: Callable[[int], int] | None,
+        probe: Probe,
     ) -> None:
         receiver = RtpReceiver(
             payload_type=VOICE_PAYLOAD_TYPE,
@@ -147,7 +152,11 @@ class VoiceReceiving(_Receiving):
         super().__init__(receiver, probe)
         self._name = stream.name
         self._playout = PlayoutBuffer()
-        self._lip_sync = LipSync()
+        picture = setup.picture_of(stream)
+        self._lip_sync = LipSync(
+            oldest_picture_ns=0 if picture is None else setup.stale_after_ns(picture),
+            oldest_sound_ns=setup.stale_after_ns(stream) - 2 * BLOCK_NS,
+        )
         self._corrupt = 0
         self._inserted_ns = 0
 

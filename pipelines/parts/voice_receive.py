@@ -13,7 +13,7 @@ from pipelines.setup import VoiceStream
 def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     """Publish each block of sound at the instant at which it shall be heard."""
     clock = context.clock
-    receiving = VoiceReceiving(stream, clock.from_ntp, context.probe)
+    receiving = VoiceReceiving(context.setup, stream, clock.from_ntp, context.probe)
     player = VoicePlayer()
     context.on_flush(receiving.tell)
     with context.open_bus() as bus:

@@ -204,7 +204,7 @@ class Media:
         probe = scene.telling.probe(f"{stream.name}_receive")
         receiver = VoiceReceiver(
             stream.name,
-            VoiceReceiving(stream, self._clock.from_ntp, probe),
+            VoiceReceiving(scene.setup, stream, self._clock.from_ntp, probe),
             showing,
             agenda=scene.agenda,
             decoder=scene.workers.start(VoiceDecoding),
