@@ -8,6 +8,7 @@ from importlib import import_module
 
 #: What can be measured, and what it is about.
 BENCHES = {
+    "fanout": "one picture to many processes: cost of publishing, and how soon it is there",
     "link": "the radio link: delays on virtual time, punctuality and cost on this machine",
 }
 
