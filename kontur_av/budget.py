@@ -100,7 +100,8 @@ class Pacer:
         #: The largest payload of a packet that this cap lets through.
         self.max_payload_octets = min(limit.most_octets for limit in self._limits)
         share = cap_bps * slack_ns // (8 * NS_PER_S) if picture_octets is None else picture_octets
-        self._picture_octets = min(share, self.max_payload_octets)
+        #: What is expected of the next picture.
+        self.picture_octets = min(share, self.max_payload_octets)
         self._queue: deque[tuple[bytes, int, int]] = deque()
         self._backlog_octets = 0
         self._free_ns = 0
@@ -155,14 +156,17 @@ class Pacer:
 
         Ask once for each captured picture: a no is counted as a picture not encoded.
         """
-        wanted = self._backlog_octets + self._picture_octets
-        start_ns = max(self._free_ns, now_ns) + self._on_channel_ns(self._backlog_octets)
-        for limit in self._limits:
-            start_ns = max(start_ns, limit.room_ns(wanted, now_ns))
+        start_ns = self.start_ns(now_ns)
         if start_ns - now_ns <= self._slack_ns:
             return True
         self.pictures_refused += 1
         return False
+
+    def start_ns(self, now_ns: int) -> int:
+        """When the next picture could start on the channel: `now_ns`, or a later instant."""
+        wanted = self._backlog_octets + self.picture_octets
+        start_ns = max(self._free_ns, now_ns) + self._on_channel_ns(self._backlog_octets)
+        return max(start_ns, *(limit.room_ns(wanted, now_ns) for limit in self._limits))
 
     @property
     def backlog_octets(self) -> int:

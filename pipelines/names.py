@@ -13,12 +13,12 @@ STEREO_TOPIC = "camera/stereo"
 #: What goes up: the picture of the camera that is selected.
 SELECTED_TOPIC = "selected/uplink_video"
 ROBOT_TOPIC = "robot/state"
-#: A sample of `backlog_topic`: octets.
-BACKLOG = struct.Struct("=q")
+#: A sample of `backlog_topic`: octets, and how often the other segment was found (again).
+BACKLOG = struct.Struct("=qq")
 
 
 def backlog_topic(direction: str) -> str:
-    """How much video waits in the gateway of a direction of the link (`BACKLOG`)."""
+    """What a gateway tells the sender of video on its way out (`BACKLOG`)."""
     return f"link/{direction}"
 
 

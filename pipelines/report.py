@@ -97,6 +97,7 @@ def _stream(
     displayed = displayed_frames(collector, stream.name)
     return {
         "cap_bps": stream.cap_bps,
+        **_sizes(stream),
         "payload_bps_mean": round(figures.rate.octets * 8 / max(seconds, 1e-9)),
         "payload_bps_max_1s": round(figures.rate.max_bps(NS_PER_S)),
         "payload_bps_max_100ms": round(figures.rate.max_bps(100 * NS_PER_MS)),
@@ -115,6 +116,12 @@ def _stream(
         },
         "capture_stamp_error_us": round(figures.stamp_error.max / NS_PER_US, 1),
     }
+
+
+def _sizes(stream: VideoStream | VoiceStream) -> dict[str, Any]:
+    if not isinstance(stream, VideoStream):
+        return {}
+    return {"size": [stream.width, stream.height], "coded_size": list(stream.coded_size)}
 
 
 def displayed_frames(collector: Collector, stream: str) -> int:

@@ -12,6 +12,7 @@ from typing import Literal
 from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
+from kontur_av.h264_settings import coded_size_for
 from kontur_av.media import check_size
 from kontur_av.opus import bitrate_under_cap
 from telepresence.link.arithmetic import (
@@ -62,6 +63,8 @@ class VideoStream:
     """An H.264 stream: its hard cap of RTP payload in bit/s, picture size and rate.
 
     stale_after_ms: what is shown is marked when it is older; None: `Setup.stale_after_ns`.
+    coded: (width, height) in which pictures are coded; None: as large as there are bits for
+        (`coded_size`). They are shown in the stream's size.
     """
 
     name: str
@@ -69,6 +72,7 @@ class VideoStream:
     width: int = 640
     height: int = 480
     fps: int = 30
+    coded: tuple[int, int] | None = None
     stale_after_ms: float | None = None
 
     def __post_init__(self) -> None:
@@ -80,6 +84,18 @@ class VideoStream:
             raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
         _check_stale_after(self)
         check_size(self.width, self.height)
+        if self.coded is not None:
+            check_size(*self.coded)
+            if self.coded[0] > self.width or self.coded[1] > self.height:
+                raise ConfigError(
+                    f"{self.name}: pictures of {self.width}x{self.height} coded as "
+                    f"{self.coded[0]}x{self.coded[1]}: take no larger size, or leave coded out"
+                )
+
+    @property
+    def coded_size(self) -> tuple[int, int]:
+        """In which pictures are coded."""
+        return self.coded or coded_size_for(self.width, self.height, self.fps, self.cap_bps)
 
     @property
     def payload_octets(self) -> int:

@@ -18,7 +18,7 @@ from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 
 _NUMBER = (int, float)
 _VOICE_KINDS: Mapping[str, Any] = {"cap_kbps": _NUMBER, "stale_after_ms": _NUMBER}
-_VIDEO_KINDS: Mapping[str, Any] = {**_VOICE_KINDS, "size": str, "fps": int}
+_VIDEO_KINDS: Mapping[str, Any] = {**_VOICE_KINDS, "size": str, "coded": str, "fps": int}
 
 
 def load_setup(name: str) -> Setup:
@@ -94,6 +94,8 @@ def _video(name: str, table: object) -> VideoStream:
     options: dict[str, Any] = {"stale_after_ms": entries.get("stale_after_ms")}
     if "size" in entries:
         options["width"], options["height"] = parse_size(entries["size"], f"{name}.size")
+    if entries.get("coded", "auto") != "auto":
+        options["coded"] = parse_size(entries["coded"], f"{name}.coded")
     if "fps" in entries:
         options["fps"] = entries["fps"]
     return VideoStream(name=name, cap_bps=_cap_bps(name, entries), **options)

@@ -3,10 +3,13 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_S
-from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp
+from kontur_av.h264 import H264Encoder
+from kontur_av.link_clock import LinkClock
+from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp, VideoFrame
 from kontur_av.opus import heard_stamp
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
@@ -103,11 +106,32 @@ class _Sending:
         probe.total("rtp_packets_sent", self._rtp.packets_sent)
 
 
-class VideoSending(_Sending):
-    """Says which picture to encode, and paces what comes out.
+class Coding(NamedTuple):
+    """How to encode a picture.
 
-    Ask `handle_picture` for each picture that comes; encode it if it says so, and give what the
-    encoder made to `handle_access_unit`.
+    keyframe: as one at which any decoder can start. rate_hz: at which pictures come from now on;
+    None: as before.
+    """
+
+    keyframe: bool
+    rate_hz: float | None
+
+
+def encode(
+    encoder: H264Encoder, frame: VideoFrame, coding: Coding, now: Callable[[], int]
+) -> AccessUnit:
+    """The picture, encoded as `VideoSending` wants it; `now()` is asked when it is done."""
+    if coding.rate_hz is not None:
+        encoder.follow_rate(coding.rate_hz)
+    return encoder.encode(frame, now, force_keyframe=coding.keyframe)
+
+
+class VideoSending(_Sending):
+    """Says when to encode the newest picture, and paces what comes out.
+
+    Tell it of each picture that comes (`handle_picture`) and of what waits in the gateway
+    (`handle_link`), then and at `poll_timeout` ask `poll_encode`; if it says so, encode the newest
+    picture, and give what the encoder made to `handle_access_unit`.
     """
 
     def __init__(
@@ -120,36 +144,49 @@ class VideoSending(_Sending):
         largest = min(VIDEO_PAYLOAD_OCTETS, pacer.max_payload_octets)
         rtp = _rtp_sender(stream, identity, VIDEO_PAYLOAD_TYPE, VIDEO_CLOCK_HZ, largest)
         super().__init__(pacer, rtp, probe)
-        self._picture_octets = stream.cap_bps // (8 * stream.fps)
-        self._waiting_octets = 0
-        self._refused_by_link = 0
+        self._clock = LinkClock(pacer, fps=stream.fps)
+        self._media_bps = profile.media_bps
+        self._contacts: int | None = None
+        self._keyframe_due = False
 
-    def handle_backlog(self, octets: int) -> None:
-        """So much video waits in the gateway."""
-        self._waiting_octets = octets
+    def handle_link(self, waiting_octets: int, contacts: int, told_ns: int) -> None:
+        """What the gateway has told at `told_ns` (`names.BACKLOG`)."""
+        self._clock.handle_channel(waiting_octets, self._media_bps, told_ns)
+        if self._contacts is not None and contacts != self._contacts:
+            # What was sent before did not arrive: nothing that refers to it will do.
+            self._keyframe_due = True
+        self._contacts = contacts
 
-    def handle_picture(self, now_ns: int, *, skipped: int = 0) -> bool:
-        """A picture is there, the newest one; whether to encode it now.
+    def handle_picture(self, stamp: CaptureStamp, now_ns: int, *, skipped: int = 0) -> None:
+        """A picture is there, the newest one.
 
-        skipped: pictures that came before it and were never looked at. The pacer keeps the cap;
-        a link that leaves out slots carries less than that, so one picture at the most may wait
-        in the gateway: one more would be shown late.
+        skipped: pictures that came before it and were never looked at.
         """
-        self._captured += 1 + skipped
-        if self._waiting_octets > self._picture_octets:
-            self._refused_by_link += 1
-            return False
-        return self._pacer.ready_for_picture(now_ns)
+        self._clock.handle_picture(stamp.capture_ns, now_ns, skipped=skipped)
+
+    def poll_encode(self, now_ns: int) -> Coding | None:
+        """How to encode the newest picture, if it shall be encoded now."""
+        if not self._clock.poll_encode(now_ns):
+            return None
+        keyframe, self._keyframe_due = self._keyframe_due, False
+        return Coding(keyframe, self._clock.next_rate_hz())
+
+    def poll_timeout(self) -> int | None:
+        """When `poll_transmit` or `poll_encode` has something next."""
+        due = [self._pacer.poll_timeout(), self._clock.poll_timeout()]
+        return min((due_ns for due_ns in due if due_ns is not None), default=None)
 
     def handle_access_unit(self, unit: AccessUnit) -> None:
         """The picture is encoded, at `unit.encoded_ns`."""
+        self._clock.handle_encoded(unit.encoded_ns)
         packets = self._rtp.video_packets(unit)
         octets = [len(packet) - RTP_HEADER_OCTETS for packet in packets]
         self._queue(packets, octets, unit.stamp, unit.encoded_ns)
 
     def tell(self) -> None:
         """Put the counters into the probe."""
-        self._tell(self._pacer.pictures_refused + self._refused_by_link)
+        self._captured = self._clock.captured
+        self._tell(self._clock.refused)
         self._probe.gauge("backlog_octets", self._pacer.backlog_octets)
 
 

@@ -207,7 +207,7 @@ def run_gateway(
             writer = stack.enter_context(context.open_bus()).writer(
                 backlog_topic(gateway.sender.profile.name), max_octets=BACKLOG.size, wake=False
             )
-        told = -1
+        told = -1, 0
         figures_ns = tell_ns = 0
         deadline_ns = schedule.next_deadline_ns
         wake_ns = alarm_ns = deadline_ns
@@ -245,11 +245,11 @@ def run_gateway(
                 deadline_ns = schedule.next_deadline_ns
                 wake_ns = deadline_ns - margin.ns
                 if writer is not None and now_ns >= tell_ns:
-                    waiting = waiting_octets(Level.VIDEO)
+                    waiting = waiting_octets(Level.VIDEO), gateway.contacts
                     if waiting != told:
                         told, tell_ns = waiting, now_ns + _TELL_NS
                         writer.publish_octets(
-                            BACKLOG.pack(told), CaptureStamp(now_ns, 0, "gateway")
+                            BACKLOG.pack(*told), CaptureStamp(now_ns, 0, "gateway")
                         )
                 if now_ns >= figures_ns + PATIENCE_NS:
                     # Nothing comes by radio.

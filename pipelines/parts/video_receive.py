@@ -38,6 +38,6 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                         corrupt=picture.corrupt,
                     )
                     if stamp is not None:
-                        loan = writer.loan_picture(picture.width, picture.height)
-                        picture.copy_to(loan.picture)
+                        loan = writer.loan_picture(stream.width, stream.height)
+                        picture.scale_into(loan.picture)
                         loan.publish(stamp)

@@ -1,7 +1,8 @@
 """A video stream's sending process: topic -> encoder -> pacer -> RTP to the gateway."""
 
 from kontur_av.h264 import H264Encoder
-from pipelines.cores.sending import VideoSending
+from kontur_av.topics import Lease
+from pipelines.cores.sending import VideoSending, encode
 from pipelines.names import BACKLOG, backlog_topic
 from pipelines.parts.sending import Outgoing, random_identity
 from pipelines.process import PATIENCE_NS, Context
@@ -9,10 +10,14 @@ from pipelines.setup import VideoStream
 
 
 def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None:
-    """Send the newest picture of `topic` whenever the stream's budget has room for one."""
+    """Send the newest picture of `topic` whenever the channel is about to run dry."""
     clock = context.clock
     encoder = H264Encoder(
-        width=stream.width, height=stream.height, fps=stream.fps, cap_bps=stream.cap_bps
+        width=stream.width,
+        height=stream.height,
+        fps=stream.fps,
+        cap_bps=stream.cap_bps,
+        coded_size=stream.coded_size,
     )
     profile = context.setup.profile_of(stream)
     sending = VideoSending(stream, profile, random_identity(), context.probe)
@@ -21,22 +26,34 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
     with context.open_bus() as bus:
         reader = bus.reader(topic)
         backlog_reader = bus.reader(backlog_topic(profile.name))
+        # The newest picture, held until it is encoded or a newer one comes.
+        held: Lease | None = None
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             due_ns = sending.poll_timeout()
             reader.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
             skipped = reader.skipped
-            lease = reader.latest()
-            if lease is not None:
-                skipped = reader.skipped - skipped
-                with lease:
-                    newest = backlog_reader.latest()
-                    if newest is not None:
-                        with newest:
-                            sending.handle_backlog(*BACKLOG.unpack(newest.octets()))
-                    if sending.handle_picture(clock.now_ns(), skipped=skipped):
-                        unit = encoder.encode(lease.video(), clock.now_ns)
-                        sending.handle_access_unit(unit)
+            newer = reader.latest()
+            if newer is not None:
+                if held is not None:
+                    held.release()
+                held = newer
+                sending.handle_picture(held.stamp, clock.now_ns(), skipped=reader.skipped - skipped)
+            told = backlog_reader.latest()
+            if told is not None:
+                with told:
+                    waiting_octets, contacts = BACKLOG.unpack(told.octets())
+                    sending.handle_link(waiting_octets, contacts, told.stamp.capture_ns)
             outgoing.send_due()
+            if held is not None:
+                coding = sending.poll_encode(clock.now_ns())
+                if coding is not None:
+                    with held:
+                        unit = encode(encoder, held.video(), coding, clock.now_ns)
+                    held = None
+                    sending.handle_access_unit(unit)
+            outgoing.send_due()
+        if held is not None:
+            held.release()
         outgoing.close()

@@ -32,8 +32,11 @@ class _Sender:
         self._gateway = gateway
         self._ntp = ntp
         self._busy = False
-        self._timer = Timer(agenda, self._send_due)
+        self._timer = Timer(agenda, self._wake)
         self.tell = sending.tell
+
+    def _wake(self, now_ns: int) -> None:
+        self._send_due(now_ns)
 
     def _send_due(self, now_ns: int) -> None:
         if self._busy:
@@ -66,25 +69,29 @@ class VideoSender(_Sender):
         self._studio = studio
         self._cost_ns = costs.ns("encode")
         self._newest: tuple[Picture, CaptureStamp] | None = None
-        self._skipped = 0
 
     def handle_picture(self, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
-        """A picture comes; the one before, if nobody has looked at it, is skipped."""
-        self._skipped += self._newest is not None
+        """A picture comes, and replaces the one before if that was not encoded."""
         self._newest = picture, stamp
+        self._core.handle_picture(stamp, now_ns)
+        self._wake(now_ns)
+
+    def _wake(self, now_ns: int) -> None:
         self._look(now_ns)
         self._send_due(now_ns)
 
     def _look(self, now_ns: int) -> None:
         if self._busy or self._newest is None:
             return
-        (picture, stamp), self._newest = self._newest, None
-        skipped, self._skipped = self._skipped, 0
-        self._core.handle_backlog(self._gateway.sender.waiting_octets(Level.VIDEO))
-        if not self._core.handle_picture(now_ns, skipped=skipped):
+        gateway = self._gateway
+        waiting_octets = gateway.sender.waiting_octets(Level.VIDEO)
+        self._core.handle_link(waiting_octets, gateway.contacts, now_ns)
+        coding = self._core.poll_encode(now_ns)
+        if coding is None:
             return
+        (picture, stamp), self._newest = self._newest, None
         self._busy = True
-        job = self._studio.submit(picture)
+        job = self._studio.submit((picture, coding))
         self._agenda.at(now_ns + self._cost_ns, lambda now: self._finish(job, stamp, now))
 
     def _finish(self, job: Job, stamp: CaptureStamp, now_ns: int) -> None:

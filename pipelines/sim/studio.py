@@ -15,6 +15,7 @@ from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.stereo import merge
 from kontur_av.voice import VoicePlayer
+from pipelines.cores.sending import Coding, encode
 from pipelines.setup import VideoStream, VoiceStream
 from telepresence.world import WorldState, audio_scenes, render
 
@@ -46,15 +47,19 @@ Decoded = tuple[list[tuple[int, int, int, bool]], tuple[int, int, int]]
 class VideoStudio:
     """Draws pictures, or plays them from files, and encodes those that are asked for.
 
-    cameras: name -> SPEC of each input that the stream may show. Jobs: a `Picture`, which gives
-    (access unit, key picture); or a camera's name, which gives the capture instant of the file's
-    next picture, None where there are no more.
+    cameras: name -> SPEC of each input that the stream may show. Jobs: a `Picture` and how to
+    encode it, which gives (access unit, key picture); or a camera's name, which gives the capture
+    instant of the file's next picture, None where there are no more.
     """
 
     def __init__(self, stream: VideoStream, cameras: dict[str, str], start_ns: int) -> None:
         self._stream = stream
         self._encoder = H264Encoder(
-            width=stream.width, height=stream.height, fps=stream.fps, cap_bps=stream.cap_bps
+            width=stream.width,
+            height=stream.height,
+            fps=stream.fps,
+            cap_bps=stream.cap_bps,
+            coded_size=stream.coded_size,
         )
         self._views: dict[str, str] = {}
         self._films: dict[str, _Film] = {}
@@ -66,10 +71,10 @@ class VideoStudio:
                 self._films[name] = _Film(spec, name, stream, start_ns)
         self._rooms = [empty_picture(stream.width, stream.height) for _ in range(3)]
 
-    def __call__(self, job: Picture | str) -> tuple[bytes, bool] | int | None:
-        return self._films[job].next() if isinstance(job, str) else self._encode(job)
+    def __call__(self, job: tuple[Picture, Coding] | str) -> tuple[bytes, bool] | int | None:
+        return self._films[job].next() if isinstance(job, str) else self._encode(*job)
 
-    def _encode(self, shots: Sequence[Shot | None]) -> tuple[bytes, bool]:
+    def _encode(self, shots: Sequence[Shot | None], coding: Coding) -> tuple[bytes, bool]:
         parts = [
             None if shot is None else self._picture(shot, room)
             for shot, room in zip(shots, self._rooms, strict=False)
@@ -80,7 +85,7 @@ class VideoStudio:
             merge(parts[0], parts[1], picture)
         assert picture is not None
         stamp = CaptureStamp(0, self._encoder.encoded, self._stream.name)
-        unit = self._encoder.encode(VideoFrame(picture, stamp), lambda: 0)
+        unit = encode(self._encoder, VideoFrame(picture, stamp), coding, lambda: 0)
         return unit.data, unit.keyframe
 
     def _picture(self, shot: Shot, room: I420) -> I420:

@@ -46,6 +46,8 @@ from telepresence.link.supervision_events import (
 #: The longest that a packet waits while the peer may not hear it: what comes out after a loss of
 #: signal was put in after it, or just before its end.
 LOST_PATIENCE_NS = 50 * NS_PER_MS
+#: What is found within this time after the other segment was found belongs to that.
+SAME_CONTACT_NS = 100 * NS_PER_MS
 #: A life begins with this frame count: far from where any other is.
 LIFE_SHIFT = 8
 #: After so long without a frame no header context of before is worth anything: its packets may
@@ -98,6 +100,10 @@ class Gateway:
             now_ns=now_ns,
             timing=timing,
         )
+        #: How often the other segment was found, or found to hear this one again: what refers to
+        #: anything before the last time may not be understood.
+        self.contacts = 0
+        self._contact_ns: int | None = None
         self._samples_sent = 0
         self._restarts = 0
         # Nobody has been heard yet.
@@ -195,6 +201,7 @@ class Gateway:
                 sender.handle_peer(heard=False)
                 receiver.handle_signal_lost(event.now_ns)
             elif isinstance(event, SignalAcquired):
+                self._count_contact(event.now_ns)
                 sender.handle_peer(heard=True)
                 if event.gap_ns > FORGET_NS:
                     self._forget_received(event.now_ns)
@@ -202,6 +209,7 @@ class Gateway:
                 sender.flush(event.now_ns)
                 sender.set_patience(LOST_PATIENCE_NS)
             elif isinstance(event, PeerHears):
+                self._count_contact(event.now_ns)
                 sender.set_patience(None)
             elif isinstance(event, PeerMet):
                 sender.forget_contexts()
@@ -212,6 +220,12 @@ class Gateway:
                 receiver.handle_signal_lost(event.now_ns)
                 self._forget_received(event.now_ns)
         receiver.deliver = supervisor.delivering
+
+    def _count_contact(self, now_ns: int) -> None:
+        # Both directions mostly come back together, and are noticed one after the other.
+        if self._contact_ns is None or now_ns - self._contact_ns > SAME_CONTACT_NS:
+            self.contacts += 1
+            self._contact_ns = now_ns
 
     def _forget_received(self, now_ns: int) -> None:
         """What is held of the peer's headers is not to be trusted any more."""

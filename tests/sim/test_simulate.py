@@ -167,7 +167,7 @@ def test_all_resumes_after_a_blackout_and_nothing_comes_late(tmp_path):
         assert stream["frames_displayed"] >= least
         assert stream["rtp_lost"] > 0
         # A picture that came out after the dark would be a second old.
-        assert stream["latency_ms"]["max"] < 100
+        assert stream["latency_ms"]["max"] < 150
         assert stream["payload_bps_max_1s"] <= stream["cap_bps"]
     for direction in report["haptic"].values():
         assert direction["latency_ms"]["max"] == DELAY_MS + TWO_HALVES_MS
@@ -213,7 +213,13 @@ def test_sources_that_live_in_real_time_are_refused_in_one_line(capsys):
 
 
 @pytest.mark.parametrize(
-    "words", [["--select", "1=roof"], ["--select", "soon=head"], ["--encode-ms", "-1"]]
+    "words",
+    [
+        ["--select", "0=roof"],
+        ["--select", "soon=head"],
+        ["--select", "1=head"],
+        ["--encode-ms", "-1"],
+    ],
 )
 def test_what_cannot_be_meant_is_refused(words, capsys):
     assert main(["simulate", "--setup", "spacejustin", "--seconds", "1", *words]) == 2

@@ -177,7 +177,9 @@ def test_pictures_of_the_setups_own_size_are_shown_and_larger_ones_counted(sessi
     stream = replace(SETUP.uplink_video, width=2560, height=1440)
     width, height = size
     rtp = rtp_sender(VIDEO_PAYLOAD_TYPE, VIDEO_CLOCK_HZ)
-    encoder = H264Encoder(width=width, height=height, fps=30, cap_bps=1_000_000)
+    encoder = H264Encoder(
+        width=width, height=height, fps=30, cap_bps=1_000_000, coded_size=(width, height)
+    )
     picture = empty_picture(width, height)
     picture[:] = 128
     ports = SETUP.ports
@@ -234,6 +236,6 @@ def test_nothing_is_encoded_while_the_link_is_behind(session):
             (share_octets + 1, "frames_refused", None),
         ):
             stamp = CaptureStamp(CLOCK.now_ns(), 0, "gateway")
-            backlog.publish_octets(BACKLOG.pack(waiting_octets), stamp)
+            backlog.publish_octets(BACKLOG.pack(waiting_octets, 1), stamp)
             totals = counted(counter, listen().totals[counter] + 5)
             assert other is None or totals[other] == 0

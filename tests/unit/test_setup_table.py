@@ -26,6 +26,7 @@ cap_kbps = 62.5
 size = "320x240"
 fps = 25
 stale_after_ms = 250.5
+coded = "160x120"
 
 [uplink_voice]
 cap_kbps = 6.4
@@ -60,9 +61,9 @@ def test_every_field_of_a_file_arrives(tmp_path):
     assert (setup.name, setup.cameras) == ("wrist", ("wrist", "stereo"))
     assert (setup.radio, setup.radio_delay_ms, setup.base_port) == ("cable", 12.5, 21_000)
     video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
-    assert asdict(setup.uplink_video) == video | {"stale_after_ms": 250.5}
+    assert asdict(setup.uplink_video) == video | {"stale_after_ms": 250.5, "coded": (160, 120)}
     down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
-    assert asdict(setup.downlink_video) == down | {"stale_after_ms": None}
+    assert asdict(setup.downlink_video) == down | {"stale_after_ms": None, "coded": None}
     voice = {"name": "uplink_voice", "cap_bps": 6_400, "stale_after_ms": 90}
     assert asdict(setup.uplink_voice) == voice
     down = {"name": "downlink_voice", "cap_bps": 24_000, "stale_after_ms": None}
@@ -98,6 +99,7 @@ def test_a_file_is_named_after_itself(tmp_path):
         ("cap_kbps = nan", "uplink_video.cap_kbps is nan: .* finite"),
         ("cap_kbps = 50\n[uplink_voice]\ncap_kbps = 6", "uplink_voice: a cap of 6 kbit/s: .* 6.24"),
         ("cap_kbps = 50\n[downlink_voice]\ncap_kbps = 129", "downlink_voice: .* 129 .* most 128"),
+        ("cap_kbps = 50\ncoded = '800x600'", "coded as 800x600: take no larger size"),
         ("cap_kbps = 50\nstale_after_ms = 2", "uplink_video: stale after 2 ms; take 10 to"),
         ("cap_kbps = 50\nstale_after_ms = '1 s'", "uplink_video.stale_after_ms must be a number"),
         ('cap_kbps = 50\nsize = "640"', "^uplink_video.size '640': write WIDTHxHEIGHT"),
@@ -113,8 +115,7 @@ def test_a_value_that_cannot_be_is_named_with_its_field(tmp_path, fields_of_it, 
 def test_what_the_radio_alone_makes_stale_is_refused(tmp_path):
     path = tmp_path / "far.toml"
     path.write_text(
-        'cameras = ["static"]\nradio = "geo"\n'
-        "[uplink_video]\ncap_kbps = 50\nstale_after_ms = 200\n"
+        'cameras = ["static"]\nradio = "geo"\n[uplink_video]\ncap_kbps = 50\nstale_after_ms = 200\n'
     )
     with pytest.raises(ConfigError, match="uplink_video: stale after 200 ms, but the radio takes"):
         load_setup(str(path))

@@ -1,0 +1,118 @@
+"""When to encode: the channel asks for pictures, not the camera.
+
+A picture that is encoded while the channel is still busy waits behind the one before it, and is
+shown that much later. So the newest one is encoded when the channel will have run dry by the time
+that the coding is done. Where the next picture will come sooner than the newest one is old by
+then, that one is waited for: so encoding locks to the camera's own instants while pictures are
+small enough, and leaves one out where they are not.
+"""
+
+from kontur_av.budget import Pacer
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+
+#: Taken for the coding time before any was measured.
+_CODING_NS = 3 * NS_PER_MS
+#: Of each new measurement so much is believed: one part in eight.
+_SMOOTHING = 8
+#: A picture that was waited for is given up this much later, in parts of a period.
+_GRACE_PARTS = 8
+#: When to look again whether a channel that is behind has caught up.
+_LOOK_AGAIN_NS = 2 * NS_PER_MS
+#: The rate of the pictures that come is counted over so many.
+_COUNTED = 45
+
+
+class LinkClock:
+    """Decides about each picture of one stream. A core: it is told the time.
+
+    pacer: of the stream. fps: the rate of pictures that the encoder was told.
+
+    Tell it of each picture that comes (`handle_picture`), ask `poll_encode` then and at
+    `poll_timeout`, and tell it when the coding is done (`handle_encoded`).
+    """
+
+    def __init__(self, pacer: Pacer, *, fps: float) -> None:
+        self._pacer = pacer
+        self._fps = fps
+        self._told_hz = fps
+        self._period_ns = round(NS_PER_S / fps)
+        self._coding_ns = _CODING_NS
+        #: When the newest picture came, and whether it still waits for a decision.
+        self._came_ns = 0
+        self._waits = False
+        self._begun_ns = 0
+        self._waiting_octets = self._channel_free_ns = 0
+        self._now_ns = 0
+        self._counted_since_ns: int | None = None
+        self._counted = 0
+        self._new_hz: float | None = None
+        #: Pictures that came, and those of them that will never be encoded.
+        self.captured = self.refused = 0
+
+    def handle_channel(self, octets: int, rate_bps: int, told_ns: int) -> None:
+        """At `told_ns` so much waited behind the pacer, in a channel of this rate."""
+        self._waiting_octets = octets
+        self._channel_free_ns = told_ns + octets * 8 * NS_PER_S // rate_bps
+
+    def handle_picture(self, capture_ns: int, now_ns: int, *, skipped: int = 0) -> None:
+        """A picture is there, the newest one.
+
+        skipped: pictures that came before it and were never looked at.
+        """
+        self.captured += 1 + skipped
+        self.refused += skipped + self._waits
+        self._came_ns, self._waits = now_ns, True
+        self._now_ns = now_ns
+        self._count(capture_ns, 1 + skipped)
+
+    def poll_encode(self, now_ns: int) -> bool:
+        """Whether to encode the newest picture now."""
+        self._now_ns = now_ns
+        due_ns = self._due_ns()
+        if due_ns is None or due_ns > now_ns:
+            return False
+        self._waits = False
+        self._begun_ns = now_ns
+        return True
+
+    def poll_timeout(self) -> int | None:
+        """When `poll_encode` is worth the next call; None while no picture waits."""
+        return self._due_ns()
+
+    def handle_encoded(self, now_ns: int) -> None:
+        """The picture that was to be encoded is."""
+        self._coding_ns += (now_ns - self._begun_ns - self._coding_ns) // _SMOOTHING
+
+    def next_rate_hz(self) -> float | None:
+        """The rate at which pictures really come, once whenever the encoder should follow it."""
+        hz, self._new_hz = self._new_hz, None
+        return hz
+
+    def _due_ns(self) -> int | None:
+        if not self._waits:
+            return None
+        free_ns = max(self._pacer.start_ns(self._now_ns), self._channel_free_ns)
+        due_ns = max(free_ns - self._coding_ns, self._came_ns)
+        if self._waiting_octets > self._pacer.picture_octets:
+            # It may carry less than its rate: what it has is to be seen, not to be reckoned.
+            due_ns = max(due_ns, self._now_ns + _LOOK_AGAIN_NS)
+        next_ns = self._came_ns + self._period_ns
+        give_up_ns = next_ns + self._period_ns // _GRACE_PARTS
+        if next_ns - due_ns < due_ns - self._came_ns and due_ns < give_up_ns:
+            return give_up_ns
+        return due_ns
+
+    def _count(self, capture_ns: int, pictures: int) -> None:
+        since_ns = self._counted_since_ns
+        if since_ns is None or capture_ns <= since_ns:
+            self._counted_since_ns, self._counted = capture_ns, 0
+            return
+        self._counted += pictures
+        if self._counted < _COUNTED:
+            return
+        hz = min(self._counted * NS_PER_S / (capture_ns - since_ns), self._fps)
+        self._counted_since_ns, self._counted = capture_ns, 0
+        # A hiccup of the source is no new rate: what x264 is told should hold for long.
+        if abs(hz - self._told_hz) > self._told_hz / 12:
+            self._told_hz = self._new_hz = round(hz, 1)
+            self._period_ns = round(NS_PER_S / self._told_hz)
