@@ -90,3 +90,12 @@ def test_refused_real_time_names_the_limits_to_set(monkeypatch: pytest.MonkeyPat
     assert verdict.state == "advice"
     assert "rtprio 1000" in verdict.mend
     assert "/etc/security/limits.d" in verdict.mend
+
+
+def test_a_system_that_wakes_a_reader_but_once_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Linux 5.5 to 5.9 does, whose pipes make no edge while they hold something."""
+    register = "kontur_av.bell.Sleeper._rung"
+    monkeypatch.setattr(register, lambda self, timeout_ns: timeout_ns == 0)
+    verdict = check_topics()
+    assert verdict.state == "missing"
+    assert verdict.mend == "use Linux 5.14 or newer"
