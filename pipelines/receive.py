@@ -19,7 +19,8 @@ from kontur_av.errors import ConfigError
 from kontur_av.meters import RateMeter
 from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
-from pipelines.command import check_options, stopped_by_signals, write_text
+from pipelines.command import check_options, parse_size, stopped_by_signals, write_text
+from pipelines.raw_pictures import RawPictures
 from pipelines.remux import MatroskaWriter
 from pipelines.sinks import AudioSink, VideoSink
 
@@ -33,6 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av receive`."""
     parser.add_argument("--sdp", metavar="FILE", required=True, help="describes the stream")
     parser.add_argument("--save", metavar="FILE.mkv", help="write the stream as it comes")
+    parser.add_argument(
+        "--raw",
+        metavar="PATH",
+        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
+    )
+    parser.add_argument(
+        "--size", metavar="WxH", help="of the pictures of --raw (default: that of the first one)"
+    )
     parser.add_argument("--report", metavar="FILE", help="write a JSON report")
     parser.add_argument(
         "--seconds",
@@ -57,16 +66,33 @@ def run(args: argparse.Namespace) -> int:
         if args.save:
             writer = MatroskaWriter(args.save)
             stack.callback(writer.close)
+        raw = _open_raw(args, stream)
+        if raw is not None:
+            stack.callback(raw.close)
         clock = MonotonicClock()
-        sink = VideoSink(stream, writer) if stream.kind == "video" else AudioSink(writer)
-        report = _Shell(stream, sink, sockets, clock).run(args.seconds)
+        sink = VideoSink(stream, writer, raw) if stream.kind == "video" else AudioSink(writer)
+        report = _Shell(stream, sink, sockets, clock, raw).run(args.seconds)
     if args.save:
         report["saved"] = {"file": args.save, "packets": 0 if writer is None else writer.written}
+    if raw is not None:
+        report["raw"] = raw.report()
+        report["failed"] += [raw.fault] if raw.fault else []
     if args.report:
         write_text(args.report, json.dumps(report, indent=2) + "\n", "--report")
     for failure in report["failed"]:
         print(f"failed: {failure}", file=sys.stderr)
     return 1 if report["failed"] else 0
+
+
+def _open_raw(args: argparse.Namespace, stream: StreamDescription) -> RawPictures | None:
+    size = None if args.size is None else parse_size(args.size)
+    if args.raw is None:
+        if size is not None:
+            raise ConfigError("--size is that of the pictures of --raw: give --raw PATH, too")
+        return None
+    if stream.kind != "video":
+        raise ConfigError("--raw writes pictures, but the SDP describes sound: leave it out")
+    return RawPictures(args.raw, size)
 
 
 def _read_text(path: str) -> str:
@@ -125,7 +151,10 @@ class _Shell:
         sink: VideoSink | AudioSink,
         sockets: tuple[socket.socket, socket.socket],
         clock: MonotonicClock,
+        raw: RawPictures | None,
     ) -> None:
+        self._raw = raw
+        self._watched: int | None = None
         self._stream = stream
         self._clock = clock
         self._sink = sink
@@ -158,9 +187,23 @@ class _Shell:
                 due = [self._receiver.poll_timeout(), self._sink.poll_timeout(), end_ns]
                 until_ns = min([next_line_ns, *(d for d in due if d is not None)])
                 wait_ns = min(max(until_ns - now_ns, 0), _LONGEST_WAIT_NS)
+                if self._raw is not None:
+                    self._watch(selector, self._raw.pending())
                 selector.select(wait_ns / NS_PER_S)
                 self._take_datagrams()
+                if self._raw is not None and self._raw.pending() is not None:
+                    self._raw.handle_writable()
         return self._report(start_ns)
+
+    def _watch(self, selector: selectors.BaseSelector, wanted: int | None) -> None:
+        """Wake when the reader of raw pictures takes more of one that it has in part."""
+        if self._watched is not None:
+            # The descriptor may have been closed, or another one of its number opened.
+            with contextlib.suppress(KeyError, ValueError):
+                selector.unregister(self._watched)
+        if wanted is not None:
+            selector.register(wanted, selectors.EVENT_WRITE)
+        self._watched = wanted
 
     def _has_ended(self, now_ns: int) -> bool:
         if self._last_packet_ns is None:

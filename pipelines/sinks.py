@@ -11,6 +11,7 @@ from kontur_av.rtp.receiver import RtpReceived, RtpReceiver
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.voice import VoicePlayer
+from pipelines.raw_pictures import RawPictures
 from pipelines.remux import MatroskaWriter
 
 
@@ -38,10 +39,16 @@ class _TimeLine:
 class VideoSink:
     """Packets in order to access units, to pictures."""
 
-    def __init__(self, stream: StreamDescription, writer: MatroskaWriter | None) -> None:
+    def __init__(
+        self,
+        stream: StreamDescription,
+        writer: MatroskaWriter | None,
+        raw: RawPictures | None = None,
+    ) -> None:
         self.receiver: RtpReceiver
         self.decoded_ns = Histogram()
         self.received_ns = Histogram()
+        self._raw = raw
         self._depacketizer = H264Depacketizer(stream.parameter_sets)
         self._decoder = H264Decoder(reordered=True)
         self._time_line = _TimeLine(stream.clock_rate_hz)
@@ -60,6 +67,8 @@ class VideoSink:
             if capture_ns is not None:
                 self.received_ns.add(unit.received_ns - capture_ns)
             for picture in pictures:
+                if self._raw is not None:
+                    self._raw.handle_picture(picture)
                 self._size = (picture.width, picture.height)
                 shown_ns = self.receiver.capture_ns(picture.timestamp)
                 if shown_ns is not None:
