@@ -1,0 +1,247 @@
+"""Who is measured in `bench video`: commands that a user would type, this project's and others'."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
+from kontur_av.rtp.sdp import parse_sdp, write_sdp
+
+OURS, DEFAULT, TUNED = "kontur-av", "gst-default", "gst-tuned"
+CONTENDERS = (OURS, DEFAULT, TUNED)
+
+_NEEDED = ("x264enc", "avdec_h264", "rtph264pay", "rtph264depay", "y4mdec", "y4menc")
+_ENCODERS = {
+    DEFAULT: "x264enc tune=zerolatency bitrate={cap_kbps}",
+    TUNED: "x264enc tune=zerolatency bitrate={cap_kbps} vbv-buf-capacity=66 intra-refresh=true "
+    "key-int-max=600 speed-preset=slower threads=1 psy-tune=psnr",
+}
+_H264_CAPS = "application/x-rtp,media=video,clock-rate=90000,encoding-name=H264,payload=96"
+_START_S = 30.0
+_STOP_S = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """What all contenders run through.
+
+    width, height, fps: of the pictures. cap_kbps: what the encoder may use. channel_kbps: what
+    the channel carries. entrance, exit: the UDP ports of RTP at its two ends; RTCP is one higher.
+    film, screen: the FIFOs from which pictures come and into which they go. directory: for files.
+    """
+
+    width: int
+    height: int
+    fps: int
+    cap_kbps: float
+    channel_kbps: float
+    entrance: int
+    exit: int
+    directory: Path
+    film: Path = field(init=False)
+    screen: Path = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name in ("film", "screen"):
+            path = self.directory / f"{name}.y4m"
+            os.mkfifo(path)
+            object.__setattr__(self, name, path)
+
+
+class ContenderError(RuntimeError):
+    """What is measured did not run; its own last words."""
+
+
+def missing(name: str) -> str | None:
+    """Why this contender cannot run on this machine, if it cannot."""
+    if name == OURS:
+        return None
+    if shutil.which("gst-launch-1.0") is None:
+        return "GStreamer is not installed (Debian: gstreamer1.0-tools)"
+    for element in _NEEDED:
+        if subprocess.run(["gst-inspect-1.0", "--exists", element], check=False).returncode:
+            return f"GStreamer has no {element} (Debian: its plugins good, bad, ugly and libav)"
+    return None
+
+
+class Process:
+    """A command that runs; its CPU time is the kernel's."""
+
+    def __init__(self, name: str, command: Sequence[str], log: Path, fds: Sequence[int]) -> None:
+        self.name = name
+        self._log = log
+        with log.open("wb") as output:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                pass_fds=fds,
+                # Ctrl-C is the bench's, which ends its children itself.
+                start_new_session=True,
+            )
+        self._cpu_s: float | None = None
+
+    def check(self) -> None:
+        """ContenderError if it has ended."""
+        if self._ended(os.WNOHANG):
+            words = self._log.read_text(errors="replace").strip().splitlines()
+            raise ContenderError(f"{self.name} has ended: {' / '.join(words[-3:])}")
+
+    def stop(self, wait_s: float) -> float:
+        """Wait for its end, then ask for it, then enforce it; CPU seconds of its whole life."""
+        for number in (None, signal.SIGINT, signal.SIGKILL):
+            if self._cpu_s is None and number is not None:
+                with suppress(ProcessLookupError):
+                    self._process.send_signal(number)
+            give_up_ns = time.monotonic_ns() + round(wait_s * NS_PER_S)
+            while not self._ended(os.WNOHANG) and time.monotonic_ns() < give_up_ns:
+                time.sleep(0.02)
+            wait_s = _STOP_S
+        return self._cpu_s or 0.0
+
+    def _ended(self, options: int) -> bool:
+        if self._cpu_s is None:
+            pid, status, usage = os.wait4(self._process.pid, options)
+            if pid:
+                # Popen must not wait for it once more.
+                self._process.returncode = os.waitstatus_to_exitcode(status)
+                self._cpu_s = usage.ru_utime + usage.ru_stime
+        return self._cpu_s is not None
+
+
+@contextmanager
+def started(name: str, course: Course) -> Iterator[tuple[Process, Process]]:
+    """Sender and receiver of the contender, ready for the first picture; ended at the exit.
+
+    Raises ContenderError if they do not come up.
+    """
+    running: list[Process] = []
+    try:
+        if name == OURS:
+            running += [_our_sender(course)]
+            running += [_our_receiver(course, running[0])]
+        else:
+            running += [_gst_receiver(course), _gst_sender(name, course)]
+            running.reverse()
+        sender, receiver = running
+        _wait_for_port(course.exit, receiver)
+        yield sender, receiver
+    finally:
+        for process in running:
+            process.stop(0)
+
+
+def _our_sender(course: Course) -> Process:
+    options: dict[str, Any] = {
+        "--video": f"pipe:{course.film}",
+        "--to": f"127.0.0.1:{course.entrance}",
+        "--cap-kbps": f"{course.cap_kbps:g}",
+        "--channel-kbps": f"{course.channel_kbps:g}",
+        "--size": f"{course.width}x{course.height}",
+        "--fps": course.fps,
+        "--sdp": course.directory / "sent.sdp",
+        "--report": course.directory / "sent.json",
+    }
+    return _ours("send", options, course)
+
+
+def _our_receiver(course: Course, sender: Process) -> Process:
+    sent, received = course.directory / "sent.sdp", course.directory / "received.sdp"
+    give_up_ns = time.monotonic_ns() + round(_START_S * NS_PER_S)
+    while True:
+        # It is written while this looks: whole once it can be read.
+        with suppress(ConfigError, FileNotFoundError):
+            stream = parse_sdp(sent.read_text())
+            break
+        sender.check()
+        if time.monotonic_ns() > give_up_ns:
+            raise ContenderError(f"{sender.name} wrote no SDP")
+        time.sleep(0.02)
+    received.write_text(write_sdp(replace(stream, port=course.exit)))
+    options: dict[str, Any] = {
+        "--sdp": received,
+        "--raw": course.screen,
+        "--size": f"{course.width}x{course.height}",
+        "--report": course.directory / "received.json",
+    }
+    return _ours("receive", options, course)
+
+
+def _ours(command: str, options: dict[str, Any], course: Course) -> Process:
+    words = [str(word) for option in options.items() for word in option]
+    return Process(
+        f"kontur-av {command}",
+        [sys.executable, "-m", "pipelines.cli", command, *words],
+        course.directory / f"{command}.log",
+        (),
+    )
+
+
+def _gst_sender(name: str, course: Course) -> Process:
+    # A source opens the FIFO before there is a writer, as ours does.
+    fd = os.open(course.film, os.O_RDONLY | os.O_NONBLOCK)
+    os.set_blocking(fd, True)
+    encoder = _ENCODERS[name].format(cap_kbps=round(course.cap_kbps))
+    try:
+        return _gst(
+            "sender",
+            f"fdsrc fd={fd} blocksize=1048576 ! y4mdec ! {encoder} "
+            f"! rtph264pay pt=96 ! udpsink host=127.0.0.1 port={course.entrance} sync=false",
+            course,
+            fd,
+        )
+    finally:
+        os.close(fd)
+
+
+def _gst_receiver(course: Course) -> Process:
+    fd = os.open(course.screen, os.O_WRONLY)
+    try:
+        return _gst(
+            "receiver",
+            # Rendered directly, its pictures would have padding, which y4menc passes on.
+            f"udpsrc port={course.exit} caps={_H264_CAPS} ! rtph264depay "
+            f"! avdec_h264 direct-rendering=false ! y4menc ! fdsink fd={fd} sync=false",
+            course,
+            fd,
+        )
+    finally:
+        os.close(fd)
+
+
+def _gst(role: str, pipeline: str, course: Course, fd: int) -> Process:
+    return Process(
+        f"GStreamer's {role}",
+        ["gst-launch-1.0", "-q", *pipeline.split()],
+        course.directory / f"gst-{role}.log",
+        (fd,),
+    )
+
+
+def _wait_for_port(port: int, receiver: Process) -> None:
+    give_up_ns = time.monotonic_ns() + round(_START_S * NS_PER_S)
+    while not _is_bound(port):
+        receiver.check()
+        if time.monotonic_ns() > give_up_ns:
+            raise ContenderError(f"{receiver.name} did not open UDP port {port}")
+        time.sleep(0.02)
+
+
+def _is_bound(port: int) -> bool:
+    lines = [
+        line
+        for table in ("/proc/net/udp", "/proc/net/udp6")
+        if Path(table).exists()
+        for line in Path(table).read_text().splitlines()[1:]
+    ]
+    return any(int(line.split()[1].rpartition(":")[2], 16) == port for line in lines)
