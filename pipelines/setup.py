@@ -205,6 +205,10 @@ _PORT_OFFSETS = {
     "downlink_video_rtcp": 19,
     "downlink_voice": 22,
     "downlink_voice_rtcp": 23,
+    "uplink_video_feedback": 26,
+    "downlink_video_feedback": 27,
+    "feedback_uplink_video": 26,
+    "feedback_downlink_video": 28,
     TELEMETRY: 30,
     TELECOMMAND: 32,
     f"uplink_{MAINTENANCE}": 34,
@@ -360,7 +364,9 @@ class Setup:
             tmtc_flow(TELEMETRY),
             *_flows(self.uplink_voice),
             *_flows(self.uplink_video),
+            *_feedback(self.downlink_video),
             packet_flow(f"uplink_{MAINTENANCE}", Level.MAINTENANCE),
+            *_feedback_flows(self.downlink_video),
         )
 
     @property
@@ -370,7 +376,9 @@ class Setup:
             tmtc_flow(TELECOMMAND),
             *_flows(self.downlink_voice),
             *_flows(self.downlink_video),
+            *_feedback(self.uplink_video),
             packet_flow(f"downlink_{MAINTENANCE}", Level.MAINTENANCE),
+            *_feedback_flows(self.uplink_video),
         )
 
     def need_up(self) -> ChannelNeed:
@@ -393,6 +401,20 @@ def _flows(stream: VideoStream | VoiceStream | None) -> tuple[Flow, ...]:
         return ()
     make = video_flow if isinstance(stream, VideoStream) else voice_flow
     return (make(stream.name), rtcp_flow(f"{stream.name}_rtcp"))
+
+
+def feedback_flow(stream: str) -> str:
+    """The flow by which a video stream's receiver asks its sender for whole pictures."""
+    return f"feedback_{stream}"
+
+
+def _feedback(stream: VideoStream | None) -> tuple[Flow, ...]:
+    return () if stream is None else (rtcp_flow(feedback_flow(stream.name)),)
+
+
+def _feedback_flows(stream: VideoStream | None) -> tuple[Flow, ...]:
+    """What a receiver of pictures says to their sender goes the other way."""
+    return () if stream is None else (rtcp_flow(f"{stream.name}_feedback"),)
 
 
 def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:

@@ -7,6 +7,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.healing import Healing
 from kontur_av.lipsync import LipSync
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, CaptureStamp
+from kontur_av.rtp.feedback import PictureLossReporter
 from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
@@ -52,10 +53,16 @@ class VideoReceiving(_Receiving):
     """RTP packets to access units, and pictures to what may be shown.
 
     Decode each unit of `next_event`, and ask `handle_picture` for each picture that comes out.
+    Then send what `poll_feedback` gives. ssrc: the receiver's own, drawn at random.
     """
 
     def __init__(
-        self, stream: VideoStream, from_ntp: Callable[[int], int] | None, probe: Probe
+        self,
+        stream: VideoStream,
+        from_ntp: Callable[[int], int] | None,
+        probe: Probe,
+        *,
+        ssrc: int,
     ) -> None:
         receiver = RtpReceiver(
             payload_type=VIDEO_PAYLOAD_TYPE, clock_rate_hz=VIDEO_CLOCK_HZ, from_ntp=from_ntp
@@ -67,6 +74,9 @@ class VideoReceiving(_Receiving):
         self._healing = Healing()
         #: Timestamps of units that are being decoded and will show damage.
         self._hurt: OrderedDict[int, None] = OrderedDict()
+        self._losses = PictureLossReporter(ssrc=ssrc)
+        #: Whether the decoder has had a picture to start at.
+        self._begun = False
         self._oversized = 0
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
@@ -78,8 +88,13 @@ class VideoReceiving(_Receiving):
         self._receiver.handle_timeout(now_ns)
 
     def poll_timeout(self) -> int | None:
-        """When `handle_timeout` wants to be called."""
-        return self._receiver.poll_timeout()
+        """When `handle_timeout` or `poll_feedback` wants to be called."""
+        due = [self._receiver.poll_timeout(), self._losses.poll_timeout()]
+        return min((due_ns for due_ns in due if due_ns is not None), default=None)
+
+    def poll_feedback(self, now_ns: int) -> bytes | None:
+        """What to send to the stream's sender now: a picture loss indication, or None."""
+        return self._losses.poll_transmit(now_ns)
 
     def next_event(self) -> ReceivedUnit | None:
         """The next access unit to decode, or None."""
@@ -88,7 +103,14 @@ class VideoReceiving(_Receiving):
         unit = self._depacketizer.next_event()
         if unit is not None:
             self._probe.row("rx", unit.timestamp, unit.received_ns)
-            if self._healing.handle_unit(unit):
+            hurt = self._healing.handle_unit(unit)
+            self._begun = self._begun or (unit.keyframe and not hurt)
+            self._losses.handle_picture(
+                damaged=hurt or not self._begun,
+                media_ssrc=self._receiver.ssrc or 0,
+                now_ns=unit.received_ns,
+            )
+            if hurt:
                 self._hurt[unit.timestamp] = None
                 if len(self._hurt) > _REMEMBERED:
                     self._hurt.popitem(last=False)
@@ -107,6 +129,7 @@ class VideoReceiving(_Receiving):
 
         corrupt: the decoder knows of damage in it.
         """
+        self._begun = True
         hurt = self._hurt.pop(timestamp, self) is None or corrupt
         if width * height * 3 // 2 > self._largest_octets:
             # No sender of ours: it would have shared memory grow as it likes.
@@ -128,6 +151,7 @@ class VideoReceiving(_Receiving):
         probe.total("frames_corrupt", corrupt)
         probe.total("decoder_restarts", restarts)
         probe.total("frames_oversized", self._oversized)
+        probe.total("pictures_asked_for", self._losses.sent)
 
 
 class VoiceReceiving(_Receiving):

@@ -11,6 +11,7 @@ from kontur_av.h264 import H264Encoder
 from kontur_av.link_clock import LinkClock
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp, VideoFrame
 from kontur_av.opus import heard_stamp
+from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from kontur_av.sources.source import BLOCK_NS
@@ -148,6 +149,11 @@ class VideoSending(_Sending):
         self._media_bps = profile.media_bps
         self._contacts: int | None = None
         self._keyframe_due = False
+        self._losses = PictureLossListener(ssrc=identity.ssrc)
+
+    def handle_feedback(self, datagram: bytes, now_ns: int) -> None:
+        """RTCP from the stream's receiver."""
+        self._losses.handle_feedback(datagram, now_ns)
 
     def handle_link(self, waiting_octets: int, contacts: int, told_ns: int) -> None:
         """What the gateway has told at `told_ns` (`names.BACKLOG`)."""
@@ -168,7 +174,8 @@ class VideoSending(_Sending):
         """How to encode the newest picture, if it shall be encoded now."""
         if not self._clock.poll_encode(now_ns):
             return None
-        keyframe, self._keyframe_due = self._keyframe_due, False
+        keyframe = self._losses.take(now_ns) or self._keyframe_due
+        self._keyframe_due = False
         return Coding(keyframe, self._clock.next_rate_hz())
 
     def poll_timeout(self) -> int | None:
@@ -187,6 +194,8 @@ class VideoSending(_Sending):
         """Put the counters into the probe."""
         self._captured = self._clock.captured
         self._tell(self._clock.refused)
+        self._probe.total("feedback_received", self._losses.received)
+        self._probe.total("feedback_garbage", self._losses.garbage)
         self._probe.gauge("backlog_octets", self._pacer.backlog_octets)
 
 

@@ -1,17 +1,19 @@
 """A video stream's receiving process: RTP from the gateway -> decoder -> topic."""
 
+import secrets
+
 from kontur_av.h264 import H264Decoder
 from pipelines.cores.receiving import VideoReceiving
 from pipelines.names import received_topic
 from pipelines.parts.reception import Incoming
 from pipelines.process import Context
-from pipelines.setup import VideoStream
+from pipelines.setup import VideoStream, feedback_flow
 
 
 def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     """Decode whatever comes whole, and publish it with the capture time that the sender told."""
     clock = context.clock
-    receiving = VideoReceiving(stream, clock.from_ntp, context.probe)
+    receiving = VideoReceiving(stream, clock.from_ntp, context.probe, ssrc=secrets.randbits(32))
     decoder = H264Decoder()
 
     def fill() -> None:
@@ -22,6 +24,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     context.on_flush(fill)
     with context.open_bus() as bus:
         incoming = Incoming(context, stream, receiving)
+        to_sender = context.sender(context.setup.ports.entry(feedback_flow(stream.name)))
         largest_octets = stream.width * stream.height * 3 // 2
         writer = bus.writer(received_topic(stream.name), max_octets=largest_octets)
         while not context.stopping:
@@ -41,3 +44,6 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                         loan = writer.loan_picture(stream.width, stream.height)
                         picture.scale_into(loan.picture)
                         loan.publish(stamp)
+            feedback = receiving.poll_feedback(clock.now_ns())
+            if feedback is not None:
+                to_sender(feedback)

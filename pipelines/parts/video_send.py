@@ -6,7 +6,7 @@ from pipelines.cores.sending import VideoSending, encode
 from pipelines.names import BACKLOG, backlog_topic
 from pipelines.parts.sending import Outgoing, random_identity
 from pipelines.process import PATIENCE_NS, Context
-from pipelines.setup import VideoStream
+from pipelines.setup import VideoStream, feedback_flow
 
 
 def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None:
@@ -22,6 +22,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
     profile = context.setup.profile_of(stream)
     sending = VideoSending(stream, profile, random_identity(), context.probe)
     outgoing = Outgoing(context, stream, sending)
+    feedback = context.listen(context.setup.ports.exit(feedback_flow(stream.name)))
     context.on_flush(sending.tell)
     with context.open_bus() as bus:
         reader = bus.reader(topic)
@@ -46,6 +47,8 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
                     waiting_octets, contacts = BACKLOG.unpack(told.octets())
                     sending.handle_link(waiting_octets, contacts, told.stamp.capture_ns)
             outgoing.send_due()
+            while (datagram := context.receive(feedback)) is not None:
+                sending.handle_feedback(datagram, clock.now_ns())
             if held is not None:
                 coding = sending.poll_encode(clock.now_ns())
                 if coding is not None:

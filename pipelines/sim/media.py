@@ -20,6 +20,7 @@ from pipelines.setup import (
     Setup,
     VideoStream,
     VoiceStream,
+    feedback_flow,
 )
 from pipelines.silence import input_process
 from pipelines.sim.agenda import Agenda
@@ -154,6 +155,7 @@ class Media:
             costs=scene.costs,
         )
         scene.telling.add(sender.tell)
+        self.consumers[feedback_flow(stream.name)] = sender.handle_feedback
         return sender
 
     def _send_voice(self, stream: VoiceStream, name: str, gateway: Gateway) -> None:
@@ -186,13 +188,20 @@ class Media:
     def _receive_video(self, stream: VideoStream, showing: Showing) -> VideoReceiver:
         scene = self._scene
         probe = scene.telling.probe(f"{stream.name}_receive")
+        far = scene.space if stream is scene.setup.uplink_video else scene.ground
         receiver = VideoReceiver(
             stream.name,
-            VideoReceiving(stream, self._clock.from_ntp, probe),
+            VideoReceiving(
+                stream,
+                self._clock.from_ntp,
+                probe,
+                ssrc=Random(f"{scene.seed} {stream.name} receiver").getrandbits(32),
+            ),
             showing,
             agenda=scene.agenda,
             decoder=scene.workers.start(VideoDecoding),
             costs=scene.costs,
+            ask=partial(far.handle_datagram, feedback_flow(stream.name)),
         )
         self._add_receiver(stream.name, receiver)
         return receiver

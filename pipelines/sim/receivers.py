@@ -28,12 +28,14 @@ class VideoReceiver:
         agenda: Agenda,
         decoder: Worker,
         costs: CodingCosts,
+        ask: Callable[[bytes, int], object],
     ) -> None:
         self._stream = stream
         self._receiving = receiving
         self._showing = showing
         self._agenda = agenda
         self._decoder = Batch(decoder)
+        self._ask = ask
         #: Called with (instant, latency) of each picture at the instant at which it is shown.
         self.on_shown: Callable[[int, int], None] | None = None
         self._cost_ns = costs.ns("decode")
@@ -58,6 +60,9 @@ class VideoReceiver:
             self._free_ns = max(now_ns, self._free_ns) + self._cost_ns
             self._decoder.submit((unit.data, unit.timestamp))
             self._agenda.at(self._free_ns, partial(self._date, unit.timestamp))
+        feedback = self._receiving.poll_feedback(now_ns)
+        if feedback is not None:
+            self._ask(feedback, now_ns)
         self._timer.set(self._receiving.poll_timeout(), now_ns)
 
     def _date(self, timestamp: int, now_ns: int) -> None:

@@ -69,6 +69,7 @@ class VideoSender(_Sender):
         self._studio = studio
         self._cost_ns = costs.ns("encode")
         self._newest: tuple[Picture, CaptureStamp] | None = None
+        self.handle_feedback = sending.handle_feedback
 
     def handle_picture(self, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture comes, and replaces the one before if that was not encoded."""
