@@ -205,8 +205,6 @@ _PORT_OFFSETS = {
     "downlink_video_rtcp": 19,
     "downlink_voice": 22,
     "downlink_voice_rtcp": 23,
-    "uplink_video_feedback": 26,
-    "downlink_video_feedback": 27,
     "feedback_uplink_video": 26,
     "feedback_downlink_video": 28,
     TELEMETRY: 30,
@@ -366,7 +364,6 @@ class Setup:
             *_flows(self.uplink_video),
             *_feedback(self.downlink_video),
             packet_flow(f"uplink_{MAINTENANCE}", Level.MAINTENANCE),
-            *_feedback_flows(self.downlink_video),
         )
 
     @property
@@ -378,7 +375,6 @@ class Setup:
             *_flows(self.downlink_video),
             *_feedback(self.uplink_video),
             packet_flow(f"downlink_{MAINTENANCE}", Level.MAINTENANCE),
-            *_feedback_flows(self.uplink_video),
         )
 
     def need_up(self) -> ChannelNeed:
@@ -410,11 +406,6 @@ def feedback_flow(stream: str) -> str:
 
 def _feedback(stream: VideoStream | None) -> tuple[Flow, ...]:
     return () if stream is None else (rtcp_flow(feedback_flow(stream.name)),)
-
-
-def _feedback_flows(stream: VideoStream | None) -> tuple[Flow, ...]:
-    """What a receiver of pictures says to their sender goes the other way."""
-    return () if stream is None else (rtcp_flow(f"{stream.name}_feedback"),)
 
 
 def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:
