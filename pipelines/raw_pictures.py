@@ -11,7 +11,6 @@ import numpy as np
 
 from kontur_av.errors import ConfigError
 from kontur_av.h264 import DecodedPicture
-from kontur_av.media import I420, planes
 from kontur_av.sources.pipe import PIPE_OCTETS
 from kontur_av.sources.y4m import FRAME
 
@@ -25,7 +24,7 @@ class RawPictures:
         at any time: each reader begins with a header and a whole picture. While one picture is
         still being taken the newest one waits, and replaces what waited before.
     size: width and height of what is written; the first picture's where it is None. Pictures
-        that were coded in another size are scaled to it (bicubic).
+        that were coded in another size are scaled to it.
 
     Raises ConfigError when the file cannot be written.
     """
@@ -137,18 +136,5 @@ class RawPictures:
         octets = bytearray(len(head) + width * height * 3 // 2)
         octets[: len(head)] = head
         into = np.frombuffer(octets, np.uint8, offset=len(head)).reshape(height * 3 // 2, width)
-        if (picture.width, picture.height) == (width, height):
-            picture.copy_to(into)
-        else:
-            scale(picture.to_i420(), into)
+        picture.scale_into(into)
         return octets
-
-
-def scale(picture: I420, into: I420) -> None:
-    """`picture` in the size of `into`, whole, whatever its shape becomes."""
-    # Loaded only where it is needed: it takes longer than all the rest of the receiver.
-    import cv2
-
-    for source, target in zip(planes(picture), planes(into), strict=True):
-        height, width = target.shape
-        cv2.resize(source, (width, height), dst=target, interpolation=cv2.INTER_CUBIC)

@@ -13,7 +13,7 @@ count, except against the cap.
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -66,9 +66,10 @@ def run(args: argparse.Namespace) -> int:
     width, height, terms = _checked(args)
     # Its threads would not survive the forks, and one is enough.
     cv2.setNumThreads(1)
-    console = Console() if Console().is_terminal else Console(width=130)
+    console = Console() if Console().is_terminal else Console(width=118)
 
     def say(line: str) -> None:
+        """A line as it is, however long."""
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
     count = round((args.seconds + terms[0].settle_s) * _FPS)
@@ -129,7 +130,7 @@ def _checked(args: argparse.Namespace) -> tuple[int, int, list[Terms]]:
     return width, height, terms
 
 
-def _contenders(chosen: set[str], say: Any) -> list[str]:
+def _contenders(chosen: set[str], say: Callable[[str], None]) -> list[str]:
     here = []
     for name in CONTENDERS:
         if chosen and name not in chosen:
@@ -143,7 +144,7 @@ def _contenders(chosen: set[str], say: Any) -> list[str]:
 
 
 def _measured(
-    contenders: Sequence[str], clip: Clip, terms: Terms, say: Any
+    contenders: Sequence[str], clip: Clip, terms: Terms, say: Callable[[str], None]
 ) -> dict[str, tuple[Figures, list[float]]]:
     """Those that could be measured, in turn."""
     found = {}
@@ -155,25 +156,38 @@ def _measured(
     return found
 
 
-def _table(title: str, measured: dict[str, Figures]) -> Table:
+#: What a row is about, and its words from the figures.
+_ROWS: tuple[tuple[str, Callable[[Figures], str]], ...] = (
+    *(
+        (f"capture to displayed, {key}, ms", lambda found, key=key: f"{found.latency_ms[key]:.1f}")
+        for key in ("p50", "p95", "p99", "max")
+    ),
+    ("PSNR, mean, dB", lambda found: f"{found.psnr_db.mean:.2f}"),
+    ("PSNR, worst 5 %, dB", lambda found: f"{found.psnr_db.worst:.2f}"),
+    ("SSIM, mean", lambda found: f"{found.ssim.mean:.3f}"),
+    ("SSIM, worst 5 %", lambda found: f"{found.ssim.worst:.3f}"),
+    ("displayed pictures a second", lambda found: f"{found.per_second:.1f}"),
+    ("longest gap, ms", lambda found: f"{found.longest_gap_ms:.0f}"),
+    ("largest 1 s of payload, kbit/s", lambda found: _kbps(found.payload_1s_bps)),
+    ("largest 1 s with RTP headers", lambda found: _kbps(found.rtp_1s_bps)),
+    ("largest 0.1 s of payload", lambda found: _kbps(found.payload_100ms_bps)),
+    ("largest 0.1 s with RTP headers", lambda found: _kbps(found.rtp_100ms_bps)),
+    ("CPU of the sender, s", lambda found: f"{found.sender_cpu_s:.2f}"),
+    ("CPU of the receiver, s", lambda found: f"{found.receiver_cpu_s:.2f}"),
+)
+
+
+def _kbps(rate_bps: float) -> str:
+    return f"{rate_bps / 1000:.1f}"
+
+
+def _table(title: str, measured: Mapping[str, Figures]) -> Table:
     table = Table(title=title, title_justify="left")
     table.add_column("")
-    for heading in (
-        *("p50 ms", "p95", "p99", "max", "PSNR dB", "worst 5 %", "SSIM", "worst 5 %"),
-        *("shown/s", "gap ms", "1 s kbit/s", "RTP", "0.1 s", "RTP", "CPU s", "recv."),
-    ):
-        table.add_column(heading, justify="right")
-    for name, found in measured.items():
-        table.add_row(
-            name,
-            *(f"{found.latency_ms[key]:.1f}" for key in ("p50", "p95", "p99", "max")),
-            *(f"{found.psnr_db.mean:.2f}", f"{found.psnr_db.worst:.2f}"),
-            *(f"{found.ssim.mean:.3f}", f"{found.ssim.worst:.3f}"),
-            *(f"{found.per_second:.1f}", f"{found.longest_gap_ms:.0f}"),
-            *(f"{found.payload_1s_bps / 1000:.1f}", f"{found.rtp_1s_bps / 1000:.1f}"),
-            *(f"{found.payload_100ms_bps / 1000:.0f}", f"{found.rtp_100ms_bps / 1000:.0f}"),
-            *(f"{found.sender_cpu_s:.1f}", f"{found.receiver_cpu_s:.1f}"),
-        )
+    for name in measured:
+        table.add_column(name, justify="right")
+    for heading, value in _ROWS:
+        table.add_row(heading, *(value(found) for found in measured.values()))
     notes = [note for name, found in measured.items() for note in _notes(name, found)]
     table.caption = "\n".join(notes) or None
     table.caption_justify = "left"

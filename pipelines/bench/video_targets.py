@@ -116,7 +116,7 @@ NARROW = (
     ),
     *_CAPS,
     _Target(
-        what="CPU of sender and receiver, of the thriftier peer's",
+        what="CPU of both ends, of the thriftier peer's",
         unit="times",
         value=lambda found: found.cpu_s,
         bound=1.5,

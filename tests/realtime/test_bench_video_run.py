@@ -1,0 +1,38 @@
+"""`bench video` with real processes and sockets, for a few seconds and in a small size."""
+
+import json
+
+import pytest
+
+from pipelines.bench.video_contenders import DEFAULT, OURS, missing
+from pipelines.cli import main
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.mark.parametrize("name", [OURS, DEFAULT])
+def test_a_short_run_gives_figures(name, tmp_path, capsys):
+    if (reason := missing(name)) is not None:
+        pytest.skip(reason)
+    report = tmp_path / "figures.json"
+    options = ["--seconds", "3", "--size", "320x240", "--only", name, "--only", "scene"]
+    assert main(["bench", "video", *options, "--report", str(report)]) == 0
+    printed = capsys.readouterr().out
+    assert "capture to displayed, p99" in printed
+    (rate,) = json.loads(report.read_text()).values()
+    found = rate["scene"][name]
+    latencies = found["latencies_ms"]
+    # How many, and how late, is the machine's matter: that they are there, and none comes early,
+    # is not.
+    assert 0 < len(latencies) <= 90
+    assert min(latencies) > 0
+    assert found["latency_ms"]["max"] == pytest.approx(max(latencies), abs=0.001)
+    assert found["unreadable"] == 0
+    assert found["psnr_db"]["mean"] > 20
+    assert found["rtp_1s_bps"] > found["payload_1s_bps"] > 10_000
+    assert found["sender_cpu_s"] > 0
+    assert found["receiver_cpu_s"] > 0
+    if name == OURS:
+        assert found["payload_1s_bps"] <= 85_000
+        told = {verdict["what"]: verdict["met"] for verdict in rate["scene"]["targets"]}
+        assert told["largest 1 s window of payload"]
