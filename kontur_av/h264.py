@@ -17,6 +17,7 @@ import numpy as np
 from av.codec.context import Flags
 from av.video.codeccontext import VideoCodecContext
 from av.video.frame import PictureType
+from av.video.reformatter import VideoReformatter
 
 from kontur_av.errors import ConfigError
 from kontur_av.h264_settings import H264Settings, coded_size_for
@@ -30,9 +31,10 @@ from kontur_av.media import (
     planes,
 )
 from kontur_av.rtp.payload_h264 import NAL_SEI, join_annex_b, nal_type, split_annex_b
-from kontur_av.scaling import scale, scale_plane
 
 _SEI_USER_DATA_UNREGISTERED = 5
+
+_SCALER = VideoReformatter()
 
 #: From one refresh wave to the next.
 REFRESH_S = 1.0
@@ -45,7 +47,7 @@ class H264Encoder:
 
     width, height: of the pictures that will be given; what `media.check_size` admits.
     fps: pictures a second that will be given; when some are left out, each access unit keeps its
-        size. `follow_rate` changes it.
+        size. `follow` changes it.
     coded_size: (width, height) in which they are coded; None: `h264_settings.coded_size_for`. A
         receiver gets them in this size, and scales them up with `DecodedPicture.scale_into`.
     refresh_s: from the begin of one refresh wave to the next. A wave takes a picture for each
@@ -100,10 +102,16 @@ class H264Encoder:
         """From the begin of one refresh wave to the next."""
         return self._settings.refresh_pictures
 
-    def follow_rate(self, hz: float) -> None:
-        """From the next picture on, which will be a key picture, `hz` of them come a second."""
-        rate = Fraction(min(max(hz, 1), 120)).limit_denominator(1001)
-        self._settings = replace(self._settings, rate=rate)
+    def follow(self, *, hz: float | None = None, refresh_s: float | None = None) -> None:
+        """From the next picture on, which will be a key picture, these hold; None: as before.
+
+        hz: so many pictures come a second. refresh_s: as for the constructor.
+        """
+        if hz is not None:
+            rate = Fraction(min(max(hz, 1), 120)).limit_denominator(1001)
+            self._settings = replace(self._settings, rate=rate)
+        if refresh_s is not None:
+            self._settings = replace(self._settings, refresh_s=refresh_s)
         self._begin()
 
     def encode(
@@ -120,7 +128,10 @@ class H264Encoder:
             )
         data = frame.data
         if self._small is not None:
-            scale(data, self._small)
+            # Only here: OpenCV takes longer to load than all the rest of a receiver.
+            from kontur_av.scaling import shrink
+
+            shrink(data, self._small)
             data = self._small
         if self._given == 0:
             # x264 guesses the size of a picture from those before it. Without any it spends a
@@ -208,8 +219,11 @@ class DecodedPicture:
         if into.shape == (self.height * 3 // 2, self.width):
             self.copy_to(into)
             return
-        for view, plane in zip(planes(into), self._planes(), strict=True):
-            scale_plane(plane, view)
+        # Measured at 320x240 and 85 kbit/s: 0.2 dB above OpenCV's bicubic, in the same time.
+        large = _SCALER.reformat(
+            self._frame, into.shape[1], into.shape[0] * 2 // 3, interpolation="LANCZOS", threads=1
+        )
+        replace(self, width=large.width, height=large.height, _frame=large).copy_to(into)
 
     def _planes(self) -> Iterator[I420]:
         for plane, share in zip(self._frame.planes, (1, 2, 2), strict=True):

@@ -17,21 +17,44 @@ _BITS_PER_MACROBLOCK = 8
 _SHARES = (Fraction(1), Fraction(3, 4), Fraction(1, 2), Fraction(3, 8), Fraction(1, 4))
 _NARROWEST = 160
 
-#: The decoder's buffer (HRD, ITU-T H.264 annex C) holds one picture's share and a little more, so
-#: that no picture is much larger than its share; the rate it is filled with lies above the cap,
-#: because x264 leaves about a tenth of it unused. The pacer keeps the cap.
-_RATE_OVER_CAP = Fraction(115, 100)
-_BUFFER_OVER_SHARE = Fraction(106, 100)
-
 #: One slice, because each has its header and forgets its contexts; a cut must not become an IDR
 #: picture; psy keeps grain, for which there are no bits here; adaptive quantisation moves bits
 #: away from where PSNR counts them.
 _ALWAYS = "sliced-threads=0:scenecut=0:psy=0:aq-mode=0:weightp=0"
-#: A search that is worth its time (3 ms) on 300 macroblocks with 9 bits each.
-_THOROUGH = "subme=7:trellis=2:partitions=p8x8,i8x8,i4x4:me=hex"
-_QUICK = "subme=4:trellis=0:partitions=p8x8,i8x8,i4x4:me=hex"
-#: Macroblocks a second up to which there is time for the thorough search.
-_THOROUGH_UP_TO = 20_000
+_BLOCKS = "partitions=p8x8,i8x8,i4x4:me=hex"
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """What x264 is told: the constant quality where there are bits enough, and its buffer model.
+
+    The model holds about one picture's share, so that no picture is much larger than that, and is
+    filled a little faster than the cap, because x264 leaves a part unused. The pacer keeps the cap.
+    """
+
+    crf: int
+    rate_over_cap: Fraction
+    buffer_over_share: Fraction
+    parameters: str
+
+
+#: For few macroblocks (3 ms of a core for 300 of them). With the limit of the quantiser a picture
+#: that needs more bits is late once and the following ones are good, where x264 would go on with
+#: ruins: 1 dB on the worst twentieth of the pictures.
+_THIN = _Effort(
+    crf=10,
+    rate_over_cap=Fraction(112, 100),
+    buffer_over_share=Fraction(106, 100),
+    parameters=f"{_ALWAYS}:{_BLOCKS}:subme=7:trellis=2:qpmax=47",
+)
+_WIDE = _Effort(
+    crf=1,
+    rate_over_cap=Fraction(102, 100),
+    buffer_over_share=Fraction(1),
+    parameters=f"{_ALWAYS}:{_BLOCKS}:subme=6:trellis=1:qpmax=51",
+)
+#: Macroblocks a second up to which there is time for the thin channel's search.
+_THIN_UP_TO = 20_000
 
 
 def coded_size_for(width: int, height: int, fps: float | Fraction, cap_bps: int) -> tuple[int, int]:
@@ -68,17 +91,13 @@ class H264Settings:
     def options(self) -> dict[str, str]:
         """Options of FFmpeg's libx264."""
         blocks_hz = self.width * self.height * self.rate / _MACROBLOCK
-        effort = _THOROUGH if blocks_hz <= _THOROUGH_UP_TO else _QUICK
-        # A thin channel drives x264 to its coarsest steps, which make ghosts of all that moves;
-        # with this limit a picture that needs more bits is late instead, and the next left out.
-        coarsest = 51
+        effort = _THIN if blocks_hz <= _THIN_UP_TO else _WIDE
         return {
             "preset": self.preset,
             "tune": "zerolatency",
             "intra-refresh": "1",
-            # As good as this where there are bits enough.
-            "crf": "10" if effort is _THOROUGH else "1",
-            "maxrate": str(int(self.cap_bps * _RATE_OVER_CAP)),
-            "bufsize": str(int(self.cap_bps * _BUFFER_OVER_SHARE / self.rate)),
-            "x264-params": f"{_ALWAYS}:{effort}:qpmax={coarsest}",
+            "crf": str(effort.crf),
+            "maxrate": str(int(self.cap_bps * effort.rate_over_cap)),
+            "bufsize": str(int(self.cap_bps * effort.buffer_over_share / self.rate)),
+            "x264-params": effort.parameters,
         }

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_S
-from kontur_av.h264 import H264Encoder
+from kontur_av.h264 import REFRESH_S, H264Encoder
 from kontur_av.link_clock import LinkClock
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp, VideoFrame
 from kontur_av.opus import heard_stamp
@@ -20,6 +20,8 @@ from pipelines.probe import Probe
 from pipelines.setup import VIDEO_PAYLOAD_OCTETS, VideoStream, VoiceStream
 from telepresence.link.profile import LinkProfile
 
+#: From one refresh wave to the next while the receiver can ask for a whole picture.
+SLOW_REFRESH_S = 20.0
 #: A block this old is no voice any more; it would only push the following ones back.
 _TOO_OLD_NS = 5 * BLOCK_NS
 
@@ -111,19 +113,20 @@ class Coding(NamedTuple):
     """How to encode a picture.
 
     keyframe: as one at which any decoder can start. rate_hz: at which pictures come from now on;
-    None: as before.
+    refresh_s: from one refresh wave to the next from now on; None: as before.
     """
 
     keyframe: bool
     rate_hz: float | None
+    refresh_s: float | None
 
 
 def encode(
     encoder: H264Encoder, frame: VideoFrame, coding: Coding, now: Callable[[], int]
 ) -> AccessUnit:
     """The picture, encoded as `VideoSending` wants it; `now()` is asked when it is done."""
-    if coding.rate_hz is not None:
-        encoder.follow_rate(coding.rate_hz)
+    if coding.rate_hz is not None or coding.refresh_s is not None:
+        encoder.follow(hz=coding.rate_hz, refresh_s=coding.refresh_s)
     return encoder.encode(frame, now, force_keyframe=coding.keyframe)
 
 
@@ -150,18 +153,20 @@ class VideoSending(_Sending):
         self._contacts: int | None = None
         self._keyframe_due = False
         self._losses = PictureLossListener(ssrc=identity.ssrc)
+        self._way_back = self._slow_refresh = False
 
     def handle_feedback(self, datagram: bytes, now_ns: int) -> None:
         """RTCP from the stream's receiver."""
         self._losses.handle_feedback(datagram, now_ns)
 
-    def handle_link(self, waiting_octets: int, contacts: int, told_ns: int) -> None:
+    def handle_link(self, waiting_octets: int, contacts: int, way_back: bool, told_ns: int) -> None:
         """What the gateway has told at `told_ns` (`names.BACKLOG`)."""
         self._clock.handle_channel(waiting_octets, self._media_bps, told_ns)
         if self._contacts is not None and contacts != self._contacts:
             # What was sent before did not arrive: nothing that refers to it will do.
             self._keyframe_due = True
         self._contacts = contacts
+        self._way_back = way_back
 
     def handle_picture(self, stamp: CaptureStamp, now_ns: int, *, skipped: int = 0) -> None:
         """A picture is there, the newest one.
@@ -176,7 +181,12 @@ class VideoSending(_Sending):
             return None
         keyframe = self._losses.take(now_ns) or self._keyframe_due
         self._keyframe_due = False
-        return Coding(keyframe, self._clock.next_rate_hz())
+        refresh_s = None
+        if self._slow_refresh != self._way_back:
+            # Where a whole picture can be asked for, the refresh only costs: 1 to 2 dB.
+            self._slow_refresh = self._way_back
+            refresh_s = SLOW_REFRESH_S if self._way_back else REFRESH_S
+        return Coding(keyframe, self._clock.next_rate_hz(), refresh_s)
 
     def poll_timeout(self) -> int | None:
         """When `poll_transmit` or `poll_encode` has something next."""

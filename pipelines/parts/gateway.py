@@ -165,6 +165,7 @@ def run_gateway(
     poll_local = ports.local.poll
     fetch_haptic, more_haptic = ports.haptic.receive, crowd.poll
     to_haptic_end = ports.to_haptic_end.send
+    supervisor = gateway.supervisor
     waiting_octets = gateway.sender.waiting_octets
     add_lateness, add_sending = probe.rows("lateness").append, probe.rows("sending").append
 
@@ -207,7 +208,7 @@ def run_gateway(
             writer = stack.enter_context(context.open_bus()).writer(
                 backlog_topic(gateway.sender.profile.name), max_octets=BACKLOG.size, wake=False
             )
-        told = -1, 0
+        told = -1, 0, False
         figures_ns = tell_ns = 0
         deadline_ns = schedule.next_deadline_ns
         wake_ns = alarm_ns = deadline_ns
@@ -245,7 +246,11 @@ def run_gateway(
                 deadline_ns = schedule.next_deadline_ns
                 wake_ns = deadline_ns - margin.ns
                 if writer is not None and now_ns >= tell_ns:
-                    waiting = waiting_octets(Level.VIDEO), gateway.contacts
+                    waiting = (
+                        waiting_octets(Level.VIDEO),
+                        gateway.contacts,
+                        supervisor.signal,
+                    )
                     if waiting != told:
                         told, tell_ns = waiting, now_ns + _TELL_NS
                         writer.publish_octets(

@@ -44,8 +44,9 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
             told = backlog_reader.latest()
             if told is not None:
                 with told:
-                    waiting_octets, contacts = BACKLOG.unpack(told.octets())
-                    sending.handle_link(waiting_octets, contacts, told.stamp.capture_ns)
+                    waiting_octets, contacts, way_back = BACKLOG.unpack(told.octets())
+                    told_ns = told.stamp.capture_ns
+                    sending.handle_link(waiting_octets, contacts, way_back, told_ns)
             outgoing.send_due()
             while (datagram := context.receive(feedback)) is not None:
                 sending.handle_feedback(datagram, clock.now_ns())

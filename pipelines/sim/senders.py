@@ -86,7 +86,7 @@ class VideoSender(_Sender):
             return
         gateway = self._gateway
         waiting_octets = gateway.sender.waiting_octets(Level.VIDEO)
-        self._core.handle_link(waiting_octets, gateway.contacts, now_ns)
+        self._core.handle_link(waiting_octets, gateway.contacts, gateway.supervisor.signal, now_ns)
         coding = self._core.poll_encode(now_ns)
         if coding is None:
             return

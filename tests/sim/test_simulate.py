@@ -96,7 +96,9 @@ def test_latencies_of_pictures_are_costs_link_and_little_else(session):
         assert coding_ms == pytest.approx(stages["capture_to_encoded"]["p50"], rel=0.005)
         assert stages["capture_to_encoded"]["max"] < coding_ms + 17
         assert COSTS.decode_ms <= stages["received_to_displayed"]["p50"] < COSTS.decode_ms + 0.1
-        assert stages["sent_to_received"]["max"] < 60
+        assert stages["sent_to_received"]["p95"] < 45
+        # A key picture, which begins each contact, takes two or three periods.
+        assert stages["sent_to_received"]["max"] < 110
         assert stream["latency_ms"]["p95"] < 75
         assert stream["displayed_hz"] > 25
 

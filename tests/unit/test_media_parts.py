@@ -236,6 +236,6 @@ def test_nothing_is_encoded_while_the_link_is_behind(session):
             (share_octets + 1, "frames_refused", None),
         ):
             stamp = CaptureStamp(CLOCK.now_ns(), 0, "gateway")
-            backlog.publish_octets(BACKLOG.pack(waiting_octets, 1), stamp)
+            backlog.publish_octets(BACKLOG.pack(waiting_octets, 1, True), stamp)
             totals = counted(counter, listen().totals[counter] + 5)
             assert other is None or totals[other] == 0
