@@ -143,6 +143,21 @@ def reaches(peer: Address) -> str | None:
     return None
 
 
+def obstacle(bind: str, peer: Address) -> str | None:
+    """Why no datagram goes from the local address `bind` to `peer`, in the kernel's words; or None.
+
+    That `bind` is no address of this machine is not found here.
+    """
+    with _socket() as udp:
+        with suppress(OSError):
+            udp.bind((bind, 0))
+        try:
+            udp.connect(peer)
+        except OSError as error:
+            return error.strerror or str(error)
+    return None
+
+
 def _socket() -> socket.socket:
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     udp.setblocking(False)

@@ -13,7 +13,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.command import output_that_may_fail, parse_address, resolve
-from pipelines.datagrams import Address, EndAddresses, is_loopback, reaches
+from pipelines.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
 from pipelines.launcher import Launcher, hold_port, launcher_cpu_s
 from pipelines.link_ports import bound_ports, port_table
 from pipelines.link_report import LinkView, build_link_report, process_of, summary_lines
@@ -23,6 +23,8 @@ from pipelines.radio_options import add_radio_arguments, port_changes, radio_cha
 from pipelines.report_file import check_writable, write_report
 from pipelines.setup import Setup
 from pipelines.setup_file import load_setup
+
+_ANY = "0.0.0.0"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -117,8 +119,9 @@ def chosen_addresses(args: argparse.Namespace, setup: Setup) -> EndAddresses:
             f"({other} if it has the same base port)"
         )
     peer = parse_address(args.peer, "--peer", socket.AF_INET)
-    bind = _bound_address("--bind", args.bind, peer, args.peer)
-    if peer == (bind, radio):
+    bind = _bound_address("--bind", args.bind, peer, "--peer", args.peer)
+    own = bind == peer[0] or (bind == _ANY and reaches(peer) == peer[0])
+    if own and peer[1] == radio:
         raise ConfigError(f"--peer {args.peer} is this end itself: the other has port {other}")
     return EndAddresses(bind=bind, peer=peer, apps=apps, apps_bind=apps_bind)
 
@@ -129,18 +132,34 @@ def _apps(args: argparse.Namespace) -> tuple[str, str]:
             raise ConfigError("--apps-bind goes with --apps HOST, the machine of the programs")
         return LOOPBACK, LOOPBACK
     apps = resolve(args.apps, args.apps, "--apps", socket.AF_INET)
-    return apps, _bound_address("--apps-bind", args.apps_bind, (apps, 9), args.apps)
+    return apps, _bound_address("--apps-bind", args.apps_bind, (apps, 9), "--apps", args.apps)
 
 
-def _bound_address(option: str, given: str | None, other: Address, text: str) -> str:
-    """The local address in `option`; where it is missing, loopback if that reaches `other`."""
+def _bound_address(
+    option: str, given: str | None, other: Address, other_option: str, text: str
+) -> str:
+    """The local address in `option`; where it is missing, loopback if that reaches `other`.
+
+    other, other_option, text: the address to be reached from there, and how the user gave it.
+    """
+    host = ipaddress.IPv4Address(other[0])
+    if host.is_unspecified or host.is_multicast:
+        raise ConfigError(f"{other_option} {text}: give the address of one machine")
     if given is not None:
         try:
-            return str(ipaddress.IPv4Address(given))
+            bind = str(ipaddress.IPv4Address(given))
         except ValueError:
             raise ConfigError(
                 f"{option} {given!r}: write an IPv4 address of this machine, or 0.0.0.0 for all"
             ) from None
+        why = obstacle(bind, other)
+        if why is not None:
+            own = reaches(other)
+            mend = "" if own is None else f"; use {option} {own}"
+            raise ConfigError(
+                f"{other_option} {text} cannot be reached from {option} {bind}: {why}{mend}"
+            )
+        return bind
     if is_loopback(other[0]):
         return LOOPBACK
     own = reaches(other)

@@ -113,7 +113,7 @@ class LinkView:
         seen = self._seen[end]
         rates = _rates_kbps(sent, seen, profile)
         self._seen[end] = _Seen(sent["frames"], dict(sent["octets"]))
-        state = link["supervision"]["state"]
+        state = _state(link["supervision"])
         levels = " ".join(f"{name} {rates[name]:.1f}" for name in _LEVELS)
         strangers = sum(
             figures.total(name) for name in figures.names() if name.startswith("strangers_")
@@ -185,6 +185,12 @@ def _direction(direction: str, link: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def _state(supervision: Mapping[str, Any]) -> str:
+    """The state of now; of one that somebody has to mend the reason, too."""
+    state: str = supervision["state"]
+    return f"{state} ({supervision['why']})" if state in ("check", "refused") else state
+
+
 def ledger_line(link: Mapping[str, Any]) -> str:
     """Where a direction's octets went; 100 % in all."""
     shares = link["octets_percent"].items()
@@ -196,10 +202,8 @@ def end_line(end: str, told: Mapping[str, Any]) -> str:
     supervision = told.get("supervision", {})
     contacts = len(supervision.get("contacts", ()))
     contact_s = supervision.get("contact_ns", 0) / NS_PER_S
-    line = (
-        f"{end}: {supervision.get('state', 'never ran')}, {contact_s:.1f} s of signal "
-        f"in {contacts} contacts"
-    )
+    state = _state(supervision) if supervision else "never ran"
+    line = f"{end}: {state}, {contact_s:.1f} s of signal in {contacts} contacts"
     if told["strangers"]:
         counts = ", ".join(f"{name} {count}" for name, count in told["strangers"].items())
         line += f"; from strangers: {counts}"

@@ -46,6 +46,12 @@ def nothing_starts(monkeypatch):
         ([*GROUND, "--peer", "127.0.0.1:27000"], "this end itself: the other has port 27001"),
         ([*GROUND, "--peer", "127.0.0.2:27001", "--bind", "here"], "--bind 'here': write an IPv4"),
         ([*GROUND, "--peer", "127.0.0.2:27001", "--bind", "192.0.2.77"], "no address of this"),
+        ([*GROUND, "--peer", "127.0.0.1:27000", "--bind", "0.0.0.0"], "this end itself"),
+        ([*GROUND, "--peer", "0.0.0.0:27001"], "--peer 0.0.0.0:27001: give the address of one"),
+        ([*GROUND, "--peer", "224.0.0.1:27001", "--bind", "127.0.0.1"], "give the address of one"),
+        ([*GROUND, "--peer", "255.255.255.255:27001", "--bind", "0.0.0.0"], "cannot be reached"),
+        ([*GROUND, "--peer", "192.0.2.7:27001", "--bind", "127.0.0.1"], "cannot be reached from"),
+        (["--setup", "taskboard", "--apps", "0.0.0.0"], "--apps 0.0.0.0: give the address of one"),
     ],
 )
 def test_options_that_cannot_work(capsys, tmp_path, monkeypatch, options, says):

@@ -15,8 +15,8 @@ SETUP = BUILT_IN["taskboard"]
 ENDS = list(Segment)
 
 
-def gateway(end, now_ns=0):
-    ways = [(SETUP.uplink, SETUP.uplink_flows), (SETUP.downlink, SETUP.downlink_flows)]
+def gateway(end, now_ns=0, setup=SETUP):
+    ways = [(setup.uplink, setup.uplink_flows), (setup.downlink, setup.downlink_flows)]
     (out, sent), (back, received) = ways if end is Segment.GROUND else ways[::-1]
     return Gateway(
         transmit=out,
@@ -106,6 +106,16 @@ def test_the_summary_says_what_the_report_holds():
         shares = re.findall(r" ([\d.]+)", ledger)
         assert round(sum(map(float, shares)), 6) == 100
     assert "from strangers: radio 4" in text
+
+
+def test_a_refusal_is_told_with_its_reason():
+    link, view = Link(), LinkView(SETUP, ENDS)
+    link.ends[Segment.SPACE] = gateway(Segment.SPACE, setup=BUILT_IN["spacejustin"])
+    link.run(100)
+    for lines in (view.lines(link.collector, 0.1), summary_lines(link.report())):
+        told = [line for line in lines if "refused (" in line]
+        assert len(told) == len(ENDS)
+        assert all("give both ends the same setup" in line for line in told)
 
 
 def test_one_end_alone_tells_its_own_half():
