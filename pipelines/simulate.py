@@ -62,14 +62,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the simulation; 1 if its report names a failure."""
     if not 0 < args.seconds < 1e6:
-        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0 and below 1000000")
     setup = load_setup(args.setup)
     sources = {**setup.sources, **parse_sources(args.source)}
     setup = replace(setup, sources=sources, **radio_changes(args))
     check_virtual_sources(setup)
     check_sources(setup)
     check_writable(args.report)
-    selections = parse_selections(args.select, setup)
+    selections = parse_selections(args.select, setup, args.seconds)
     costs = CodingCosts(**{cost.name: getattr(args, cost.name) for cost in fields(CodingCosts)})
     report = simulate(
         setup,
@@ -111,8 +111,9 @@ def simulate(
         return simulation.report()
 
 
-def parse_selections(options: Sequence[str], setup: Setup) -> list[Selection]:
-    """T=CAMERA options; ConfigError for an instant that is none or a camera that there is not."""
+def parse_selections(options: Sequence[str], setup: Setup, seconds: float) -> list[Selection]:
+    """T=CAMERA options; ConfigError for an instant that is none of the session's `seconds`, or a
+    camera that there is not."""
     selections = []
     for option in options:
         instant, equals, camera = option.partition("=")
@@ -122,6 +123,8 @@ def parse_selections(options: Sequence[str], setup: Setup) -> list[Selection]:
             instant_ns = -1
         if not equals or instant_ns < 0:
             raise ConfigError(f"--select {option}: write T=CAMERA, like 10=static for second 10")
+        if instant_ns >= seconds * NS_PER_S:
+            raise ConfigError(f"--select {option}: the session ends at second {seconds:g}")
         if camera not in setup.cameras:
             known = ", ".join(setup.cameras)
             raise ConfigError(f"--select {option}: unknown camera {camera}: choose one of {known}")

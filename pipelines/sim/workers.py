@@ -55,7 +55,12 @@ class Worker:
         self._process = context.Process(
             target=_work, args=(make, theirs, list(others)), daemon=True
         )
-        self._process.start()
+        # Amid a fork Python loses an interrupt here, and the new process does not ignore it yet.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
         self._open: deque[Job] = deque()
 
@@ -145,6 +150,7 @@ class Workers:
 def _work(make: Callable[[], Coder], link: Connection, others: list[Connection]) -> None:
     # Ctrl-C is the simulation's; its end is seen here once nobody else holds the pipe's other end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
     for other in others:
         other.close()
     cv2.setNumThreads(1)

@@ -192,7 +192,7 @@ class LinkReceiver:
                     return False
                 self._restart(count24)
             elif count24 == 0:
-                # Each life begins at 0.
+                # A sender without lives (`first_count`) begins at 0.
                 self._restart(count24)
             else:
                 self.frames_lost += ahead - 1

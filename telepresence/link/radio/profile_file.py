@@ -121,7 +121,8 @@ def _checked(name: str, value: Any, sample: object) -> Any:
         return value
     if isinstance(sample, str | Path):
         if not isinstance(value, str):
-            raise ConfigError(f'{name} must be a text in quotes, like "{sample}"')
+            like = f', like "{sample}"' if str(sample) else ""
+            raise ConfigError(f"{name} must be a text in quotes{like}")
         return type(sample)(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigError(f"{name} must be a number")
