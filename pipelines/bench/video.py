@@ -91,6 +91,9 @@ def run(args: argparse.Namespace) -> int:
             told = {who: result for who, (result, _) in measured.items()}
             rate = f"{these.cap_kbps:g} kbit/s through {these.channel_kbps:g}"
             console.print(_table(f"{name}, {rate}", told))
+            for who, result in told.items():
+                for note in _notes(who, result):
+                    say(note)
             verdicts = judge(told, WIDE if these is not terms[0] else NARROW, these.cap_kbps)
             if verdicts:
                 console.print(_verdicts(f"{name}, {rate}: kontur-av against its targets", verdicts))
@@ -98,8 +101,9 @@ def run(args: argparse.Namespace) -> int:
                 who: asdict(result) | {"latencies_ms": latencies}
                 for who, (result, latencies) in measured.items()
             } | {"targets": [asdict(verdict) for verdict in verdicts]}
-    if args.report is not None:
-        write_report(args.report, _plain(figures))
+            if args.report is not None:
+                # Each time, because a run is long and may be ended early.
+                write_report(args.report, _plain(figures))
     return 1 if failed else 0
 
 
@@ -188,9 +192,6 @@ def _table(title: str, measured: Mapping[str, Figures]) -> Table:
         table.add_column(name, justify="right")
     for heading, value in _ROWS:
         table.add_row(heading, *(value(found) for found in measured.values()))
-    notes = [note for name, found in measured.items() for note in _notes(name, found)]
-    table.caption = "\n".join(notes) or None
-    table.caption_justify = "left"
     return table
 
 
@@ -206,6 +207,11 @@ def _notes(name: str, found: Figures) -> list[str]:
         notes.append(
             f"{name}: {found.left_out_by_camera} pictures left out by the camera, "
             "because the sender had not taken those before"
+        )
+    if found.others_cores > 0.1:
+        notes.append(
+            f"{name}: other programs took {found.others_cores:.1f} cores meanwhile: "
+            "latencies and rates of a machine without them are better"
         )
     if not found.realtime or found.camera_latest_us > 1000 or found.channel_late_us["p99"] > 500:
         notes.append(

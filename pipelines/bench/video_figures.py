@@ -78,7 +78,7 @@ class Figures:
     guessed: pictures whose number stood between those of its neighbours, but could not be read by
     itself; unreadable: that got no number at all.
     camera_latest_us, channel_late_us: how late the bench itself was. realtime: whether all its
-    own processes had real-time priority.
+    own processes had real-time priority. others_cores: what the rest of the machine took.
     """
 
     latency_ms: dict[str, float]
@@ -100,6 +100,7 @@ class Figures:
     channel_late_us: dict[str, float]
     channel_longest_wait_ms: float
     realtime: bool
+    others_cores: float
 
     @property
     def cpu_s(self) -> float:

@@ -1,5 +1,7 @@
 """One contender on one clip: start all, film, watch, stop all, and look at what came out."""
 
+import os
+import resource
 import socket
 import time
 from contextlib import ExitStack, suppress
@@ -10,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from kontur_av.clock import NS_PER_MS, NS_PER_US
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
 from pipelines.bench.video_clips import Clip, shared_array
 from pipelines.bench.video_contenders import Course, started
@@ -48,6 +50,7 @@ def measure(name: str, clip: Clip, terms: Terms) -> tuple[Figures, list[float]]:
     _, rows, width = clip.pictures.shape
     height = rows * 2 // 3
     lumas = shared_array(len(clip.order), height, width)
+    meter = _Machine()
     with ExitStack() as stack:
         directory = Path(stack.enter_context(TemporaryDirectory(prefix="kontur-av-bench-")))
         entrance, exit_port = free_ports(), free_ports()
@@ -76,7 +79,9 @@ def measure(name: str, clip: Clip, terms: Terms) -> tuple[Figures, list[float]]:
         channel.end()
         watched: Watched = screen.result(10)
         carried: Carried = channel.result(10)
-    return _figures(clip, terms, lumas, filmed, watched, carried, (sender_cpu_s, receiver_cpu_s))
+    return _figures(
+        clip, terms, lumas, filmed, watched, carried, (sender_cpu_s, receiver_cpu_s), meter.others()
+    )
 
 
 def _figures(
@@ -87,6 +92,7 @@ def _figures(
     watched: Watched,
     carried: Carried,
     cpu_s: tuple[float, float],
+    others_cores: float,
 ) -> tuple[Figures, list[float]]:
     first = terms.settle_s * terms.fps
     numbers = _numbers(filmed, watched)
@@ -124,6 +130,7 @@ def _figures(
         channel_late_us=percentiles([late / NS_PER_US for late in carried.late_ns]),
         channel_longest_wait_ms=carried.longest_wait_ns / NS_PER_MS,
         realtime=filmed.realtime and watched.realtime and carried.realtime,
+        others_cores=others_cores,
     )
     return figures, seen.latency_ms
 
@@ -134,6 +141,28 @@ def _numbers(filmed: Filmed, watched: Watched) -> list[int | None]:
     counts = np.searchsorted(filmed.captured_ns[captured], watched.shown_ns)
     numbers = captured.tolist()
     return read_all(watched.squares, [numbers[:count] for count in counts])
+
+
+class _Machine:
+    """What all other programs take of the machine's cores, since this was made."""
+
+    def __init__(self) -> None:
+        self._start = self._read()
+
+    def others(self) -> float:
+        """In cores; when all of this process's children have been waited for."""
+        start_ns, start_s = self._start
+        now_ns, now_s = self._read()
+        return max(now_s - start_s, 0.0) * NS_PER_S / (now_ns - start_ns)
+
+    @staticmethod
+    def _read() -> tuple[int, float]:
+        # proc(5): user, nice, system, idle, iowait, irq, softirq, steal, in ticks.
+        words = Path("/proc/stat").read_text().split(maxsplit=9)
+        user, nice, system, _, _, irq, soft, steal = (int(word) for word in words[1:9])
+        busy_s = (user + nice + system + irq + soft + steal) / os.sysconf("SC_CLK_TCK")
+        used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+        return time.monotonic_ns(), busy_s - sum(one.ru_utime + one.ru_stime for one in used)
 
 
 def free_ports() -> int:

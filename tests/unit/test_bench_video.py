@@ -205,6 +205,7 @@ def figures(**changes) -> Figures:
         "channel_late_us": {"p50": 0.0, "p95": 0.0, "p99": 0.0, "max": 0.0},
         "channel_longest_wait_ms": 0.0,
         "realtime": True,
+        "others_cores": 0.0,
     }
     return Figures(**(base | changes))
 
