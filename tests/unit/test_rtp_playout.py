@@ -3,6 +3,9 @@
 import itertools
 import random
 
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.playout import PlayoutBuffer
@@ -66,6 +69,10 @@ class Line:
             self.blocks.append(block)
 
 
+def length_ns(samples):
+    return samples * NS_PER_S // 48_000
+
+
 def heard(blocks) -> list:
     return [b.payload and int.from_bytes(b.payload[1:], "big") for b in blocks]
 
@@ -100,6 +107,117 @@ def test_the_delay_goes_down_again_and_no_block_is_skipped():
     times = [block.play_ns for block in blocks]
     steps = [b - a for a, b in itertools.pairwise(times)]
     assert min(steps) >= BLOCK_NS * 39 // 40 - 1
+
+
+def jittery(rng, count, jitter_ms, since_ns=0):
+    return [since_ns + n * BLOCK_NS + rng.randrange(jitter_ms * NS_PER_MS) for n in range(count)]
+
+
+def test_a_hiccup_that_comes_alone_delays_nothing():
+    arrivals = [n * BLOCK_NS + (60 * NS_PER_MS if n % 200 == 50 else 0) for n in range(1000)]
+    line = Line()
+    blocks = line.run(arrivals, until_ns=arrivals[-1] + 5 * NS_PER_MS)
+    assert {b.play_ns - n * BLOCK_NS for n, b in enumerate(blocks)} == {10 * NS_PER_MS}
+    assert heard(blocks).count(None) == 5
+
+
+def test_the_second_hiccup_raises_the_delay_and_loses_nothing_more():
+    late = {50: 12, 90: 12, 130: 12}
+    arrivals = [(n * 20 + late.get(n, 0)) * NS_PER_MS for n in range(200)]
+    line = Line()
+    blocks = line.run(arrivals, until_ns=arrivals[-1] + 5 * NS_PER_MS)
+    # The first is concealed and dropped; the second is played after its own concealment.
+    played = [n for n in heard(blocks) if n is not None]
+    assert played[:190] == [n for n in range(191) if n != 50]
+    counts = line.buffer.counts
+    assert (counts.late, counts.concealed, counts.inserted) == (1, 1, 1)
+    # 12 ms and the margin of 5; what was inserted beyond is being shortened away.
+    assert 17 * NS_PER_MS <= line.buffer.delay_ns <= 20 * NS_PER_MS
+
+
+def test_the_delay_follows_the_jitter_down_within_seconds():
+    rng = random.Random(3)
+    rough = jittery(rng, 500, 60)
+    calm = jittery(rng, 300, 2, since_ns=10 * NS_PER_S)
+    line = Line()
+    line.run(rough, until_ns=10 * NS_PER_S)
+    assert line.buffer.delay_ns > 50 * NS_PER_MS
+    line = Line()
+    blocks = line.run(rough + calm)
+    # Three seconds for the window to forget it, and 25 ms less in each second from then on.
+    settled = [b for b in blocks if b.payload is not None][-25:]
+    delays = [b.play_ns - int.from_bytes(b.payload[1:], "big") * BLOCK_NS for b in settled]
+    assert max(delays) <= 15 * NS_PER_MS
+    assert line.buffer.counts.shortened > 50
+
+
+def assert_gapless(blocks):
+    """Each block begins where the one before ends, or later: after a silence."""
+    ends_ns = None
+    for block in blocks:
+        assert 0 <= abs(block.played_samples - block.samples) <= block.samples // 40
+        if ends_ns is not None:
+            # Rounding of the offset to whole nanoseconds.
+            assert block.play_ns >= ends_ns - 1000
+            yield block.play_ns - ends_ns
+        ends_ns = block.play_ns + length_ns(block.played_samples)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32), st.integers(1, 120), st.integers(0, 30), st.integers(0, 200))
+def test_whatever_comes_nothing_overlaps_and_only_silence_is_a_gap(seed, jitter, loss, hiccup):
+    rng = random.Random(seed)
+    arrivals = [
+        None if rng.randrange(100) < loss and n > 2 else arrival
+        for n, arrival in enumerate(jittery(rng, 300, jitter))
+    ]
+    for n in range(3, 300):
+        if arrivals[n] is not None and rng.randrange(40) == 0:
+            arrivals[n] += rng.randrange(hiccup + 1) * NS_PER_MS
+    line = Line()
+    blocks = line.run(arrivals)
+    row, longest = 0, 0
+    gaps = [0, *assert_gapless(blocks)]
+    for gap_ns, block in zip(gaps, blocks, strict=True):
+        # A gap comes after five concealments, or where a burst made the oldest go.
+        if gap_ns > 1000:
+            assert row >= 5 or line.buffer.counts.dropped
+        row = row + 1 if block.payload is None else 0
+        longest = max(longest, row)
+    numbers = [n for n in heard(blocks) if n is not None]
+    assert numbers == sorted(set(numbers)), "in order, and none twice"
+
+
+def test_a_sound_that_is_held_back_is_stretched_and_let_go_again():
+    line = Line()
+    for n in range(600):
+        until_ns = (n * 20 + 60) * NS_PER_MS if 100 <= n < 400 else None
+        line.run([n * BLOCK_NS], [n], until_ns=n * BLOCK_NS + 1)
+        line.buffer.hold((2**32 - 48_000 + n * 960) % 2**32, until_ns)
+        if n == 399:
+            assert 59 * NS_PER_MS <= line.buffer.delay_ns <= 61 * NS_PER_MS
+    assert line.buffer.delay_ns <= 14 * NS_PER_MS
+    assert list(assert_gapless(line.blocks))[-1] < 1000
+    assert None not in heard(line.blocks)
+    assert line.buffer.counts.stretched > 90
+
+
+def test_a_copy_in_the_next_packet_is_used_when_it_is_there():
+    # TOC of 20 ms SILK, and both flags of its first octet: speech, and a copy.
+    line = Line(min_delay_ns=30 * NS_PER_MS)
+    events = []
+    for n in range(40):
+        stamp = CaptureStamp(n * BLOCK_NS, n, "mic")
+        (packet,) = line.sender.audio_packets(b"\x08\xc0" + n.to_bytes(2, "big"), stamp)
+        if n not in (10, 20, 21):
+            events.append((n * BLOCK_NS, packet))
+    for arrival_ns, packet in events:
+        line._advance(arrival_ns)
+        line.receiver.handle_packet(packet, arrival_ns)
+        line._pass_on()
+    recovered = [b for b in line.blocks if b.recovered]
+    assert [int.from_bytes(b.payload[2:], "big") for b in recovered] == [11, 22]
+    assert (line.buffer.counts.recovered, line.buffer.counts.concealed) == (2, 1)
 
 
 def test_a_lost_block_is_concealed_at_its_time():

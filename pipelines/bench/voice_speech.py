@@ -1,0 +1,124 @@
+"""What is said in the voice bench, and how well it was heard."""
+
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
+from telepresence.world.speech import Speaker, speech
+
+#: PESQ for wide band (ITU-T P.862.2) listens at this rate.
+_PESQ_HZ = 16_000
+#: Before the first word: what starts up has this time, and loses nothing in it.
+LEAD_IN_BLOCKS = 50
+_SPEAKERS: tuple[Speaker, Speaker] = ("ground", "cabin")
+_WINDOW = AUDIO_CLOCK_HZ
+#: A window that is less like what was said tells nothing about its delay.
+_ALIKE = 0.5
+
+
+@dataclass(frozen=True)
+class Track:
+    """samples: what is said, whole blocks. turns: from and to of each speaker's turn in it."""
+
+    samples: Pcm
+    turns: tuple[tuple[int, int], ...]
+
+    @property
+    def blocks(self) -> int:
+        return len(self.samples) // BLOCK_SAMPLES
+
+
+def speech_track(seconds: float) -> Track:
+    """The two speakers of `samples/media` in turn, each to his end, for at least `seconds`."""
+    pieces: list[Pcm] = [np.zeros(LEAD_IN_BLOCKS * BLOCK_SAMPLES, np.int16)]
+    turns: list[tuple[int, int]] = []
+    at = len(pieces[0])
+    while at < seconds * AUDIO_CLOCK_HZ or not turns:
+        said = speech(_SPEAKERS[len(turns) % len(_SPEAKERS)])
+        said = said[: len(said) // BLOCK_SAMPLES * BLOCK_SAMPLES]
+        turns.append((at, at + len(said)))
+        pieces.append(said)
+        at += len(said)
+    # So much more is said into the void that the last word is heard.
+    pieces.append(np.zeros(LEAD_IN_BLOCKS * BLOCK_SAMPLES, np.int16))
+    return Track(np.concatenate(pieces), tuple(turns))
+
+
+def pesq_is_there() -> bool:
+    """Whether the quality can be measured: the package `pesq` is of the extra `bench`."""
+    return find_spec("pesq") is not None
+
+
+def quality(track: Track, heard: Pcm, lag_samples: int) -> list[float]:
+    """PESQ's MOS-LQO (ITU-T P.862.2, 1.0 to 4.6) of each turn.
+
+    heard: what was heard; its sample k + lag_samples belongs to sample k of the track. PESQ itself
+    follows what varies.
+    """
+    pesq = import_module("pesq").pesq
+    found = []
+    for begin, end in track.turns:
+        got = _cut(heard, begin + lag_samples, end + lag_samples)
+        reference, degraded = _at_16_khz(track.samples[begin:end]), _at_16_khz(got)
+        found.append(float(pesq(_PESQ_HZ, reference, degraded, "wb")))
+    return found
+
+
+def _cut(sound: Pcm, begin: int, end: int) -> Pcm:
+    """From `begin` to `end`, with silence where there is nothing."""
+    room = np.zeros(end - begin, np.int16)
+    part = sound[max(begin, 0) : max(end, 0)]
+    at = max(-begin, 0)
+    room[at : at + len(part)] = part
+    return room
+
+
+def _at_16_khz(sound: Pcm) -> Pcm:
+    resampler = av.AudioResampler("s16", "mono", _PESQ_HZ)
+    frame = av.AudioFrame.from_ndarray(sound[np.newaxis], format="s16", layout="mono")
+    frame.sample_rate = AUDIO_CLOCK_HZ
+    pieces = [piece.to_ndarray().reshape(-1) for piece in resampler.resample(frame)]
+    pieces += [piece.to_ndarray().reshape(-1) for piece in resampler.resample(None)]
+    return np.concatenate(pieces).astype(np.int16)
+
+
+def lags(track: Track, heard: Pcm) -> list[int]:
+    """For each second of what was heard how many samples it lies behind the track.
+
+    By correlation with the track; a second that is like nothing has the lag of the one before.
+    """
+    size = 1 << (len(track.samples) + len(heard) - 1).bit_length()
+    whole = _best_shift(track.samples, heard, size)
+    found, last = [], whole
+    for begin in range(0, len(heard), _WINDOW):
+        window = heard[begin : begin + _WINDOW]
+        reach = AUDIO_CLOCK_HZ // 5
+        said = _cut(track.samples, begin - whole - reach, begin - whole + _WINDOW + reach)
+        shift = _best_shift(said, window, 1 << (len(said) + _WINDOW).bit_length())
+        part = _cut(said, -shift, -shift + len(window))
+        if _likeness(part, window) >= _ALIKE:
+            last = shift + whole + reach
+        found.append(last)
+    return found
+
+
+def _best_shift(said: Pcm, heard: Pcm, size: int) -> int:
+    """The shift s for which heard[k + s] is most like said[k]."""
+    product = np.fft.irfft(
+        np.fft.rfft(heard.astype(np.float64), size)
+        * np.conj(np.fft.rfft(said.astype(np.float64), size)),
+        size,
+    )
+    best = int(np.argmax(product))
+    return best if best < len(heard) else best - size
+
+
+def _likeness(one: NDArray[np.int16], other: NDArray[np.int16]) -> float:
+    a, b = one.astype(np.float64), other.astype(np.float64)
+    power = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / power if power else 0.0
