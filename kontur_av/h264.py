@@ -36,8 +36,11 @@ _SEI_USER_DATA_UNREGISTERED = 5
 
 _SCALER = VideoReformatter()
 
-#: From one refresh wave to the next.
-REFRESH_S = 1.0
+#: From one refresh wave to the next. After a loss all is well at the end of the first wave that
+#: begins: after a second at most.
+REFRESH_S = 0.5
+#: The same while the receiver can ask for a whole picture (RFC 4585).
+SLOW_REFRESH_S = 20.0
 
 _MOST_PIXELS = 4096 * 4096  # as media.check_size has it
 

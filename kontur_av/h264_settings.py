@@ -43,9 +43,9 @@ class _Effort:
 #: ruins: 1 dB on the worst twentieth of the pictures.
 _THIN = _Effort(
     crf=10,
-    rate_over_cap=Fraction(112, 100),
+    rate_over_cap=Fraction(108, 100),
     buffer_over_share=Fraction(106, 100),
-    parameters=f"{_ALWAYS}:{_BLOCKS}:subme=7:trellis=2:qpmax=47",
+    parameters=f"{_ALWAYS}:{_BLOCKS}:subme=7:trellis=2:qpmax=48",
 )
 _WIDE = _Effort(
     crf=1,

@@ -155,6 +155,8 @@ class _Shell:
     ) -> None:
         self._raw = raw
         self._watched: int | None = None
+        #: Where the stream's sender reports come from, and feedback goes to.
+        self._sender: Any = None
         self._stream = stream
         self._clock = clock
         self._sink = sink
@@ -215,15 +217,20 @@ class _Shell:
     def _take_datagrams(self) -> None:
         rtp, rtcp = self._sockets
         receiver = self._receiver
-        for datagram in _datagrams(rtcp):
-            receiver.handle_report(datagram, self._clock.now_ns())
-        for datagram in _datagrams(rtp):
+        for datagram, source in _datagrams(rtcp):
+            if receiver.handle_report(datagram, self._clock.now_ns()):
+                self._sender = source
+        for datagram, _ in _datagrams(rtp):
             receiver.handle_packet(datagram, self._clock.now_ns())
             self._pass_on()
         now_ns = self._clock.now_ns()
         receiver.handle_timeout(now_ns)
         self._pass_on()
         self._sink.handle_timeout(now_ns)
+        feedback = self._sink.poll_feedback(now_ns)
+        if feedback is not None and self._sender is not None:
+            with contextlib.suppress(OSError):
+                rtcp.sendto(feedback, self._sender)
 
     def _pass_on(self) -> None:
         while (packet := self._receiver.next_event()) is not None:
@@ -283,8 +290,9 @@ class _Shell:
         return report
 
 
-def _datagrams(udp: socket.socket) -> Iterator[bytes]:
-    """What lies in the socket now, at most 256 datagrams, so that time is looked at again."""
+def _datagrams(udp: socket.socket) -> Iterator[tuple[bytes, Any]]:
+    """What lies in the socket now and where it came from, at most 256 datagrams, so that time is
+    looked at again."""
     with contextlib.suppress(BlockingIOError):
         for _ in range(256):
-            yield udp.recv(65_536)
+            yield udp.recvfrom(65_536)

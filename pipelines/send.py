@@ -7,13 +7,15 @@ import socket
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from kontur_av.h264 import H264Encoder
+from kontur_av.errors import ConfigError
+from kontur_av.h264 import REFRESH_S, SLOW_REFRESH_S, H264Encoder
+from kontur_av.link_clock import LinkClock
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
     VIDEO_CLOCK_HZ,
@@ -23,6 +25,7 @@ from kontur_av.media import (
 )
 from kontur_av.meters import Histogram
 from kontur_av.opus import OpusEncoder, bitrate_under_cap, heard_stamp
+from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.rtp.payload_h264 import (
     DEFAULT_MAX_PAYLOAD_OCTETS,
     NAL_PPS,
@@ -50,6 +53,9 @@ from pipelines.command import (
 #: A block of sound that waits longer for its leave is not sent at all.
 _STALE_VOICE_NS = 100 * NS_PER_MS
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
+#: A receiver that gives feedback does so every second; after so long it is taken for gone.
+_FEEDBACK_SILENCE_NS = 3 * NS_PER_S
+_FEEDBACK_OCTETS = 1500
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +79,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the rate at which packets of a picture leave (default: the cap)",
     )
     parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
+    parser.add_argument(
+        "--coded-size",
+        metavar="WxH",
+        default="auto",
+        help="in which pictures are coded; receivers scale them up (default: auto, as large as "
+        "there are bits for)",
+    )
+    parser.add_argument(
+        "--refresh-s",
+        metavar="S",
+        type=float,
+        help=f"renew the whole picture every S seconds (default: {SLOW_REFRESH_S:g} while a "
+        f"receiver gives feedback, so that it can ask for a whole picture, else {REFRESH_S:g})",
+    )
     parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
     parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
     parser.add_argument("--sdp", metavar="FILE", help="write what receivers need to know")
@@ -135,14 +155,31 @@ class _Video:
         cap_bps: int,
         channel_bps: int | None,
         clock: MonotonicClock,
+        coded_size: tuple[int, int] | None,
+        refresh_s: float | None,
     ) -> None:
         self._clock = clock
-        self._encoder = H264Encoder(width=width, height=height, fps=fps, cap_bps=cap_bps)
-        self._picture = empty_picture(width, height)
+        self._refresh_s = refresh_s
+        self._encoder = H264Encoder(
+            width=width,
+            height=height,
+            fps=fps,
+            cap_bps=cap_bps,
+            coded_size=coded_size,
+            refresh_s=REFRESH_S if refresh_s is None else refresh_s,
+        )
+        self.size, self.coded_size = (width, height), self._encoder.coded_size
+        #: What the source writes to, and the newest whole picture.
+        self._coming, self._newest = empty_picture(width, height), empty_picture(width, height)
+        self._stamp = CaptureStamp(0, 0, "none")
         self.pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps, slack_ns=NS_PER_S // fps)
         self.rtp = _sender(VIDEO_PAYLOAD_TYPE, VIDEO_CLOCK_HZ, self.pacer)
-        self.parameter_sets = self._parameter_sets(width, height, fps, cap_bps)
-        self.captured = self.encoded = 0
+        self._link_clock = LinkClock(self.pacer, fps=fps)
+        self._listener = PictureLossListener(ssrc=self.rtp.ssrc)
+        self._heard_ns: int | None = None
+        self._slow_refresh = False
+        self.parameter_sets = self._parameter_sets(fps, cap_bps)
+        self.encoded = 0
         self.encode_ns = Histogram()
         self.source = open_video(
             spec,
@@ -154,30 +191,69 @@ class _Video:
             scenes=_scenes("video") if spec.startswith("scene:") else None,
         )
 
-    def _parameter_sets(self, width: int, height: int, fps: int, cap_bps: int) -> tuple[bytes, ...]:
+    @property
+    def captured(self) -> int:
+        return self._link_clock.captured
+
+    @property
+    def refused(self) -> int:
+        return self._link_clock.refused
+
+    def _parameter_sets(self, fps: int, cap_bps: int) -> tuple[bytes, ...]:
         # The SDP has to be there before the first packet is. A second encoder that is set up alike
         # writes the same SPS and PPS, and the real one still begins with the first real picture.
-        twin = H264Encoder(width=width, height=height, fps=fps, cap_bps=cap_bps)
-        self._picture.fill(128)
-        unit = twin.encode(VideoFrame(self._picture, CaptureStamp(0, 0, "twin")), lambda: 0)
+        width, height = self.size
+        twin = H264Encoder(
+            width=width, height=height, fps=fps, cap_bps=cap_bps, coded_size=self.coded_size
+        )
+        self._newest.fill(128)
+        unit = twin.encode(VideoFrame(self._newest, CaptureStamp(0, 0, "twin")), lambda: 0)
         units = split_annex_b(unit.data)
         return tuple(unit for unit in units if nal_type(unit) in (NAL_SPS, NAL_PPS))
 
     def step(self, timeout_ns: int) -> CaptureStamp | None:
-        """The stamp of the picture whose packets were queued, if one came within `timeout_ns`."""
-        stamp = self.source.read(self._picture, timeout_ns)
-        if stamp is None:
+        """The stamp of the picture whose packets were queued, if one was within `timeout_ns`."""
+        stamp = self.source.read(self._coming, timeout_ns)
+        if stamp is not None:
+            self._coming, self._newest = self._newest, self._coming
+            self._stamp = stamp
+            self._link_clock.handle_picture(stamp.capture_ns, self._clock.now_ns())
+        if not self._link_clock.poll_encode(self._clock.now_ns()):
             return None
-        self.captured += 1
-        if not self.pacer.ready_for_picture(self._clock.now_ns()):
-            return None
-        unit = self._encoder.encode(VideoFrame(self._picture, stamp), self._clock.now_ns)
+        keyframe = self._listener.take(self._clock.now_ns())
+        self._follow()
+        frame = VideoFrame(self._newest, self._stamp)
+        unit = self._encoder.encode(frame, self._clock.now_ns, force_keyframe=keyframe)
+        self._link_clock.handle_encoded(unit.encoded_ns)
         self.encoded += 1
-        self.encode_ns.add(unit.encoded_ns - stamp.capture_ns)
+        self.encode_ns.add(unit.encoded_ns - unit.stamp.capture_ns)
         packets = self.rtp.video_packets(unit)
         octets = [len(packet) - RTP_HEADER_OCTETS for packet in packets]
         self.pacer.handle_access_unit(packets, octets, self._clock.now_ns())
-        return stamp
+        return unit.stamp
+
+    def poll_timeout(self) -> int | None:
+        """When to step again, whether a picture comes or not."""
+        return self._link_clock.poll_timeout()
+
+    def handle_feedback(self, datagram: bytes) -> None:
+        """What a receiver says of what it got."""
+        now_ns, garbage = self._clock.now_ns(), self._listener.garbage
+        self._listener.handle_feedback(datagram, now_ns)
+        if self._listener.garbage == garbage:
+            self._heard_ns = now_ns
+
+    def _follow(self) -> None:
+        hz = self._link_clock.next_rate_hz()
+        # Whoever joins and is silent, or becomes so, cannot ask for a whole picture.
+        since_ns = self._heard_ns
+        slow = since_ns is not None and self._clock.now_ns() - since_ns < _FEEDBACK_SILENCE_NS
+        refresh_s = None
+        if slow != self._slow_refresh and self._refresh_s is None:
+            self._slow_refresh = slow
+            refresh_s = SLOW_REFRESH_S if slow else REFRESH_S
+        if hz is not None or refresh_s is not None:
+            self._encoder.follow(hz=hz, refresh_s=refresh_s)
 
 
 class _Audio:
@@ -193,7 +269,7 @@ class _Audio:
         self._encoder = OpusEncoder(bitrate_bps=bitrate_under_cap(cap_bps))
         self.pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps)
         self.rtp = _sender(AUDIO_PAYLOAD_TYPE, AUDIO_CLOCK_HZ, self.pacer)
-        self.captured = self.encoded = 0
+        self.captured = self.encoded = self.refused = 0
         self.encode_ns = Histogram()
         self.source = open_audio(
             spec,
@@ -201,6 +277,12 @@ class _Audio:
             clock=clock,
             scenes=_scenes("audio") if spec.startswith("scene:") else None,
         )
+
+    def poll_timeout(self) -> int | None:
+        return None
+
+    def handle_feedback(self, datagram: bytes) -> None:
+        pass
 
     def step(self, timeout_ns: int) -> CaptureStamp | None:
         """As that of `_Video`, for a block of sound."""
@@ -226,7 +308,13 @@ def open_media(args: argparse.Namespace, clock: MonotonicClock) -> Iterator[_Vid
     media: _Video | _Audio
     if args.video is not None:
         width, height = parse_size(args.size)
-        media = _Video(args.video, width, height, args.fps, cap_bps, channel_bps, clock)
+        coded = None if args.coded_size == "auto" else parse_size(args.coded_size, "--coded-size")
+        if args.refresh_s is not None and not 0.1 <= args.refresh_s <= 600:
+            raise ConfigError(f"--refresh-s {args.refresh_s:g}: take 0.1 to 600 seconds")
+        media = _Video(
+            *(args.video, width, height, args.fps, cap_bps, channel_bps),
+            *(clock, coded, args.refresh_s),
+        )
     else:
         media = _Audio(args.audio, cap_bps, channel_bps, clock)
     try:
@@ -290,13 +378,27 @@ class _Shell:
 
     def _step(self, now_ns: int, end_ns: int | None, next_line_ns: int) -> None:
         media = self._media
-        due = (media.pacer.poll_timeout(), media.rtp.poll_timeout(), end_ns, next_line_ns)
+        self._hear()
+        due = (
+            media.pacer.poll_timeout(),
+            media.rtp.poll_timeout(),
+            media.poll_timeout(),
+            end_ns,
+            next_line_ns,
+        )
         until_ns = min(instant for instant in due if instant is not None)
         timeout_ns = min(max(until_ns - now_ns, 0), _LONGEST_WAIT_NS)
         stamp = media.step(timeout_ns)
         if stamp is not None:
             self._queued.append(_Unit(stamp.capture_ns, media.rtp.packets_sent))
         self._transmit()
+
+    def _hear(self) -> None:
+        # The answer to an earlier datagram that nobody took is no feedback.
+        with suppress(BlockingIOError, ConnectionError):
+            while True:
+                datagram = self._socket.recv(_FEEDBACK_OCTETS, socket.MSG_DONTWAIT)
+                self._media.handle_feedback(datagram)
 
     def _transmit(self) -> None:
         media = self._media
@@ -348,7 +450,7 @@ class _Shell:
             "frames_captured": media.captured,
             "frames_encoded": media.encoded,
             "frames_sent": self._units_sent,
-            "pictures_refused": media.pacer.pictures_refused,
+            "pictures_refused": media.refused,
             "rtp_packets": media.pacer.released_packets,
             "rtp_payload_octets": released.octets,
             "send_errors": self._send_errors,
@@ -361,6 +463,8 @@ class _Shell:
             "source": {"faults": media.source.faults, "last_fault": media.source.last_fault},
             "cpu_s": time.process_time(),
         }
+        if isinstance(media, _Video):
+            report |= {"size": media.size, "coded_size": media.coded_size}
         failed = []
         if not self._units_sent:
             failed.append(

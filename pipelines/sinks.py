@@ -1,10 +1,15 @@
 """What becomes of a received stream: pictures or sound, counts, and perhaps a file."""
 
+import secrets
 from typing import Any
+
+from aiortc.rtp import RtcpRrPacket
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.h264 import H264Decoder
+from kontur_av.healing import Healing
 from kontur_av.meters import Histogram
+from kontur_av.rtp.feedback import PictureLossReporter
 from kontur_av.rtp.payload_h264 import H264Depacketizer
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceived, RtpReceiver
@@ -13,6 +18,9 @@ from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.voice import VoicePlayer
 from pipelines.raw_pictures import RawPictures
 from pipelines.remux import MatroskaWriter
+
+#: How often a sender is told that it is heard.
+_ALIVE_NS = NS_PER_S
 
 
 class _TimeLine:
@@ -50,6 +58,11 @@ class VideoSink:
         self.received_ns = Histogram()
         self._raw = raw
         self._depacketizer = H264Depacketizer(stream.parameter_sets)
+        self._healing = Healing()
+        self._ssrc = secrets.randbits(32)
+        self._losses = PictureLossReporter(ssrc=self._ssrc)
+        self._begun = False
+        self._alive_ns = 0
         self._decoder = H264Decoder(reordered=True)
         self._time_line = _TimeLine(stream.clock_rate_hz)
         self._writer = writer
@@ -62,7 +75,14 @@ class VideoSink:
     def handle_packet(self, packet: RtpReceived, clock: MonotonicClock) -> None:
         self._depacketizer.handle_packet(packet)
         while (unit := self._depacketizer.next_event()) is not None:
+            hurt = self._healing.handle_unit(unit)
             pictures = self._decoder.decode(unit.data, unit.timestamp)
+            self._begun = self._begun or bool(pictures)
+            self._losses.handle_picture(
+                damaged=hurt or not self._begun,
+                media_ssrc=self.receiver.ssrc or 0,
+                now_ns=unit.received_ns,
+            )
             capture_ns = self.receiver.capture_ns(unit.timestamp)
             if capture_ns is not None:
                 self.received_ns.add(unit.received_ns - capture_ns)
@@ -77,8 +97,18 @@ class VideoSink:
                 ticks = self._time_line.ticks(unit.timestamp, unit.received_ns)
                 self._writer.add_unit(unit.data, ticks, keyframe=unit.keyframe)
 
+    def poll_feedback(self, now_ns: int) -> bytes | None:
+        """RTCP for the sender: that a picture is missing, or each second that it is heard."""
+        if (asked := self._losses.poll_transmit(now_ns)) is not None:
+            return asked
+        if self.receiver.ssrc is None or now_ns - self._alive_ns < _ALIVE_NS:
+            return None
+        self._alive_ns = now_ns
+        # RFC 3550 section 6.4.2: a report without blocks, as from who has nothing to report.
+        return bytes(RtcpRrPacket(self._ssrc))
+
     def poll_timeout(self) -> int | None:
-        return None
+        return self._losses.poll_timeout()
 
     def handle_timeout(self, now_ns: int) -> None:
         pass
@@ -91,6 +121,7 @@ class VideoSink:
             "frames_decoded": self._decoder.decoded,
             "frames_corrupt": self._decoder.corrupt_units,
             "frames_before_start": self._decoder.units_before_start,
+            "pictures_asked_for": self._losses.sent,
         }
 
 
@@ -114,6 +145,9 @@ class AudioSink:
             self.received_ns.add(packet.received_ns - capture_ns)
         self._playout.handle_packet(packet)
         self._drain()
+
+    def poll_feedback(self, now_ns: int) -> bytes | None:
+        return None
 
     def poll_timeout(self) -> int | None:
         return self._playout.poll_timeout()

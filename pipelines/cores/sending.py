@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_S
-from kontur_av.h264 import REFRESH_S, H264Encoder
+from kontur_av.h264 import REFRESH_S, SLOW_REFRESH_S, H264Encoder
 from kontur_av.link_clock import LinkClock
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp, VideoFrame
 from kontur_av.opus import heard_stamp
@@ -20,8 +20,6 @@ from pipelines.probe import Probe
 from pipelines.setup import VIDEO_PAYLOAD_OCTETS, VideoStream, VoiceStream
 from telepresence.link.profile import LinkProfile
 
-#: From one refresh wave to the next while the receiver can ask for a whole picture.
-SLOW_REFRESH_S = 20.0
 #: A block this old is no voice any more; it would only push the following ones back.
 _TOO_OLD_NS = 5 * BLOCK_NS
 

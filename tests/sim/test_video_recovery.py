@@ -1,0 +1,110 @@
+"""What an operator sees after a loss, a loss of signal and a camera switch: on virtual time."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import av
+import numpy as np
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.choosing import CameraChoice
+from pipelines.cores.showing import Showing
+from pipelines.names import DAMAGED
+from pipelines.setup_file import load_setup
+from pipelines.sim.session import Selection
+from pipelines.simulate import simulate
+
+DELAY_MS = 2.0
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """Of the uplink: (capture, instant of display, damaged) of every picture."""
+    pictures = []
+    handle_shown = Showing.handle_shown
+
+    def record(self, stream, stamp, now_ns):
+        if stream == "uplink_video":
+            pictures.append((stamp.capture_ns, now_ns, stamp.source == DAMAGED))
+        handle_shown(self, stream, stamp, now_ns)
+
+    monkeypatch.setattr(Showing, "handle_shown", record)
+    return pictures
+
+
+def session(tmp_path, *, dark_s=None, **options):
+    radio = tmp_path / "radio.toml"
+    text = f"delay_ms = {DELAY_MS}\n"
+    if dark_s is not None:
+        text += f"[[blackouts]]\nstart_s = 1.5\nseconds = {dark_s}\n"
+    radio.write_text(text)
+    setup = replace(load_setup("spacejustin"), radio=str(radio))
+    report = simulate(setup, seed=2, **options)
+    assert report["failures"] == []
+    for stream in report["streams"].values():
+        assert stream["payload_bps_max_1s"] <= stream["cap_bps"]
+        assert stream["payload_bps_max_100ms"] <= 1.5 * stream["cap_bps"]
+    return report
+
+
+def test_the_first_picture_after_a_loss_of_signal_is_whole_and_soon_there(tmp_path, shown):
+    session(tmp_path, dark_s=0.7, seconds=3.2)
+    resumed_ns = round(2.2 * NS_PER_S)
+    capture_ns, now_ns, damaged = next(row for row in shown if row[1] > resumed_ns)
+    assert not damaged
+    assert now_ns - resumed_ns < 150 * NS_PER_MS
+    assert capture_ns >= resumed_ns - 50 * NS_PER_MS
+    assert not any(damaged for _, now_ns, damaged in shown if now_ns > resumed_ns)
+
+
+def test_a_loss_without_a_loss_of_signal_heals_after_a_round_trip(tmp_path, shown):
+    report = session(tmp_path, dark_s=0.03, seconds=2.8)
+    hit_ns = round(1.5 * NS_PER_S)
+    assert report["streams"]["uplink_video"]["rtp_lost"] >= 1
+    assert report["processes"]["uplink_video_send"]["counts"]["feedback_received"] >= 1
+    hurt = [now_ns for _, now_ns, damaged in shown if damaged]
+    assert hurt
+    assert min(hurt) > hit_ns
+    assert max(hurt) - hit_ns < 250 * NS_PER_MS
+    # A smear is shown, no still.
+    instants = [now_ns for _, now_ns, _ in shown if now_ns > hit_ns - 50 * NS_PER_MS]
+    assert np.diff(instants).max() < 150 * NS_PER_MS
+
+
+def test_another_camera_is_seen_within_150_ms(tmp_path, shown, monkeypatch):
+    captured = []
+    restamp = CameraChoice.restamp
+
+    def record(self, stamp):
+        if self.selected == "static":
+            captured.append(stamp.capture_ns)
+        return restamp(self, stamp)
+
+    monkeypatch.setattr(CameraChoice, "restamp", record)
+    asked_ns = 2 * NS_PER_S
+    session(tmp_path, seconds=2.6, selections=[Selection(asked_ns, "static")])
+    first_ns = next(now_ns for capture_ns, now_ns, _ in shown if capture_ns >= captured[0])
+    # From the operator's telecommand on, two ways through the radio included.
+    assert first_ns - asked_ns < 150 * NS_PER_MS
+
+
+def test_a_camera_slower_than_its_stream_uses_the_cap_too(tmp_path):
+    path = tmp_path / "slow.mp4"
+    rng = np.random.default_rng(1)
+    texture = rng.integers(0, 256, (12, 18, 3), np.uint8).repeat(40, axis=0).repeat(40, axis=1)
+    with av.open(str(path), "w") as container:
+        video = container.add_stream("libx264", rate=Fraction(20))
+        video.width, video.height, video.pix_fmt = 640, 480, "yuv420p"
+        for i in range(90):
+            picture = np.ascontiguousarray(texture[:480, i % 70 : i % 70 + 640])
+            picture[200:280, 4 * i : 4 * i + 80] = 255 - picture[200:280, 4 * i : 4 * i + 80]
+            for packet in video.encode(av.VideoFrame.from_ndarray(picture, "rgb24")):
+                container.mux(packet)
+        for packet in video.encode(None):
+            container.mux(packet)
+    setup = replace(load_setup("taskboard"), cameras=("static",), sources={"static": str(path)})
+    stream = simulate(setup, seconds=6.0, seed=1)["streams"]["uplink_video"]
+    assert stream["displayed_hz"] > 18
+    # If each had the share of one of 30 pictures a second, it could not be more than 0.71 of it.
+    assert 0.75 * stream["cap_bps"] < stream["payload_bps_max_1s"] <= stream["cap_bps"]
