@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
+from pipelines.bench.plot import check_plot, plot_distributions
 from pipelines.bench.video_clips import FOOTAGE, SCENE, Clip, clips
 from pipelines.bench.video_contenders import CONTENDERS, ContenderError, missing
 from pipelines.bench.video_figures import Figures
@@ -59,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--size", default="640x480", metavar="WxH", help="default 640x480")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the latencies as a PNG")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,6 +79,7 @@ def run(args: argparse.Namespace) -> int:
     contenders = _contenders(names & set(CONTENDERS), say)
     chosen = names - set(CONTENDERS)
     figures: dict[str, Any] = {}
+    panels: dict[str, dict[str, list[float]]] = {}
     failed = False
     found = [
         (name, make)
@@ -104,6 +107,11 @@ def run(args: argparse.Namespace) -> int:
             if args.report is not None:
                 # Each time, because a run is long and may be ended early.
                 write_report(args.report, _plain(figures))
+            panels[f"{name}, {rate}: capture to displayed"] = {
+                who: latencies for who, (_, latencies) in measured.items()
+            }
+            if args.plot is not None:
+                plot_distributions(args.plot, panels, unit="ms")
     return 1 if failed else 0
 
 
@@ -128,6 +136,7 @@ def _checked(args: argparse.Namespace) -> tuple[int, int, list[Terms]]:
         if name not in known:
             raise ConfigError(f"--only {name}: choose of {', '.join(sorted(known))}")
     check_writable(args.report)
+    check_plot(args.plot)
     terms = [Terms(fps=_FPS, cap_kbps=args.cap_kbps, channel_kbps=args.channel_kbps)]
     if args.wide:
         terms.append(Terms(fps=_FPS, cap_kbps=_WIDE_KBPS[0], channel_kbps=_WIDE_KBPS[1]))

@@ -14,9 +14,10 @@ pytestmark = pytest.mark.realtime
 def test_a_short_run_gives_figures(name, tmp_path, capsys):
     if (reason := missing(name)) is not None:
         pytest.skip(reason)
-    report = tmp_path / "figures.json"
+    report, plot = tmp_path / "figures.json", tmp_path / "latency.png"
     options = ["--seconds", "3", "--size", "320x240", "--only", name, "--only", "scene"]
-    assert main(["bench", "video", *options, "--report", str(report)]) == 0
+    assert main(["bench", "video", *options, "--report", str(report), "--plot", str(plot)]) == 0
+    assert plot.read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
     assert "capture to displayed, p99" in printed
     (rate,) = json.loads(report.read_text()).values()

@@ -246,6 +246,7 @@ def test_without_a_peer_only_the_rest_is_judged():
         (["--only", "nobody"], "--only nobody"),
         (["--size", "64x48"], "--size 64x48"),
         (["--report", "/nowhere/at/all.json"], "--report"),
+        (["--plot", "latency.jpg"], "--plot"),
     ],
 )
 def test_mistakes_are_one_line(options, told, capsys):
