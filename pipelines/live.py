@@ -175,9 +175,10 @@ def _line(launcher: Launcher) -> str:
             f"{collector.process(f'{stream.name}_receive').total('rtp_lost')} lost "
             f"{'-' if newest is None else f'{newest:.0f}'} ms"
         )
-        age = _age(launcher, stream)
-        if State.STALE.value in age.plain:
-            parts[-1] += f" {age.plain.upper()}"
+        now_ns = launcher.clock.now_ns()
+        state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
+        if state is State.STALE:
+            parts[-1] += f" STALE {age_words(age_ns)}"
     for name, (_, receiver) in HAPTIC_ENDS.items():
         received = collector.process(receiver)
         parts.append(

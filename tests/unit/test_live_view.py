@@ -8,7 +8,7 @@ from rich.console import Console
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.collector import Collector
-from pipelines.live import _inputs, _line, _streams
+from pipelines.live import _age, _inputs, _line, _streams
 from pipelines.probe import Message
 from pipelines.setups import BUILT_IN
 
@@ -52,6 +52,30 @@ def test_the_rate_shown_is_that_of_the_last_second(launcher):
     assert " 96.0 " in force
     launcher.clock.now_ns = lambda: 20 * NS_PER_S
     assert "uplink_video 0.0/90 kbit/s" in _line(launcher)
+
+
+def test_what_is_shown_has_its_age_and_a_word_that_grows_worse(launcher):
+    (stream,) = SETUP.streams
+
+    def shown(state, age_ms, told_s):
+        gauges = {f"{stream.name}.age_ns": age_ms * NS_PER_MS, f"{stream.name}.state": state}
+        launcher.collector.handle_message(
+            "space_display", Message({}, gauges), round(told_s * NS_PER_S)
+        )
+        return _age(launcher, stream)
+
+    assert _age(launcher, stream).plain == "-"
+    assert "age" in table_of(launcher)
+    fresh = shown("fresh", 45, 9.8)
+    assert (fresh.plain, str(fresh.style)) == ("45 ms fresh", "green")
+    assert "STALE" not in _line(launcher)
+    assert shown("damaged", 45, 9.8).plain == "45 ms damaged"
+    assert shown("frozen", 100, 9.8).plain == "100 ms frozen"
+    stale = shown("stale", 1300, 9.8)
+    assert (stale.plain, str(stale.style)) == ("1.3 s stale", "bold white on red")
+    assert "STALE 1.3 s" in _line(launcher)
+    # A display that tells nothing any more shows what it showed last.
+    assert shown("fresh", 45, 6.0).plain == "3.0 s stale"
 
 
 def test_an_input_that_gives_nothing_is_shown_with_its_fault(launcher):

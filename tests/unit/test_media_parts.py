@@ -26,10 +26,14 @@ from kontur_av.session_files import remove_session
 from kontur_av.topics import TopicBus
 from pipelines.names import (
     BACKLOG,
+    DAMAGED,
+    LAG,
     SELECTED_TOPIC,
     VIDEO_PAYLOAD_TYPE,
     VOICE_PAYLOAD_TYPE,
     backlog_topic,
+    displayed_topic,
+    lag_topic,
     received_topic,
 )
 from pipelines.parts.capture import run_microphone
@@ -132,6 +136,57 @@ def test_a_sound_that_was_made_up_is_not_displayed(session):
     told = listen()
     assert told.totals[counter] == 2
     assert list(told.series[f"shown.{stream.name}"][::3]) == [0, 3]
+
+
+def test_a_picture_that_grows_old_is_marked_on_the_display_and_nowhere_else(session):
+    stream = SETUP.uplink_video
+    limit_ns = SETUP.stale_after_ns(stream)
+    picture = empty_picture(stream.width, stream.height)
+    picture[:] = 128
+    with (
+        running(session, run_display, streams=[stream]) as listen,
+        TopicBus(session) as bus,
+    ):
+        writer = bus.writer(received_topic(stream.name), max_octets=picture.size)
+        screen = bus.reader(displayed_topic(stream.name))
+        received = bus.reader(received_topic(stream.name))
+        lag = bus.reader(lag_topic(stream.name))
+
+        def shown(is_marked):
+            """What is on display, once it is marked or not; marked anew it is older."""
+
+            def look():
+                lease = screen.latest()
+                if lease is None:
+                    return None
+                with lease:
+                    luma = int(lease.video().data[0, 0])
+                    return lease.stamp if (luma == 81) is is_marked else None
+
+            return eventually(look)
+
+        captured_ns = CLOCK.now_ns()
+        stamp = CaptureStamp(captured_ns, 7, stream.name)
+        writer.publish_video(VideoFrame(picture, stamp))
+        assert shown(False) == stamp
+        assert shown(True) == stamp
+        assert CLOCK.now_ns() >= captured_ns + limit_ns
+        shown(True)
+        with received.latest() as lease:
+            assert (lease.video().data == 128).all(), "the source stays as it is"
+        with lag.latest() as lease:
+            displayed_ns, latency_ns = LAG.unpack(lease.octets())
+        assert displayed_ns - latency_ns == captured_ns
+        eventually(lambda: listen().gauges.get(f"{stream.name}.state") == "stale" or None)
+        stamp = CaptureStamp(CLOCK.now_ns(), 8, DAMAGED)
+        writer.publish_video(VideoFrame(picture, stamp))
+        assert shown(False) == stamp
+    told = listen()
+    assert told.totals[f"{stream.name}.stale_episodes"] >= 1
+    assert told.totals[f"{stream.name}.stale_ns"] > 0
+    assert told.totals[f"{stream.name}.frozen_ns"] > told.totals[f"{stream.name}.stale_ns"]
+    assert told.totals[f"{stream.name}.damaged_ns"] > 0
+    assert told.gauges[f"{stream.name}.age_ns"] > 0
 
 
 def test_a_gap_in_a_voice_is_made_up_and_marked(session):

@@ -1,0 +1,91 @@
+"""How old everything is on virtual time: mouth to ear, lip-sync, stale, frozen and damaged."""
+
+from dataclasses import replace
+
+import pytest
+
+from pipelines.setup_file import load_setup
+from pipelines.sim.costs import CodingCosts
+from pipelines.simulate import simulate
+
+DELAY_MS = 2.0
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory):
+    return session(tmp_path_factory.mktemp("usual"), seconds=3.0)[1]
+
+
+def session(tmp_path, *, seconds, radio="", **options):
+    path = tmp_path / "radio.toml"
+    path.write_text(f"delay_ms = {DELAY_MS}\n{radio}")
+    setup = replace(load_setup("spacejustin"), radio=str(path))
+    return setup, simulate(setup, seconds=seconds, seed=1, **options)
+
+
+def test_the_operator_hears_within_60_ms_and_sound_and_picture_are_together(usual):
+    report = usual
+    for name in ("uplink_voice", "downlink_voice"):
+        stream = report["streams"][name]
+        # A block of 20 ms, 6.5 of look-ahead, coding, slots, the radio and the playout buffer.
+        assert 30 < stream["latency_ms"]["p50"] < 50
+        assert stream["latency_ms"]["p99"] <= 60
+        assert (stream["frames_concealed"], stream["stale_ms"]) == (0, 0)
+    # The very first sounds may be early.
+    assert report["lip_sync"]["within"] > 0.99
+    assert report["skew_ms"]["audio_video"]["p50"] > -45
+
+
+def test_a_sound_waits_for_late_pictures_as_long_as_it_must_and_nothing_else_does(tmp_path, usual):
+    _, report = session(tmp_path, seconds=7.0, costs=CodingCosts(capture_ms=95))
+    video, voice = (
+        report["streams"][name]["latency_ms"] for name in ("uplink_video", "uplink_voice")
+    )
+    skew = report["skew_ms"]["audio_video"]
+    # Without it the sound would come some 90 ms early; with it at most 45, and no later than that.
+    assert video["p50"] - usual["streams"]["uplink_voice"]["latency_ms"]["p50"] > 80
+    assert -46 < skew["p50"] < -15
+    assert voice["max"] < video["max"] - 15
+    # The second and a half in which the voice is stretched.
+    assert 0.6 < report["lip_sync"]["within"] < 1
+    assert report["lip_sync"]["late"] == 0
+    assert report["haptic"]["up"]["latency_ms"]["max"] == DELAY_MS + 1
+    assert report["streams"]["uplink_voice"]["frames_concealed"] == 0
+
+
+def test_a_second_of_darkness_is_a_second_of_stale_and_frozen_pictures(tmp_path):
+    setup, report = session(
+        tmp_path, seconds=4.5, radio="[[blackouts]]\nstart_s = 1.5\nseconds = 1.0\n"
+    )
+    for stream in setup.streams:
+        figures = report["streams"][stream.name]
+        assert figures["stale_after_ms"] == pytest.approx(
+            setup.stale_after_ns(stream) / 1e6, abs=1e-3
+        )
+        assert figures["stale_episodes"] == 1
+        assert 1000 - figures["stale_after_ms"] < figures["stale_ms"] < 1300
+        if stream.name.endswith("video"):
+            assert 900 < figures["frozen_ms"] < 1500
+            # What was lost may do harm until the refresh has passed, or a whole picture came.
+            assert figures["damaged_ms"] <= 1100
+        else:
+            assert "frozen_ms" not in figures
+
+
+def test_what_is_lost_now_and_then_is_counted_as_damage_and_concealed(tmp_path):
+    _, report = session(tmp_path, seconds=3.0, radio="frame_loss = 0.01\n")
+    video, voice = (report["streams"][name] for name in ("uplink_video", "uplink_voice"))
+    assert video["rtp_lost"] > 0
+    assert 0 < video["damaged_ms"] < 3000
+    assert voice["frames_concealed"] > 0
+    assert voice["stale_ms"] == 0
+    # A loss delays nothing.
+    assert voice["latency_ms"]["p99"] <= 60
+
+
+def test_a_stream_that_is_always_older_than_its_setup_says_is_always_stale(tmp_path):
+    setup = load_setup("taskboard")
+    setup = replace(setup, uplink_video=replace(setup.uplink_video, stale_after_ms=20))
+    figures = simulate(setup, seconds=2.0, seed=1)["streams"]["uplink_video"]
+    assert figures["stale_episodes"] == 1
+    assert figures["stale_ms"] == pytest.approx(2000, abs=250)
