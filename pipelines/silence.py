@@ -23,6 +23,8 @@ _INPUTS = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_v
 MISSED_NS = 2 * NS_PER_S
 _MISSED_PERIODS = 4
 _FOR_EVER_NS = 1 << 62
+#: A radio that loses more of the frames than this lets hardly a picture through whole.
+_SPOILED = 0.05
 
 
 @dataclass(frozen=True)
@@ -70,13 +72,17 @@ def _missed_ns(fps: int) -> int:
 def signal_ns(segment: str, collector: Collector) -> int:
     """How long the gateway of `segment` had heard the other one without a pause when it told last.
 
-    Without end where no gateway has told of its contacts.
+    Without end where no gateway has told of its contacts; 0 where the radio has lost so many frames
+    that hardly a picture can have come whole.
     """
     figures = collector.process(f"{segment}_gateway")
-    supervision = figures.gauges.get("link", {}).get("supervision")
+    link = figures.gauges.get("link", {})
+    supervision = link.get("supervision")
     if supervision is None:
         return _FOR_EVER_NS
-    if not supervision["signal"]:
+    heard = link.get("receive", {})
+    received, lost = heard.get("frames", 0), heard.get("frames_lost", 0)
+    if not supervision["signal"] or lost > _SPOILED * (received + lost):
         return 0
     acquired_ns: int = supervision["begun_ns"] + supervision["contacts"][-1]["acquired_ns"]
     return figures.told_ns - acquired_ns

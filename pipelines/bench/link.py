@@ -140,6 +140,11 @@ def _goodputs(seconds: float) -> tuple[str, Table, Any]:
                     f"{found.payload_bps / 1000:.1f}",
                     *(f"{100 * share:.2f}" for share in found.shares()),
                 )
+    table.caption = (
+        "left: all but frame headers, checks and samples; payloads: of UDP, so that RTP counts "
+        "its 12 octets of header, of which 1 to 3 travel; packets: with their tags and headers; "
+        "framing: M_PDU headers and the lengths of packets that end within a frame"
+    )
     return "goodput", table, figures
 
 

@@ -44,8 +44,9 @@ from telepresence.link.supervision_events import (
 )
 
 #: The longest that a packet waits while the peer may not hear it: what comes out after a loss of
-#: signal was put in after it, or just before its end.
-LOST_PATIENCE_NS = 50 * NS_PER_MS
+#: signal was put in after it, or just before its end. Long enough for a large picture's last
+#: packet, because the peer may hear all of it and not be heard itself.
+LOST_PATIENCE_NS = 80 * NS_PER_MS
 #: What is found within this time after the other segment was found belongs to that.
 SAME_CONTACT_NS = 100 * NS_PER_MS
 #: A life begins with this frame count: far from where any other is.
