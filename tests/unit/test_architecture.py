@@ -60,8 +60,10 @@ SHELLS = {
     "pipelines/receive.py": "a command",
     "pipelines/report_file.py": "a file",
     "pipelines/send.py": "a command",
+    "pipelines/send_media.py": "random numbers of a stream",
     "pipelines/sessions.py": "processes, and what they leave",
     "pipelines/sim/workers.py": "processes",
+    "pipelines/sinks.py": "a random number of a receiver",
     "pipelines/stream.py": "a command",
 }
 
