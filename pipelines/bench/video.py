@@ -3,12 +3,12 @@
 Each contender is two commands as a user types them, sender and receiver, with real sockets. One
 process films: it writes the clip's pictures into a FIFO, each at its exact instant with its
 number drawn into it. One is the channel: a FIFO of a fixed rate, in which RTP headers and RTCP
-count, and which drops nothing. One watches: it takes full-size pictures out of a second FIFO
-and reads their numbers. So a latency runs from the instant of capture, through the pipe to
-the sender, coding, channel, decoding and scaling, to the last octet of the picture in the watching
-process. Both pipes are the same for all. PSNR and SSIM are of the luma, against the captured
-picture of the same number, without the 16 rows that hold the numbers. The first second does not
-count, except against the cap.
+count, and which drops nothing; what a receiver answers goes back at once. One watches: it takes
+full-size pictures out of a second FIFO and reads their numbers. So a latency runs from the instant
+of capture, through the pipe to the sender, coding, channel, decoding and scaling, to the last octet
+of the picture in the watching process. Both pipes are the same for all. PSNR and SSIM are of the
+luma, against the captured picture of the same number, without the 16 rows that hold the numbers.
+The first second does not count, except against the cap.
 """
 
 import argparse

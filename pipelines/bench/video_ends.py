@@ -256,13 +256,15 @@ def _watch(fd: int, link: Connection, lumas: NDArray[np.uint8]) -> Watched:
 class Carried:
     """What passed the channel: for each RTP packet when it came, its octets and its payload's.
 
-    control_octets: of RTCP. late_ns: how much after its instant each datagram left.
+    control_octets: of RTCP. returned: datagrams that went back from the receiver to the sender.
+    late_ns: how much after its instant each datagram left.
     """
 
     came_ns: list[int]
     octets: list[int]
     payload_octets: list[int]
     control_octets: int
+    returned: int
     late_ns: list[int]
     longest_wait_ns: int
     realtime: bool
@@ -281,7 +283,8 @@ class _Ports(Protocol):
 def carry(ports: _Ports, rate_bps: int) -> End:
     """The channel: RTP and RTCP from port `entrance` and the next one to `exit` and the next one.
 
-    Both share the rate. Runs until `End.end`.
+    Both share the rate. What the receiver answers goes back to the sender at once: the other
+    direction is not the thin one. Runs until `End.end`.
     """
     with ExitStack() as stack:
         entrances = [stack.enter_context(_bound(ports.entrance + index)) for index in (0, 1)]
@@ -304,18 +307,28 @@ def _bound(port: int) -> socket.socket:
 def _carry(
     entrances: list[socket.socket], exit_port: int, channel: Channel, link: Connection
 ) -> Carried:
-    carried = Carried([], [], [], 0, [], 0, _is_realtime())
-    control_octets = 0
+    carried = Carried([], [], [], 0, 0, [], 0, _is_realtime())
+    control_octets = returned = 0
+    sender: Any = None
     out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    out.setblocking(False)
+    out.bind((_LOOPBACK, 0))
     selector = selectors.SelectSelector()
     selector.register(link.fileno(), selectors.EVENT_READ)
-    for udp in entrances:
+    for udp in (*entrances, out):
         selector.register(udp, selectors.EVENT_READ)
     while not link.poll():
         due_ns = channel.poll_timeout()
         wait_ns = None if due_ns is None else max(due_ns - time.monotonic_ns() - _AWAKE_NS, 0)
         selector.select(None if wait_ns is None else wait_ns / NS_PER_S)
-        for came_ns, port, datagram in sorted(_arrived(entrances)):
+        with suppress(BlockingIOError, ConnectionError):
+            while True:
+                answer = out.recv(65_535)
+                if sender is not None:
+                    entrances[1].sendto(answer, sender)
+                    returned += 1
+        for came_ns, port, datagram, source in sorted(_arrived(entrances)):
+            sender = source
             channel.handle_datagram(datagram, port, came_ns)
             if port:
                 control_octets += len(datagram)
@@ -336,18 +349,19 @@ def _carry(
         carried.octets,
         carried.payload_octets,
         control_octets,
+        returned,
         carried.late_ns,
         channel.longest_wait_ns,
         carried.realtime,
     )
 
 
-def _arrived(entrances: list[socket.socket]) -> Iterator[tuple[int, int, bytes]]:
-    """(when, port, datagram) by the kernel's own stamp: however late this process looks."""
+def _arrived(entrances: list[socket.socket]) -> Iterator[tuple[int, int, bytes, Any]]:
+    """(when, port, datagram, source) by the kernel's own stamp: however late this process looks."""
     for port, udp in enumerate(entrances):
         with suppress(BlockingIOError):
             while True:
-                datagram, ancillary, _, _ = udp.recvmsg(65_535, 64)
+                datagram, ancillary, _, source = udp.recvmsg(65_535, 64)
                 now_ns, wall_ns = time.monotonic_ns(), time.time_ns()
                 age_ns = 0
                 for level, kind, data in ancillary:
@@ -355,7 +369,7 @@ def _arrived(entrances: list[socket.socket]) -> Iterator[tuple[int, int, bytes]]
                         seconds, rest_ns = _TIMESPEC.unpack(data)
                         age_ns = wall_ns - seconds * NS_PER_S - rest_ns
                 # A wall clock that is set meanwhile must not move an arrival by more than this.
-                yield now_ns - min(max(age_ns, 0), 100 * NS_PER_MS), port, datagram
+                yield now_ns - min(max(age_ns, 0), 100 * NS_PER_MS), port, datagram, source
 
 
 def _is_realtime() -> bool:

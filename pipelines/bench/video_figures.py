@@ -74,6 +74,7 @@ class Figures:
     """Of one contender on one clip. Rates in bit/s, as they came to the channel.
 
     payload_*: RTP payload, rtp_*: with RTP headers: the largest windows of 1 s and of 100 ms.
+    rtcp_octets: of the sender's reports. answers: the receiver's datagrams to the sender.
     *_cpu_s: of the whole life of the process, its start included.
     guessed: pictures whose number stood between those of its neighbours, but could not be read by
     itself; unreadable: that got no number at all.
@@ -91,6 +92,7 @@ class Figures:
     rtp_1s_bps: float
     rtp_100ms_bps: float
     rtcp_octets: int
+    answers: int
     sender_cpu_s: float
     receiver_cpu_s: float
     guessed: int

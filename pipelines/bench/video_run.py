@@ -121,6 +121,7 @@ def _figures(
         rtp_1s_bps=rtp_1s_bps,
         rtp_100ms_bps=rtp_100ms_bps,
         rtcp_octets=carried.control_octets,
+        answers=carried.returned,
         sender_cpu_s=cpu_s[0],
         receiver_cpu_s=cpu_s[1],
         guessed=sum(read_number(squares) is None for squares in watched.squares) - unreadable,

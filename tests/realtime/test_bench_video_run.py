@@ -35,5 +35,7 @@ def test_a_short_run_gives_figures(name, tmp_path, capsys):
     assert found["receiver_cpu_s"] > 0
     if name == OURS:
         assert found["payload_1s_bps"] <= 85_000
+        # A report of the receiver came back: the sender knows that it may be asked.
+        assert found["answers"] > 0
         told = {verdict["what"]: verdict["met"] for verdict in rate["scene"]["targets"]}
         assert told["largest 1 s window of payload"]

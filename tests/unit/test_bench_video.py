@@ -196,6 +196,7 @@ def figures(**changes) -> Figures:
         "rtp_1s_bps": 88_000.0,
         "rtp_100ms_bps": 125_000.0,
         "rtcp_octets": 0,
+        "answers": 0,
         "sender_cpu_s": 1.0,
         "receiver_cpu_s": 1.0,
         "guessed": 0,
