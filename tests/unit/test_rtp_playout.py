@@ -135,6 +135,29 @@ def test_the_second_hiccup_raises_the_delay_and_loses_nothing_more():
     assert 17 * NS_PER_MS <= line.buffer.delay_ns <= 20 * NS_PER_MS
 
 
+def test_what_the_delay_lacks_after_a_stall_is_filled_at_once():
+    # Twice three blocks come together, the first of them 45 ms late.
+    stalled = {n + k: n * 20 + 45 for n in (50, 90) for k in range(3)}
+    arrivals = [stalled.get(n, n * 20) * NS_PER_MS for n in range(100)]
+    line = Line()
+    blocks = line.run(arrivals, until_ns=arrivals[-1] + NS_PER_MS)
+    assert line.buffer.delay_ns >= 48 * NS_PER_MS
+    assert sum(block.inserted for block in blocks) == 1
+    assert max(assert_gapless(blocks)) < 1000
+    # From the second stall on only its first block is lost: when it came the next was under way.
+    assert [n for n in range(60, 96) if n not in heard(blocks)] == [90]
+
+
+def test_a_new_time_line_waits_for_the_end_of_what_is_under_way():
+    rng = random.Random(5)
+    arrivals = jittery(rng, 100, 60) + [n * BLOCK_NS + 60 * NS_PER_MS for n in range(100, 200)]
+    sequences = [*range(100), *range(5100, 5200)]
+    line = Line()
+    blocks = line.run(arrivals, sequences)
+    assert line.buffer.counts.resyncs == 1
+    list(assert_gapless(blocks))
+
+
 def test_the_delay_follows_the_jitter_down_within_seconds():
     rng = random.Random(3)
     rough = jittery(rng, 500, 60)

@@ -59,6 +59,15 @@ def test_pictures_that_are_all_too_old_are_one_stale_episode():
     assert staleness.frozen.total_ns == 0
 
 
+def test_two_spells_between_two_looks_are_two():
+    staleness = video()
+    staleness.handle_shown(0, 40 * MS)
+    staleness.handle_shown(960 * MS, 1000 * MS)
+    staleness.handle_time(2000 * MS)
+    assert (staleness.stale.total_ns, staleness.stale.episodes) == ((800 + 840) * MS, 2)
+    assert staleness.frozen.episodes == 2
+
+
 def test_damage_lasts_until_a_whole_picture_is_shown():
     staleness = video()
     last_ms = shown(staleness, until_ms=330)
@@ -77,6 +86,14 @@ def test_a_block_of_sound_is_new_as_long_as_it_is_played():
     assert staleness.age_ns(220 * MS) == 110 * MS
     staleness.handle_time(230 * MS)
     assert (staleness.stale.total_ns, staleness.stale.episodes) == (20 * MS, 1)
+
+
+def test_sound_that_is_too_old_when_it_is_heard_is_stale_from_its_beginning():
+    staleness = Staleness(stale_after_ns=100 * MS, span_ns=20 * MS)
+    for at_ms in range(0, 200, 20):
+        staleness.handle_shown((at_ms - 110) * MS, at_ms * MS)
+    staleness.handle_time(200 * MS)
+    assert (staleness.stale.total_ns, staleness.stale.episodes) == (200 * MS, 1)
 
 
 def test_what_is_made_up_makes_nothing_younger_and_all_is_told():
