@@ -23,8 +23,12 @@ _OLDEST = (22, 100)
 _GRACE_PARTS = 8
 #: When to look again whether a channel that is behind has caught up.
 _LOOK_AGAIN_NS = 2 * NS_PER_MS
-#: The rate of the pictures that come is counted over so many.
+#: The rate of the pictures that come is counted over so many; that they come faster than the
+#: encoder was told is noticed sooner, because then each is too large.
 _COUNTED = 45
+_COUNTED_FASTER = 15
+#: So many times faster or slower is another rate.
+_OTHER_RATE = 1.08
 
 
 class LinkClock:
@@ -49,7 +53,8 @@ class LinkClock:
         self._waiting_octets = self._channel_free_ns = 0
         self._now_ns = 0
         self._counted_since_ns: int | None = None
-        self._counted = 0
+        self._last_ns: int | None = None
+        self._counted = self._longest_ns = 0
         self._new_hz: float | None = None
         #: Pictures that came, and those of them that will never be encoded.
         self.captured = self.refused = 0
@@ -109,16 +114,21 @@ class LinkClock:
         return due_ns
 
     def _count(self, capture_ns: int, pictures: int) -> None:
-        since_ns = self._counted_since_ns
-        if since_ns is None or capture_ns <= since_ns:
-            self._counted_since_ns, self._counted = capture_ns, 0
+        since_ns, last_ns = self._counted_since_ns, self._last_ns
+        self._last_ns = capture_ns
+        if since_ns is None or last_ns is None or capture_ns <= last_ns:
+            self._counted_since_ns, self._counted, self._longest_ns = capture_ns, 0, 0
             return
         self._counted += pictures
-        if self._counted < _COUNTED:
+        self._longest_ns = max(self._longest_ns, capture_ns - last_ns)
+        mean_ns = (capture_ns - since_ns) // self._counted
+        hz = min(NS_PER_S / mean_ns, self._fps)
+        faster = hz > self._told_hz * _OTHER_RATE
+        if self._counted < (_COUNTED_FASTER if faster else _COUNTED):
             return
-        hz = min(self._counted * NS_PER_S / (capture_ns - since_ns), self._fps)
-        self._counted_since_ns, self._counted = capture_ns, 0
-        # A hiccup of the source is no new rate: what x264 is told should hold for long.
-        if abs(hz - self._told_hz) > self._told_hz / 12:
+        # A slow camera is regular; a machine that has too much to do is not.
+        slower = hz * _OTHER_RATE < self._told_hz and self._longest_ns < 3 * mean_ns // 2
+        self._counted_since_ns, self._counted, self._longest_ns = capture_ns, 0, 0
+        if faster or slower:
             self._told_hz = self._new_hz = round(hz, 1)
             self._period_ns = round(NS_PER_S / self._told_hz)
