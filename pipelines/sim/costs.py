@@ -19,7 +19,7 @@ class CodingCosts:
     capture_ms: float = 4.0
     encode_ms: float = 6.0
     decode_ms: float = 3.0
-    voice_encode_ms: float = 1.2
+    voice_encode_ms: float = 1.7
     voice_decode_ms: float = 0.3
 
     def __post_init__(self) -> None:

@@ -150,7 +150,7 @@ def test_what_the_delay_lacks_after_a_stall_is_filled_at_once():
 
 def test_a_new_time_line_waits_for_the_end_of_what_is_under_way():
     rng = random.Random(5)
-    arrivals = jittery(rng, 100, 60) + [n * BLOCK_NS + 60 * NS_PER_MS for n in range(100, 200)]
+    arrivals = jittery(rng, 100, 60) + [n * BLOCK_NS + 50 * NS_PER_MS for n in range(100, 200)]
     sequences = [*range(100), *range(5100, 5200)]
     line = Line()
     blocks = line.run(arrivals, sequences)
