@@ -122,14 +122,15 @@ class Sleeper:
         whole_ms, rest_ns = divmod(max(0, timeout_ns), NS_PER_MS)
         if rest_ns and not self._selectable:
             whole_ms, rest_ns = whole_ms + 1, 0
-        # Half a millisecond less, because what is no whole number of them is rounded up.
-        if self._epoll.poll(max(0.0, (whole_ms - 0.5) / 1000), self._most):
-            return True
-        if rest_ns == 0:
-            return False
+        if whole_ms or not rest_ns:
+            # Half a millisecond less, because what is no whole number of them is rounded up.
+            if self._epoll.poll(max(0.0, (whole_ms - 0.5) / 1000), self._most):
+                return True
+            if not rest_ns:
+                return False
         # epoll_wait(2) counts in milliseconds; select(2) does not.
-        select.select((self._epoll,), (), (), rest_ns / NS_PER_S)
-        return bool(self._epoll.poll(0, self._most))
+        ready, _, _ = select.select((self._epoll,), (), (), rest_ns / NS_PER_S)
+        return bool(ready and self._epoll.poll(0, self._most))
 
 
 def _open_own_fifo(path: Path, mode: int) -> int:

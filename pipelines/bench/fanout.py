@@ -9,18 +9,20 @@ there; GStreamer's shmsink and shmsrc; and a multiprocessing.Queue for each read
 import argparse
 from collections.abc import Iterator, Sequence
 from itertools import product
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from kontur_av.clock import NS_PER_US
+from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.topics import MAX_READERS
 from pipelines.bench.fanout_gstreamer import ShmSinkWay, lacking
 from pipelines.bench.fanout_run import PICTURES_HZ, FanOut, fan_out
 from pipelines.bench.fanout_ways import HEIGHT, WIDTH, QueueWay, TopicWay, Way
+from pipelines.bench.plot import check_plot, plot_distributions
 from pipelines.report_file import check_writable, write_report
 
 _READERS = (1, 4, 8, 16)
@@ -37,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--readers", default=",".join(map(str, _READERS)), metavar="N,N", help="how many at once"
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw both times as PNG")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds {args.seconds:g}: give 0.1 to 3600")
     readers = _parse_readers(args.readers)
     check_writable(args.report)
+    check_plot(args.plot)
     ways: list[Way] = [TopicWay(in_place=False), TopicWay(in_place=True)]
     missing = lacking()
     if missing is None:
@@ -52,16 +56,19 @@ def run(args: argparse.Namespace) -> int:
     ways.append(QueueWay())
     console = Console() if Console().is_terminal else Console(width=118)
     fast_s = min(_FAST_S, args.seconds)
-    figures = []
+    found = []
     for way, number in product(ways, readers):
         with console.status(f"{way.name}, {number} readers"):
-            figures.append(_figures(fan_out(way, number, seconds=args.seconds, fast_s=fast_s)))
+            found.append(fan_out(way, number, seconds=args.seconds, fast_s=fast_s))
+    figures = [_figures(one) for one in found]
     for table in _tables(figures):
         console.print(table)
     if missing is not None:
         console.print(f"not measured: {missing}", soft_wrap=True)
     if args.report is not None:
         write_report(args.report, {"runs": figures, "skipped": missing})
+    if args.plot is not None:
+        plot_distributions(args.plot, _panels(found, readers), unit="ms")
     return 0
 
 
@@ -70,6 +77,24 @@ def _parse_readers(text: str) -> list[int]:
     if not all(part.isdecimal() and 1 <= int(part) <= MAX_READERS for part in parts):
         raise ConfigError(f"--readers {text}: give numbers from 1 to {MAX_READERS}, like 1,4,16")
     return [int(part) for part in parts]
+
+
+def _panels(
+    found: Sequence[FanOut], readers: Sequence[int]
+) -> dict[str, dict[str, Sequence[float]]]:
+    """For each number of readers both times, one curve a way."""
+    return {
+        f"{what}, readers: {number}": {
+            one.way: [value / NS_PER_MS for value in values_ns(one)]
+            for one in found
+            if one.readers == number
+        }
+        for what, values_ns in (
+            ("time to publish", attrgetter("publish_ns")),
+            ("until a reader has it", attrgetter("delivery_ns")),
+        )
+        for number in readers
+    }
 
 
 def _tables(figures: Sequence[dict[str, Any]]) -> Iterator[Table]:
@@ -102,7 +127,7 @@ def _tables(figures: Sequence[dict[str, Any]]) -> Iterator[Table]:
 
 def _table(title: str, *headings: str) -> Table:
     table = Table(title=title, title_justify="left")
-    table.add_column("way")
+    table.add_column("way", no_wrap=True)
     for heading in ("readers", *headings):
         table.add_column(heading, justify="right")
     return table

@@ -162,7 +162,7 @@ class _TopicReading:
 class QueueWay:
     """A `multiprocessing.Queue` for each reader; what finds one full is lost to that reader."""
 
-    name = "multiprocessing.Queue"
+    name = "mp.Queue"
     #: A reader that is late shall not show what is older than this many pictures.
     _DEPTH = 2
 

@@ -45,12 +45,13 @@ def test_a_picture_that_was_overwritten_halfway_is_torn():
 
 
 def test_the_command_prints_tables_and_writes_figures(nothing_left, tmp_path, capsys):
-    report = tmp_path / "figures.json"
+    report, plot = tmp_path / "figures.json", tmp_path / "times.png"
     command = ["bench", "fanout", "--seconds", "0.2", "--readers", "2"]
-    assert main([*command, "--report", str(report)]) == 0
+    assert main([*command, "--report", str(report), "--plot", str(plot)]) == 0
+    assert plot.read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
     figures = json.loads(report.read_text())
-    ways = {"topic, copied", "topic, in place", "multiprocessing.Queue"}
+    ways = {"topic, copied", "topic, in place", "mp.Queue"}
     if figures["skipped"] is None:
         ways.add("GStreamer shm")
     else:
@@ -96,6 +97,7 @@ def test_a_reader_that_fails_ends_the_bench(nothing_left, monkeypatch):
         (["--readers", "1,17"], "from 1 to 16"),
         (["--readers", "1,"], "--readers 1,"),
         (["--report", "/nowhere/at/all.json"], "--report"),
+        (["--plot", "times.jpeg"], "--plot times.jpeg"),
     ],
 )
 def test_mistakes_are_one_line(options, told, capsys):
