@@ -103,6 +103,9 @@ class LinkClock:
             return None
         free_ns = max(self._pacer.start_ns(self._now_ns), self._channel_free_ns)
         due_ns = max(free_ns - self._coding_ns, self._came_ns)
+        if self._pacer.depth and (packet_ns := self._pacer.poll_timeout()) is not None:
+            # While it is encoded nothing leaves: what is under way goes first.
+            due_ns = max(due_ns, packet_ns + 1)
         if self._waiting_octets > self._pacer.picture_octets:
             # It may carry less than its rate: what it has is to be seen, not to be reckoned.
             due_ns = max(due_ns, self._now_ns + _LOOK_AGAIN_NS)
