@@ -17,6 +17,7 @@ _PESQ_HZ = 16_000
 LEAD_IN_BLOCKS = 50
 _SPEAKERS: tuple[Speaker, Speaker] = ("ground", "cabin")
 _WINDOW = AUDIO_CLOCK_HZ
+_FARTHEST = 2 * AUDIO_CLOCK_HZ
 #: A window that is less like what was said tells nothing about its delay.
 _ALIKE = 0.5
 
@@ -55,7 +56,7 @@ def pesq_is_there() -> bool:
 
 
 def quality(track: Track, heard: Pcm, lag_samples: int) -> list[float]:
-    """PESQ's MOS-LQO (ITU-T P.862.2, 1.0 to 4.6) of each turn.
+    """PESQ's MOS-LQO (ITU-T P.862.2, 1.0 to 4.6) of each turn of which anything was heard.
 
     heard: what was heard; its sample k + lag_samples belongs to sample k of the track. PESQ itself
     follows what varies.
@@ -65,7 +66,8 @@ def quality(track: Track, heard: Pcm, lag_samples: int) -> list[float]:
     for begin, end in track.turns:
         got = _cut(heard, begin + lag_samples, end + lag_samples)
         reference, degraded = _at_16_khz(track.samples[begin:end]), _at_16_khz(got)
-        found.append(float(pesq(_PESQ_HZ, reference, degraded, "wb")))
+        if degraded.any():
+            found.append(float(pesq(_PESQ_HZ, reference, degraded, "wb")))
     return found
 
 
@@ -92,14 +94,14 @@ def lags(track: Track, heard: Pcm) -> list[int]:
 
     By correlation with the track; a second that is like nothing has the lag of the one before.
     """
-    size = 1 << (len(track.samples) + len(heard) - 1).bit_length()
-    whole = _best_shift(track.samples, heard, size)
+    # Not farther: the speakers repeat themselves.
+    whole = _best_shift(track.samples, heard, -_FARTHEST, _FARTHEST)
     found, last = [], whole
     for begin in range(0, len(heard), _WINDOW):
         window = heard[begin : begin + _WINDOW]
         reach = AUDIO_CLOCK_HZ // 5
         said = _cut(track.samples, begin - whole - reach, begin - whole + _WINDOW + reach)
-        shift = _best_shift(said, window, 1 << (len(said) + _WINDOW).bit_length())
+        shift = _best_shift(said, window, -2 * reach, 0)
         part = _cut(said, -shift, -shift + len(window))
         if _likeness(part, window) >= _ALIKE:
             last = shift + whole + reach
@@ -107,15 +109,16 @@ def lags(track: Track, heard: Pcm) -> list[int]:
     return found
 
 
-def _best_shift(said: Pcm, heard: Pcm, size: int) -> int:
-    """The shift s for which heard[k + s] is most like said[k]."""
+def _best_shift(said: Pcm, heard: Pcm, least: int, most: int) -> int:
+    """The shift s from `least` to `most` for which heard[k + s] is most like said[k]."""
+    size = 1 << (len(said) + len(heard)).bit_length()
     product = np.fft.irfft(
         np.fft.rfft(heard.astype(np.float64), size)
         * np.conj(np.fft.rfft(said.astype(np.float64), size)),
         size,
     )
-    best = int(np.argmax(product))
-    return best if best < len(heard) else best - size
+    shifts = np.arange(least, most + 1)
+    return int(shifts[np.argmax(product[shifts])])
 
 
 def _likeness(one: NDArray[np.int16], other: NDArray[np.int16]) -> float:

@@ -47,6 +47,15 @@ def test_the_stamps_say_what_the_sound_itself_says(track, stream):
     assert heard.payload_octets * 8 / (heard.packets * 0.02) <= stream.cap_bps
 
 
+def test_a_delay_is_found_although_the_speakers_repeat_themselves():
+    track = speech_track(40)
+    for late in (-700, 0, 9_000):
+        # The second of the two rounds is the louder one.
+        heard = np.roll(track.samples, late) // 2
+        heard[len(heard) // 2 :] *= 2
+        assert set(lags(track, heard)[2:-2]) == {late}
+
+
 def test_a_lossy_run_repeats_and_is_heard_to_the_end(track):
     network = Network(loss=0.1, bursts=True)
     stream = SETUP.uplink_voice
