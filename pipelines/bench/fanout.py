@@ -101,7 +101,7 @@ def _tables(figures: Sequence[dict[str, Any]]) -> Iterator[Table]:
     paced = _table(
         f"{WIDTH}x{HEIGHT} pictures, {PICTURES_HZ} a second; µs: p50/p99/max",
         *("time to publish", "of it CPU", "until a reader has it", "missed"),
-        *("CPU s, publisher", "CPU s, readers"),
+        *("publisher CPU s", "readers CPU s"),
     )
     fast = _table(
         "as fast as the publisher can; µs: p50/p99/max",
