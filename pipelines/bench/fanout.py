@@ -100,8 +100,8 @@ def _panels(
 def _tables(figures: Sequence[dict[str, Any]]) -> Iterator[Table]:
     paced = _table(
         f"{WIDTH}x{HEIGHT} pictures, {PICTURES_HZ} a second; µs: p50/p99/max",
-        *("time to publish", "of it CPU", "until a reader has it", "missed"),
-        *("publisher CPU s", "readers CPU s"),
+        *("time to\npublish", "of it\nCPU", "until a\nreader has it", "missed"),
+        *("CPU s\npublisher", "CPU s\nreaders"),
     )
     fast = _table(
         "as fast as the publisher can; µs: p50/p99/max",
@@ -129,7 +129,7 @@ def _table(title: str, *headings: str) -> Table:
     table = Table(title=title, title_justify="left")
     table.add_column("way", no_wrap=True)
     for heading in ("readers", *headings):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     return table
 
 
