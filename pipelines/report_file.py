@@ -20,7 +20,14 @@ def check_writable(path: Path | None) -> None:
 
 
 def write_report(path: Path, report: Mapping[str, Any]) -> None:
-    """Write `report` whole or not at all."""
+    """Write `report` whole or not at all; into a device, a FIFO or a link as it is.
+
+    To put a file in the place of `/dev/null` would take it from every program of the machine.
+    """
+    text = json.dumps(report, indent=2) + "\n"
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        path.write_text(text, encoding="utf-8")
+        return
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    partial.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    partial.write_text(text, encoding="utf-8")
     partial.replace(path)
