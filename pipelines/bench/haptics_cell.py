@@ -1,0 +1,98 @@
+"""One cell of the grid of `kontur-av bench haptics`: what lies between the hand and the wall."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from itertools import product
+
+from kontur_av.errors import ConfigError
+
+#: What a cell's text may say, and its limits. Loss in per cent, as the text has it.
+_LIMITS = {
+    "delay": (0.0, 1000.0, "ms, there and back"),
+    "jitter": (0.0, 50.0, "ms"),
+    "loss": (0.0, 30.0, "%"),
+    "burst": (1.0, 1000.0, "samples"),
+    "blackout": (0.0, 5.0, "s"),
+    "wall": (1.0, 5000.0, "N/m"),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Cell:
+    """delay: of the round trip (ms), half of it each way. jitter: each sample takes up to so
+    much more (ms, uniform), so that samples overtake each other. loss: of samples each way (%),
+    `burst` of them in a row on average (1: each by chance). blackout: how long each of three
+    outages lasts (s): of both ways, of the commands alone, of the feedback alone; 0: none.
+    wall: its stiffness (N/m).
+    """
+
+    delay: float = 0.0
+    jitter: float = 0.0
+    loss: float = 0.0
+    burst: float = 1.0
+    blackout: float = 0.0
+    wall: float = 5000.0
+
+    def __post_init__(self) -> None:
+        for name, (least, most, unit) in _LIMITS.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ConfigError(f"cell: {name}={value:g} is out of {least:g} to {most:g} {unit}")
+
+    @property
+    def channel(self) -> str:
+        """What a table calls the cell without its delay and its wall."""
+        parts = [f"jitter {self.jitter:g} ms"] if self.jitter else []
+        if self.loss:
+            bursts = f" in bursts of {self.burst:g}" if self.burst > 1 else ""
+            parts.append(f"loss {self.loss:g} %{bursts}")
+        if self.blackout:
+            parts.append(f"blackouts {self.blackout:g} s")
+        return ", ".join(parts) or "clean"
+
+    @property
+    def name(self) -> str:
+        """What a table or a picture calls it."""
+        return f"{self.delay:g} ms, wall {self.wall / 1000:g} kN/m, {self.channel}"
+
+
+def read_cell(text: str) -> Cell:
+    """The cell of `delay=100,wall=5000`; what is not named is as in `Cell`.
+
+    ConfigError: an unknown name, no number, or out of range.
+    """
+    known = [field.name for field in fields(Cell)]
+    values: dict[str, float] = {}
+    for part in text.split(","):
+        name, equals, number = part.strip().partition("=")
+        if not equals or name not in known:
+            raise ConfigError(f"--cell {text}: give NAME=NUMBER of {', '.join(known)}")
+        try:
+            values[name] = float(number)
+        except ValueError:
+            raise ConfigError(f"--cell {text}: {name} wants a number") from None
+    return replace(Cell(), **values)
+
+
+#: Losses of the grids: none, each by chance, and in bursts that last into the hold of 20 ms.
+_CALM, _CHANCE, _BURSTS = (0.0, 1.0), (30.0, 1.0), (30.0, 10.0)
+
+
+def small_grid() -> Iterator[Cell]:
+    """The corners and a middle: 36 cells."""
+    for delay, wall in product((0.0, 50.0, 250.0, 1000.0), (500.0, 1500.0, 5000.0)):
+        yield Cell(delay=delay, wall=wall)
+        yield Cell(delay=delay, wall=wall, jitter=50.0, loss=30.0)
+        yield Cell(delay=delay, wall=wall, jitter=50.0, loss=30.0, burst=10.0, blackout=5.0)
+
+
+def full_grid() -> Iterator[Cell]:
+    """All that the claims speak of, in every combination: 648 cells."""
+    for delay, wall, jitter, (loss, burst), blackout in product(
+        (0.0, 20.0, 50.0, 100.0, 300.0, 1000.0),
+        (500.0, 1500.0, 5000.0),
+        (0.0, 10.0, 50.0),
+        (_CALM, (10.0, 1.0), _CHANCE, _BURSTS),
+        (0.0, 0.5, 5.0),
+    ):
+        yield Cell(delay=delay, wall=wall, jitter=jitter, loss=loss, burst=burst, blackout=blackout)

@@ -1,0 +1,57 @@
+"""The way of the samples in one direction, on virtual time: delay, jitter, loss, outages."""
+
+from collections.abc import Sequence
+from heapq import heappop, heappush
+from random import Random
+
+
+class SampleChannel:
+    """Takes datagrams at one end and gives them back later, out of order where jitter says so.
+
+    delay_ns: least time of every datagram; up to `jitter_ns` more by chance (uniform).
+    loss: share that is lost, 0 to below 1, `burst` in a row on average (Gilbert's model of two
+    states, E. N. Gilbert, Bell Syst. Tech. J. 39, 1960); 1: each by chance alone.
+    dark: (begin, end) in ns; what is handed over then is lost.
+    """
+
+    def __init__(
+        self,
+        *,
+        seed: str,
+        delay_ns: int = 0,
+        jitter_ns: int = 0,
+        loss: float = 0.0,
+        burst: float = 1.0,
+        dark: Sequence[tuple[int, int]] = (),
+    ) -> None:
+        self.handed_over = 0
+        self.lost = 0
+        self._random = Random(seed)
+        self._delay_ns, self._jitter_ns = delay_ns, jitter_ns
+        # From the loss and the length of a burst: probabilities to stay in it and to enter one.
+        self._stay = 1.0 - 1.0 / burst if burst > 1.0 else loss
+        self._enter = (1.0 - self._stay) * loss / (1.0 - loss)
+        self._bad = False
+        self._dark = tuple(dark)
+        self._under_way: list[tuple[int, int, bytes]] = []
+
+    def handle_datagram(self, data: bytes, now_ns: int) -> None:
+        """`data` is sent now."""
+        self.handed_over += 1
+        if self._enter:
+            self._bad = self._random.random() < (self._stay if self._bad else self._enter)
+        if self._bad or any(begin <= now_ns < end for begin, end in self._dark):
+            self.lost += 1
+            return
+        late_ns = round(self._random.random() * self._jitter_ns) if self._jitter_ns else 0
+        heappush(self._under_way, (now_ns + self._delay_ns + late_ns, self.handed_over, data))
+
+    def poll_timeout(self) -> int | None:
+        """When the next datagram arrives (ns), or None."""
+        return self._under_way[0][0] if self._under_way else None
+
+    def poll_transmit(self, now_ns: int) -> bytes | None:
+        """The next datagram that has arrived by now, or None."""
+        if self._under_way and self._under_way[0][0] <= now_ns:
+            return heappop(self._under_way)[2]
+        return None
