@@ -1,6 +1,7 @@
 """Courses in time and maps of cells as pictures, in the manner of `pipelines.bench.plot`."""
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -119,7 +120,7 @@ def _thinned(values: NDArray[np.float64], columns: int) -> list[tuple[int, float
         return [(round(number * step), float(value)) for number, value in enumerate(values)]
     points: list[tuple[int, float]] = []
     edges = np.linspace(0, len(values), columns + 1).astype(int)
-    for column, (begin, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for column, (begin, end) in enumerate(pairwise(edges.tolist())):
         part = values[begin:end]
         least, most = int(part.argmin()), int(part.argmax())
         points += [(column, float(part[index])) for index in sorted((least, most))]
