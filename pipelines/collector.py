@@ -46,6 +46,10 @@ _WIDTHS = {
     "haptic_rx": 2,
     "lateness": 1,
     "sending": 1,
+    "contact": 2,
+    "light": 3,
+    "click": 3,
+    "step": 1,
 }
 
 
@@ -309,6 +313,8 @@ class Collector:
             figures.lateness.add(rows)
         elif kind == "sending":
             figures.sending.add(rows)
+        elif kind in ("contact", "light", "click", "step"):
+            pass
         elif kind in ("haptic_tx", "haptic_rx"):
             for name, (sender, receiver) in HAPTIC_ENDS.items():
                 if kind == "haptic_tx" and process == sender:

@@ -46,7 +46,9 @@ class _End(Generic[Out, In]):
 class RobotEnd(_End[Feedback, Command]):
     """Follows the commands, measures the force, and lets the world see where the tip is.
 
-    `next_event` gives a state every 10 cycles.
+    `next_event` gives a state every 10 cycles, and at once when a contact begins or ends. Each
+    beginning is told as a row of "contact": the instant, and the index of the LED that is touched
+    or -1.
     """
 
     def __init__(self, probe: Probe) -> None:
@@ -54,6 +56,8 @@ class RobotEnd(_End[Feedback, Command]):
         self._robot = Robot()
         self._step = self._robot.step
         self._contact_since_ns: int | None = None
+        self._touched_ns: int | None = None
+        self._contacts = probe.rows("contact")
         self._cycles = 0
         self._state: WorldState | None = None
 
@@ -61,20 +65,25 @@ class RobotEnd(_End[Feedback, Command]):
         """One cycle, which moves the robot on by `advance_ns`."""
         self._handle_local(self._step(self._latest(now_ns), advance_ns), now_ns)
         robot = self._robot
-        if not robot.contact:
-            self._contact_since_ns = None
-        elif self._contact_since_ns is None:
-            self._contact_since_ns = now_ns
+        changed = robot.contact != (self._contact_since_ns is not None)
+        if changed:
+            self._contact_since_ns = now_ns if robot.contact else None
+            if robot.contact:
+                self._touched_ns = now_ns
         self._cycles += 1
-        if self._cycles % _PUBLISH_EVERY == 0:
-            self._state = WorldState(
+        if changed or self._cycles % _PUBLISH_EVERY == 0:
+            self._state = state = WorldState(
                 now_ns,
                 robot.x_m,
                 robot.y_m,
                 robot.force_n,
                 robot.contact,
                 self._contact_since_ns,
+                self._touched_ns,
             )
+            if changed and robot.contact:
+                lit = state.lit
+                self._contacts.extend((now_ns, -1 if lit is None else lit))
 
     def next_event(self) -> WorldState | None:
         """A state for the world to see, or None."""

@@ -6,25 +6,40 @@ from kontur_av.topics import TopicBus
 from pipelines.names import ROBOT_TOPIC
 from telepresence.world import StateAt, WorldState, scripted_state
 
-#: Instant, x, y (m), force (N), contact, instant at which the contact began.
-_LAYOUT = struct.Struct("=qddd?q")
+#: Instant, x, y (m), force (N), contact, instants at which this contact and the newest one began.
+_LAYOUT = struct.Struct("=qddd?qq")
 STATE_OCTETS = _LAYOUT.size
+#: There was no contact yet.
+_NEVER_NS = -(1 << 63)
 
 
 def pack_state(state: WorldState) -> bytes:
     """A state as octets; a contact without a beginning begins now."""
     since_ns = state.time_ns if state.contact_since_ns is None else state.contact_since_ns
-    return _LAYOUT.pack(state.time_ns, state.x_m, state.y_m, state.force_n, state.contact, since_ns)
+    touched_ns = state.touched_ns
+    if touched_ns is None:
+        touched_ns = since_ns if state.contact else _NEVER_NS
+    return _LAYOUT.pack(
+        state.time_ns, state.x_m, state.y_m, state.force_n, state.contact, since_ns, touched_ns
+    )
 
 
 def unpack_state(data: bytes) -> WorldState:
     """What `pack_state` packed."""
-    time_ns, x_m, y_m, force_n, contact, since_ns = _LAYOUT.unpack(data)
-    return WorldState(time_ns, x_m, y_m, force_n, contact, since_ns if contact else None)
+    time_ns, x_m, y_m, force_n, contact, since_ns, touched_ns = _LAYOUT.unpack(data)
+    return WorldState(
+        time_ns,
+        x_m,
+        y_m,
+        force_n,
+        contact,
+        since_ns if contact else None,
+        None if touched_ns == _NEVER_NS else touched_ns,
+    )
 
 
 def newest_state(bus: TopicBus) -> StateAt:
-    """The robot's newest state; as long as there never was a robot, the scripted motion."""
+    """What the robot's newest state says of an instant; without a robot, the scripted motion."""
     reader = bus.reader(ROBOT_TOPIC)
     known: WorldState | None = None
 
@@ -34,6 +49,6 @@ def newest_state(bus: TopicBus) -> StateAt:
         if lease is not None:
             with lease:
                 known = unpack_state(lease.octets())
-        return scripted_state(now_ns) if known is None else known
+        return scripted_state(now_ns) if known is None else known.at(now_ns)
 
     return state_at

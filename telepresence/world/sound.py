@@ -33,7 +33,10 @@ class Room:
         self._state_at = state_at
         self._noise = _ventilation(seed) if fan else _hiss(seed)
         self._click = _click(seed)
-        self._touching = True
+        self._touched_ns: int | None = None
+        self._begun = False
+        #: Clicks whose begin was in a block that had been made already.
+        self.late_clicks = 0
         self._tail: NDArray[np.float64] = np.zeros(0)
 
     def fill(self, samples: Pcm, sequence: int, capture_ns: int) -> None:
@@ -52,15 +55,22 @@ class Room:
         state = state_at(capture_ns + count * NS_PER_S // AUDIO_CLOCK_HZ)
         sounding = np.zeros(max(count + len(self._click), len(self._tail)))
         sounding[: len(self._tail)] = self._tail
-        if state.contact and not self._touching:
-            since_ns = state.contact_since_ns
-            late = 0 if since_ns is None else (since_ns - capture_ns) * AUDIO_CLOCK_HZ // NS_PER_S
-            begin = max(0, min(count - 1, late))
-            sounding[begin : begin + len(self._click)] += self._click
-        self._touching = state.contact
+        touched_ns = state.contact_since_ns if state.touched_ns is None else state.touched_ns
+        begin = 0 if touched_ns is None else (touched_ns - capture_ns) * AUDIO_CLOCK_HZ // NS_PER_S
+        # What begins after this block is the next one's.
+        if touched_ns is not None and touched_ns != self._touched_ns and begin < count:
+            if begin >= 0:
+                sounding[begin : begin + len(self._click)] += self._click
+            elif self._begun:
+                # Told too late to sound from its begin; what is left of it sounds when it should.
+                self.late_clicks += 1
+                rest = self._click[-begin:]
+                sounding[: len(rest)] += rest
+            self._touched_ns = touched_ns
+        self._begun = True
         mixed += sounding[:count]
-        rest = sounding[count:]
-        self._tail = rest if rest.any() else np.zeros(0)
+        tail = sounding[count:]
+        self._tail = tail if tail.any() else np.zeros(0)
 
 
 def _looped(sound: NDArray[_Number], at: int, count: int) -> NDArray[_Number]:

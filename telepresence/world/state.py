@@ -6,7 +6,7 @@ whoever stands before it), z towards the viewer.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.robot import WALL_X_M as WALL_X_M
@@ -30,8 +30,9 @@ class WorldState:
     """What the cameras see and the microphone hears at one instant.
 
     time_ns: the instant. x_m, y_m: the tip of the stylus. force_n: reaction of the wall, >= 0.
-    contact: the tip pushes against the wall. contact_since_ns: since when, where that is known:
-    the click in the microphone then begins at that very sample.
+    contact: the tip pushes against the wall. contact_since_ns: since when, where that is known.
+    touched_ns: when the newest contact began, also if it is over by now: the click in the
+    microphone begins at that very sample.
     """
 
     time_ns: int
@@ -40,6 +41,18 @@ class WorldState:
     force_n: float = 0.0
     contact: bool = False
     contact_since_ns: int | None = None
+    touched_ns: int | None = None
+
+    def at(self, instant_ns: int) -> "WorldState":
+        """What of this was so at `instant_ns` already: a contact that began later was none then.
+
+        A camera that asks a moment after its instant of capture would else see a light that was
+        not there yet.
+        """
+        since_ns = self.contact_since_ns
+        if not self.contact or since_ns is None or since_ns <= instant_ns:
+            return self
+        return replace(self, force_n=0.0, contact=False, contact_since_ns=None)
 
     @property
     def lit(self) -> int | None:
@@ -51,7 +64,7 @@ class WorldState:
         return nearest if distances[nearest] <= LED_REACH_M else None
 
 
-#: now_ns -> the newest state. The robot's process writes it, the cameras ask for it.
+#: now_ns -> the state of that instant. The robot's process writes it, the cameras ask for it.
 StateAt = Callable[[int], WorldState]
 
 _TOUR_NS = 12 * NS_PER_S
@@ -75,7 +88,8 @@ def scripted_state(now_ns: int) -> WorldState:
     if press_begin_s <= t < press_begin_s + _PRESS_S:
         depth = _DEEPEST_M * math.sin(math.pi * (t - press_begin_s) / _PRESS_S)
         since_ns = tour * _TOUR_NS + leg * (_TOUR_NS // 3) + int(press_begin_s * NS_PER_S)
-        return WorldState(now_ns, WALL_X_M, target_y, _STIFFNESS_N_PER_M * depth, True, since_ns)
+        force_n = _STIFFNESS_N_PER_M * depth
+        return WorldState(now_ns, WALL_X_M, target_y, force_n, True, since_ns, since_ns)
     # Free motion: from the target that was touched to the next one, by way of a loop.
     free_s = leg_s - _PRESS_S
     after = t >= press_begin_s + _PRESS_S
