@@ -1,0 +1,108 @@
+"""Which samples need not be sent, because nobody would feel the difference: send on delta.
+
+A sample is left out while what it says lies within a deadband around what was sent last; the
+receiver holds that. The band grows with the value itself (Weber's law: P. Hinterseer, S. Hirche,
+S. Chaudhuri, E. Steinbach, M. Buss, "Perception-based data reduction and transmission of haptic
+data in telepresence and teleaction systems", IEEE Trans. Signal Processing 56, 2008: a band of
+10 % of a force is not noticed). In two dimensions it is a disc: a force may also turn by what it
+may grow. Of a position it grows with its velocity, because a fast hand is not a precise one (J.
+Kammerl et al., "Perception-based data reduction for haptic force-feedback signals using
+velocity-adaptive deadbands", Presence 19, 2010, for forces).
+
+None of this can make the exchange active. A receiver that holds a value does what it does with a
+sample that was lost: the observers see the energy that really flows at their own port, and credit
+comes from the running totals of the samples that did come.
+"""
+
+from collections.abc import Hashable, Sequence
+from math import sqrt
+from typing import Any
+
+from kontur_av.clock import NS_PER_MS
+
+#: Of the force that was sent last.
+FORCE_SHARE = 0.10
+#: Below this a difference of forces is not felt, however small the force (chosen: a third of what
+#: the friction of a good handle hides).
+FORCE_FLOOR_N = 0.1
+#: A tenth of the smallest difference of length that fingers tell (1 mm: N. Durlach et al.,
+#: "Manual discrimination and identification of length by the finger-span method", Perception &
+#: Psychophysics 46, 1989), because it is multiplied by the stiffness of a contact.
+POSITION_FLOOR_M = 0.1e-3
+#: Where the hand was so long ago is where it is, for a hand that moves (chosen).
+POSITION_LAG_NS = 2 * NS_PER_MS
+#: Energy that has come together since the last sample is the peer's to spend: what 5 N do over
+#: the floor of the position.
+ENERGY_FLOOR_UJ = 500
+#: A peer is silent after 20 ms: so two samples in a row may be lost.
+LONGEST_PAUSE_NS = 6 * NS_PER_MS
+#: A cycle that begins a little early is still the last one of the pause.
+_EARLY_NS = NS_PER_MS // 2
+#: Velocity is taken over no shorter time: a cycle that came late is followed by one too soon.
+_SHORTEST_NS = NS_PER_MS // 2
+
+
+class Deadband:
+    """Says of each sample whether it is to be sent. A core: it is told the time.
+
+    share: of the value last sent by which the next one may differ. lag_ns: it may also differ by
+    what it moves in this time. floor: or by this, in the value's unit.
+
+    Ask `handle_sample` once a cycle, and send what it says yes to. left_out: samples that were not
+    sent, of `samples`.
+    """
+
+    def __init__(self, *, share: float, lag_ns: int, floor: float) -> None:
+        self.left_out = 0
+        self.samples = 0
+        self._share = share
+        self._lag_ns = lag_ns
+        self._floor = floor
+        self._sent: Sequence[Any] | None = None
+        self._sent_ns = 0
+        self._radius = 0.0
+        self._told: Hashable = None
+        self._last_x = self._last_y = 0.0
+        self._last_ns = 0
+
+    def handle_sample(self, value: Sequence[Any], flags: Hashable, now_ns: int) -> bool:
+        """Whether `value` is to be sent: (x, y, running energy in µJ, whatever else it says).
+
+        flags: what goes with it. Where that, or whatever else it says, differs from what was sent
+        last, it is sent at once.
+        """
+        self.samples += 1
+        sent = self._sent
+        x, y = value[0], value[1]
+        room = self._radius
+        if self._lag_ns:
+            since_ns = now_ns - self._last_ns
+            if since_ns < _SHORTEST_NS:
+                since_ns = _SHORTEST_NS
+            dx, dy = x - self._last_x, y - self._last_y
+            room += sqrt(dx * dx + dy * dy) * self._lag_ns / since_ns
+            self._last_x, self._last_y, self._last_ns = x, y, now_ns
+        if sent is not None and now_ns - self._sent_ns < LONGEST_PAUSE_NS - _EARLY_NS:
+            dx, dy = x - sent[0], y - sent[1]
+            if (
+                dx * dx + dy * dy < room * room
+                and -ENERGY_FLOOR_UJ < value[2] - sent[2] < ENERGY_FLOOR_UJ
+                and value[3:] == sent[3:]
+                and flags == self._told
+            ):
+                self.left_out += 1
+                return False
+        self._sent, self._sent_ns, self._told = value, now_ns, flags
+        radius = self._share * sqrt(x * x + y * y)
+        self._radius = radius if radius > self._floor else self._floor
+        return True
+
+
+def command_deadband() -> Deadband:
+    """For the joystick's positions (m)."""
+    return Deadband(share=0.0, lag_ns=POSITION_LAG_NS, floor=POSITION_FLOOR_M)
+
+
+def feedback_deadband() -> Deadband:
+    """For the robot's forces (N)."""
+    return Deadband(share=FORCE_SHARE, lag_ns=0, floor=FORCE_FLOOR_N)
