@@ -19,6 +19,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
 from pipelines.probe import FLUSH_NS, Message
 from pipelines.skew import RECENT_DEPTH, LipSyncShare, Recent, Skew
+from pipelines.terms import LONGEST_GAP_NS, Way
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.sample import SAMPLE_OCTETS, SEQUENCE_MODULUS
 
@@ -40,7 +41,9 @@ _PAUSE_NS = 3 * FLUSH_NS
 _WIDTHS = {
     "out": 2,
     "tx": 4,
+    "coding": 5,
     "rx": 2,
+    "decoded": 2,
     "shown": 3,
     "haptic_tx": 2,
     "haptic_rx": 2,
@@ -63,6 +66,13 @@ class _Journey:
     sent_ns: int = 0
     received_ns: int | None = None
     displayed_ns: int | None = None
+    #: Of pictures: at the encoder, encoding begun, decoded; the capture of the one before it that
+    #: was displayed lies `gap_ns` back; octets and packets.
+    came_ns: int = 0
+    begun_ns: int | None = None
+    decoded_ns: int | None = None
+    gap_ns: int = 0
+    size: tuple[int, int] = (0, 0)
 
 
 class StreamFigures:
@@ -80,6 +90,9 @@ class StreamFigures:
         self.fresh: deque[tuple[int, int]] = deque(maxlen=RECENT_DEPTH)
         #: How far the capture time that travelled by RTCP lies beside the one that was stamped.
         self.stamp_error = Histogram()
+        #: Of pictures: what their time is made of.
+        self.way = Way()
+        self._captured_ns: int | None = None
         self._journeys: OrderedDict[int, _Journey] = OrderedDict()
 
     def handle_out(self, rows: NDArray[np.int64]) -> None:
@@ -94,6 +107,18 @@ class StreamFigures:
             journey.capture_ns, journey.encoded_ns = capture_ns, encoded_ns
             journey.sent_ns = sent_ns
             self._finish(timestamp, journey)
+
+    def handle_coding(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        """Of a picture: when it came to the encoder and when encoding began, octets, packets."""
+        for timestamp, came_ns, begun_ns, octets, packets in rows.tolist():
+            journey = self._journey(timestamp, now_ns)
+            journey.came_ns, journey.begun_ns = came_ns, begun_ns
+            journey.size = octets, packets
+
+    def handle_decoded(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        """When a picture was decoded; without it, that is when it was displayed."""
+        for timestamp, decoded_ns in rows.tolist():
+            self._journey(timestamp, now_ns).decoded_ns = decoded_ns
 
     def handle_rx(self, rows: NDArray[np.int64], now_ns: int) -> None:
         for timestamp, received_ns in rows.tolist():
@@ -111,6 +136,9 @@ class StreamFigures:
             self.fresh.append((displayed_ns, latency_ns))
             journey = self._journey(timestamp, now_ns)
             journey.displayed_ns = displayed_ns
+            if self._captured_ns is not None:
+                journey.gap_ns = capture_ns - self._captured_ns
+            self._captured_ns = capture_ns
             if journey.capture_ns is not None:
                 self.stamp_error.add(abs(journey.capture_ns - capture_ns))
             self._finish(timestamp, journey)
@@ -139,6 +167,13 @@ class StreamFigures:
         )
         for stage, begin_ns, end_ns in zip(STAGES, instants, instants[1:], strict=False):
             self.stages[stage].add(end_ns - begin_ns)
+        if journey.begun_ns is not None and 0 < journey.gap_ns <= LONGEST_GAP_NS:
+            decoded_ns = journey.decoded_ns
+            if decoded_ns is None:
+                decoded_ns = journey.displayed_ns
+            captured, encoded, _, received, displayed = instants
+            way = captured, journey.came_ns, journey.begun_ns, encoded, received, decoded_ns
+            self.way.add((*way, displayed), journey.gap_ns, journey.size)
         del self._journeys[timestamp]
 
     def negative(self) -> dict[str, int]:
@@ -329,6 +364,10 @@ class Collector:
                 self.streams[name].handle_out(rows)
             elif kind == "tx":
                 self.streams[name].handle_tx(rows, now_ns)
+            elif kind == "coding":
+                self.streams[name].handle_coding(rows, now_ns)
+            elif kind == "decoded":
+                self.streams[name].handle_decoded(rows, now_ns)
             else:
                 self.streams[name].handle_rx(rows, now_ns)
 

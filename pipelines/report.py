@@ -4,11 +4,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from kontur_av.meters import Histogram
 from pipelines.ages import spells
 from pipelines.collector import HAPTIC_ENDS, Collector, StreamFigures
 from pipelines.link_figures import gateway_figures, link_figures, summary_us
 from pipelines.setup import Setup, VideoStream, VoiceStream
 from pipelines.silence import MISSED_NS, missed_ns, signal_ns, silences, stopped_ns
+from pipelines.terms import video_lead
 from telepresence.link.profile import LinkProfile
 
 #: Which process counts what of a stream.
@@ -55,13 +57,14 @@ def build_report(
     media: without, the session had no streams, whatever its setup says.
     """
     streams = setup.streams if media else ()
+    uplink = link_figures(setup, collector, "uplink")
     return {
         "setup": setup.name,
         "seconds": round(seconds, 3),
         "streams": {stream.name: _stream(stream, setup, collector, seconds) for stream in streams},
         "haptic": {name: _haptic(name, setup, collector, seconds) for name in HAPTIC_ENDS},
         "link": {
-            "uplink": link_figures(setup, collector, "uplink"),
+            "uplink": uplink,
             "downlink": link_figures(setup, collector, "downlink"),
         },
         "gateways": {end: gateway_figures(collector, end) for end in ("ground", "space")},
@@ -70,6 +73,13 @@ def build_report(
             name: skew.summary_ms() if skew.count else None
             for name, skew in collector.skews.items()
         },
+        "video_lead": video_lead(
+            setup,
+            collector.streams[setup.uplink_video.name].way,
+            uplink,
+            force_ns=collector.haptics["up"].latency.mean,
+            epoch_ns=_radio_epoch_ns(collector),
+        ),
         "lip_sync": collector.lip_sync.summary() if collector.lip_sync.counted_ns else None,
         "cpu": {
             "total_s": round(sum(cpu_s.values()) + launcher_cpu_s, 2),
@@ -86,6 +96,15 @@ def build_report(
         },
         "failures": failures(setup, collector, seconds, media=media),
     }
+
+
+def _radio_epoch_ns(collector: Collector) -> int:
+    """When the radio's time began: with its gateway."""
+    for link in collector.process("ground_gateway").links():
+        if "supervision" in link:
+            begun_ns: int = link["supervision"]["begun_ns"]
+            return begun_ns
+    return 0
 
 
 def _stream(
@@ -108,11 +127,8 @@ def _stream(
         "stale_after_ms": round(setup.stale_after_ns(stream) / NS_PER_MS, 3),
         **spells(stream, collector),
         "latency_ms": {
-            **rounded(figures.latency.summary_ms()),
-            "stages": {
-                stage: rounded(histogram.summary_ms())
-                for stage, histogram in figures.stages.items()
-            },
+            **spread_ms(figures.latency),
+            "stages": {stage: spread_ms(histogram) for stage, histogram in figures.stages.items()},
         },
         "capture_stamp_error_us": round(figures.stamp_error.max / NS_PER_US, 1),
     }
@@ -140,7 +156,7 @@ def _haptic(name: str, setup: Setup, collector: Collector, seconds: float) -> di
         "lost": receiver.total("lost"),
         "late": receiver.total("late"),
         "garbage": receiver.total("garbage"),
-        "latency_ms": rounded(collector.haptics[name].latency.summary_ms()),
+        "latency_ms": spread_ms(collector.haptics[name].latency),
         "lateness_us": summary_us(sender.lateness),
         "slips": sender.total("slips"),
     }
@@ -202,6 +218,17 @@ def failures(
         if dropped:
             found.append(f"{process}: {dropped} values for this report were lost")
     return found
+
+
+def spread_ms(histogram: Histogram) -> dict[str, float]:
+    """Percentiles, `max`, `mean` and `count` of values in ns, in ms."""
+    summary = histogram.summary_ms()
+    largest = summary.pop("max")
+    summary["p99.9"] = histogram.percentile(99.9) / NS_PER_MS
+    return {
+        **rounded({**summary, "max": largest, "mean": histogram.mean / NS_PER_MS}),
+        "count": histogram.count,
+    }
 
 
 def rounded(summary: Mapping[str, float]) -> dict[str, float]:

@@ -152,6 +152,9 @@ class VideoSending(_Sending):
         self._keyframe_due = False
         self._losses = PictureLossListener(ssrc=identity.ssrc)
         self._way_back = self._slow_refresh = False
+        # When the newest picture came; of the one that is being encoded, that and the begin.
+        self._came_ns = 0
+        self._coding_ns = 0, 0
 
     def handle_feedback(self, datagram: bytes, now_ns: int) -> None:
         """RTCP from the stream's receiver."""
@@ -172,11 +175,13 @@ class VideoSending(_Sending):
         skipped: pictures that came before it and were never looked at.
         """
         self._clock.handle_picture(stamp.capture_ns, now_ns, skipped=skipped)
+        self._came_ns = now_ns
 
     def poll_encode(self, now_ns: int) -> Coding | None:
         """How to encode the newest picture, if it shall be encoded now."""
         if not self._clock.poll_encode(now_ns):
             return None
+        self._coding_ns = self._came_ns, now_ns
         keyframe = self._losses.take(now_ns) or self._keyframe_due
         self._keyframe_due = False
         refresh_s = None
@@ -196,6 +201,8 @@ class VideoSending(_Sending):
         self._clock.handle_encoded(unit.encoded_ns)
         packets = self._rtp.video_packets(unit)
         octets = [len(packet) - RTP_HEADER_OCTETS for packet in packets]
+        timestamp = int.from_bytes(packets[0][4:8], "big")
+        self._probe.row("coding", timestamp, *self._coding_ns, sum(octets), len(packets))
         self._queue(packets, octets, unit.stamp, unit.encoded_ns)
 
     def tell(self) -> None:

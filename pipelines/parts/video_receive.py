@@ -15,6 +15,8 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     clock = context.clock
     receiving = VideoReceiving(stream, clock.from_ntp, context.probe, ssrc=secrets.randbits(32))
     decoder = H264Decoder()
+    # Before those of the receiver, so that each picture's decoding is known when it is joined.
+    decoded = context.probe.rows("decoded")
 
     def fill() -> None:
         receiving.tell(
@@ -44,6 +46,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                         loan = writer.loan_picture(stream.width, stream.height)
                         picture.scale_into(loan.picture)
                         loan.publish(stamp)
+                        decoded.extend((stamp.sequence, clock.now_ns()))
             feedback = receiving.poll_feedback(clock.now_ns())
             if feedback is not None:
                 to_sender(feedback)
