@@ -91,17 +91,17 @@ class Pacer:
         self.cap_bps = cap_bps
         self.channel_bps = cap_bps if channel_bps is None else channel_bps
         self._slack_ns = slack_ns
-        times, of = SHORT_WINDOW_SHARE
-        short_octets = cap_bps * SHORT_WINDOW_NS * times // (of * 8 * NS_PER_S)
+        self._window_ns = window_ns
         self._limits = (
-            _Limit(SHORT_WINDOW_NS + guard_ns, short_octets),
+            _Limit(SHORT_WINDOW_NS + guard_ns, _short_octets(cap_bps)),
             _Limit(window_ns + guard_ns, cap_bps * window_ns // (8 * NS_PER_S)),
         )
         #: The largest payload of a packet that this cap lets through.
         self.max_payload_octets = min(limit.most_octets for limit in self._limits)
+        self._least_cap_bps = cap_bps
         share = cap_bps * slack_ns // (8 * NS_PER_S) if picture_octets is None else picture_octets
         #: What is expected of the next picture.
-        self.picture_octets = min(share, self.max_payload_octets)
+        self.picture_octets = self._least_picture_octets = min(share, self.max_payload_octets)
         self._queue: deque[tuple[bytes, int, int]] = deque()
         self._backlog_octets = 0
         self._free_ns = 0
@@ -112,6 +112,22 @@ class Pacer:
         self.pictures_refused = 0
         #: The longest that any packet waited for its release.
         self.longest_wait_ns = 0
+
+    def follow(self, *, cap_bps: int, channel_bps: int) -> None:
+        """From now on these hold: nothing more leaves before it fits under the new cap, whatever
+        has left under the one before.
+
+        Packets stay as small as the cap of the beginning wants them: ValueError for a lower one.
+        """
+        if not self._least_cap_bps <= cap_bps <= channel_bps:
+            raise ValueError(
+                f"cap {cap_bps}, channel {channel_bps}: at least {self._least_cap_bps}"
+            )
+        short, long = self._limits
+        short.most_octets = _short_octets(cap_bps)
+        long.most_octets = cap_bps * self._window_ns // (8 * NS_PER_S)
+        self.picture_octets = self._least_picture_octets * cap_bps // self._least_cap_bps
+        self.cap_bps, self.channel_bps = cap_bps, channel_bps
 
     def handle_access_unit(
         self, packets: Sequence[bytes], payload_octets: Sequence[int], now_ns: int
@@ -188,3 +204,8 @@ class Pacer:
 
     def _on_channel_ns(self, octets: int) -> int:
         return -(-octets * 8 * NS_PER_S // self.channel_bps)
+
+
+def _short_octets(cap_bps: int) -> int:
+    times, of = SHORT_WINDOW_SHARE
+    return cap_bps * SHORT_WINDOW_NS * times // (of * 8 * NS_PER_S)

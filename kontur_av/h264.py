@@ -105,16 +105,25 @@ class H264Encoder:
         """From the begin of one refresh wave to the next."""
         return self._settings.refresh_pictures
 
-    def follow(self, *, hz: float | None = None, refresh_s: float | None = None) -> None:
+    def follow(
+        self,
+        *,
+        hz: float | None = None,
+        refresh_s: float | None = None,
+        cap_bps: int | None = None,
+    ) -> None:
         """From the next picture on, which will be a key picture, these hold; None: as before.
 
-        hz: so many pictures come a second. refresh_s: as for the constructor.
+        hz: so many pictures come a second. refresh_s, cap_bps: as for the constructor; the coded
+        size stays.
         """
         if hz is not None:
             rate = Fraction(min(max(hz, 1), 120)).limit_denominator(1001)
             self._settings = replace(self._settings, rate=rate)
         if refresh_s is not None:
             self._settings = replace(self._settings, refresh_s=refresh_s)
+        if cap_bps is not None:
+            self._settings = replace(self._settings, cap_bps=cap_bps)
         self._begin()
 
     def encode(

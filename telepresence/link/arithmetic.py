@@ -8,7 +8,7 @@ its reserve.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import NamedTuple
 
@@ -178,6 +178,29 @@ def check_fit(
         f"has {need.available_bps / 1000:g} kbit/s below haptics, all streams with their headers "
         f"need {need.needed_bps / 1000:g}; use at most {fits_bps // 1000} kbit/s"
     )
+
+
+def freed_payload_bps(
+    profile: LinkProfile, streams: Sequence[StreamNeed], name: str, freed_bps: int
+) -> int:
+    """By how much the payload of the stream `name` may grow where slots without a sample leave
+    `freed_bps`; from 0 to `freed_bps`.
+
+    Taken off is what the longer zones cost: a supervision message takes a whole one, and more
+    packets end in the zone in which they began, as if all zones were long; and what the headers
+    of more packets would need beyond what is spare.
+    """
+    longer = replace(profile, insert_octets=0)
+    need = channel_need(profile, streams)
+    grown = [
+        replace(stream, payload_bps=stream.payload_bps + freed_bps)
+        if stream.name == name
+        else stream
+        for stream in streams
+    ]
+    needed_bps = channel_need(longer, grown).needed_bps
+    lacking_bps = needed_bps - need.available_bps - freed_bps
+    return max(0, freed_bps - max(0, lacking_bps))
 
 
 class TableLine(NamedTuple):

@@ -54,6 +54,8 @@ LIFE_SHIFT = 8
 #: After so long without a frame no header context of before is worth anything: its packets may
 #: have gone on for the whole range of the frame count.
 FORGET_NS = 900 * NS_PER_S
+#: Over the newest so many slots it is counted how many had no sample: a second of them.
+COUNTED_SLOTS = 1000
 
 
 class Gateway:
@@ -106,6 +108,11 @@ class Gateway:
         self.contacts = 0
         self._contact_ns: int | None = None
         self._samples_sent = 0
+        #: For each of the newest slots, round and round, whether it had no sample.
+        self._free = bytearray(COUNTED_SLOTS)
+        self._slot = 0
+        #: Of the newest `COUNTED_SLOTS` those without a sample; those before the first had one.
+        self.free_slots = 0
         self._restarts = 0
         # Nobody has been heard yet.
         self.sender.set_patience(LOST_PATIENCE_NS)
@@ -148,9 +155,17 @@ class Gateway:
             message = supervisor.poll_transmit(now_ns)
             self._follow_supervision()
         frame = sender.poll_transmit(now_ns, message)
+        slot = self._slot
+        self._slot = slot + 1 if slot + 1 < COUNTED_SLOTS else 0
         if sender.haptic_sent != self._samples_sent:
             self._samples_sent = sender.haptic_sent
             supervisor.handle_application_sent(now_ns)
+            if self._free[slot]:
+                self._free[slot] = 0
+                self.free_slots -= 1
+        elif not self._free[slot]:
+            self._free[slot] = 1
+            self.free_slots += 1
         self.radio.handle_frame(frame, now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
@@ -221,6 +236,13 @@ class Gateway:
                 receiver.handle_signal_lost(event.now_ns)
                 self._forget_received(event.now_ns)
         receiver.deliver = supervisor.delivering
+
+    @property
+    def freed_bps(self) -> int:
+        """What the newest second's slots without a sample have left to the levels below haptics."""
+        profile = self.sender.profile
+        bits = self.free_slots * profile.insert_octets * 8
+        return bits * NS_PER_S // (COUNTED_SLOTS * profile.slot_ns)
 
     def _count_contact(self, now_ns: int) -> None:
         # Both directions mostly come back together, and are noticed one after the other.
