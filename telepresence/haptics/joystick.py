@@ -105,7 +105,7 @@ class Joystick:
                 part_ns = min(remaining_ns, _MAX_STEP_NS)
                 self._integrate(feedback, part_ns)
                 remaining_ns -= part_ns
-        return Command(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s)
+        return Command(self.x_m, self.y_m, 0)
 
     def intention(self) -> tuple[float, float]:
         """Where the hand means to be now (m)."""

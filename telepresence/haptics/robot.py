@@ -88,11 +88,11 @@ class Robot:
                 part_ns = min(remaining_ns, _MAX_STEP_NS)
                 self._integrate(command, part_ns / NS_PER_S)
                 remaining_ns -= part_ns
-        return Feedback(-self.force_n, self.friction_n, self.x_m, self.y_m, self.contact)
+        return Feedback(-self.force_n, self.friction_n, 0, self.contact)
 
     def feedback(self) -> Feedback:
         """The measured force (of the environment on the tip) and the tip's position."""
-        return Feedback(-self.force_n, self.friction_n, self.x_m, self.y_m, self.contact)
+        return Feedback(-self.force_n, self.friction_n, 0, self.contact)
 
     def _integrate(self, command: Command | None, dt_s: float) -> None:
         # One function: a call costs as much as a tenth of what is calculated here.
@@ -107,7 +107,8 @@ class Robot:
             reference_y += (y - reference_y) * share
             reference_vx = reference_vy = 0.0
         else:
-            to_x, to_y, reference_vx, reference_vy = command
+            to_x, to_y = command[0], command[1]
+            reference_vx = reference_vy = 0.0
             to_x = width if to_x > width else -width if to_x < -width else to_x
             to_y = height if to_y > height else -height if to_y < -height else to_y
             dx, dy = to_x - reference_x, to_y - reference_y
@@ -115,9 +116,6 @@ class Robot:
             distance = sqrt(dx * dx + dy * dy)
             if distance <= reach:
                 reference_x, reference_y = to_x, to_y
-                if not (-speed <= reference_vx <= speed and -speed <= reference_vy <= speed):
-                    reference_vx = max(-speed, min(speed, reference_vx))
-                    reference_vy = max(-speed, min(speed, reference_vy))
             else:
                 reference_x += dx * reach / distance
                 reference_y += dy * reach / distance

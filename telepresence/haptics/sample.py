@@ -6,17 +6,22 @@ All numbers are big-endian (network order), signed ones in two's complement.
 |---|---|---|---|
 | 0..1 | sequence number, unsigned, wraps after 65536 samples | 1 | 0..65535 |
 | 2 | flags, see below | | |
-| 3 | reserved: sent as 0, ignored on receipt | | |
-| 4..5 | position x, signed | 20 µm | ±0.65534 m |
-| 6..7 | position y, signed | 20 µm | ±0.65534 m |
-| 8..9 | command: velocity x; feedback: force x, signed | 100 µm/s; 2 mN | ±3.2767 m/s; ±65.534 N |
-| 10..11 | command: velocity y; feedback: force y, signed | 100 µm/s; 2 mN | as above |
+| 3, low 4 bits | command: state of the joystick; feedback: mode of the robot | | 0..15 |
+| 3, high 4 bits | command: buttons, a bit each; feedback: lit LED + 1, 0 for none | | 0..15 |
+| 4..5 | command: position x, signed; feedback: force x | 20 µm; 2 mN | ±0.65534 m; ±65.534 N |
+| 6..7 | command: position y; feedback: force y, signed | 20 µm; 2 mN | as above |
+| 8..11 | energy granted by the sender's port, unsigned, wraps | 1 µJ | 0..4294.967295 J |
 
-Flags, from the most significant bit: 0x80 the sample is a feedback (else a command); 0x01 the
-robot touches something; 0x02 a value was out of range and was cut to its limit; 0x04 the sender
-hears nothing from its peer and holds. The bits between are sent as 0 and ignored.
+Flags, from the most significant bit: 0x80 the sample is a feedback (else a command); 0x20 the
+sender is halted or has a fault; 0x10 the dead-man button is pressed (command); 0x08 the sender's
+passivity controller acted since its last sample; 0x04 the sender hears nothing from its peer and
+holds; 0x02 a value was out of range and was cut to its limit; 0x01 the robot touches something
+(feedback). 0x40 is sent as 0 and ignored, and so is a flag of the other direction.
 
-A value is rounded to the nearest count and saturates at ±32767 counts; -32768 is never sent.
+A position or a force is rounded to the nearest count and saturates at ±32767 counts; -32768 is
+never sent. The energy is rounded down, so that nothing is promised that is not there, and wraps.
+It is a running total, like the position: any one sample heals the loss of those before.
+
 The layout is this project's own: the Kontur-2 papers give the size of a sample, not its inside.
 """
 
@@ -27,42 +32,81 @@ from kontur_av.errors import ProtocolError
 
 SAMPLE_OCTETS = 12
 SEQUENCE_MODULUS = 1 << 16
+#: Energy totals wrap at so many µJ.
+ENERGY_MODULUS_UJ = 1 << 32
 
 POSITION_M = 20e-6
-VELOCITY_M_S = 100e-6
 FORCE_N = 2e-3
 
 FLAG_FEEDBACK = 0x80
-FLAG_CONTACT = 0x01
-FLAG_SATURATED = 0x02
+FLAG_HALTED = 0x20
+FLAG_DEAD_MAN = 0x10
+FLAG_ACTED = 0x08
 FLAG_HOLDING = 0x04
+FLAG_SATURATED = 0x02
+FLAG_CONTACT = 0x01
 
-_LAYOUT = struct.Struct(">HBBhhhh")
+#: States of the joystick (octet 3 of a command).
+STATE_INIT = 0
+STATE_STANDBY = 1
+STATE_CALIBRATED = 2
+STATE_APPLICATION = 3
+STATE_HALTED = 4
+STATE_CALIBRATION_ERROR = 5
+STATE_RECOVERABLE_ERROR = 6
+STATE_FATAL_ERROR = 7
+
+#: Modes of the robot (octet 3 of a feedback).
+MODE_OFF = 0
+MODE_TORQUE = 1
+MODE_POSITION = 2
+MODE_IMPEDANCE = 3
+
+_LAYOUT = struct.Struct(">HBBhhI")
 _pack, _unpack = _LAYOUT.pack, _LAYOUT.unpack
 _LIMIT = 32767
 _NEVER = -32768
+#: What is nearer to this than to the limit would round beyond it.
+_EDGE = 32767.5
+_ENERGY_MASK = ENERGY_MODULUS_UJ - 1
 
 
 class Command(NamedTuple):
-    """Where the joystick's handle is (m) and how fast it moves (m/s): the way down."""
+    """Where the joystick's handle is: the way down.
+
+    x_m, y_m: position (m). energy_uj: what the port at the joystick has granted so far (µJ); any
+    integer >= 0 to send, 0..2^32-1 as received. dead_man: its button is pressed. state: 0..7, one
+    of STATE_…. buttons: 4 bits. acted: the passivity controller acted since the last sample.
+    halted: halted or in fault.
+    """
 
     x_m: float
     y_m: float
-    vx_m_s: float
-    vy_m_s: float
+    energy_uj: int
+    dead_man: bool = True
+    state: int = STATE_APPLICATION
+    buttons: int = 0
+    acted: bool = False
+    halted: bool = False
 
 
 class Feedback(NamedTuple):
-    """The force (N) that the environment exerts on the robot's tip, and where the tip is (m).
+    """The force that the environment exerts on the robot's tip: the way up.
 
-    A wall that is met while moving towards +x gives a negative `fx_n`. The way up.
+    fx_n, fy_n: force (N); a wall that is met while moving towards +x gives a negative `fx_n`.
+    energy_uj: what the port at the robot has granted so far (µJ); any integer >= 0 to send,
+    0..2^32-1 as received. contact: the tip touches something. mode: one of MODE_…. lit: index of
+    the LED target that is lit, 0..14, or None. acted, halted: as in `Command`.
     """
 
     fx_n: float
     fy_n: float
-    x_m: float
-    y_m: float
+    energy_uj: int
     contact: bool
+    mode: int = MODE_IMPEDANCE
+    lit: int | None = None
+    acted: bool = False
+    halted: bool = False
 
 
 class CommandSample(NamedTuple):
@@ -82,40 +126,50 @@ class FeedbackSample(NamedTuple):
 
 
 def pack_command(sequence: int, command: Command, holding: bool = False) -> bytes:
-    """The 12 octets of `command`; `sequence` is taken modulo 65536.
+    """The 12 octets of `command`; `sequence` is taken modulo 65536, the energy modulo 2^32.
 
     A value that is not a number is a bug of the caller: ValueError.
     """
-    x_m, y_m, vx_m_s, vy_m_s = command
+    x_m, y_m, energy_uj, dead_man, state, buttons, acted, halted = command
     flags = FLAG_HOLDING if holding else 0
-    a, b, c, d = x_m / POSITION_M, y_m / POSITION_M, vx_m_s / VELOCITY_M_S, vy_m_s / VELOCITY_M_S
+    if dead_man:
+        flags |= FLAG_DEAD_MAN
+    if acted:
+        flags |= FLAG_ACTED
+    if halted:
+        flags |= FLAG_HALTED
+    a, b = x_m / POSITION_M, y_m / POSITION_M
     # One comparison for the ordinary case; a NaN fails it as well and is refused by round().
-    if not (-_LIMIT <= a <= _LIMIT and -_LIMIT <= b <= _LIMIT) or not (
-        -_LIMIT <= c <= _LIMIT and -_LIMIT <= d <= _LIMIT
-    ):
+    if not (-_EDGE < a < _EDGE and -_EDGE < b < _EDGE):
         flags |= FLAG_SATURATED
-        a, b, c, d = _saturated(a), _saturated(b), _saturated(c), _saturated(d)
-    return _pack(sequence % SEQUENCE_MODULUS, flags, 0, round(a), round(b), round(c), round(d))
+        a, b = _saturated(a), _saturated(b)
+    octet = (state & 15) | (buttons & 15) << 4
+    return _pack(
+        sequence % SEQUENCE_MODULUS, flags, octet, round(a), round(b), energy_uj & _ENERGY_MASK
+    )
 
 
 def pack_feedback(sequence: int, feedback: Feedback, holding: bool = False) -> bytes:
-    """The 12 octets of `feedback`; `sequence` is taken modulo 65536.
+    """The 12 octets of `feedback`; `sequence` is taken modulo 65536, the energy modulo 2^32.
 
     A value that is not a number is a bug of the caller: ValueError.
     """
-    fx_n, fy_n, x_m, y_m, contact = feedback
-    flags = FLAG_FEEDBACK
+    fx_n, fy_n, energy_uj, contact, mode, lit, acted, halted = feedback
+    flags = FLAG_FEEDBACK | FLAG_HOLDING if holding else FLAG_FEEDBACK
     if contact:
         flags |= FLAG_CONTACT
-    if holding:
-        flags |= FLAG_HOLDING
-    a, b, c, d = x_m / POSITION_M, y_m / POSITION_M, fx_n / FORCE_N, fy_n / FORCE_N
-    if not (-_LIMIT <= a <= _LIMIT and -_LIMIT <= b <= _LIMIT) or not (
-        -_LIMIT <= c <= _LIMIT and -_LIMIT <= d <= _LIMIT
-    ):
+    if acted:
+        flags |= FLAG_ACTED
+    if halted:
+        flags |= FLAG_HALTED
+    a, b = fx_n / FORCE_N, fy_n / FORCE_N
+    if not (-_EDGE < a < _EDGE and -_EDGE < b < _EDGE):
         flags |= FLAG_SATURATED
-        a, b, c, d = _saturated(a), _saturated(b), _saturated(c), _saturated(d)
-    return _pack(sequence % SEQUENCE_MODULUS, flags, 0, round(a), round(b), round(c), round(d))
+        a, b = _saturated(a), _saturated(b)
+    octet = mode & 15 if lit is None else (mode & 15) | (lit + 1 & 15) << 4
+    return _pack(
+        sequence % SEQUENCE_MODULUS, flags, octet, round(a), round(b), energy_uj & _ENERGY_MASK
+    )
 
 
 def unpack_command(data: bytes) -> CommandSample:
@@ -132,12 +186,21 @@ def read_command(data: bytes) -> tuple[int, int, Command]:
     """`unpack_command` as a plain tuple, for the loop at 1 kHz."""
     if len(data) != SAMPLE_OCTETS:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
-    sequence, flags, _, x, y, vx, vy = _unpack(data)
+    sequence, flags, octet, x, y, energy_uj = _unpack(data)
     if flags & FLAG_FEEDBACK:
         raise ProtocolError("haptic sample: a feedback where a command is due")
-    if x == _NEVER or y == _NEVER or vx == _NEVER or vy == _NEVER:
+    if x == _NEVER or y == _NEVER:
         raise ProtocolError("haptic sample: the count -32768 is never sent")
-    value = Command(x * POSITION_M, y * POSITION_M, vx * VELOCITY_M_S, vy * VELOCITY_M_S)
+    value = Command(
+        x * POSITION_M,
+        y * POSITION_M,
+        energy_uj,
+        flags & FLAG_DEAD_MAN != 0,
+        octet & 15,
+        octet >> 4,
+        flags & FLAG_ACTED != 0,
+        flags & FLAG_HALTED != 0,
+    )
     return sequence, flags, value
 
 
@@ -145,13 +208,21 @@ def read_feedback(data: bytes) -> tuple[int, int, Feedback]:
     """`unpack_feedback` as a plain tuple, for the loop at 1 kHz."""
     if len(data) != SAMPLE_OCTETS:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
-    sequence, flags, _, x, y, fx, fy = _unpack(data)
+    sequence, flags, octet, fx, fy, energy_uj = _unpack(data)
     if not flags & FLAG_FEEDBACK:
         raise ProtocolError("haptic sample: a command where a feedback is due")
-    if x == _NEVER or y == _NEVER or fx == _NEVER or fy == _NEVER:
+    if fx == _NEVER or fy == _NEVER:
         raise ProtocolError("haptic sample: the count -32768 is never sent")
-    contact = bool(flags & FLAG_CONTACT)
-    value = Feedback(fx * FORCE_N, fy * FORCE_N, x * POSITION_M, y * POSITION_M, contact)
+    value = Feedback(
+        fx * FORCE_N,
+        fy * FORCE_N,
+        energy_uj,
+        flags & FLAG_CONTACT != 0,
+        octet & 15,
+        (octet >> 4) - 1 if octet > 15 else None,
+        flags & FLAG_ACTED != 0,
+        flags & FLAG_HALTED != 0,
+    )
     return sequence, flags, value
 
 

@@ -5,6 +5,9 @@ from hypothesis import strategies as st
 
 from telepresence.haptics.loop import robot_link
 from telepresence.haptics.sample import (
+    FLAG_HOLDING,
+    FLAG_SATURATED,
+    POSITION_M,
     Command,
     Feedback,
     pack_command,
@@ -14,24 +17,63 @@ from telepresence.haptics.sample import (
 )
 
 counts = st.integers(-32767, 32767)
+energies = st.integers(0, (1 << 32) - 1)
+nibbles = st.integers(0, 15)
 
 
-@given(st.integers(0, 65535), counts, counts, counts, counts)
-def test_command_round_trip(sequence: int, x: int, y: int, vx: int, vy: int) -> None:
-    octets = pack_command(sequence, Command(x * 20e-6, y * 20e-6, vx * 1e-4, vy * 1e-4))
-    sample = unpack_command(octets)
-    assert sample.sequence == sequence
-    assert pack_command(sample.sequence, sample.value) == octets
-
-
-@given(st.integers(0, 65535), counts, counts, counts, counts, st.booleans())
-def test_feedback_round_trip(
-    sequence: int, x: int, y: int, fx: int, fy: int, contact: bool
+@given(
+    st.integers(0, 65535),
+    counts,
+    counts,
+    energies,
+    nibbles,
+    nibbles,
+    st.tuples(*[st.booleans()] * 4),
+)
+def test_command_round_trip(
+    sequence: int, x: int, y: int, uj: int, state: int, buttons: int, flags: tuple[bool, ...]
 ) -> None:
-    octets = pack_feedback(sequence, Feedback(fx * 2e-3, fy * 2e-3, x * 20e-6, y * 20e-6, contact))
+    dead_man, acted, halted, holding = flags
+    command = Command(x * 20e-6, y * 20e-6, uj, dead_man, state, buttons, acted, halted)
+    octets = pack_command(sequence, command, holding)
+    sample = unpack_command(octets)
+    assert (sample.sequence, sample.value) == (sequence, command)
+    assert bool(sample.flags & FLAG_HOLDING) is holding
+    assert pack_command(sample.sequence, sample.value, holding) == octets
+
+
+@given(
+    st.integers(0, 65535),
+    counts,
+    counts,
+    energies,
+    nibbles,
+    st.none() | st.integers(0, 14),
+    st.tuples(*[st.booleans()] * 4),
+)
+def test_feedback_round_trip(
+    sequence: int, fx: int, fy: int, uj: int, mode: int, lit: int | None, flags: tuple[bool, ...]
+) -> None:
+    contact, acted, halted, holding = flags
+    feedback = Feedback(fx * 2e-3, fy * 2e-3, uj, contact, mode, lit, acted, halted)
+    octets = pack_feedback(sequence, feedback, holding)
     sample = unpack_feedback(octets)
-    assert sample.sequence == sequence
-    assert pack_feedback(sample.sequence, sample.value) == octets
+    assert (sample.sequence, sample.value) == (sequence, feedback)
+    assert bool(sample.flags & FLAG_HOLDING) is holding
+    assert pack_feedback(sample.sequence, sample.value, holding) == octets
+
+
+@given(st.floats(allow_nan=False), st.floats(allow_nan=False), st.integers(0, 1 << 80))
+def test_whatever_is_sent_is_read_within_half_a_count_or_saturated(
+    x: float, y: float, uj: int
+) -> None:
+    sample = unpack_command(pack_command(0, Command(x, y, uj)))
+    saturated = bool(sample.flags & FLAG_SATURATED)
+    assert saturated is (max(abs(x), abs(y)) / POSITION_M >= 32767.5)
+    for sent, read in ((x, sample.value.x_m), (y, sample.value.y_m)):
+        limited = max(-0.65534, min(0.65534, sent))
+        assert abs(read - limited) <= POSITION_M / 2 + 1e-12
+    assert sample.value.energy_uj == uj % (1 << 32)
 
 
 @given(st.lists(st.binary(max_size=14) | st.binary(min_size=12, max_size=12), max_size=50))
@@ -61,9 +103,7 @@ def test_counters_are_true_for_any_path(first: int, path: list[str]) -> None:
     received = late = repeated = 0
     begin = arrivals[0] if arrivals else 0
     for now, number in enumerate(arrivals):
-        link.handle_datagram(
-            pack_command(first + number, Command(0.0, 0.0, 0.0, 0.0)), now * 1_000_000
-        )
+        link.handle_datagram(pack_command(first + number, Command(0.0, 0.0, 0)), now * 1_000_000)
         if number in seen or number < begin:
             repeated += 1
         elif number > newest:

@@ -14,11 +14,11 @@ MS = 1_000_000
 def test_the_robot_goes_where_it_is_told_and_the_wall_stops_it() -> None:
     robot = Robot()
     for _ in range(1000):
-        robot.step(Command(0.03, -0.05, 0.0, 0.0), MS)
+        robot.step(Command(0.03, -0.05, 0), MS)
     assert (robot.x_m, robot.y_m) == pytest.approx((0.03, -0.05), abs=1e-5)
     assert not robot.contact
     for _ in range(1000):
-        feedback = robot.step(Command(0.08, -0.05, 0.0, 0.0), MS)
+        feedback = robot.step(Command(0.08, -0.05, 0), MS)
     model = RobotModel()
     # Two springs in series: that of the tracking, 20 mm long, and the wall's.
     springs = model.stiffness_n_m * model.wall_stiffness_n_m
@@ -31,10 +31,10 @@ def test_the_robot_goes_where_it_is_told_and_the_wall_stops_it() -> None:
 def test_the_wall_pushes_and_never_pulls() -> None:
     robot = Robot()
     for _ in range(1000):
-        robot.step(Command(0.08, 0.0, 0.0, 0.0), MS)
+        robot.step(Command(0.08, 0.0, 0), MS)
     assert robot.contact
     while robot.contact:
-        robot.step(Command(-0.15, 0.0, -3.0, 0.0), MS)
+        robot.step(Command(-0.15, 0.0, 0), MS)
         assert robot.force_n >= 0.0
     assert robot.x_m < WALL_X_M
 
@@ -42,7 +42,7 @@ def test_the_wall_pushes_and_never_pulls() -> None:
 def test_without_commands_the_robot_stays_and_its_press_decays() -> None:
     robot = Robot()
     for _ in range(1000):
-        robot.step(Command(0.085, 0.0, 0.0, 0.0), MS)
+        robot.step(Command(0.085, 0.0, 0), MS)
     pressed_n, before_x = robot.force_n, robot.x_m
     forces = [-robot.step(None, MS).fx_n for _ in range(2000)]
     assert all(later <= earlier + 1e-9 for earlier, later in pairwise(forces))
@@ -57,7 +57,7 @@ def test_resumption_does_not_jump() -> None:
     steps = []
     for _ in range(1000):
         before = robot.y_m
-        robot.step(Command(0.0, 0.09, 0.0, 0.0), MS)
+        robot.step(Command(0.0, 0.09, 0), MS)
         steps.append(robot.y_m - before)
     assert max(steps) <= RobotModel().reference_speed_m_s * 1e-3
     assert robot.y_m == pytest.approx(0.09, abs=1e-4)
@@ -66,7 +66,7 @@ def test_resumption_does_not_jump() -> None:
 def test_a_command_outside_the_board_is_followed_to_its_edge() -> None:
     robot = Robot()
     for _ in range(2000):
-        robot.step(Command(-9.0, 9.0, 90.0, -90.0), MS)
+        robot.step(Command(-9.0, 9.0, 0), MS)
     model = RobotModel()
     assert abs(robot.x_m) <= model.half_width_m + 0.05
     assert abs(robot.y_m) <= model.half_height_m + 0.05
@@ -74,7 +74,7 @@ def test_a_command_outside_the_board_is_followed_to_its_edge() -> None:
 
 def test_time_that_was_missed_is_made_up_in_small_steps_and_only_so_far() -> None:
     even, uneven, stopped = Robot(), Robot(), Robot()
-    command = Command(0.05, 0.05, 0.0, 0.0)
+    command = Command(0.05, 0.05, 0)
     for _ in range(40):
         even.step(command, MS)
     uneven.step(command, 40 * MS)
@@ -100,7 +100,7 @@ def test_the_hand_follows_its_script_and_begins_anew() -> None:
 def test_the_motors_force_is_limited_in_size_and_in_rate_and_decays_in_silence() -> None:
     model = JoystickModel()
     joystick = Joystick(model)
-    push = Feedback(-500.0, 500.0, 0.0, 0.0, True)
+    push = Feedback(-500.0, 500.0, 0, True)
     joystick.step(push, MS)
     assert joystick.motor_x_n == pytest.approx(-model.force_rate_n_s / 1000)
     for _ in range(100):

@@ -18,7 +18,7 @@ MS = 1_000_000
 
 
 def command(x_m: float) -> Command:
-    return Command(x_m, 0.0, 0.0, 0.0)
+    return Command(x_m, 0.0, 0)
 
 
 def test_the_newest_sample_wins_and_a_late_one_is_not_used() -> None:
@@ -71,7 +71,7 @@ def test_a_restarted_peer_is_heard_within_a_tenth_of_a_second(newest: int) -> No
 def test_silence_is_told_once_and_to_the_peer_too() -> None:
     link = joystick_link(max_age_ns=20 * MS)
     robot = robot_link()
-    robot.handle_local(Feedback(0.0, 0.0, 0.0, 0.0, False), 0)
+    robot.handle_local(Feedback(0.0, 0.0, 0, False), 0)
     data = robot.poll_transmit(0)
     assert data is not None
     assert unpack_feedback(data).flags & FLAG_HOLDING
