@@ -1,0 +1,99 @@
+"""Where the middle of the workspace is: the handle is pushed to its end stops, hands off.
+
+A handle's encoders count from where they were switched on. A stick that springs back to its
+middle has no motors: it is left alone for a moment, and where it rests is the middle.
+"""
+
+from typing import NamedTuple
+
+from kontur_av.clock import NS_PER_MS
+from telepresence.haptics.device.device import DeviceFacts
+from telepresence.haptics.device.script import (
+    IDLE,
+    Cycle,
+    Output,
+    Script,
+    push_to_stop,
+    travel,
+)
+
+#: What the handle is pushed with; enough for its friction, and harmless for fingers. Chosen.
+PUSH_N = 3.0
+_SPEED_M_S = 0.5
+#: How far a measured width may be from the one in the facts: beyond it an encoder or an axis is
+#: not what it should be. Chosen.
+TOLERANCE = 0.08
+_REST_NS = 300 * NS_PER_MS
+#: A stick that rests off its electrical middle by more is held by somebody.
+_REST_SHARE = 0.15
+
+
+class Calibration(NamedTuple):
+    """What was found: subtract (x_m, y_m) from what the encoders say.
+
+    half_width_m, half_height_m: as measured, or as the facts say where nothing can be measured.
+    problem: one line that says why it failed; "" if it passed.
+    """
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    half_width_m: float = 0.0
+    half_height_m: float = 0.0
+    problem: str = ""
+
+
+def calibrate(facts: DeviceFacts) -> Script[Calibration]:
+    """The script that calibrates a device with these facts."""
+    return _with_motors(facts) if facts.has_force else _without_motors(facts)
+
+
+def _with_motors(facts: DeviceFacts) -> Script[Calibration]:
+    cycle: Cycle = yield IDLE
+    middles: list[float] = []
+    halves: list[float] = []
+    push_n = min(PUSH_N, facts.force_limit_n)
+    for axis, nominal_m in ((0, facts.half_width_m), (1, facts.half_height_m)):
+        name = "xy"[axis]
+        ends = []
+        for sign in (-1, 1):
+            direction = (sign, 0) if axis == 0 else (0, sign)
+            cycle, end = yield from push_to_stop(
+                cycle, direction, force_n=push_n, speed_m_s=_SPEED_M_S
+            )
+            ends.append(end.place(axis))
+        half_m = (ends[1] - ends[0]) / 2
+        if abs(half_m - nominal_m) > TOLERANCE * nominal_m:
+            return Calibration(
+                problem=f"axis {name} moves by ±{half_m * 1e3:.0f} mm where ±{nominal_m * 1e3:.0f} mm "
+                "are due: free the handle, let go of it, and calibrate again"
+            )
+        middles.append((ends[0] + ends[1]) / 2)
+        halves.append(half_m)
+        to_x = middles[0] if axis == 0 else cycle.reading.x_m
+        to_y = middles[1] if axis == 1 else cycle.reading.y_m
+        cycle, there = yield from travel(cycle, to_x, to_y, speed_m_s=_SPEED_M_S)
+        if not there:
+            return Calibration(
+                problem=f"axis {name} does not come back to its middle: free the handle, let go of "
+                "it, and calibrate again"
+            )
+    return Calibration(middles[0], middles[1], halves[0], halves[1])
+
+
+def _without_motors(facts: DeviceFacts) -> Script[Calibration]:
+    cycle: Cycle = yield IDLE
+    until_ns = cycle.now_ns + _REST_NS
+    xs, ys = [cycle.reading.x_m], [cycle.reading.y_m]
+    while cycle.now_ns < until_ns:
+        cycle = yield Output(prompt="leave the stick alone")
+        xs.append(cycle.reading.x_m)
+        ys.append(cycle.reading.y_m)
+    x_m, y_m = sum(xs) / len(xs), sum(ys) / len(ys)
+    for values, middle, half_m in ((xs, x_m, facts.half_width_m), (ys, y_m, facts.half_height_m)):
+        moved = max(abs(value) for value in values)
+        if moved > _REST_SHARE * half_m or max(values) - min(values) > _REST_SHARE / 3 * half_m:
+            return Calibration(
+                problem=f"the stick does not rest at its middle ({middle / half_m:+.0%} of its "
+                "travel): let go of it, and calibrate again"
+            )
+    return Calibration(x_m, y_m, facts.half_width_m, facts.half_height_m)

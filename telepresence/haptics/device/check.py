@@ -1,0 +1,76 @@
+"""What a functional check says: figures, each with the limits that it was held to."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from telepresence.haptics.device.script import Script
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One measured quantity with its limits; None is no limit on that side.
+
+    value: None when it could not be measured, which has failed unless nothing limits it.
+    """
+
+    name: str
+    value: float | None
+    unit: str = ""
+    least: float | None = None
+    most: float | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is within its limits."""
+        if self.value is None:
+            return self.least is None and self.most is None
+        above = self.least is None or self.value >= self.least
+        return above and (self.most is None or self.value <= self.most)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the report."""
+        return {
+            "name": self.name,
+            "value": None if self.value is None else round(self.value, 6),
+            "unit": self.unit,
+            "least": self.least,
+            "most": self.most,
+            "passed": self.passed,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """What a check found.
+
+    trouble: one line that says why it ended early; "" if it went to its end. skipped: one line
+    that says what the device lacks for it; a skipped check has neither passed nor failed.
+    """
+
+    name: str
+    figures: tuple[Figure, ...] = field(default=())
+    trouble: str = ""
+    skipped: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Every figure within its limits, and no trouble."""
+        return not self.skipped and not self.trouble and all(f.passed for f in self.figures)
+
+    @property
+    def failed(self) -> bool:
+        """It was done, and did not pass."""
+        return not self.skipped and not self.passed
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the report."""
+        return {
+            "name": self.name,
+            "passed": None if self.skipped else self.passed,
+            "trouble": self.trouble,
+            "skipped": self.skipped,
+            "figures": [figure.as_dict() for figure in self.figures],
+        }
+
+
+CheckScript = Script[CheckResult]

@@ -1,0 +1,72 @@
+"""Buttons and LEDs: each LED asks for its button, which a person then presses and lets go.
+
+A device without LEDs is asked for in words. The dead-man button comes last: all LEDs ask for it
+to be pressed if it was not, to be let go, and to be pressed again.
+"""
+
+from kontur_av.clock import NS_PER_S
+from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
+from telepresence.haptics.device.device import DeviceFacts
+from telepresence.haptics.device.script import IDLE, Cycle, Output, Script
+
+NAME = "buttons"
+
+#: A person has so long for each press, and for letting go.
+PATIENCE_NS = 4 * NS_PER_S
+
+
+def buttons_check(facts: DeviceFacts) -> CheckScript:
+    """The script; as long as the person takes, at most 8 s a button."""
+    cycle: Cycle = yield IDLE
+    figures: list[Figure] = []
+    for index in range(facts.buttons):
+        bit = 1 << index
+        leds = bit if index < facts.leds else 0
+        pressed, wrong = False, 0
+        for wanted in (bit, 0):
+            words = f"press button {index + 1}" if wanted else f"let go of button {index + 1}"
+            # The light goes off with the press: that is how a person sees that it was noticed.
+            output = Output(leds=leds if wanted else 0, prompt=words)
+            cycle, came, others = yield from _await_buttons(cycle, output, bit, wanted)
+            wrong |= others
+            if not came:
+                break
+            pressed = not wanted
+        figures += [
+            Figure(f"button {index + 1} pressed and let go", float(pressed), "", 1, 1),
+            Figure(f"other buttons with {index + 1}", float(wrong.bit_count()), "", 0, 0),
+        ]
+    all_leds = (1 << facts.leds) - 1
+    seen = 0
+    # What it is now is not asked for twice: hands may be off, or on.
+    for wanted_on in (False, True) if cycle.reading.dead_man else (True, False, True):
+        words = "press the dead-man button" if wanted_on else "let go of the dead-man button"
+        output = Output(leds=all_leds if wanted_on else 0, prompt=words)
+        cycle, came = yield from _await_dead_man(cycle, output, wanted_on)
+        if not came:
+            break
+        seen |= 1 << wanted_on
+    figures.append(Figure("dead-man button let go and pressed", float(seen == 3), "", 1, 1))
+    return CheckResult(NAME, tuple(figures))
+
+
+def _await_buttons(
+    cycle: Cycle, output: Output, bit: int, wanted: int
+) -> Script[tuple[Cycle, bool, int]]:
+    others = 0
+    until_ns = cycle.now_ns + PATIENCE_NS
+    while cycle.now_ns < until_ns:
+        others |= cycle.reading.buttons & ~bit
+        if cycle.reading.buttons & bit == wanted:
+            return cycle, True, others
+        cycle = yield output
+    return cycle, False, others
+
+
+def _await_dead_man(cycle: Cycle, output: Output, wanted: bool) -> Script[tuple[Cycle, bool]]:
+    until_ns = cycle.now_ns + PATIENCE_NS
+    while cycle.now_ns < until_ns:
+        if cycle.reading.dead_man == wanted:
+            return cycle, True
+        cycle = yield output
+    return cycle, False

@@ -1,0 +1,87 @@
+"""Virtual spring: does the handle feel as stiff as it was asked to be?
+
+A spring that only the motors make, with the handle's own mass on it, swings. Turning points follow
+each other after half a period, π/ω; Coulomb friction takes from the swing but not from its period
+(the handle swings about the ends of a dead band), and what viscous friction takes is known. So
+the stiffness that is really displayed, m (ω² + (b/2m)²), comes from times alone: motors that give
+less force than they are told would pass any check in which force is compared with force.
+"""
+
+from math import pi
+
+from kontur_av.clock import NS_PER_S
+from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
+from telepresence.haptics.device.device import DeviceFacts
+from telepresence.haptics.device.script import IDLE, SERVO, Cycle, Output, Script, travel
+
+NAME = "spring"
+
+STIFFNESS_N_M = 200.0
+_DISPLACED_M = 0.03
+#: The first turn follows the release, in which the motors' force steps; these follow it.
+_TURNS = 5
+_PATIENCE_NS = 2 * NS_PER_S
+_TOLERANCE = 0.1
+#: It may rest anywhere in the dead band of its friction, and a little beside it.
+_REST_MARGIN_M = 0.001
+
+
+def spring_check(facts: DeviceFacts) -> CheckScript:
+    """The script; about 4 s."""
+    cycle: Cycle = yield IDLE
+    if not facts.has_force:
+        return CheckResult(NAME, skipped="this device has no motors to make a spring with")
+    figures: list[Figure] = []
+    for axis in (0, 1):
+        name = "xy"[axis]
+        start = (_DISPLACED_M, 0.0) if axis == 0 else (0.0, _DISPLACED_M)
+        cycle, there = yield from travel(cycle, *start)
+        if not there:
+            return CheckResult(
+                NAME, tuple(figures), f"axis {name} does not move to where it is pushed"
+            )
+        cycle, turns_s = yield from _swing(cycle, axis)
+        stiffness = _stiffness(turns_s, facts)
+        # Nothing is in the way of the spring now: where the handle stands, it is pulled no more.
+        rest_m = cycle.reading.place(axis)
+        band_m = 1.6 * facts.coulomb_n / STIFFNESS_N_M + _REST_MARGIN_M
+        figures += [
+            Figure(
+                f"stiffness {name}",
+                stiffness,
+                "N/m",
+                (1 - _TOLERANCE) * STIFFNESS_N_M,
+                (1 + _TOLERANCE) * STIFFNESS_N_M,
+            ),
+            Figure(f"rest {name}", rest_m * 1e3, "mm", -band_m * 1e3, band_m * 1e3),
+        ]
+    cycle, _ = yield from travel(cycle, 0.0, 0.0)
+    return CheckResult(NAME, tuple(figures))
+
+
+def _swing(cycle: Cycle, axis: int) -> Script[tuple[Cycle, list[float]]]:
+    """Let the handle swing on the spring until it rests: the instants (s) of its turning points."""
+    turns_s: list[float] = []
+    began_ns = cycle.now_ns
+    before, before_ns = 0.0, cycle.now_ns
+    while cycle.now_ns - began_ns < _PATIENCE_NS:
+        reading = cycle.reading
+        speed = reading.speed(axis)
+        if before * speed < 0.0:
+            share = before / (before - speed)
+            turn_ns = before_ns + share * (cycle.now_ns - before_ns) - began_ns
+            turns_s.append(turn_ns / NS_PER_S)
+        if speed != 0.0:
+            before, before_ns = speed, cycle.now_ns
+        pull_n = -STIFFNESS_N_M * reading.place(axis)
+        hold_x, hold_y = SERVO.force(reading, 0.0, 0.0)
+        cycle = yield Output(pull_n, hold_y) if axis == 0 else Output(hold_x, pull_n)
+    return cycle, turns_s
+
+
+def _stiffness(turns_s: list[float], facts: DeviceFacts) -> float | None:
+    used = turns_s[:_TURNS]
+    if len(used) < 2:
+        return None
+    omega = pi * (len(used) - 1) / (used[-1] - used[0])
+    return facts.mass_kg * (omega**2 + (facts.viscous_n_s_m / (2 * facts.mass_kg)) ** 2)

@@ -1,0 +1,107 @@
+"""The functional checks of a joystick, and the core that runs them one after another.
+
+Each is an application: the device is calibrated and in the state for it, and is supervised all
+the while. A halt or an error ends the check with the reason as its trouble.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+
+from kontur_av.clock import NS_PER_S
+from telepresence.haptics.device import (
+    check_buttons,
+    check_friction,
+    check_spring,
+    check_workspace,
+)
+from telepresence.haptics.device.check import CheckResult, CheckScript
+from telepresence.haptics.device.device import DeviceFacts, JoystickDevice
+from telepresence.haptics.device.operation import Operation
+from telepresence.haptics.device.script import Output, ScriptRun
+from telepresence.haptics.device.states import State
+from telepresence.haptics.device.supervision import Limits
+
+#: Every check by its name, in the order in which all are done.
+CHECKS: Mapping[str, Callable[[DeviceFacts], CheckScript]] = MappingProxyType(
+    {
+        check_workspace.NAME: check_workspace.workspace_check,
+        check_friction.NAME: check_friction.friction_check,
+        check_spring.NAME: check_spring.spring_check,
+        check_buttons.NAME: check_buttons.buttons_check,
+    }
+)
+
+#: Whoever is not ready for a check by then never will be; three tries at the calibration included.
+_READY_NS = 40 * NS_PER_S
+
+
+class CheckBench:
+    """Calibrates `device` and does the checks called `names`: `handle_cycle` until `done`.
+
+    results: one for each check that is over. prompt: what a person shall do now, "" for nothing.
+    """
+
+    def __init__(
+        self,
+        device: JoystickDevice,
+        names: Sequence[str],
+        *,
+        limits: Limits | None = None,
+        now_ns: int = 0,
+    ) -> None:
+        self.operation = Operation(device, limits=limits, hands_off=True, now_ns=now_ns)
+        self.results: list[CheckResult] = []
+        self._device = device
+        self._names = list(names)
+        self._run: ScriptRun[CheckResult] | None = None
+        self._waiting_since_ns = now_ns
+
+    @property
+    def done(self) -> bool:
+        """Whether every check has its result."""
+        return not self._names
+
+    @property
+    def current(self) -> str:
+        """The check that is under way or comes next; "" when all are done."""
+        return self._names[0] if self._names else ""
+
+    @property
+    def prompt(self) -> str:
+        """What a person shall do now; "" for nothing."""
+        return self.operation.prompt
+
+    def handle_cycle(self, now_ns: int, dt_ns: int) -> None:
+        """One cycle, after which the device moves on by `dt_ns`."""
+        operation = self.operation
+        reading = operation.handle_reading(now_ns)
+        output = Output()
+        if operation.state is State.APPLICATION and self._names:
+            if self._run is None:
+                self._run = ScriptRun(CHECKS[self._names[0]](operation.facts))
+            output = self._run.handle_reading(reading, now_ns)
+            operation.prompt = output.prompt
+            if self._run.result is not None:
+                self._finish(self._run.result, now_ns)
+        elif self._names:
+            self._handle_absence(now_ns)
+        operation.handle_force(output.x_n, output.y_n, output.leds)
+        self._device.advance(dt_ns)
+
+    def _handle_absence(self, now_ns: int) -> None:
+        """The device is not in the application: during a check that is its end."""
+        operation = self.operation
+        reason = f"{operation.state.words}: {operation.reason}"
+        if self._run is not None:
+            self._run.abort()
+            self._finish(CheckResult(self._names[0], trouble=reason), now_ns)
+        elif operation.state is State.FATAL or now_ns - self._waiting_since_ns > _READY_NS:
+            for name in list(self._names):
+                self._finish(CheckResult(name, trouble=reason), now_ns)
+
+    def _finish(self, result: CheckResult, now_ns: int) -> None:
+        self.results.append(result)
+        self._names.pop(0)
+        self._run = None
+        self._waiting_since_ns = now_ns
+        self.operation.prompt = ""

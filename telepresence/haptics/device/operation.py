@@ -1,0 +1,262 @@
+"""The joystick in operation: its states, its supervision, and who has its motors at the moment.
+
+In each cycle: `handle_reading`, then the controller's force into `handle_force`, then let the
+device `advance`. Left alone, it goes from init over its self-test and its calibration into the
+application, and back into it after a halt whose cause is gone.
+"""
+
+from math import isfinite
+from typing import Any
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.device.calibration import Calibration, calibrate
+from telepresence.haptics.device.device import JoystickDevice, Reading
+from telepresence.haptics.device.script import IDLE, ScriptRun
+from telepresence.haptics.device.states import REQUESTS, Event, State, StateMachine, Transition
+from telepresence.haptics.device.supervision import Limits, Supervisor, Verdict
+
+#: A sensor that is read this often without a fault has passed its self-test.
+_SELF_TEST_CYCLES = 20
+#: What goes wrong by itself is tried again after so long, and so often.
+_RETRY_NS = NS_PER_S
+_RETRIES = 3
+#: After a halt or a release of the dead-man button the force comes back over this time.
+_RETURN_NS = 300 * NS_PER_MS
+#: What a controller may ask of a handle without motors. Nothing of it is felt, but the energies on
+#: the way to the robot are those of a hand that feels it. Chosen.
+FELT_BY_NOBODY_N = 10.0
+
+
+class Operation:
+    """Runs one `device`; the reading that it gives is calibrated.
+
+    automatic: make the requests itself that lead into the application, and back into it.
+    hands_off: the application is a functional check: its script moves the handle, the dead-man
+    button gives it no force, and no peer is expected.
+    reading: the newest, calibrated. force_limit_n: what the controller may ask for until the next
+    reading, per axis (N). Outside the application it is 0.
+    """
+
+    def __init__(
+        self,
+        device: JoystickDevice,
+        *,
+        limits: Limits | None = None,
+        automatic: bool = True,
+        hands_off: bool = False,
+        now_ns: int = 0,
+    ) -> None:
+        self.device = device
+        self.facts = device.facts
+        self.machine = StateMachine(now_ns)
+        self.supervisor = Supervisor(limits)
+        self.calibration: Calibration | None = None
+        self.reading = Reading(0.0, 0.0, 0.0, 0.0, dead_man=False)
+        self.force_limit_n = 0.0
+        self.prompt = ""
+        self.released = 0
+        self._automatic = automatic
+        self._hands_off = hands_off
+        self._most_n = self.facts.force_limit_n if self.facts.has_force else FELT_BY_NOBODY_N
+        self._run: ScriptRun[Calibration] | None = None
+        self._output = IDLE
+        self._leds = -1
+        self._cycles = 0
+        self._retries = 0
+        self._held_since_ns: int | None = None
+
+    @property
+    def state(self) -> State:
+        """Where it stands."""
+        return self.machine.state
+
+    @property
+    def reason(self) -> str:
+        """Why it stands there, in one line; "" if that needs no words."""
+        return self.machine.reason
+
+    @property
+    def halted(self) -> bool:
+        """Whether it can do nothing for the application until something has changed."""
+        return self.machine.state >= State.HALTED
+
+    def handle_heard(self, now_ns: int) -> None:
+        """There is a fresh sample of the peer."""
+        self.supervisor.handle_heard(now_ns)
+
+    def handle_request(self, event: Event, now_ns: int, reason: str = "") -> str:
+        """A person asks for `event`: "" if it was done, else one line that says why not."""
+        if event not in REQUESTS:
+            return f"{event.value}: nothing that can be asked for"
+        verdict = self.supervisor.verdict
+        if event in (Event.RESUME, Event.START) and verdict is not Verdict.WELL:
+            return f"{event.value}: not yet, {self.supervisor.reason}"
+        if event is Event.ACKNOWLEDGE and verdict in (Verdict.FAULT, Verdict.FATAL):
+            return f"{event.value}: not while {self.supervisor.reason}"
+        refusal = self.machine.handle_event(event, now_ns, reason)
+        if refusal:
+            return refusal
+        self._run = None
+        if event is Event.CALIBRATE:
+            self.calibration = None
+            self._run = ScriptRun(calibrate(self.facts))
+        elif event in (Event.RESUME, Event.START):
+            self.supervisor.forget_silence()
+            self._held_since_ns = None
+        return ""
+
+    def handle_reading(self, now_ns: int) -> Reading:
+        """Read the device, judge what it says, and go on with what is under way."""
+        raw = self.device.read()
+        calibration = self.calibration
+        state = self.machine.state
+        if calibration is None:
+            reading, half_width_m, half_height_m = raw, float("inf"), float("inf")
+        else:
+            x_m, y_m, *rest = raw
+            reading = Reading(x_m - calibration.x_m, y_m - calibration.y_m, *rest)
+            half_width_m, half_height_m = calibration.half_width_m, calibration.half_height_m
+        self.reading = reading
+        verdict = self.supervisor.handle_reading(
+            reading,
+            now_ns,
+            half_width_m=half_width_m,
+            half_height_m=half_height_m,
+            expects_peer=state is State.APPLICATION and not self._hands_off,
+        )
+        if verdict is not Verdict.WELL:
+            self._handle_verdict(verdict, now_ns)
+        if self.machine.state is State.APPLICATION:
+            self._allow(reading, now_ns)
+        else:
+            self.force_limit_n = 0.0
+            self._go_on(raw, now_ns)
+        return reading
+
+    def handle_force(self, x_n: float, y_n: float, leds: int = 0) -> None:
+        """What the application wants the motors and the LEDs to do; cut to what is allowed."""
+        if self.machine.state is State.APPLICATION:
+            limit_n = self.force_limit_n
+            if not (-limit_n <= x_n <= limit_n and -limit_n <= y_n <= limit_n):
+                x_n = _cut(x_n, limit_n)
+                y_n = _cut(y_n, limit_n)
+        else:
+            x_n, y_n, leds = self._output.x_n, self._output.y_n, self._output.leds
+        self.device.write_force(x_n, y_n)
+        if leds != self._leds:
+            self._leds = leds
+            self.device.write_leds(leds)
+
+    def next_event(self) -> Transition | None:
+        """The next transition, or None."""
+        return self.machine.next_event()
+
+    def report(self) -> dict[str, Any]:
+        """State, reason, temperatures (°C), counters."""
+        supervisor, calibration = self.supervisor, self.calibration
+        return {
+            "device": self.facts.name,
+            "state": self.machine.state.words,
+            "reason": self.machine.reason,
+            "temperature_c": self.reading.temperature_c,
+            "hottest_c": supervisor.hottest_c,
+            "temperature_warnings": supervisor.warnings,
+            "force_share": supervisor.share,
+            "force_limit_n": self.force_limit_n,
+            "transitions": self.machine.entered,
+            "refused": self.machine.refused,
+            "dead_man_released": self.released,
+            "calibration_mm": None
+            if calibration is None
+            else [
+                round(value * 1e3, 2)
+                for value in (
+                    calibration.x_m,
+                    calibration.y_m,
+                    calibration.half_width_m,
+                    calibration.half_height_m,
+                )
+            ],
+        }
+
+    def _allow(self, reading: Reading, now_ns: int) -> None:
+        """In the application: how much force there may be."""
+        limit_n = self._most_n * self.supervisor.share
+        if not self._hands_off:
+            if not reading.dead_man:
+                if self._held_since_ns is not None:
+                    self.released += 1
+                self._held_since_ns = None
+                self.force_limit_n = 0.0
+                return
+            if self._held_since_ns is None:
+                self._held_since_ns = now_ns
+            held_ns = now_ns - self._held_since_ns
+            if held_ns < _RETURN_NS:
+                limit_n *= held_ns / _RETURN_NS
+        self.force_limit_n = limit_n
+
+    def _handle_verdict(self, verdict: Verdict, now_ns: int) -> None:
+        machine, reason = self.machine, self.supervisor.reason
+        state = machine.state
+        if verdict is Verdict.FATAL:
+            if state is not State.FATAL:
+                machine.handle_event(Event.FATAL_FAULT, now_ns, reason)
+        elif verdict is Verdict.FAULT:
+            if state not in (State.RECOVERABLE, State.FATAL):
+                machine.handle_event(Event.FAULT, now_ns, reason)
+        elif state in (State.APPLICATION, State.CALIBRATED):
+            machine.handle_event(Event.HALT, now_ns, reason)
+        if machine.state is not state:
+            self._run = None
+            self._output = IDLE
+            self.prompt = ""
+
+    def _go_on(self, raw: Reading, now_ns: int) -> None:
+        """Outside the application: self-test, calibration, and what comes by itself."""
+        machine = self.machine
+        state = machine.state
+        self._output = IDLE
+        if state is State.INIT:
+            self._cycles += 1
+            if self._cycles >= _SELF_TEST_CYCLES:
+                machine.handle_event(Event.SELF_TEST_PASSED, now_ns)
+        elif self._run is not None:
+            self._output = self._run.handle_reading(raw, now_ns)
+            self.prompt = self._output.prompt
+            found = self._run.result
+            if found is not None:
+                self._run = None
+                self.prompt = ""
+                if found.problem:
+                    machine.handle_event(Event.CALIBRATION_FAILED, now_ns, found.problem)
+                else:
+                    self.calibration = found
+                    machine.handle_event(Event.CALIBRATION_PASSED, now_ns)
+        elif self._automatic:
+            self._ask_by_itself(state, now_ns)
+
+    def _ask_by_itself(self, state: State, now_ns: int) -> None:
+        if state is State.STANDBY:
+            self.handle_request(Event.CALIBRATE, now_ns)
+        elif state is State.CALIBRATED:
+            self.handle_request(Event.START, now_ns)
+        elif state is State.HALTED:
+            if self.supervisor.verdict is Verdict.WELL:
+                self.handle_request(Event.RESUME, now_ns)
+        elif (
+            state in (State.CALIBRATION_ERROR, State.RECOVERABLE)
+            and self._retries < _RETRIES
+            and now_ns - self.machine.since_ns >= _RETRY_NS
+        ):
+            self._retries += 1
+            # A fault of a place that was calibrated wrongly would keep its own mend away.
+            self.calibration = None
+            self.supervisor.verdict = Verdict.WELL
+            self.handle_request(Event.ACKNOWLEDGE, now_ns)
+
+
+def _cut(force_n: float, limit_n: float) -> float:
+    if not isfinite(force_n):
+        return 0.0
+    return limit_n if force_n > limit_n else -limit_n if force_n < -limit_n else force_n

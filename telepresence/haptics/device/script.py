@@ -1,0 +1,195 @@
+"""What a calibration and the functional checks are written as: a script that runs a cycle a time.
+
+A script is a generator. It yields what the device shall do until the next cycle, and is sent what
+the sensors then say. So a movement reads from top to bottom, and still nobody waits: the caller
+decides what drives it, a loop at 1 kHz or virtual time.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from math import hypot
+from typing import Generic, NamedTuple, TypeVar
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.device.device import DeviceFacts, Reading
+
+Result = TypeVar("Result")
+
+
+class Output(NamedTuple):
+    """What the device shall do: a force (N) and a mask of LEDs; prompt: what a person shall do."""
+
+    x_n: float = 0.0
+    y_n: float = 0.0
+    leds: int = 0
+    prompt: str = ""
+
+
+class Cycle(NamedTuple):
+    """What the script is sent: the sensors' reading at `now_ns`."""
+
+    reading: Reading
+    now_ns: int
+
+
+Script = Generator[Output, Cycle, Result]
+
+IDLE = Output()
+
+
+class ScriptRun(Generic[Result]):
+    """A script on its way: `handle_reading` in each cycle until `result` is there.
+
+    result: what the script returned; None while it runs, and for good after `abort`.
+    """
+
+    def __init__(self, script: Script[Result]) -> None:
+        self._script = script
+        self._begun = False
+        self._done = False
+        self.result: Result | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether the script has ended, or was ended."""
+        return self._done
+
+    def handle_reading(self, reading: Reading, now_ns: int) -> Output:
+        """One cycle: what the device shall do until the next."""
+        if self._done:
+            return IDLE
+        try:
+            if not self._begun:
+                self._begun = True
+                next(self._script)
+            return self._script.send(Cycle(reading, now_ns))
+        except StopIteration as end:
+            self._done = True
+            self.result = end.value
+            return IDLE
+
+    def abort(self) -> None:
+        """End it where it stands, without a result."""
+        self._script.close()
+        self._done = True
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Servo:
+    """A spring and a damper that the motors make, with which a script moves the handle.
+
+    Well damped with any handle between 0.2 and 1 kg, and stable at 1 kHz: the product of damping
+    and period stays far below the mass. Chosen.
+    """
+
+    stiffness_n_m: float = 300.0
+    damping_n_s_m: float = 20.0
+
+    def force(self, reading: Reading, x_m: float, y_m: float) -> tuple[float, float]:
+        """The force (N) that pulls the handle to (x_m, y_m) and rest."""
+        k, d = self.stiffness_n_m, self.damping_n_s_m
+        return (
+            k * (x_m - reading.x_m) - d * reading.vx_m_s,
+            k * (y_m - reading.y_m) - d * reading.vy_m_s,
+        )
+
+
+SERVO = Servo()
+
+#: At rest: slower than this, for this long.
+_REST_M_S = 0.002
+_REST_NS = 50 * NS_PER_MS
+#: A pull that grows by this much a second overcomes friction without a blow.
+_CREEP_N_S = 10.0
+_NEAR_M = 0.002
+
+
+def wait(cycle: Cycle, duration_ns: int) -> Script[Cycle]:
+    """Do nothing for so long; gives the last cycle."""
+    until_ns = cycle.now_ns + duration_ns
+    while cycle.now_ns < until_ns:
+        cycle = yield IDLE
+    return cycle
+
+
+def travel(
+    cycle: Cycle,
+    x_m: float,
+    y_m: float,
+    *,
+    speed_m_s: float = 0.15,
+    patience_ns: int = 3 * NS_PER_S,
+) -> Script[tuple[Cycle, bool]]:
+    """Bring the handle to (x_m, y_m), in encoder counts; whether it got there and stands.
+
+    The place it is pulled to moves at `speed_m_s`; what friction holds back at the end is made up
+    for by a force that grows slowly.
+    """
+    to_x, to_y = cycle.reading.x_m, cycle.reading.y_m
+    extra_x = extra_y = 0.0
+    until_ns = cycle.now_ns + patience_ns
+    still_since_ns = cycle.now_ns
+    last_ns = cycle.now_ns
+    while cycle.now_ns < until_ns:
+        reading = cycle.reading
+        dt_s = (cycle.now_ns - last_ns) / NS_PER_S
+        last_ns = cycle.now_ns
+        way = hypot(x_m - to_x, y_m - to_y)
+        step = speed_m_s * dt_s
+        if way <= step:
+            to_x, to_y = x_m, y_m
+            extra_x += _creep(x_m - reading.x_m, dt_s)
+            extra_y += _creep(y_m - reading.y_m, dt_s)
+        else:
+            to_x += (x_m - to_x) * step / way
+            to_y += (y_m - to_y) * step / way
+        near = abs(x_m - reading.x_m) < _NEAR_M and abs(y_m - reading.y_m) < _NEAR_M
+        if not near or hypot(reading.vx_m_s, reading.vy_m_s) > _REST_M_S:
+            still_since_ns = cycle.now_ns
+        elif cycle.now_ns - still_since_ns >= _REST_NS:
+            return cycle, True
+        x_n, y_n = SERVO.force(reading, to_x, to_y)
+        cycle = yield Output(x_n + extra_x, y_n + extra_y)
+    return cycle, False
+
+
+def push_to_stop(
+    cycle: Cycle,
+    direction: tuple[int, int],
+    *,
+    force_n: float,
+    speed_m_s: float = 0.25,
+    patience_ns: int = 2 * NS_PER_S,
+) -> Script[tuple[Cycle, Reading]]:
+    """Push along one axis until the handle stands; the reading there.
+
+    direction: one of (±1, 0), (0, ±1). The push is `force_n` at most and is taken back by a damper, so
+    that the handle does not reach the stop faster than about `speed_m_s`. The other axis is held where
+    it is.
+    """
+    start = cycle.reading
+    along_x, along_y = direction
+    damper = force_n / speed_m_s
+    until_ns = cycle.now_ns + patience_ns
+    # A push needs a while before it moves anything: rest does not count at once.
+    still_since_ns = cycle.now_ns + 2 * _REST_NS
+    while cycle.now_ns < until_ns:
+        reading = cycle.reading
+        hold_x, hold_y = SERVO.force(reading, start.x_m, start.y_m)
+        x_n = along_x * force_n - damper * reading.vx_m_s if along_x else hold_x
+        y_n = along_y * force_n - damper * reading.vy_m_s if along_y else hold_y
+        velocity = reading.vx_m_s if along_x else reading.vy_m_s
+        if abs(velocity) > _REST_M_S:
+            still_since_ns = max(still_since_ns, cycle.now_ns)
+        elif cycle.now_ns - still_since_ns >= _REST_NS:
+            break
+        cycle = yield Output(x_n, y_n)
+    return cycle, cycle.reading
+
+
+def _creep(error_m: float, dt_s: float) -> float:
+    if error_m > _NEAR_M / 2:
+        return _CREEP_N_S * dt_s
+    if error_m < -_NEAR_M / 2:
+        return -_CREEP_N_S * dt_s
+    return 0.0

@@ -1,0 +1,168 @@
+"""What is watched while the joystick runs, and what follows from it.
+
+| what | warning | less force | halted | error |
+|---|---|---|---|---|
+| motor temperature | `warn_c` | from `warn_c` on, linearly | `halt_c`, until `cool_c` | |
+| dead-man button | | none while it is let go | | |
+| communication | | the controller's own decay | `silence_ns` without a sample | |
+| place | | | | `outside_m` beyond the workspace |
+| velocity | | | | faster than any hand: `speed_m_s` |
+| numbers | | | | not finite; the device is gone (fatal) |
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from math import isfinite
+
+from kontur_av.clock import NS_PER_S
+from telepresence.haptics.device.device import Reading
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Limits:
+    """What is still allowed. All chosen: a motor's winding of class B bears 130 °C, a hand that
+    touches the housing for ten minutes 48 °C (ISO 13732-1), and between lie the case and time.
+    """
+
+    warn_c: float = 60.0
+    halt_c: float = 80.0
+    cool_c: float = 55.0
+    least_share: float = 0.3  # of the force limit that is left just below `halt_c`
+    silence_ns: int = 5 * NS_PER_S
+    outside_m: float = 0.01
+    speed_m_s: float = 8.0
+
+    def __post_init__(self) -> None:
+        if not self.cool_c < self.warn_c < self.halt_c:
+            raise ValueError("temperatures rise from cool_c over warn_c to halt_c")
+
+    def share(self, temperature_c: float | None) -> float:
+        """The share of the force limit that is left at this temperature, 0 to 1."""
+        if temperature_c is None or temperature_c <= self.warn_c:
+            return 1.0
+        if temperature_c >= self.halt_c:
+            return 0.0
+        into = (temperature_c - self.warn_c) / (self.halt_c - self.warn_c)
+        return 1.0 - (1.0 - self.least_share) * into
+
+
+class Verdict(Enum):
+    """How bad it is."""
+
+    WELL = 0
+    HALT = 1
+    FAULT = 2
+    FATAL = 3
+
+
+class Supervisor:
+    """Looks at each reading. `verdict` and `reason` (one line) say what it thinks of the newest.
+
+    share: of the force limit, what heat has left. warnings: how often `warn_c` was passed.
+    hottest_c: the highest temperature so far, None without a sensor.
+    """
+
+    def __init__(self, limits: Limits | None = None) -> None:
+        self.limits = limits or Limits()
+        self.verdict = Verdict.WELL
+        self.reason = ""
+        self.share = 1.0
+        self.warnings = 0
+        self.hottest_c: float | None = None
+        self._temperature_c: float | None = None
+        self._hot = False
+        self._heard_ns: int | None = None
+        self._silent = False
+
+    def handle_heard(self, now_ns: int) -> None:
+        """A sample of the peer is fresh."""
+        self._heard_ns = now_ns
+        self._silent = False
+
+    def forget_silence(self) -> None:
+        """The silence counts anew from the next reading on: nothing was expected until now."""
+        self._heard_ns = None
+
+    def handle_reading(
+        self,
+        reading: Reading,
+        now_ns: int,
+        *,
+        half_width_m: float,
+        half_height_m: float,
+        expects_peer: bool,
+    ) -> Verdict:
+        """Judge `reading`, which is calibrated to a workspace of these half widths.
+
+        They are infinite before that. expects_peer: whether silence counts.
+        """
+        x_m, y_m, vx_m_s, vy_m_s, _, _, temperature_c, present = reading
+        # One comparison each for the ordinary case; what is not a number fails it as well.
+        reach_x, reach_y = (
+            half_width_m + self.limits.outside_m,
+            half_height_m + self.limits.outside_m,
+        )
+        speed = self.limits.speed_m_s
+        if not (
+            present
+            and -reach_x <= x_m <= reach_x
+            and -reach_y <= y_m <= reach_y
+            and -speed <= vx_m_s <= speed
+            and -speed <= vy_m_s <= speed
+        ):
+            return self._judge_sensors(reading, half_width_m, half_height_m)
+        if temperature_c is not None and temperature_c != self._temperature_c:
+            self._temperature_c = temperature_c
+            self._handle_temperature(temperature_c)
+        if self._hot:
+            return self._say(
+                Verdict.HALT,
+                f"the motors are at {self._temperature_c:.0f} °C: they may go on below "
+                f"{self.limits.cool_c:.0f} °C",
+            )
+        if expects_peer:
+            if self._heard_ns is None:
+                self._heard_ns = now_ns
+            elif now_ns - self._heard_ns > self.limits.silence_ns:
+                self._silent = True
+        if self._silent:
+            return self._say(
+                Verdict.HALT,
+                f"no sample from the robot for {self.limits.silence_ns / NS_PER_S:g} s",
+            )
+        if self.verdict is not Verdict.WELL:
+            self._say(Verdict.WELL, "")
+        return Verdict.WELL
+
+    def _handle_temperature(self, temperature_c: float) -> None:
+        limits = self.limits
+        if self.hottest_c is None or temperature_c > self.hottest_c:
+            if (self.hottest_c or limits.cool_c) <= limits.warn_c < temperature_c:
+                self.warnings += 1
+            self.hottest_c = temperature_c
+        self.share = limits.share(temperature_c)
+        if temperature_c >= limits.halt_c:
+            self._hot = True
+        elif temperature_c < limits.cool_c:
+            self._hot = False
+
+    def _judge_sensors(
+        self, reading: Reading, half_width_m: float, half_height_m: float
+    ) -> Verdict:
+        if not reading.present:
+            return self._say(Verdict.FATAL, "the device is gone: plug it in and start anew")
+        for axis, half_m in ((0, half_width_m), (1, half_height_m)):
+            name, place_m, speed_m_s = "xy"[axis], reading.place(axis), reading.speed(axis)
+            if not (isfinite(place_m) and isfinite(speed_m_s)):
+                return self._say(Verdict.FAULT, f"axis {name} reads no number")
+            if abs(place_m) > half_m + self.limits.outside_m:
+                return self._say(
+                    Verdict.FAULT,
+                    f"axis {name} reads {place_m * 1e3:+.0f} mm, the workspace ends at "
+                    f"±{half_m * 1e3:.0f} mm",
+                )
+        return self._say(Verdict.FAULT, "the handle reads faster than a hand can move it")
+
+    def _say(self, verdict: Verdict, reason: str) -> Verdict:
+        self.verdict, self.reason = verdict, reason
+        return verdict
