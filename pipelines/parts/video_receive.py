@@ -45,8 +45,9 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                     if stamp is not None:
                         loan = writer.loan_picture(stream.width, stream.height)
                         picture.scale_into(loan.picture)
-                        loan.publish(stamp)
+                        # Before it is published: the display may be faster than this process.
                         decoded.extend((stamp.sequence, clock.now_ns()))
+                        loan.publish(stamp)
             feedback = receiving.poll_feedback(clock.now_ns())
             if feedback is not None:
                 to_sender(feedback)

@@ -1,0 +1,262 @@
+"""`kontur-av bench latency`: one page of what each stream of a setup takes, and of what."""
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
+from pipelines.bench.latency_plot import plot_leads
+from pipelines.bench.latency_runs import (
+    VIRTUAL_CLOCK,
+    Clock,
+    live_clock,
+    live_run,
+    radio_delay_ms,
+    virtual_run,
+)
+from pipelines.bench.latency_targets import MEANT_FOR, judge
+from pipelines.bench.plot import check_plot
+from pipelines.report_file import check_writable, write_report
+from pipelines.setup import Setup
+from pipelines.setup_file import load_setup
+from pipelines.setups import BUILT_IN
+from pipelines.sim.inputs import check_sources as check_virtual_sources
+from pipelines.stream import check_sources
+from pipelines.terms import TERMS
+
+_PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
+#: Force that comes before its picture by more is noticed (Di Luca and Mahnan, World Haptics 2019).
+_NOTICED_MS = 15.0
+_HISTOGRAM_PERCENT = 0.4
+
+Report = Mapping[str, Any]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av bench latency`."""
+    parser.add_argument(
+        "--setup",
+        default="spacejustin",
+        metavar="NAME",
+        help="spacejustin, taskboard or FILE.toml (default spacejustin)",
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, metavar="S", help="of virtual time (default 20)"
+    )
+    live = parser.add_mutually_exclusive_group()
+    live.add_argument(
+        "--live-seconds", type=float, default=20.0, metavar="S", help="of real time (default 20)"
+    )
+    live.add_argument("--no-live", action="store_true", help="virtual time only")
+    parser.add_argument(
+        "--radio",
+        default="clean",
+        metavar="PROFILE",
+        help="cable, clean, iss-pass, geo or FILE.toml (default clean)",
+    )
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the radio's chances")
+    parser.add_argument(
+        "--base-port", type=int, default=27_000, metavar="P", help="of the live run"
+    )
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the lead's terms as PNG")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, and print the page."""
+    for name in ("seconds", "live_seconds"):
+        if not 1 <= getattr(args, name) <= 3600:
+            option = f"--{name.replace('_', '-')}"
+            raise ConfigError(f"{option} {getattr(args, name):g}: give 1 to 3600")
+    check_writable(args.report)
+    check_plot(args.plot)
+    setups = _setups(args)
+    console = Console() if Console().is_terminal else Console(width=118)
+    setup = setups[0]
+    console.print(_heading(args, setup), markup=False, highlight=False)
+    virtual = virtual_run(setup, seconds=args.seconds, seed=args.seed)
+    live = None
+    if not args.no_live:
+        live = live_run(
+            args.setup,
+            seconds=args.live_seconds,
+            seed=args.seed,
+            radio=args.radio,
+            base_port=args.base_port,
+        )
+    clocks = {"virtual": VIRTUAL_CLOCK} | ({} if live is None else {"live": live_clock(live)})
+    console.print(_latencies(setup, virtual, live, clocks))
+    console.print(_targets(setup, args.radio, virtual, live))
+    leads = {f"{setup.name}, virtual": virtual["video_lead"]}
+    if live is not None:
+        leads[f"{setup.name}, live"] = live["video_lead"]
+    others = {}
+    for other in setups[1:]:
+        others[other.name] = virtual_run(other, seconds=args.seconds, seed=args.seed)
+        leads[f"{other.name}, virtual"] = others[other.name]["video_lead"]
+    console.print(_leads(leads))
+    for failure in (live or {}).get("failures", ()):
+        console.print(f"live session failed: {failure}", markup=False)
+    if args.plot is not None:
+        shown = {label: lead["lead_ms"] for label, lead in leads.items() if lead is not None}
+        plot_leads(args.plot, shown, {f"noticed from {_NOTICED_MS:g} ms on": _NOTICED_MS})
+    if args.report is not None:
+        figures = {
+            "setup": setup.name,
+            "radio": setup.radio_profile.name,
+            "seed": args.seed,
+            "clocks": {name: asdict(clock) for name, clock in clocks.items()},
+            "targets": [asdict(verdict) for verdict in judge(virtual)],
+            "leads": leads,
+            "virtual": virtual,
+            "live": live,
+            "other_setups": others,
+        }
+        write_report(args.report, figures)
+    return 0
+
+
+def _setups(args: argparse.Namespace) -> list[Setup]:
+    """The chosen one, and the built-in ones to compare it with, all with the chosen radio."""
+    chosen = load_setup(args.setup)
+    others = [setup for name, setup in BUILT_IN.items() if name != chosen.name]
+    changes: dict[str, Any] = {"radio": args.radio, "radio_delay_ms": 0.0}
+    # The live run's port, checked before anything is measured.
+    first = replace(chosen, base_port=args.base_port, **changes)
+    check_virtual_sources(first)
+    check_sources(first)
+    return [first, *(replace(setup, **changes) for setup in others)]
+
+
+def _heading(args: argparse.Namespace, setup: Setup) -> str:
+    links = (
+        f"{profile.name} {profile.capacity_bps / 1000:g} kbit/s, {profile.frame_octets} octets "
+        f"each {profile.slot_ns / NS_PER_S * 1000:g} ms"
+        for profile in (setup.uplink, setup.downlink)
+    )
+    radio = setup.radio_profile
+    described = f" ({radio.description})" if radio.description else ""
+    return (
+        f"{setup.name}; radio {radio.name}{described}, seed {args.seed}\nlink: {'; '.join(links)}\n"
+    )
+
+
+def _latencies(
+    setup: Setup, virtual: Report, live: Report | None, clocks: Mapping[str, Clock]
+) -> Table:
+    runs = {"virtual": virtual} | ({} if live is None else {"live": live})
+    table = Table(
+        title="latency in ms: capture to display, mouth to ear, sample to sample; and its stages",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    table.add_column("", no_wrap=True)
+    for name in runs:
+        table.add_column(f"{name}\nn", justify="right")
+        for percentile in _PERCENTILES:
+            table.add_column(percentile, justify="right")
+    for label, found in _rows(runs):
+        cells: list[str] = []
+        for latency in found:
+            if latency is None or not latency["count"]:
+                cells += ["", *[""] * len(_PERCENTILES)]
+                continue
+            cells.append(str(latency["count"]))
+            cells += [f"{latency[percentile]:.1f}" for percentile in _PERCENTILES]
+        table.add_row(label, *cells)
+    for name in ("video_haptic", "audio_haptic", "audio_video"):
+        if any(report["skew_ms"].get(name) for report in runs.values()):
+            first, _, second = name.partition("_")
+            cells = []
+            for report in runs.values():
+                skew = report["skew_ms"].get(name) or {}
+                of = [f"{skew[p]:+.1f}" if p in skew else "" for p in _PERCENTILES]
+                cells += ["", *of]
+            table.add_row(f"{first} after {'force' if second == 'haptic' else second}", *cells)
+    table.caption = "\n".join(
+        f"{name}: {report['seconds']:.0f} s; radio {_range(radio_delay_ms(report))} ms one way; "
+        f"{clocks[name].method}, error <= {clocks[name].error_us:g} µs"
+        for name, report in runs.items()
+    )
+    table.caption += f"\nmax is exact, the percentiles to {_HISTOGRAM_PERCENT} %"
+    table.caption_justify = "left"
+    return table
+
+
+def _range(limits: tuple[float, float]) -> str:
+    least, most = limits
+    return f"{most:.1f}" if most - least < 0.05 else f"{least:.1f} to {most:.1f}"
+
+
+def _rows(
+    runs: Mapping[str, Report],
+) -> Iterator[tuple[str, Sequence[Mapping[str, float] | None]]]:
+    first = next(iter(runs.values()))
+    for direction in ("up", "down"):
+        name = "force (haptic_up)" if direction == "up" else "command (haptic_down)"
+        yield name, [report["haptic"][direction]["latency_ms"] for report in runs.values()]
+    for name, stream in first["streams"].items():
+        latencies = [report["streams"][name]["latency_ms"] for report in runs.values()]
+        yield name, latencies
+        for stage in stream["latency_ms"]["stages"]:
+            label = f"  {stage.replace('_', ' ')}"
+            yield label, [latency["stages"][stage] for latency in latencies]
+
+
+def _targets(setup: Setup, radio: str, virtual: Report, live: Report | None) -> Table:
+    table = Table(
+        title=f"targets of {MEANT_FOR[0]} on {MEANT_FOR[1]}, virtual time",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    for heading in ("", "bound", "found", ""):
+        table.add_column(heading)
+    if live is not None:
+        table.add_column("live, for information")
+    beside = {} if live is None else {verdict.what: verdict.found for verdict in judge(live)}
+    for verdict in judge(virtual):
+        cells = [verdict.what, verdict.bound, verdict.found, "met" if verdict.met else "MISSED"]
+        table.add_row(*cells, *([] if live is None else [beside.get(verdict.what, "")]))
+    if (setup.name, radio) != MEANT_FOR:
+        table.caption = f"this is {setup.name} on {radio}: they are not meant for it"
+    return table
+
+
+def _leads(leads: Mapping[str, Mapping[str, Any] | None]) -> Table:
+    table = Table(
+        title="by how much force comes before the picture of the same event: means, ms",
+        title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    table.add_column("term")
+    found = {label: lead for label, lead in leads.items() if lead is not None}
+    for label in found:
+        setup, _, kind = label.rpartition(", ")
+        table.add_column(f"{setup}\n{kind}: video", justify="right")
+        table.add_column("\nforce", justify="right")
+        table.add_column("\nlead", justify="right")
+    for term in (*TERMS, "total"):
+        if term == "total":
+            table.add_section()
+        cells = [
+            f"{lead[key][term]:.1f}"
+            for lead in found.values()
+            for key in ("video_ms", "force_ms", "lead_ms")
+        ]
+        table.add_row(term, *cells)
+    table.caption = (
+        "for an event at any instant of a camera's period; see docs/latency.md for each term.\n"
+        f"noticed from {_NOTICED_MS:g} ms on (Di Luca and Mahnan 2019); force is never delayed"
+    )
+    table.caption_justify = "left"
+    return table
