@@ -4,7 +4,7 @@ A user's own setup is a TOML file with the same fields: `pipelines.setup_file`.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
 from typing import Literal
@@ -21,6 +21,7 @@ from telepresence.link.arithmetic import (
     TableLine,
     channel_table,
     check_fit,
+    freed_need_bps,
 )
 from telepresence.link.flows import (
     Flow,
@@ -224,6 +225,8 @@ class Setup:
     radio: what the radio does to frames: a built-in profile (`cable`, `clean`, `iss-pass`, `geo`)
         or a file NAME.toml (docs/radio.md).
     radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
+    deadband: haptic samples are left out while nobody would feel the difference, and the uplink
+        video gets what that saves (docs/deadband.md).
     """
 
     name: str
@@ -237,6 +240,7 @@ class Setup:
     downlink: LinkProfile = DOWNLINK
     radio: str = NO_RADIO
     radio_delay_ms: float = 0.0
+    deadband: bool = False
     #: Below the ports that Linux gives to whoever names none (32768 on), ours included.
     base_port: int = 27_000
 
@@ -384,6 +388,12 @@ class Setup:
     def need_down(self) -> ChannelNeed:
         """What the downlink carries at the caps; ConfigError when it does not fit."""
         return check_fit(self.downlink, _needs(self.downlink_voice, self.downlink_video))
+
+    def freed_need_bps(self, stream: VideoStream, gain_bps: int) -> int:
+        """What slots without a sample must leave for the cap of `stream` to rise by `gain_bps`."""
+        grown = replace(stream, cap_bps=stream.cap_bps + gain_bps)
+        voice = self.uplink_voice if stream == self.uplink_video else self.downlink_voice
+        return max(gain_bps, freed_need_bps(self.profile_of(stream), _needs(voice, grown)))
 
     def channel_table(self, direction: str) -> tuple[TableLine, ...]:
         """The arithmetic of `need_up` ("uplink") or `need_down` ("downlink") line by line."""

@@ -78,6 +78,8 @@ def setup_from_table(table: Mapping[str, Any]) -> Setup:
         value = values.get(name)
         if value is not None and (isinstance(value, bool) or not isinstance(value, kind)):
             raise ConfigError(f"{name} must be a {'text' if kind is str else 'number'}")
+    if not isinstance(values.get("deadband", False), bool):
+        raise ConfigError("deadband must be true or false")
     return Setup(**values)
 
 

@@ -51,8 +51,8 @@ class RobotEnd(_End[Feedback, Command]):
     or -1.
     """
 
-    def __init__(self, probe: Probe) -> None:
-        super().__init__(robot_link(), probe)
+    def __init__(self, probe: Probe, *, deadband: bool = False) -> None:
+        super().__init__(robot_link(deadband=deadband), probe)
         self._robot = Robot()
         self._step = self._robot.step
         self._contact_since_ns: int | None = None
@@ -96,8 +96,8 @@ class RobotEnd(_End[Feedback, Command]):
 class JoystickEnd(_End[Command, Feedback]):
     """Moves the handle as the simulated hand does, and puts the robot's force on it."""
 
-    def __init__(self, probe: Probe) -> None:
-        super().__init__(joystick_link(), probe)
+    def __init__(self, probe: Probe, *, deadband: bool = False) -> None:
+        super().__init__(joystick_link(deadband=deadband), probe)
         self._step = Joystick().step
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:

@@ -28,13 +28,15 @@ def run_robot(context: Context) -> None:
             stamp = CaptureStamp(state.time_ns, next(numbers), "robot")
             writer.publish_octets(pack_state(state), stamp)
 
-        _run_loop(context, RobotEnd(context.probe), ports.robot, ports.ground_haptic, publish)
+        end = RobotEnd(context.probe, deadband=context.setup.deadband)
+        _run_loop(context, end, ports.robot, ports.ground_haptic, publish)
 
 
 def run_joystick(context: Context) -> None:
     """Move the handle as the simulated hand does, and put the robot's force on it."""
     ports = context.setup.ports
-    _run_loop(context, JoystickEnd(context.probe), ports.joystick, ports.space_haptic)
+    end = JoystickEnd(context.probe, deadband=context.setup.deadband)
+    _run_loop(context, end, ports.joystick, ports.space_haptic)
 
 
 def _run_loop(

@@ -14,7 +14,6 @@ sample that was lost: the observers see the energy that really flows at their ow
 comes from the running totals of the samples that did come.
 """
 
-from collections.abc import Hashable, Sequence
 from math import sqrt
 from typing import Any
 
@@ -41,6 +40,9 @@ _EARLY_NS = NS_PER_MS // 2
 #: Velocity is taken over no shorter time: a cycle that came late is followed by one too soon.
 _SHORTEST_NS = NS_PER_MS // 2
 
+#: Places in both kinds of value.
+_ACTED, _HALTED = 6, 7
+
 
 class Deadband:
     """Says of each sample whether it is to be sent. A core: it is told the time.
@@ -58,18 +60,18 @@ class Deadband:
         self._share = share
         self._lag_ns = lag_ns
         self._floor = floor
-        self._sent: Sequence[Any] | None = None
+        self._sent: Any = None
         self._sent_ns = 0
         self._radius = 0.0
-        self._told: Hashable = None
+        self._holding = False
         self._last_x = self._last_y = 0.0
         self._last_ns = 0
 
-    def handle_sample(self, value: Sequence[Any], flags: Hashable, now_ns: int) -> bool:
-        """Whether `value` is to be sent: (x, y, running energy in µJ, whatever else it says).
+    def handle_sample(self, value: Any, holding: bool, now_ns: int) -> bool:
+        """Whether `value`, a `sample.Command` or a `sample.Feedback`, is to be sent.
 
-        flags: what goes with it. Where that, or whatever else it says, differs from what was sent
-        last, it is sent at once.
+        holding: the flag that goes with it. Where that, contact, state, mode, buttons, LED or a
+        fault differ from what was sent last, or the passivity controller acted, it is.
         """
         self.samples += 1
         sent = self._sent
@@ -86,13 +88,15 @@ class Deadband:
             dx, dy = x - sent[0], y - sent[1]
             if (
                 dx * dx + dy * dy < room * room
-                and -ENERGY_FLOOR_UJ < value[2] - sent[2] < ENERGY_FLOOR_UJ
-                and value[3:] == sent[3:]
-                and flags == self._told
+                and value[2] - sent[2] < ENERGY_FLOOR_UJ
+                and value[3:_ACTED] == sent[3:_ACTED]
+                and not value[_ACTED]
+                and value[_HALTED] == sent[_HALTED]
+                and holding == self._holding
             ):
                 self.left_out += 1
                 return False
-        self._sent, self._sent_ns, self._told = value, now_ns, flags
+        self._sent, self._sent_ns, self._holding = value, now_ns, holding
         radius = self._share * sqrt(x * x + y * y)
         self._radius = radius if radius > self._floor else self._floor
         return True

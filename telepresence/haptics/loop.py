@@ -7,6 +7,7 @@ from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
+from telepresence.haptics.deadband import Deadband, command_deadband, feedback_deadband
 from telepresence.haptics.sample import (
     FLAG_HOLDING,
     SEQUENCE_MODULUS,
@@ -84,6 +85,8 @@ class HapticLink(Generic[Out, In]):
     Counters: sent; received (samples that were the newest when they came); late (older than
     the newest, unused); repeated (or older than the first one); garbage; restarts (of the peer);
     lost (sequence numbers that have not come so far; a late one is taken off again).
+    deadband: leaves out what the peer would not feel. A sample that is left out has no sequence
+    number, so it is not missed.
     `peer_holds`: the newest sample said that the peer hears nothing from this end.
     """
 
@@ -93,8 +96,10 @@ class HapticLink(Generic[Out, In]):
         unpack: Callable[[bytes], tuple[int, int, In]],
         *,
         max_age_ns: int = MAX_AGE_NS,
+        deadband: Deadband | None = None,
     ) -> None:
         self.max_age_ns = max_age_ns
+        self.deadband = deadband
         self.sent = 0
         self.received = 0
         self.late = 0
@@ -156,12 +161,17 @@ class HapticLink(Generic[Out, In]):
         return self._newest
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The 12 octets to send now; None when there is nothing new since the last call."""
+        """The 12 octets to send now; None when there is nothing new since the last call, or
+        nothing that the peer would feel."""
         if self._hearing and now_ns - self._newest_ns > self.max_age_ns:
             self._hearing = False
             self._events.append(PeerLost(now_ns, self._newest_ns))
         local = self._local
         if local is None:
+            return None
+        deadband = self.deadband
+        if deadband is not None and not deadband.handle_sample(local, not self._hearing, now_ns):
+            self._local = None
             return None
         sequence = self.sent % SEQUENCE_MODULUS
         data = self._pack(sequence, local, not self._hearing)
@@ -189,7 +199,9 @@ class HapticLink(Generic[Out, In]):
 
     def report(self) -> dict[str, int]:
         """The counters by name."""
+        left_out = {} if self.deadband is None else {"left_out": self.deadband.left_out}
         return {
+            **left_out,
             "sent": self.sent,
             "received": self.received,
             "lost": self.lost,
@@ -248,14 +260,20 @@ class HapticLink(Generic[Out, In]):
         return True
 
 
-def joystick_link(*, max_age_ns: int = MAX_AGE_NS) -> HapticLink[Command, Feedback]:
+def joystick_link(
+    *, max_age_ns: int = MAX_AGE_NS, deadband: bool = False
+) -> HapticLink[Command, Feedback]:
     """The end at the joystick: sends commands, receives feedback."""
-    return HapticLink(pack_command, read_feedback, max_age_ns=max_age_ns)
+    band = command_deadband() if deadband else None
+    return HapticLink(pack_command, read_feedback, max_age_ns=max_age_ns, deadband=band)
 
 
-def robot_link(*, max_age_ns: int = MAX_AGE_NS) -> HapticLink[Feedback, Command]:
+def robot_link(
+    *, max_age_ns: int = MAX_AGE_NS, deadband: bool = False
+) -> HapticLink[Feedback, Command]:
     """The end at the robot: sends feedback, receives commands."""
-    return HapticLink(pack_feedback, read_command, max_age_ns=max_age_ns)
+    band = feedback_deadband() if deadband else None
+    return HapticLink(pack_feedback, read_command, max_age_ns=max_age_ns, deadband=band)
 
 
 def _take(stamps: deque[int]) -> list[tuple[int, int]]:

@@ -180,27 +180,14 @@ def check_fit(
     )
 
 
-def freed_payload_bps(
-    profile: LinkProfile, streams: Sequence[StreamNeed], name: str, freed_bps: int
-) -> int:
-    """By how much the payload of the stream `name` may grow where slots without a sample leave
-    `freed_bps`; from 0 to `freed_bps`.
+def freed_need_bps(profile: LinkProfile, streams: Sequence[StreamNeed]) -> int:
+    """What slots without a sample must leave so that `streams`, too much for `profile`, fit.
 
-    Taken off is what the longer zones cost: a supervision message takes a whole one, and more
-    packets end in the zone in which they began, as if all zones were long; and what the headers
-    of more packets would need beyond what is spare.
+    Longer zones cost something, too: a supervision message takes a whole one, and more packets
+    end in the zone in which they began. All zones are taken for long.
     """
-    longer = replace(profile, insert_octets=0)
-    need = channel_need(profile, streams)
-    grown = [
-        replace(stream, payload_bps=stream.payload_bps + freed_bps)
-        if stream.name == name
-        else stream
-        for stream in streams
-    ]
-    needed_bps = channel_need(longer, grown).needed_bps
-    lacking_bps = needed_bps - need.available_bps - freed_bps
-    return max(0, freed_bps - max(0, lacking_bps))
+    needed_bps = channel_need(replace(profile, insert_octets=0), streams).needed_bps
+    return max(0, needed_bps - profile.media_bps)
 
 
 class TableLine(NamedTuple):

@@ -1,0 +1,91 @@
+"""What a video stream gains where slots leave their samples out: its cap rises, by steps.
+
+A new cap costs a key picture, so it is raised late and in steps; but what is there no more must not
+be spent, so it is lowered at once. docs/deadband.md has what that is worth.
+"""
+
+from fractions import Fraction
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.h264 import SLOW_REFRESH_S
+from kontur_av.h264_settings import H264Settings
+from pipelines.setup import Setup, VideoStream
+
+#: So long the higher step must have been there, all the time.
+STEADY_NS = 2 * NS_PER_S
+#: Of what is free so much stays so: by so much it may fall, in bit/s, until what has left already
+#: is out of the second of the cap, in lumps of a picture.
+RESERVE_BPS = 6_000
+#: The raised cap is found to this, in bit/s.
+_GRAIN_BPS = 100
+#: x264 knows its buffer in so many bits.
+_KILOBIT = 1000
+
+
+class CapGain:
+    """How much the cap of `stream` may be higher than the setup's. A core: it is told the time.
+
+    Tell it of what slots without a sample leave (`handle_freed`), every few milliseconds; then
+    `bps` is by how much. gained_bits: that, summed up over the time. changes: how often it changed.
+    """
+
+    def __init__(self, setup: Setup, stream: VideoStream) -> None:
+        #: The gains there are, none first, and what must be free for each.
+        self._steps = [(0, 0)]
+        for gain_bps in _worthwhile_bps(setup, stream):
+            freed_bps = setup.freed_need_bps(stream, gain_bps) + RESERVE_BPS
+            self._steps.append((gain_bps, freed_bps))
+        self._step = 0
+        self.bps = 0
+        self.gained_bits = 0
+        self.changes = 0
+        self._higher: int | None = None
+        self._since_ns = 0
+        self._told_ns: int | None = None
+
+    def handle_freed(self, freed_bps: int, now_ns: int) -> bool:
+        """So much was free in the last second; whether `bps` is another one now."""
+        if self._told_ns is not None and now_ns > self._told_ns:
+            self.gained_bits += self.bps * (now_ns - self._told_ns) // NS_PER_S
+        self._told_ns = now_ns
+        step = max(i for i, (_, wanted_bps) in enumerate(self._steps) if wanted_bps <= freed_bps)
+        if step <= self._step:
+            self._higher = None
+            return step < self._step and self._take(step)
+        if self._higher is None:
+            self._higher, self._since_ns = step, now_ns
+        self._higher = min(self._higher, step)
+        return now_ns - self._since_ns >= STEADY_NS and self._take(self._higher)
+
+    def _take(self, step: int) -> bool:
+        self._higher = None
+        self._step = step
+        self.bps = self._steps[step][0]
+        self.changes += 1
+        return True
+
+
+def _worthwhile_bps(setup: Setup, stream: VideoStream) -> list[int]:
+    """The gains, in order: each gives a picture a kilobit more, which is how x264 counts."""
+    profile = setup.profile_of(stream)
+    most_bps = profile.insert_octets * 8 * NS_PER_S // profile.slot_ns
+    gains = []
+    kilobits = _kilobits(stream, 0)
+    for gain_bps in range(0, most_bps, _GRAIN_BPS):
+        if _kilobits(stream, gain_bps) > kilobits:
+            kilobits = _kilobits(stream, gain_bps)
+            gains.append(gain_bps)
+    return gains
+
+
+def _kilobits(stream: VideoStream, gain_bps: int) -> int:
+    width, height = stream.coded_size
+    settings = H264Settings(
+        width=width,
+        height=height,
+        rate=Fraction(stream.fps),
+        cap_bps=stream.cap_bps + gain_bps,
+        refresh_s=SLOW_REFRESH_S,
+        preset="superfast",
+    )
+    return int(settings.options()["bufsize"]) // _KILOBIT
