@@ -61,7 +61,7 @@ class ClickDetector:
 
     def __init__(self) -> None:
         self._kernel = _band_pass()
-        self._raw = np.zeros(_TAPS + _FRAME - 2)
+        self._raw: NDArray[np.float64] = np.zeros(_TAPS + _FRAME - 2)
         #: The envelope of each sample that is still of interest.
         self._line: NDArray[np.float64] = np.zeros(0)
         #: Blocks: (index of their first sample, instant, tag, samples).
@@ -79,7 +79,7 @@ class ClickDetector:
             return
         self._blocks.append((self._end, now_ns, tag, count))
         self._end += count
-        raw = np.concatenate((self._raw, samples))
+        raw = np.concatenate((self._raw, samples.astype(np.float64)))
         self._raw = raw[-(_TAPS + _FRAME - 2) :]
         filtered = np.abs(np.convolve(raw, self._kernel, "valid"))
         total = np.concatenate(((0.0,), np.cumsum(filtered)))

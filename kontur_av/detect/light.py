@@ -1,2 +1,157 @@
-class Light: ...
-class LightDetector: ...
+"""Finds the moment in which a light comes on in pictures, without knowing where it is.
+
+Of each picture only the mean of some hundred cells is kept: luma and how far the colour is from
+grey. A light adds to both, in a compact patch, from one picture to the next, and stays. What moves
+changes as much, but it leaves a place when it takes another, and its edges brighten on one side
+and darken on the other: what got darker close by is taken off. A cut to another camera changes
+everything, and no light does that.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.media import I420, planes
+
+#: Cells across a picture.
+COLUMNS = 80
+#: A cell belongs to the patch if it rose by so much; one of them has to rise by more. Levels.
+_RISE = 16
+_PEAK_RISE = 30
+#: What is left of a patch when what got darker close by is taken off: in levels times cells, and as
+#: a share. So many cells around the patch are close by.
+_LEAST_STRENGTH = 80
+_LEAST_SHARE = 0.4
+_CLOSE = 5
+#: Of all cells a patch has at most this share, and all that changes in a picture at most that.
+_LARGEST_PATCH = 0.08
+_LARGEST_CHANGE = 0.30
+#: So many patches of a picture are looked at, the largest first.
+_PATCHES = 5
+
+Cells = NDArray[np.int16]
+
+
+@dataclass(frozen=True, slots=True)
+class Roi:
+    """Where to look: pixels from the left and the top edge; all numbers are made even."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """A light came on.
+
+    instant_ns, tag: of the first picture that shows it, and previous_ns: of the one before, which
+    does not. x, y: the middle of it, as shares of the picture's width and height. strength: how
+    much it adds, in levels times cells, less if the place goes on changing.
+    """
+
+    instant_ns: int
+    previous_ns: int
+    tag: int
+    x: float
+    y: float
+    strength: float
+
+
+@dataclass(slots=True)
+class _Seen:
+    instant_ns: int
+    tag: int
+    cells: Cells
+
+
+class LightDetector:
+    """Takes every picture that is shown, once; drain `next_event` after each.
+
+    A light is told with the second picture that shows it. Pictures may come at any rate and pause
+    for as long as they like: only their order counts. roi: look only there.
+    """
+
+    def __init__(self, *, roi: Roi | None = None, columns: int = COLUMNS) -> None:
+        self._roi = roi
+        self._columns = columns
+        self._seen: deque[_Seen] = deque(maxlen=4)
+        self._events: deque[Light] = deque()
+
+    def handle_picture(self, picture: I420, now_ns: int, tag: int) -> None:
+        """A picture, shape (height * 3 // 2, width), is shown at `now_ns`. tag: names it."""
+        cells = self._cells(picture)
+        if self._seen and self._seen[-1].cells.shape != cells.shape:
+            self._seen.clear()
+        self._seen.append(_Seen(now_ns, tag, cells))
+        if len(self._seen) == 4:
+            self._look()
+
+    def next_event(self) -> Light | None:
+        """The next light, oldest first; None when there is none."""
+        return self._events.popleft() if self._events else None
+
+    def _cells(self, picture: I420) -> Cells:
+        every = planes(picture)
+        roi = self._roi
+        if roi is not None:
+            every = tuple(  # type: ignore[assignment]
+                plane[
+                    roi.top // scale : (roi.top + roi.height) // scale,
+                    roi.left // scale : (roi.left + roi.width) // scale,
+                ]
+                for plane, scale in zip(every, (1, 2, 2), strict=True)
+            )
+        height, width = every[0].shape
+        columns = min(self._columns, width // 4)
+        size = columns, max(4, round(columns * height / width))
+        luma, u, v = (cv2.resize(plane, size, interpolation=cv2.INTER_AREA) for plane in every)
+        # In one octet each: the sum is of a light's order only where there is one.
+        grey = np.full_like(u, 128)
+        colour = cv2.add(cv2.absdiff(u, grey), cv2.absdiff(v, grey))
+        return np.asarray(cv2.add(luma, colour, dtype=cv2.CV_16S), np.int16)
+
+    def _look(self) -> None:
+        first, second, third, fourth = (seen.cells for seen in self._seen)
+        rise = np.minimum(third, fourth) - np.maximum(first, second)
+        if int(rise.max()) < _PEAK_RISE:
+            return
+        fall = np.minimum(first, second) - np.maximum(third, fourth)
+        risen = rise > _RISE
+        changed = np.count_nonzero(risen) + np.count_nonzero(fall > _RISE)
+        if changed > _LARGEST_CHANGE * rise.size:
+            return
+        np.maximum(fall, 0, out=fall)
+        count, labels, boxes, centres = cv2.connectedComponentsWithStats(risen.astype(np.uint8))
+        best, strongest = 0, 0.0
+        for label in sorted(range(1, count), key=lambda patch: -boxes[patch][4])[:_PATCHES]:
+            left, top, width, height, area = (int(value) for value in boxes[label])
+            if area > _LARGEST_PATCH * rise.size:
+                continue
+            box = np.s_[top : top + height, left : left + width]
+            inside = rise[box][labels[box] == label]
+            if int(inside.max()) < _PEAK_RISE:
+                continue
+            gain = float(inside.sum())
+            rows = slice(max(0, top - _CLOSE), top + height + _CLOSE)
+            columns = slice(max(0, left - _CLOSE), left + width + _CLOSE)
+            strength = gain - float(fall[rows, columns].sum())
+            if strength < max(_LEAST_STRENGTH, _LEAST_SHARE * gain):
+                continue
+            # A light stays as it is; what moves goes on moving.
+            going_on = float(np.abs(fourth[rows, columns] - third[rows, columns]).sum())
+            strength *= strength / (strength + going_on)
+            if strength > strongest:
+                best, strongest = label, strength
+        if not best:
+            return
+        before, shown = self._seen[1], self._seen[2]
+        x, y = (
+            (float(value) + 0.5) / cells
+            for value, cells in zip(centres[best], reversed(rise.shape), strict=True)
+        )
+        self._events.append(Light(shown.instant_ns, before.instant_ns, shown.tag, x, y, strongest))

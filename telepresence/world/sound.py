@@ -13,7 +13,7 @@ from telepresence.world.state import StateAt
 #: The room's level (RMS of int16) and the click's peak.
 ROOM_LEVEL = 22.0
 FAN_LEVEL = 120.0
-CLICK_PEAK = 9000.0
+CLICK_PEAK = 16000.0
 CLICK_S = 0.030
 
 _NOISE_SAMPLES = 7 * AUDIO_CLOCK_HZ
