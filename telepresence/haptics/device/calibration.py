@@ -64,8 +64,8 @@ def _with_motors(facts: DeviceFacts) -> Script[Calibration]:
         half_m = (ends[1] - ends[0]) / 2
         if abs(half_m - nominal_m) > TOLERANCE * nominal_m:
             return Calibration(
-                problem=f"axis {name} moves by ±{half_m * 1e3:.0f} mm where ±{nominal_m * 1e3:.0f} mm "
-                "are due: free the handle, let go of it, and calibrate again"
+                problem=f"axis {name} moves by ±{half_m * 1e3:.0f} mm where "
+                f"±{nominal_m * 1e3:.0f} mm are due: free the handle and calibrate again"
             )
         middles.append((ends[0] + ends[1]) / 2)
         halves.append(half_m)

@@ -9,7 +9,7 @@ NAME = "workspace"
 
 _PUSH_N = 4.0
 #: How far an end may be from where it is due, as a share of the half workspace. Chosen.
-_TOLERANCE = 0.05
+_LEAST, _MOST = 0.95, 1.05
 #: A stick need only come near its nominal end: its mechanics and its numbers differ a little.
 _STICK_SHARE = 0.9
 _PATIENCE_NS = 15 * NS_PER_S
@@ -32,9 +32,7 @@ def _pushed(facts: DeviceFacts) -> CheckScript:
             return CheckResult(NAME, tuple(figures), "the handle does not come to the middle")
         cycle, end = yield from push_to_stop(cycle, direction, force_n=force_n)
         nominal_m = facts.half_width_m if axis == 0 else facts.half_height_m
-        figures.append(
-            _figure(side, abs(end.place(axis)), nominal_m, 1 - _TOLERANCE, 1 + _TOLERANCE)
-        )
+        figures.append(_figure(side, abs(end.place(axis)), nominal_m, _LEAST, _MOST))
     cycle, there = yield from travel(cycle, 0.0, 0.0, speed_m_s=0.3)
     trouble = "" if there else "the handle does not come back to the middle"
     return CheckResult(NAME, tuple(figures), trouble)

@@ -91,11 +91,11 @@ class CheckBench:
     def _handle_absence(self, now_ns: int) -> None:
         """The device is not in the application: during a check that is its end."""
         operation = self.operation
-        reason = f"{operation.state.words}: {operation.reason}"
+        reason = operation.trouble or f"the device stays in the state {operation.state.words}"
         if self._run is not None:
             self._run.abort()
             self._finish(CheckResult(self._names[0], trouble=reason), now_ns)
-        elif operation.state is State.FATAL or now_ns - self._waiting_since_ns > _READY_NS:
+        elif operation.given_up or now_ns - self._waiting_since_ns > _READY_NS:
             for name in list(self._names):
                 self._finish(CheckResult(name, trouble=reason), now_ns)
 

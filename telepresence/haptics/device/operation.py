@@ -26,6 +26,9 @@ _RETURN_NS = 300 * NS_PER_MS
 #: the way to the robot are those of a hand that feels it. Chosen.
 FELT_BY_NOBODY_N = 10.0
 
+#: What is refused as long as the supervisor has a reason to halt.
+_NEED_HEALTH = (Event.CALIBRATE, Event.START, Event.RESUME)
+
 
 class Operation:
     """Runs one `device`; the reading that it gives is calibrated.
@@ -76,6 +79,19 @@ class Operation:
         return self.machine.reason
 
     @property
+    def given_up(self) -> bool:
+        """Whether it has tried by itself as often as it will: now a person must ask."""
+        if self.state in (State.CALIBRATION_ERROR, State.RECOVERABLE):
+            return not self._automatic or self._retries >= _RETRIES
+        return self.state is State.FATAL
+
+    @property
+    def trouble(self) -> str:
+        """One line about what keeps it from the application; "" when nothing does."""
+        reason = self.machine.reason or self.supervisor.reason
+        return f"{self.state.words}: {reason}" if reason else ""
+
+    @property
     def halted(self) -> bool:
         """Whether it can do nothing for the application until something has changed."""
         return self.machine.state >= State.HALTED
@@ -89,7 +105,7 @@ class Operation:
         if event not in REQUESTS:
             return f"{event.value}: nothing that can be asked for"
         verdict = self.supervisor.verdict
-        if event in (Event.RESUME, Event.START) and verdict is not Verdict.WELL:
+        if event in _NEED_HEALTH and verdict is not Verdict.WELL:
             return f"{event.value}: not yet, {self.supervisor.reason}"
         if event is Event.ACKNOWLEDGE and verdict in (Verdict.FAULT, Verdict.FATAL):
             return f"{event.value}: not while {self.supervisor.reason}"
@@ -113,8 +129,7 @@ class Operation:
         if calibration is None:
             reading, half_width_m, half_height_m = raw, float("inf"), float("inf")
         else:
-            x_m, y_m, *rest = raw
-            reading = Reading(x_m - calibration.x_m, y_m - calibration.y_m, *rest)
+            reading = raw._replace(x_m=raw.x_m - calibration.x_m, y_m=raw.y_m - calibration.y_m)
             half_width_m, half_height_m = calibration.half_width_m, calibration.half_height_m
         self.reading = reading
         verdict = self.supervisor.handle_reading(
@@ -207,6 +222,8 @@ class Operation:
                 machine.handle_event(Event.FAULT, now_ns, reason)
         elif state in (State.APPLICATION, State.CALIBRATED):
             machine.handle_event(Event.HALT, now_ns, reason)
+        elif self._run is not None:
+            machine.handle_event(Event.CALIBRATION_FAILED, now_ns, reason)
         if machine.state is not state:
             self._run = None
             self._output = IDLE

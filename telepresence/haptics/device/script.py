@@ -11,7 +11,7 @@ from math import hypot
 from typing import Generic, NamedTuple, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import DeviceFacts, Reading
+from telepresence.haptics.device.device import Reading
 
 Result = TypeVar("Result")
 
@@ -163,9 +163,9 @@ def push_to_stop(
 ) -> Script[tuple[Cycle, Reading]]:
     """Push along one axis until the handle stands; the reading there.
 
-    direction: one of (±1, 0), (0, ±1). The push is `force_n` at most and is taken back by a damper, so
-    that the handle does not reach the stop faster than about `speed_m_s`. The other axis is held where
-    it is.
+    direction: one of (±1, 0), (0, ±1). The push is `force_n` at most and is taken back by a
+    damper, so that the handle does not reach the stop faster than about `speed_m_s`. The other
+    axis is held where it is.
     """
     start = cycle.reading
     along_x, along_y = direction

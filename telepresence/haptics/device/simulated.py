@@ -4,8 +4,8 @@ Nobody's hand is on it, unless `hand` gives the force of one; a person whose fin
 buttons answers the LEDs, as the check of the buttons asks for.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -23,17 +23,13 @@ FACTS = DeviceFacts(
     leds=4,
 )
 
-#: The force of a hand on the handle (N), given its place (m), its velocity (m/s) and how much
-#: time passes (ns).
-Hand = Callable[[float, float, float, float, int], tuple[float, float]]
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Faults:
     """What may be broken. stuck: an axis, 0 or 1, that does not move. friction: how many times the
     due one. motor_gain: how much of the force that they are told the motors give. dead_button:
-    its index, -1 for none. heat_c: by how much the motors are hotter than they should be. lost_ns: how
-    long after it was switched on the plug is pulled.
+    its index, -1 for none. heat_c: by how much the motors are hotter than they should be.
+    lost_ns: how long after it was switched on the plug is pulled.
     """
 
     stuck: int = -1
@@ -56,3 +52,113 @@ FAULTS: Mapping[str, Faults] = MappingProxyType(
         "unplugged": Faults(lost_ns=8 * NS_PER_S),
     }
 )
+
+#: How long a person takes to see a light and press: simple reactions take 0.2 to 0.3 s (R. D. Luce,
+#: "Response Times", 1986).
+_REACTION_NS = 250 * NS_PER_MS
+
+
+class Fingers:
+    """A person who presses the button whose LED is lit, and the dead-man button when all are.
+
+    buttons, dead_man: what is pressed now.
+    """
+
+    def __init__(self, leds: int) -> None:
+        self.buttons = 0
+        self.dead_man = False
+        self._all = (1 << leds) - 1
+        self._seen = 0
+        self._since_ns = 0
+        self._now_ns = 0
+
+    def handle_leds(self, mask: int) -> None:
+        """The LEDs change to `mask`."""
+        self._seen, self._since_ns = mask, self._now_ns
+
+    def advance(self, dt_ns: int) -> None:
+        """`dt_ns` pass."""
+        self._now_ns += dt_ns
+        if self._now_ns - self._since_ns >= _REACTION_NS:
+            self.dead_man = self._seen == self._all
+            self.buttons = 0 if self.dead_man else self._seen
+
+
+class SimulatedDevice:
+    """A joystick that is calculated; `switched_on_m`: where its encoders began to count."""
+
+    def __init__(
+        self,
+        faults: Faults | None = None,
+        *,
+        temperature_c: float = 22.0,
+        start_m: tuple[float, float] = (0.013, -0.021),
+    ) -> None:
+        self.facts = FACTS
+        self.faults = faults or Faults()
+        self.fingers = Fingers(self.facts.leds)
+        self.leds = 0
+        self.force_x_n = self.force_y_n = 0.0
+        self._x, self._y = start_m
+        self._vx = self._vy = 0.0
+        self._zero = start_m
+        self._temperature_c = temperature_c
+        self._now_ns = 0
+
+    def read(self) -> Reading:
+        faults = self.faults
+        gone = faults.lost_ns is not None and self._now_ns >= faults.lost_ns
+        buttons = self.fingers.buttons
+        if faults.dead_button >= 0:
+            buttons &= ~(1 << faults.dead_button)
+        return Reading(
+            self._x - self._zero[0],
+            self._y - self._zero[1],
+            self._vx,
+            self._vy,
+            buttons,
+            self.fingers.dead_man,
+            self._temperature_c + faults.heat_c,
+            not gone,
+        )
+
+    def write_force(self, x_n: float, y_n: float) -> None:
+        limit = self.facts.force_limit_n
+        self.force_x_n = max(-limit, min(limit, x_n))
+        self.force_y_n = max(-limit, min(limit, y_n))
+
+    def write_leds(self, mask: int) -> None:
+        self.leds = mask
+        self.fingers.handle_leds(mask)
+
+    def advance(self, dt_ns: int) -> None:
+        self._now_ns += dt_ns
+        self.fingers.advance(dt_ns)
+        f = self.facts
+        gain = self.faults.motor_gain
+        dt = dt_ns / NS_PER_S
+        self._x, self._vx = _axis(
+            self._x, self._vx, gain * self.force_x_n, f.half_width_m, f, self.faults, dt
+        )
+        self._y, self._vy = _axis(
+            self._y, self._vy, gain * self.force_y_n, f.half_height_m, f, self.faults, dt
+        )
+        if self.faults.stuck == 0:
+            self._x, self._vx = self._zero[0], 0.0
+        if self.faults.stuck == 1:
+            self._y, self._vy = self._zero[1], 0.0
+
+    def close(self) -> None:
+        self.write_force(0, 0)
+        self.write_leds(0)
+
+
+def _axis(x, v, force, half, f, faults, dt):
+    fc = f.coulomb_n * faults.friction
+    force -= f.viscous_n_s_m * v
+    if abs(x) > half:
+        force -= 20000 * (x - (half if x > 0 else -half)) + 60 * v
+    v += force / f.mass_kg * dt
+    dv = fc / f.mass_kg * dt
+    v = 0.0 if abs(v) <= dv else v - dv if v > 0 else v + dv
+    return x + v * dt, v

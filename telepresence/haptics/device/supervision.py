@@ -98,11 +98,9 @@ class Supervisor:
         """
         x_m, y_m, vx_m_s, vy_m_s, _, _, temperature_c, present = reading
         # One comparison each for the ordinary case; what is not a number fails it as well.
-        reach_x, reach_y = (
-            half_width_m + self.limits.outside_m,
-            half_height_m + self.limits.outside_m,
-        )
-        speed = self.limits.speed_m_s
+        limits = self.limits
+        reach_x, reach_y = half_width_m + limits.outside_m, half_height_m + limits.outside_m
+        speed = limits.speed_m_s
         if not (
             present
             and -reach_x <= x_m <= reach_x
