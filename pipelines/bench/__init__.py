@@ -11,6 +11,7 @@ BENCHES = {
     "fanout": "one picture to many processes: cost of publishing, and how soon it is there",
     "latency": "one page: every stream of a setup, end to end and by stage, and what is in it",
     "link": "the radio link: delays on virtual time, punctuality and cost on this machine",
+    "passes": "many sessions of a whole pass on virtual time, and whether each was usable",
     "video": "pictures through a thin channel: latency, quality, rate and cost, beside GStreamer's",
     "voice": "speech through a lossy network: mouth to ear, rate and quality, beside GStreamer's",
 }

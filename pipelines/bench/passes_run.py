@@ -1,0 +1,104 @@
+"""Sessions on virtual time, each in a process of its own, a few at once."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Generator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from kontur_av.errors import ConfigError
+
+_LOOK_EVERY_S = 0.1
+_END_S = 10.0
+_USERS_FAULT = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What all sessions have in common."""
+
+    setup: str
+    seconds: float
+    radio: str
+    media: bool
+
+    def command(self, seed: int, report: Path) -> list[str]:
+        """The command of the session of `seed`."""
+        words = [sys.executable, "-m", "pipelines.cli", "simulate", "--setup", self.setup, "-q"]
+        words += ["--seconds", f"{self.seconds:g}", "--radio", self.radio, "--seed", str(seed)]
+        return [*words, "--report", str(report), *([] if self.media else ["--no-media"])]
+
+
+class _Session:
+    """A session that is running."""
+
+    def __init__(self, plan: Plan, seed: int, directory: Path) -> None:
+        self.seed = seed
+        self._report = directory / f"{seed}.json"
+        self._errors = directory / f"{seed}.txt"
+        self._began_s = time.monotonic()
+        with self._errors.open("wb") as errors:
+            # Its own session: Ctrl-C is for this process, which ends the others itself.
+            self._process = subprocess.Popen(
+                plan.command(seed, self._report),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                start_new_session=True,
+            )
+
+    def result(self) -> dict[str, Any] | None:
+        """Its report with `wall_s`, or `error` if it has none; None while it runs."""
+        if self._process.poll() is None:
+            return None
+        told = self._errors.read_text(encoding="utf-8", errors="replace").strip()
+        line = told.rpartition("\n")[2]
+        if self._process.returncode == _USERS_FAULT:
+            raise ConfigError(line.removeprefix("kontur-av: "))
+        if not self._report.exists():
+            return {"error": line or f"ended with {self._process.returncode}"}
+        report: dict[str, Any] = json.loads(self._report.read_text(encoding="utf-8"))
+        self._report.unlink()
+        report["wall_s"] = round(time.monotonic() - self._began_s, 1)
+        return report
+
+    def end(self) -> None:
+        """End it, whatever it does."""
+        if self._process.poll() is not None:
+            return
+        self._process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_S)
+            return
+        self._process.kill()
+        self._process.wait()
+
+
+def run_sessions(
+    plan: Plan, seeds: Sequence[int], *, jobs: int
+) -> Generator[tuple[int, dict[str, Any]], None, None]:
+    """(seed, report) of each as soon as it is over, `jobs` at a time.
+
+    When the caller stops asking, those that run are ended.
+    """
+    waiting = list(reversed(seeds))
+    running: list[_Session] = []
+    with TemporaryDirectory() as name:
+        try:
+            while waiting or running:
+                while waiting and len(running) < jobs:
+                    running.append(_Session(plan, waiting.pop(), Path(name)))
+                for session in list(running):
+                    result = session.result()
+                    if result is not None:
+                        running.remove(session)
+                        yield session.seed, result
+                time.sleep(_LOOK_EVERY_S)
+        finally:
+            for session in running:
+                session.end()
