@@ -39,7 +39,7 @@ _PAUSE_NS = 3 * FLUSH_NS
 
 #: Series of rows and their widths.
 _WIDTHS = {
-    "out": 2,
+    "out": 3,
     "tx": 4,
     "coding": 5,
     "rx": 2,
@@ -80,6 +80,8 @@ class StreamFigures:
 
     def __init__(self) -> None:
         self.rate = RateMeter()
+        #: The largest rate over a sliding second, less the cap that held at its end; and that rate.
+        self.above_cap_bps = 0.0, 0.0
         self.latency = Histogram()
         self.stages = {stage: Histogram() for stage in STAGES}
         self.recent = Recent()
@@ -96,10 +98,14 @@ class StreamFigures:
         self._journeys: OrderedDict[int, _Journey] = OrderedDict()
 
     def handle_out(self, rows: NDArray[np.int64]) -> None:
-        for instant_ns, octets in rows.tolist():
+        for instant_ns, octets, cap_bps in rows.tolist():
             # A restarted sender's first report may overtake its predecessor's last.
             last_ns = self.rate.last_ns
-            self.rate.add(instant_ns if last_ns is None else max(instant_ns, last_ns), octets)
+            at_ns = instant_ns if last_ns is None else max(instant_ns, last_ns)
+            self.rate.add(at_ns, octets)
+            bps = self.rate.last_bps(at_ns)
+            if bps - cap_bps > self.above_cap_bps[0]:
+                self.above_cap_bps = bps - cap_bps, bps
 
     def handle_tx(self, rows: NDArray[np.int64], now_ns: int) -> None:
         for timestamp, capture_ns, encoded_ns, sent_ns in rows.tolist():

@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
-from kontur_av.clock import NS_PER_US
+from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
 from pipelines.collector import Collector
 from pipelines.setup import Setup
+from telepresence.link.profile import LinkProfile
 
 
 def link_figures(setup: Setup, collector: Collector, direction: str) -> dict[str, Any]:
@@ -36,6 +37,7 @@ def link_figures(setup: Setup, collector: Collector, direction: str) -> dict[str
             for line in setup.channel_table(direction)
         ],
         "frames": sum(life["frames"] for life in lives),
+        "freed_bps": _freed_bps(profile, sum(life["frames"] for life in lives), octets),
         "frames_lost": sum(life["frames_lost"] for life in received),
         "frames_dropped": _sum_tables([life["frames_dropped"] for life in received]),
         "octets": octets,
@@ -49,6 +51,12 @@ def link_figures(setup: Setup, collector: Collector, direction: str) -> dict[str
         "sent_after_us": summary_us(near.sending),
         "slips": near.total("slips"),
     }
+
+
+def _freed_bps(profile: LinkProfile, frames: int, octets: Mapping[str, int]) -> int:
+    """What the slots without a sample have left to the levels below haptics."""
+    freed_octets = frames * profile.insert_octets - octets.get("haptic", 0)
+    return round(freed_octets * 8 * NS_PER_S / max(frames * profile.slot_ns, 1))
 
 
 def _sum_tables(tables: list[dict[str, int]]) -> dict[str, int]:

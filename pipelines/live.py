@@ -94,7 +94,7 @@ def _streams(launcher: Launcher) -> Table:
         table.add_row(
             stream.name,
             f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
-            Text(f"{largest / 1000:.1f}", "bold red" if largest > stream.cap_bps else "green"),
+            Text(f"{largest / 1000:.1f}", "bold red" if figures.above_cap_bps[0] > 0 else "green"),
             f"{stream.cap_bps / 1000:g}",
             str(displayed_frames(collector, stream.name)),
             str(collector.process(f"{stream.name}_receive").total("rtp_lost")),

@@ -13,9 +13,9 @@ STEREO_TOPIC = "camera/stereo"
 #: What goes up: the picture of the camera that is selected.
 SELECTED_TOPIC = "selected/uplink_video"
 ROBOT_TOPIC = "robot/state"
-#: A sample of `backlog_topic`: octets, how often the other segment was found (again), and whether
-#: it is heard now.
-BACKLOG = struct.Struct("=qq?")
+#: A sample of `backlog_topic`: octets, how often the other segment was found (again), whether it is
+#: heard now, and what slots without a haptic sample have left in the last second, in bit/s.
+BACKLOG = struct.Struct("=qq?q")
 
 
 def backlog_topic(direction: str) -> str:

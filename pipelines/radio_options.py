@@ -1,4 +1,4 @@
-"""The options of the radio and of the ports, which several commands share."""
+"""The options of the link and of the ports, which several commands share."""
 
 import argparse
 from typing import Any
@@ -31,6 +31,21 @@ def radio_changes(args: argparse.Namespace) -> dict[str, Any]:
     if delay_ms is not None:
         return {"radio": NO_RADIO, "radio_delay_ms": delay_ms}
     return {}
+
+
+def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
+    """`--deadband`."""
+    parser.add_argument(
+        "--deadband",
+        action="store_true",
+        help="leave out haptic samples of which nobody would feel the difference, and give the "
+        "uplink video what that saves",
+    )
+
+
+def deadband_changes(args: argparse.Namespace) -> dict[str, Any]:
+    """What `--deadband` changes in the setup."""
+    return {"deadband": True} if args.deadband else {}
 
 
 def port_changes(args: argparse.Namespace) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
 from pipelines.ages import spells
-from pipelines.collector import HAPTIC_ENDS, Collector, StreamFigures
+from pipelines.collector import HAPTIC_ENDS, Collector, ProcessFigures, StreamFigures
 from pipelines.link_figures import gateway_figures, link_figures, summary_us
 from pipelines.setup import Setup, VideoStream, VoiceStream
 from pipelines.silence import MISSED_NS, missed_ns, signal_ns, silences, stopped_ns
@@ -116,6 +116,7 @@ def _stream(
     displayed = displayed_frames(collector, stream.name)
     return {
         "cap_bps": stream.cap_bps,
+        **_gained(sender, seconds),
         **_sizes(stream),
         "payload_bps_mean": round(figures.rate.octets * 8 / max(seconds, 1e-9)),
         "payload_bps_max_1s": round(figures.rate.max_bps(NS_PER_S)),
@@ -132,6 +133,14 @@ def _stream(
         },
         "capture_stamp_error_us": round(figures.stamp_error.max / NS_PER_US, 1),
     }
+
+
+def _gained(sender: ProcessFigures, seconds: float) -> dict[str, int]:
+    """By how much the cap was higher, on average, because haptic samples were left out."""
+    if "gained_bits" not in sender.names():
+        return {}
+    gained_bps = round(sender.total("gained_bits") / max(seconds, 1e-9))
+    return {"gained_bps": gained_bps, "gain_changes": sender.total("gain_changes")}
 
 
 def _sizes(stream: VideoStream | VoiceStream) -> dict[str, Any]:
@@ -152,6 +161,7 @@ def _haptic(name: str, setup: Setup, collector: Collector, seconds: float) -> di
         "cap_bps": haptic_cap_bps(profile),
         "payload_bps_mean": haptic_bps(profile, receiver.total("received"), seconds),
         "sent": sender.total("sent"),
+        **_saved(profile, sender, seconds),
         "received": receiver.total("received"),
         "lost": receiver.total("lost"),
         "late": receiver.total("late"),
@@ -160,6 +170,14 @@ def _haptic(name: str, setup: Setup, collector: Collector, seconds: float) -> di
         "lateness_us": summary_us(sender.lateness),
         "slips": sender.total("slips"),
     }
+
+
+def _saved(profile: LinkProfile, sender: ProcessFigures, seconds: float) -> dict[str, int]:
+    """Samples that were left out, because nobody would have felt the difference."""
+    if "left_out" not in sender.names():
+        return {}
+    left_out = sender.total("left_out")
+    return {"left_out": left_out, "saved_bps": haptic_bps(profile, left_out, seconds)}
 
 
 def haptic_cap_bps(profile: LinkProfile) -> int:
@@ -192,8 +210,8 @@ def failures(
     whole_ns = round(seconds * NS_PER_S)
     for stream in setup.streams if media else ():
         figures = collector.streams[stream.name]
-        largest_bps = figures.rate.max_bps(NS_PER_S)
-        if largest_bps > stream.cap_bps:
+        above_bps, largest_bps = figures.above_cap_bps
+        if above_bps > 0:
             found.append(f"{stream.name}: {largest_bps:.0f} bit/s in 1 s, above its cap")
         still_ns = stopped_ns(stream, setup, collector)
         heard_ns = signals_ns["space" if stream.name.startswith("uplink_") else "ground"]

@@ -10,7 +10,12 @@ from typing import Any
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.command import output_that_may_fail
-from pipelines.radio_options import add_radio_arguments, radio_changes
+from pipelines.radio_options import (
+    add_deadband_argument,
+    add_radio_arguments,
+    deadband_changes,
+    radio_changes,
+)
 from pipelines.report_file import check_writable, write_report
 from pipelines.setup import Setup
 from pipelines.setup_file import load_setup
@@ -29,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seconds", type=float, required=True, metavar="S", help="of virtual time")
     add_radio_arguments(parser)
+    add_deadband_argument(parser)
     parser.add_argument(
         "--source",
         action="append",
@@ -65,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0 and below 1000000")
     setup = load_setup(args.setup)
     sources = {**setup.sources, **parse_sources(args.source)}
-    setup = replace(setup, sources=sources, **radio_changes(args))
+    setup = replace(setup, sources=sources, **radio_changes(args), **deadband_changes(args))
     check_virtual_sources(setup)
     check_sources(setup)
     check_writable(args.report)

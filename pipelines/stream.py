@@ -16,7 +16,13 @@ from pipelines.ground import ground_parts
 from pipelines.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
 from pipelines.live import LiveView
 from pipelines.process import Part, Stage
-from pipelines.radio_options import add_radio_arguments, port_changes, radio_changes
+from pipelines.radio_options import (
+    add_deadband_argument,
+    add_radio_arguments,
+    deadband_changes,
+    port_changes,
+    radio_changes,
+)
 from pipelines.report import build_report
 from pipelines.report_file import check_writable, write_report
 from pipelines.sessions import clear_dead_sessions, hold_session
@@ -44,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
     add_radio_arguments(parser)
+    add_deadband_argument(parser)
     parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
     loudness = parser.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
@@ -123,7 +130,8 @@ def chosen_setup(args: argparse.Namespace) -> Setup:
     """The setup that the options name, with what they change; ConfigError if it cannot work."""
     setup = load_setup(args.setup)
     sources = {**setup.sources, **parse_sources(args.source)}
-    return replace(setup, sources=sources, **radio_changes(args), **port_changes(args))
+    changes = {**radio_changes(args), **port_changes(args), **deadband_changes(args)}
+    return replace(setup, sources=sources, **changes)
 
 
 def parse_sources(options: Sequence[str]) -> Mapping[str, str]:

@@ -11,8 +11,12 @@ from kontur_av.h264 import SLOW_REFRESH_S
 from kontur_av.h264_settings import H264Settings
 from pipelines.setup import Setup, VideoStream
 
-#: So long the higher step must have been there, all the time.
+#: So long a higher step must have been there, all the time.
 STEADY_NS = 2 * NS_PER_S
+#: After a step that did not last twice as long, up to this.
+MOST_STEADY_NS = 32 * NS_PER_S
+#: A change costs what a step gives in about this time (docs/deadband.md): lasted is longer.
+LASTED_NS = 10 * NS_PER_S
 #: Of what is free so much stays so: by so much it may fall, in bit/s, until what has left already
 #: is out of the second of the cap, in lumps of a picture.
 RESERVE_BPS = 6_000
@@ -26,43 +30,69 @@ class CapGain:
     """How much the cap of `stream` may be higher than the setup's. A core: it is told the time.
 
     Tell it of what slots without a sample leave (`handle_freed`), every few milliseconds; then
-    `bps` is by how much. gained_bits: that, summed up over the time. changes: how often it changed.
+    `bps` is by how much. changes: how often it changed. steps: the gains there are, none first,
+    each with what must be free for it, in bit/s.
     """
 
     def __init__(self, setup: Setup, stream: VideoStream) -> None:
-        #: The gains there are, none first, and what must be free for each.
-        self._steps = [(0, 0)]
+        self.steps = [(0, 0)]
         for gain_bps in _worthwhile_bps(setup, stream):
             freed_bps = setup.freed_need_bps(stream, gain_bps) + RESERVE_BPS
-            self._steps.append((gain_bps, freed_bps))
+            self.steps.append((gain_bps, freed_bps))
         self._step = 0
         self.bps = 0
-        self.gained_bits = 0
+        self._earned = 0
         self.changes = 0
+        #: The lowest step that there was since then, above the present one.
         self._higher: int | None = None
-        self._since_ns = 0
+        self._higher_since_ns = 0
+        self._patience_ns = STEADY_NS
+        self._raised_ns = 0
         self._told_ns: int | None = None
 
-    def handle_freed(self, freed_bps: int, now_ns: int) -> bool:
-        """So much was free in the last second; whether `bps` is another one now."""
+    def handle_freed(self, freed_bps: int, now_ns: int, *, at_once: bool = False) -> bool:
+        """So much was free in the last second; whether `bps` is another one now.
+
+        at_once: a key picture is due anyway, so what was there for `STEADY_NS` is taken.
+        """
         if self._told_ns is not None and now_ns > self._told_ns:
-            self.gained_bits += self.bps * (now_ns - self._told_ns) // NS_PER_S
+            self._earned += self.bps * (now_ns - self._told_ns)
         self._told_ns = now_ns
-        step = max(i for i, (_, wanted_bps) in enumerate(self._steps) if wanted_bps <= freed_bps)
+        step = max(i for i, (_, wanted_bps) in enumerate(self.steps) if wanted_bps <= freed_bps)
         if step <= self._step:
             self._higher = None
-            return step < self._step and self._take(step)
+            if step < self._step:
+                lasted = now_ns - self._raised_ns >= LASTED_NS
+                longer_ns = min(2 * self._patience_ns, MOST_STEADY_NS)
+                self._patience_ns = STEADY_NS if lasted else longer_ns
+                self._take(step)
+                return True
+            return False
         if self._higher is None:
-            self._higher, self._since_ns = step, now_ns
+            self._higher, self._higher_since_ns = step, now_ns
         self._higher = min(self._higher, step)
-        return now_ns - self._since_ns >= STEADY_NS and self._take(self._higher)
+        if now_ns - self._higher_since_ns < (STEADY_NS if at_once else self._patience_ns):
+            return False
+        self._raised_ns = now_ns
+        self._take(self._higher)
+        return True
 
-    def _take(self, step: int) -> bool:
+    @property
+    def gained_bits(self) -> int:
+        """What the cap was higher by, summed up over the time."""
+        return self._earned // NS_PER_S
+
+    def _take(self, step: int) -> None:
         self._higher = None
         self._step = step
-        self.bps = self._steps[step][0]
+        self.bps = self.steps[step][0]
         self.changes += 1
-        return True
+
+
+def gain_of(setup: Setup, stream: VideoStream) -> CapGain | None:
+    """The gain of a stream that has one: the picture that goes where the channel, and nothing
+    else, bounds the cap, of a setup that leaves samples out."""
+    return CapGain(setup, stream) if setup.deadband and stream == setup.uplink_video else None
 
 
 def _worthwhile_bps(setup: Setup, stream: VideoStream) -> list[int]:

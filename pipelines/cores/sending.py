@@ -15,6 +15,7 @@ from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from kontur_av.sources.source import BLOCK_NS
+from pipelines.cores.gain import CapGain
 from pipelines.names import REPORT_INTERVAL_NS, VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE, cname
 from pipelines.probe import Probe
 from pipelines.setup import VIDEO_PAYLOAD_OCTETS, VideoStream, VoiceStream
@@ -69,7 +70,7 @@ class _Sending:
         packet = self._pacer.poll_transmit(now_ns)
         if packet is None:
             return None
-        self._out.extend((now_ns, len(packet) - RTP_HEADER_OCTETS))
+        self._out.extend((now_ns, len(packet) - RTP_HEADER_OCTETS, self._pacer.cap_bps))
         unit = self._under_way[0]
         unit.packets -= 1
         if unit.packets == 0:
@@ -111,20 +112,22 @@ class Coding(NamedTuple):
     """How to encode a picture.
 
     keyframe: as one at which any decoder can start. rate_hz: at which pictures come from now on;
-    refresh_s: from one refresh wave to the next from now on; None: as before.
+    refresh_s: from one refresh wave to the next from now on; cap_bps: under which cap from now on;
+    None: as before.
     """
 
     keyframe: bool
     rate_hz: float | None
     refresh_s: float | None
+    cap_bps: int | None = None
 
 
 def encode(
     encoder: H264Encoder, frame: VideoFrame, coding: Coding, now: Callable[[], int]
 ) -> AccessUnit:
     """The picture, encoded as `VideoSending` wants it; `now()` is asked when it is done."""
-    if coding.rate_hz is not None or coding.refresh_s is not None:
-        encoder.follow(hz=coding.rate_hz, refresh_s=coding.refresh_s)
+    if (coding.rate_hz, coding.refresh_s, coding.cap_bps) != (None, None, None):
+        encoder.follow(hz=coding.rate_hz, refresh_s=coding.refresh_s, cap_bps=coding.cap_bps)
     return encoder.encode(frame, now, force_keyframe=coding.keyframe)
 
 
@@ -134,10 +137,17 @@ class VideoSending(_Sending):
     Tell it of each picture that comes (`handle_picture`) and of what waits in the gateway
     (`handle_link`), then and at `poll_timeout` ask `poll_encode`; if it says so, encode the newest
     picture, and give what the encoder made to `handle_access_unit`.
+
+    gain: by how much its cap follows what `handle_freed` tells.
     """
 
     def __init__(
-        self, stream: VideoStream, profile: LinkProfile, identity: RtpIdentity, probe: Probe
+        self,
+        stream: VideoStream,
+        profile: LinkProfile,
+        identity: RtpIdentity,
+        probe: Probe,
+        gain: CapGain | None = None,
     ) -> None:
         pacer = Pacer(
             cap_bps=stream.cap_bps, channel_bps=profile.media_bps, slack_ns=NS_PER_S // stream.fps
@@ -148,6 +158,10 @@ class VideoSending(_Sending):
         super().__init__(pacer, rtp, probe)
         self._clock = LinkClock(pacer, fps=stream.fps)
         self._media_bps = profile.media_bps
+        self._cap_bps = stream.cap_bps
+        self._gain = gain
+        self._freed_bps = 0
+        self._coded_cap_bps = stream.cap_bps
         self._contacts: int | None = None
         self._keyframe_due = False
         self._losses = PictureLossListener(ssrc=identity.ssrc)
@@ -162,12 +176,18 @@ class VideoSending(_Sending):
 
     def handle_link(self, waiting_octets: int, contacts: int, way_back: bool, told_ns: int) -> None:
         """What the gateway has told at `told_ns` (`names.BACKLOG`)."""
-        self._clock.handle_channel(waiting_octets, self._media_bps, told_ns)
+        self._clock.handle_channel(waiting_octets, self._media_bps + self._freed_bps, told_ns)
         if self._contacts is not None and contacts != self._contacts:
             # What was sent before did not arrive: nothing that refers to it will do.
             self._keyframe_due = True
         self._contacts = contacts
         self._way_back = way_back
+
+    def handle_freed(self, freed_bps: int, now_ns: int) -> None:
+        """What slots without a sample have left in the last second (`Gateway.freed_bps`)."""
+        if self._gain is not None:
+            self._freed_bps = freed_bps
+            self._follow_freed(now_ns)
 
     def handle_picture(self, stamp: CaptureStamp, now_ns: int, *, skipped: int = 0) -> None:
         """A picture is there, the newest one.
@@ -189,7 +209,13 @@ class VideoSending(_Sending):
             # Where a whole picture can be asked for, the refresh only costs: 1 to 2 dB.
             self._slow_refresh = self._way_back
             refresh_s = SLOW_REFRESH_S if self._way_back else REFRESH_S
-        return Coding(keyframe, self._clock.next_rate_hz(), refresh_s)
+        rate_hz = self._clock.next_rate_hz()
+        anew = keyframe or rate_hz is not None or refresh_s is not None
+        self._follow_freed(now_ns, key_picture_due=anew)
+        cap_bps = None
+        if self._coded_cap_bps != self._pacer.cap_bps:
+            cap_bps = self._coded_cap_bps = self._pacer.cap_bps
+        return Coding(keyframe, rate_hz, refresh_s, cap_bps)
 
     def poll_timeout(self) -> int | None:
         """When `poll_transmit` or `poll_encode` has something next."""
@@ -205,10 +231,22 @@ class VideoSending(_Sending):
         self._probe.row("coding", timestamp, *self._coding_ns, sum(octets), len(packets))
         self._queue(packets, octets, unit.stamp, unit.encoded_ns)
 
+    def _follow_freed(self, now_ns: int, *, key_picture_due: bool = False) -> None:
+        gain = self._gain
+        if gain is None:
+            return
+        gain.handle_freed(self._freed_bps, now_ns, at_once=key_picture_due)
+        self._pacer.follow(
+            cap_bps=self._cap_bps + gain.bps, channel_bps=self._media_bps + self._freed_bps
+        )
+
     def tell(self) -> None:
         """Put the counters into the probe."""
         self._captured = self._clock.captured
         self._tell(self._clock.refused)
+        if self._gain is not None:
+            self._probe.total("gained_bits", self._gain.gained_bits)
+            self._probe.total("gain_changes", self._gain.changes)
         self._probe.total("feedback_received", self._losses.received)
         self._probe.total("feedback_garbage", self._losses.garbage)
         self._probe.gauge("backlog_octets", self._pacer.backlog_octets)

@@ -29,6 +29,8 @@ from telepresence.link.supervision_configuration import SupervisionTiming
 _MOST_DATAGRAMS = 64
 #: How often, at the most, the senders are told what waits.
 _TELL_NS = 4 * NS_PER_MS
+#: What is freed is told in steps of this, rounded down: not every slot is worth a message.
+_FREED_GRAIN_BPS = 1_000
 #: What figures take at the worst: they are put together when so much of a slot is left.
 _FIGURES_NS = NS_PER_MS // 2
 #: What an answer takes besides the way there and back.
@@ -208,7 +210,7 @@ def run_gateway(
             writer = stack.enter_context(context.open_bus()).writer(
                 backlog_topic(gateway.sender.profile.name), max_octets=BACKLOG.size, wake=False
             )
-        told = -1, 0, False
+        told = -1, 0, False, 0
         figures_ns = tell_ns = 0
         deadline_ns = schedule.next_deadline_ns
         wake_ns = alarm_ns = deadline_ns
@@ -250,6 +252,7 @@ def run_gateway(
                         waiting_octets(Level.VIDEO),
                         gateway.contacts,
                         supervisor.signal,
+                        gateway.freed_bps // _FREED_GRAIN_BPS * _FREED_GRAIN_BPS,
                     )
                     if waiting != told:
                         told, tell_ns = waiting, now_ns + _TELL_NS

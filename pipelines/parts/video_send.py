@@ -2,6 +2,7 @@
 
 from kontur_av.h264 import H264Encoder
 from kontur_av.topics import Lease
+from pipelines.cores.gain import gain_of
 from pipelines.cores.sending import VideoSending, encode
 from pipelines.names import BACKLOG, backlog_topic
 from pipelines.parts.sending import Outgoing, random_identity
@@ -20,7 +21,8 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
         coded_size=stream.coded_size,
     )
     profile = context.setup.profile_of(stream)
-    sending = VideoSending(stream, profile, random_identity(), context.probe)
+    gain = gain_of(context.setup, stream)
+    sending = VideoSending(stream, profile, random_identity(), context.probe, gain)
     outgoing = Outgoing(context, stream, sending)
     feedback = context.listen(context.setup.ports.exit(feedback_flow(stream.name)))
     context.on_flush(sending.tell)
@@ -44,8 +46,9 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
             told = backlog_reader.latest()
             if told is not None:
                 with told:
-                    waiting_octets, contacts, way_back = BACKLOG.unpack(told.octets())
+                    waiting_octets, contacts, way_back, freed_bps = BACKLOG.unpack(told.octets())
                     told_ns = told.stamp.capture_ns
+                    sending.handle_freed(freed_bps, clock.now_ns())
                     sending.handle_link(waiting_octets, contacts, way_back, told_ns)
             outgoing.send_due()
             while (datagram := context.receive(feedback)) is not None:

@@ -8,6 +8,7 @@ from random import Random
 from kontur_av.clock import ManualClock
 from kontur_av.media import CaptureStamp
 from pipelines.cores.choosing import CameraChoice
+from pipelines.cores.gain import gain_of
 from pipelines.cores.receiving import VideoReceiving, VoiceReceiving
 from pipelines.cores.sending import RtpIdentity, VideoSending, VoiceSending
 from pipelines.cores.showing import Showing
@@ -147,7 +148,13 @@ class Media:
         probe = scene.telling.probe(f"{stream.name}_send")
         sender = VideoSender(
             stream.name,
-            VideoSending(stream, profile, self._identity(stream.name), probe),
+            VideoSending(
+                stream,
+                profile,
+                self._identity(stream.name),
+                probe,
+                gain_of(scene.setup, stream),
+            ),
             agenda=scene.agenda,
             gateway=gateway,
             ntp=self._clock.ntp,

@@ -78,6 +78,7 @@ class VideoSender(_Sender):
         self._wake(now_ns)
 
     def _wake(self, now_ns: int) -> None:
+        self._core.handle_freed(self._gateway.freed_bps, now_ns)
         self._look(now_ns)
         self._send_due(now_ns)
 
@@ -97,6 +98,7 @@ class VideoSender(_Sender):
 
     def _finish(self, job: Job, stamp: CaptureStamp, now_ns: int) -> None:
         data, keyframe = job.result()
+        self._core.handle_freed(self._gateway.freed_bps, now_ns)
         self._core.handle_access_unit(AccessUnit(data, stamp, keyframe, now_ns))
         self._busy = False
         # What became due while it was encoding goes before it looks for a picture again.

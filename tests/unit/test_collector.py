@@ -145,12 +145,20 @@ def test_a_process_life_adds_to_its_last():
     assert figures.total("never counted") == 0
 
 
+CAP_BPS = 90_000
+
+
 def test_the_rate_of_two_lives_of_a_sender_is_one_rate():
     collector = Collector(STREAMS)
     first, second, overtaken = ms(0, 500, 400)
-    tell(collector, "uplink_video_send", second, out=[(first, 1000), (second, 1000)])
+    tell(
+        collector,
+        "uplink_video_send",
+        second,
+        out=[(first, 1000, CAP_BPS), (second, 1000, CAP_BPS)],
+    )
     collector.process("uplink_video_send").handle_end()
-    tell(collector, "uplink_video_send", second, out=[(overtaken, 1000)])
+    tell(collector, "uplink_video_send", second, out=[(overtaken, 1000, CAP_BPS)])
     assert collector.streams["uplink_video"].rate.max_bps() == 24_000
 
 

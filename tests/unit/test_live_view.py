@@ -36,7 +36,7 @@ def table_of(launcher):
 
 def test_the_rate_shown_is_that_of_the_last_second(launcher):
     # 80 kbit/s in seconds 0 to 2 and 40 kbit/s ever after, told up to half a second ago.
-    rows = [(k * 10 * NS_PER_MS, 100 if k < 200 else 50) for k in range(951)]
+    rows = [(k * 10 * NS_PER_MS, 100 if k < 200 else 50, 90_000) for k in range(951)]
     out = array("q", [value for row in rows for value in row])
     message = Message({}, {}, {"out": out})
     launcher.collector.handle_message("uplink_video_send", message, 9 * NS_PER_S)

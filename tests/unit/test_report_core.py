@@ -23,7 +23,8 @@ PARTS = ("uplink_video_send", "uplink_video_receive", "space_display", "robot", 
 def told(octets_a_packet=300, displayed=30, received=1000):
     """A collector after a second of 30 packets."""
     collector = Collector([stream.name for stream in SETUP.streams])
-    out = [value for k in range(30) for value in (k * 33 * NS_PER_MS, octets_a_packet)]
+    cap_bps = SETUP.uplink_video.cap_bps
+    out = [value for k in range(30) for value in (k * 33 * NS_PER_MS, octets_a_packet, cap_bps)]
     totals = {
         "uplink_video_send": {"frames_captured": 31, "frames_encoded": 30, "frames_sent": 30},
         "uplink_video_receive": {"rtp_packets": 30, "rtp_lost": 0, "garbage": 2},
