@@ -49,14 +49,14 @@ class Roi:
 class Light:
     """A light came on.
 
-    instant_ns, tag: of the first picture that shows it, and previous_ns: of the one before, which
-    does not. x, y: the middle of it, as shares of the picture's width and height. strength: how
+    instant_ns, tag: of the first picture that shows it; previous_tag: of the one before, which does
+    not. x, y: the middle of it, as shares of the picture's width and height. strength: how
     much it adds, in levels times cells, less if the place goes on changing.
     """
 
     instant_ns: int
-    previous_ns: int
     tag: int
+    previous_tag: int
     x: float
     y: float
     strength: float
@@ -154,4 +154,4 @@ class LightDetector:
             (float(value) + 0.5) / cells
             for value, cells in zip(centres[best], reversed(rise.shape), strict=True)
         )
-        self._events.append(Light(shown.instant_ns, before.instant_ns, shown.tag, x, y, strongest))
+        self._events.append(Light(shown.instant_ns, shown.tag, before.tag, x, y, strongest))

@@ -9,6 +9,7 @@ from telepresence.haptics.joystick import Joystick
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.sample import Command, Feedback
+from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
 
 Out = TypeVar("Out")
@@ -99,10 +100,21 @@ class JoystickEnd(_End[Command, Feedback]):
     def __init__(self, probe: Probe, *, deadband: bool = False) -> None:
         super().__init__(joystick_link(deadband=deadband), probe)
         self._step = Joystick().step
+        self._steps = StepDetector()
+        self._feel, self._felt = self._steps.handle_sample, probe.rows("step")
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """One cycle, which moves the joystick on by `advance_ns`."""
-        self._handle_local(self._step(self._latest(now_ns), advance_ns), now_ns)
+        feedback = self._latest(now_ns)
+        if feedback is not None:
+            self._feel(now_ns, feedback.fx_n, feedback.fy_n, feedback.contact)
+        self._handle_local(self._step(feedback, advance_ns), now_ns)
+
+    def tell(self) -> None:
+        """Put the counters and stamps into the probe, and the instants of the force's steps."""
+        super().tell()
+        while (step := self._steps.next_event()) is not None:
+            self._felt.append(step.instant_ns)
 
     def next_event(self) -> WorldState | None:
         """The joystick has nothing to show: always None."""
