@@ -24,6 +24,7 @@ _MODULES = {
     "stream": "run a whole telepresence session on this machine",
     "link": "run the radio link alone, for any programs",
     "simulate": "run a session on virtual time: the same seed, the same report",
+    "joystick": "list joysticks, and check one: friction, workspace, spring, buttons",
     "bench": "measure figures that anybody can measure again",
     "send": "send one stream as plain RTP, under a hard cap",
     "receive": "receive one stream of plain RTP",

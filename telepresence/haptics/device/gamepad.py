@@ -1,0 +1,207 @@
+"""A game controller as a joystick, through evdev: the shell around `Stick`.
+
+It has no motors that push: the robot's force is heard as its rumble, if it has one. Its stick
+springs back to its middle by itself.
+"""
+
+import os
+from contextlib import suppress
+from math import hypot
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from kontur_av.errors import ConfigError
+from telepresence.haptics.device.device import DeviceFacts, Reading
+from telepresence.haptics.device.stick import (
+    ABS_X,
+    ABS_Y,
+    EV_ABS,
+    EV_FF,
+    EV_KEY,
+    FF_RUMBLE,
+    Axis,
+    RumbleMeter,
+    Stick,
+)
+
+#: The force at which a rumble is at its strongest (N). Chosen.
+_FULL_RUMBLE_N = 8.0
+#: An effect plays for so long at most: a process that is killed leaves no pad shaking.
+_RUMBLE_MS = 1000
+#: Buttons of gamepads and joysticks lie here: a mouse or a touchscreen has none of them.
+_FIRST_BUTTON, _LAST_BUTTON = 0x120, 0x13F
+
+
+class Found(NamedTuple):
+    """A controller at `path`; problem: one line that says why it cannot be used, or ""."""
+
+    path: str
+    name: str
+    problem: str = ""
+
+
+def find_gamepads(folder: Path = Path("/dev/input")) -> list[Found]:
+    """The controllers in `folder`, by number, and what may be one but cannot be opened."""
+    evdev = _library()
+    found = []
+    nodes = sorted(folder.glob("event*"), key=lambda node: (len(node.name), node.name))
+    for node in nodes:
+        if not os.access(node, os.R_OK):
+            problem = "not permitted: add yourself to the group input and log in again"
+            found.append(Found(str(node), "", problem))
+            continue
+        try:
+            device = evdev.InputDevice(str(node))
+        except OSError as error:
+            found.append(Found(str(node), "", f"cannot be opened: {error.strerror}"))
+            continue
+        with suppress(OSError):
+            if _is_stick(device):
+                found.append(Found(str(node), device.name))
+        device.close()
+    return found
+
+
+def open_gamepad(path: str = "", folder: Path = Path("/dev/input")) -> "GamepadDevice":
+    """The controller at `path`, or the first; ConfigError, one line, if there is none."""
+    evdev = _library()
+    if not path:
+        usable = [one for one in find_gamepads(folder) if not one.problem]
+        if not usable:
+            raise ConfigError(
+                "no game controller here: plug one in (`kontur-av joystick list` shows what is "
+                "there), or take sim"
+            )
+        path = usable[0].path
+    try:
+        device = evdev.InputDevice(path)
+    except PermissionError:
+        raise ConfigError(
+            f"evdev:{path} is not permitted: add yourself to the group input and log in again"
+        ) from None
+    except OSError as error:
+        raise ConfigError(
+            f"evdev:{path} is no input device ({error.strerror}): `kontur-av joystick list` shows "
+            "what is there"
+        ) from None
+    if not _is_stick(device):
+        device.close()
+        raise ConfigError(
+            f"evdev:{path} is no game controller: `kontur-av joystick list` shows what is there"
+        )
+    return GamepadDevice(device)
+
+
+class GamepadDevice:
+    """One open controller. `device`: an `evdev.InputDevice`, which this closes."""
+
+    def __init__(self, device: Any) -> None:
+        capabilities = device.capabilities(absinfo=True)
+        axes = dict(capabilities.get(EV_ABS, ()))
+        self._device = device
+        self._stick = Stick(
+            device.name,
+            (_axis(axes[ABS_X]), _axis(axes[ABS_Y])),
+            frozenset(capabilities.get(EV_KEY, ())),
+            rumble=FF_RUMBLE in capabilities.get(EV_FF, ()),
+        )
+        self._meter = RumbleMeter(_FULL_RUMBLE_N)
+        self._effect = -1
+        self._force_n = 0.0
+        self._ask_state()
+
+    @property
+    def facts(self) -> DeviceFacts:
+        """Workspace and buttons; no motors."""
+        return self._stick.facts
+
+    def read(self) -> Reading:
+        """Take all events that have come; where the stick is."""
+        feed(self._stick, self._device)
+        if self._stick.needs_state and self._stick.present:
+            self._ask_state()
+        return self._stick.reading()
+
+    def write_force(self, x_n: float, y_n: float) -> None:
+        """Felt as a rumble, without its direction, on a controller that has one."""
+        self._force_n = hypot(x_n, y_n)
+
+    def write_leds(self, mask: int) -> None:
+        """Nothing: a controller's LEDs say which player it is, and are the kernel's."""
+
+    def advance(self, dt_ns: int) -> None:
+        """`dt_ns` pass."""
+        self._stick.advance(dt_ns)
+        if self._stick.facts.rumble:
+            magnitude = self._meter.handle_force(self._force_n, dt_ns)
+            if magnitude is not None:
+                self._rumble(magnitude)
+
+    def close(self) -> None:
+        """Stop to shake, and let the device go."""
+        if self._effect >= 0:
+            self._rumble(0)
+        self._device.close()
+
+    def _ask_state(self) -> None:
+        try:
+            x, y = self._device.absinfo(ABS_X).value, self._device.absinfo(ABS_Y).value
+            self._stick.handle_state(x, y, frozenset(self._device.active_keys()))
+        except OSError:
+            self._stick.handle_gone()
+
+    def _rumble(self, magnitude: int) -> None:
+        ff = _library().ff
+        effect = ff.Effect(
+            FF_RUMBLE,
+            self._effect,
+            0,
+            ff.Trigger(0, 0),
+            ff.Replay(_RUMBLE_MS, 0),
+            ff.EffectType(
+                ff_rumble_effect=ff.Rumble(
+                    strong_magnitude=magnitude, weak_magnitude=magnitude // 2
+                )
+            ),
+        )
+        # A pad that is being unplugged; the next reading says so.
+        with suppress(OSError):
+            self._effect = self._device.upload_effect(effect)
+            self._device.write(EV_FF, self._effect, 1 if magnitude else 0)
+
+
+def feed(stick: Stick, device: Any) -> None:
+    """Hand `stick` all events that `device` (an `evdev.EventIO`) has now."""
+    try:
+        for event in device.read():
+            stick.handle_event(event.type, event.code, event.value)
+    except BlockingIOError:
+        return
+    except OSError:
+        stick.handle_gone()
+
+
+def _is_stick(device: Any) -> bool:
+    capabilities = device.capabilities(absinfo=False)
+    axes, keys = capabilities.get(EV_ABS, ()), capabilities.get(EV_KEY, ())
+    return (
+        ABS_X in axes
+        and ABS_Y in axes
+        and any(_FIRST_BUTTON <= code <= _LAST_BUTTON for code in keys)
+    )
+
+
+def _axis(info: Any) -> Axis:
+    return Axis(info.value, info.min, info.max, info.flat)
+
+
+def _library() -> ModuleType:
+    try:
+        import evdev
+    except ImportError:
+        raise ConfigError(
+            "a game controller needs the library evdev: pip install 'kontur-av[joystick]'"
+        ) from None
+    library: ModuleType = evdev
+    return library

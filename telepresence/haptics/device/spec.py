@@ -1,0 +1,48 @@
+"""How a joystick is named on the command line, and how it is opened.
+
+| SPEC | what |
+|---|---|
+| `sim` | the simulated joystick |
+| `sim:FAULT` | the same, broken: see `simulated.FAULTS` |
+| `evdev` | the first game controller |
+| `evdev:PATH` | the one at PATH, such as /dev/input/event5 |
+"""
+
+from kontur_av.errors import ConfigError
+from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.device.gamepad import open_gamepad
+from telepresence.haptics.device.simulated import FAULTS, SimulatedDevice
+
+SIMULATED = "sim"
+GAME_CONTROLLER = "evdev"
+
+
+def check_spec(spec: str) -> None:
+    """ConfigError, one line, if `spec` names no joystick that can be opened now."""
+    if not is_simulated(spec):
+        open_device(spec).close()
+    else:
+        _fault(spec)
+
+
+def is_simulated(spec: str) -> bool:
+    """Whether `spec` is a simulated joystick, which knows virtual time."""
+    return spec.partition(":")[0] == SIMULATED
+
+
+def open_device(spec: str) -> JoystickDevice:
+    """The joystick that `spec` names; ConfigError if there is none."""
+    kind, _, rest = spec.partition(":")
+    if kind == SIMULATED:
+        fault = _fault(spec)
+        return SimulatedDevice(FAULTS[fault] if fault else None)
+    if kind == GAME_CONTROLLER:
+        return open_gamepad(rest)
+    raise ConfigError(f"joystick {spec!r}: write sim, sim:FAULT, evdev or evdev:/dev/input/eventN")
+
+
+def _fault(spec: str) -> str:
+    fault = spec.partition(":")[2]
+    if fault and fault not in FAULTS:
+        raise ConfigError(f"joystick {spec!r}: the faults are {', '.join(FAULTS)}")
+    return fault
