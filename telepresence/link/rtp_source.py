@@ -4,6 +4,7 @@ Only the compressor uses this. It puts what it finds into contexts; a wrong gues
 never a wrong header.
 """
 
+from collections import deque
 from typing import NamedTuple
 
 from telepresence.link.flows import Flow
@@ -22,8 +23,10 @@ from telepresence.link.rtp_forms import (
 _ASSUMED_HZ = 30
 #: How many grid points the line through them is fitted to, at the most.
 _MEMORY = 256
-#: Waits are looked back upon for one to two times as many packets.
+#: The usual wait is that of so many packets, the last ones.
 _WAITS = 64
+#: One in so many of them is left out as too long, and half as many as too short.
+_OUTERMOST = 8
 #: Waits that differ by more than this part of a second are of a source that has jumped.
 _JUMPS_PER_S = 2
 #: Packets a picture are counted over one to two times as many pictures.
@@ -70,9 +73,7 @@ class RtpSource:
         # Pictures since the line was begun, and how far the worst one was beside it.
         self._steady = 0
         self._worst = 0.0
-        self._wait = 0
-        self._waits = 0
-        self._least = self._most = self._older_least = self._older_most = 1 << 63
+        self._waits: deque[int] = deque(maxlen=_WAITS)
         self._jump = flow.clock_hz // _JUMPS_PER_S
 
     def handle_packet(self, sequence: int, timestamp: int, count: int) -> None:
@@ -83,19 +84,10 @@ class RtpSource:
             self._timestamp += step
             self._handle_picture(step)
         wait = self._forms.slots_in_ticks(count) - self._timestamp
-        fresh = not self._least - self._jump < wait < self._most + self._jump
-        if fresh:
-            self._waits = 0
-        if self._waits % _WAITS == 0:
-            self._older_least = wait if fresh else self._least
-            self._older_most = wait if fresh else self._most
-            self._least = self._most = wait
-        elif wait < self._least:
-            self._least = wait
-        elif wait > self._most:
-            self._most = wait
-        self._waits += 1
-        self._wait = wait
+        waits = self._waits
+        if waits and not -self._jump < wait - waits[-1] < self._jump:
+            waits.clear()
+        waits.append(wait)
 
     def _handle_picture(self, step: int) -> None:
         timestamp = self._timestamp
@@ -132,6 +124,15 @@ class RtpSource:
         self._points = 1
         self._grid = float(self._timestamp)
 
+    def _usual_wait(self) -> float:
+        """The middle of the last waits but the outermost ones: the first picture of a start waits
+        for a long time, and so does what follows a stall; neither says anything of the others."""
+        ordered = sorted(self._waits)
+        if len(ordered) > 1:
+            outermost = -(-len(ordered) // _OUTERMOST)
+            ordered = ordered[outermost // 2 : -outermost]
+        return (ordered[0] + ordered[-1]) / 2
+
     @property
     def known(self) -> bool:
         """Whether enough was seen for a context that serves for many seconds."""
@@ -142,9 +143,7 @@ class RtpSource:
         self, number: int, count: int, marker: int, payload_type: int, ssrc: int
     ) -> Context:
         """A context of the packet seen last."""
-        low = min(self._least, self._older_least)
-        high = max(self._most, self._older_most)
-        lead = round((self._wait - (low + high) / 2) / self._forms.lead_ticks)
+        lead = round((self._waits[-1] - self._usual_wait()) / self._forms.lead_ticks)
         period, phase = self._period, round(self._grid) - self._timestamp
         pictures, sequences, ticks = (
             last - first for last, first in zip(self._last_picture, self._marks[0], strict=True)

@@ -252,3 +252,16 @@ def test_garbage_is_told_in_one_word():
     assert decompressor.decompress(5, b"", 0) == "malformed"
     assert decompressor.decompress(8, b"", 0) == "malformed"
     assert decompressor.decompress(12, b"1", 0) == "malformed"
+
+
+def test_a_start_that_made_the_first_pictures_wait_costs_no_more_headers():
+    """Live, processes start while the first pictures wait: of ten in the first third of a second
+    two are encoded, the first 200 ms late, and it takes as long again until none waits."""
+    waits_ms = {0: 205, 6: 115, 10: 60, 11: 54, 12: 46, 13: 46, 14: 37, 15: 28, 16: 33, 17: 25}
+    path = Path(VIDEO)
+    sent = [(1000 + round(n * 100 / 3) + waits_ms.get(n, 0), n) for n in (0, 6, *range(10, 300))]
+    kinds = [
+        path.send(count, rtp(number, n * 3000, marker=1)) for number, (count, n) in enumerate(sent)
+    ]
+    assert all(exact for _, _, exact in path.outcomes)
+    assert sum(kind in (KIND_RAW, KIND_CONTEXT) for kind in kinds) <= 15
