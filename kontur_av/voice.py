@@ -10,6 +10,9 @@ from kontur_av.rtp.playout import PlayoutBlock
 
 #: What a cubic needs of the block before: its sound comes two samples later (42 µs).
 _TAIL = 3
+#: What is stretched or shortened by more than this part is so in a pause, where nobody hears that
+#: some of it is gone, but might hear another pitch.
+_RESAMPLED = 40
 
 
 class VoicePlayer:
@@ -48,6 +51,8 @@ class VoicePlayer:
         self._tail = line[-_TAIL:]
         if count == len(sound):
             return line[1 : 1 + count]
+        if abs(count - len(sound)) > len(sound) // _RESAMPLED:
+            return _blended(line[1 : 1 + len(sound)], count)
         at = 1 + np.arange(count) * (len(sound) / count)
         index = at.astype(np.int64)
         t = at - index
@@ -56,3 +61,16 @@ class VoicePlayer:
             p2 - p0 + t * (2 * p0 - 5 * p1 + 4 * p2 - p3 + t * (3 * (p1 - p2) + p3 - p0))
         )
         return np.clip(np.rint(curve), -32768, 32767).astype(np.int16)
+
+
+def _blended(sound: Pcm, count: int) -> Pcm:
+    """`sound` in `count` samples: its beginning fades into its end where the two overlap."""
+    length = len(sound)
+    begin, end = max(0, count - length), min(length, count)
+    weight = (np.arange(begin, end) - begin + 0.5) / (end - begin)
+    blended = np.empty(count, np.int16)
+    blended[:begin] = sound[:begin]
+    blended[end:] = sound[end - count :] if end < count else sound[:0]
+    head, tail = sound[begin:end], sound[length - count + begin : length - count + end]
+    blended[begin:end] = np.rint(head * (1 - weight) + tail * weight)
+    return blended

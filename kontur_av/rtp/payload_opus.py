@@ -36,14 +36,24 @@ def holds_copy(payload: bytes) -> bool:
     That is the LBRR flag, which follows a voice activity flag for each 20 ms (RFC 6716 sections
     4.2.3 and 4.2.4); only SILK and hybrid frames have it. Packets of several frames: no.
     """
+    flags = _silk_flags(payload)
+    return flags is not None and bool(flags[0] & 0x80 >> flags[1])
+
+
+def is_pause(payload: bytes) -> bool:
+    """Whether an Opus packet of one frame says that nobody speaks in it: no voice activity flag
+    is set (RFC 6716 section 4.2.3). False where there are none, as in CELT frames."""
+    flags = _silk_flags(payload)
+    return flags is not None and not flags[0] >> 8 - flags[1]
+
+
+def _silk_flags(payload: bytes) -> tuple[int, int] | None:
+    """The octet that holds the flags of a SILK or hybrid frame, and how many blocks it has."""
     begin = _only_frame(payload)
-    if begin is None or begin >= len(payload):
-        return False
-    config = payload[0] >> 3
-    if config >= 16:
-        return False
-    parts = (1, 1, 2, 3)[config & 3] if config < 12 else 1
-    return bool(payload[begin] & 0x80 >> parts)
+    config = payload[0] >> 3 if payload else 16
+    if begin is None or begin >= len(payload) or config >= 16:
+        return None
+    return payload[begin], (1, 1, 2, 3)[config & 3] if config < 12 else 1
 
 
 def _only_frame(payload: bytes) -> int | None:

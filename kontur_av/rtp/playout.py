@@ -1,22 +1,27 @@
 """The jitter buffer of a voice: when each Opus packet is to be played, and what to conceal."""
 
 from collections import deque
-from dataclasses import dataclass
-from heapq import nlargest
+from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES
-from kontur_av.rtp.payload_opus import holds_copy, opus_samples
+from kontur_av.rtp.payload_opus import holds_copy, is_pause, opus_samples
+from kontur_av.rtp.playout_block import PlayoutBlock as PlayoutBlock
+from kontur_av.rtp.playout_block import PlayoutCounts
 from kontur_av.rtp.receiver import RtpReceived
+from kontur_av.rtp.transits import Transits
 from kontur_av.rtp.wire import TimestampUnwrapper
 
 #: A transit that differs by more than this from the last one is a new time line, not jitter.
 _RESYNC_NS = 2 * NS_PER_S
-#: Packets that are late within this time are late for one reason: a hiccup.
-_HICCUP_NS = 250 * NS_PER_MS
 #: A block is stretched or shortened by at most this share: 25 ms a second, and half a semitone.
 _STRETCH = 40
+#: One in which nobody speaks by at most this one: 10 ms each.
+_PAUSE_STRETCH = 2
+#: After nothing or a silence the first block waits so long: what comes with it in one burst tells
+#: how late it is.
+_SETTLE_NS = 10 * NS_PER_MS
 #: What the delay lacks up to this is stretched in, what it lacks beyond is filled with concealment.
 _STRETCHED_NS = 5 * NS_PER_MS
 #: The delay is not lowered for less.
@@ -25,66 +30,26 @@ _SLACK_NS = 3 * NS_PER_MS
 _STEP_SAMPLES = AUDIO_CLOCK_HZ // 400
 
 
-@dataclass(frozen=True, slots=True)
-class PlayoutBlock:
-    """One block of sound whose time has come. `kontur_av.voice.VoicePlayer` makes it sound.
-
-    payload: an Opus packet, or None: the decoder conceals `samples` samples.
-    timestamp: its 32-bit RTP timestamp.  play_ns: when its first sample is due.
-    samples: what it stands for.  played_samples: in the time of how many it is played.
-    recovered: `payload` is the packet after the missing one, and holds a copy of it.
-    inserted: it stands for nothing that was sent: it fills the time in which the delay grows.
-    """
-
-    payload: bytes | None
-    timestamp: int
-    samples: int
-    play_ns: int
-    played_samples: int
-    recovered: bool = False
-    inserted: bool = False
-
-
-@dataclass(slots=True)
-class PlayoutCounts:
-    """played: blocks given out with sound.  recovered: with that of a copy.  concealed: without.
-    inserted: filled in where the delay grew.  stretched, shortened: blocks that were.
-    late: came after their time.  dropped: the oldest, pushed out of a full buffer.
-    garbage: no Opus.  resyncs: new time lines.
-    """
-
-    played: int = 0
-    recovered: int = 0
-    concealed: int = 0
-    inserted: int = 0
-    stretched: int = 0
-    shortened: int = 0
-    late: int = 0
-    dropped: int = 0
-    garbage: int = 0
-    resyncs: int = 0
-
-
-@dataclass(slots=True)
-class _Block:
+class _Block(NamedTuple):
     payload: bytes
     samples: int
-    received_ns: int
 
 
 class PlayoutBuffer:
     """A jitter buffer counted in time, not in packets; what it gives out has no gap.
 
     Each packet's transit is its arrival minus its media time. A block is played at its media
-    time plus an offset. The offset wanted is the largest transit of the last `window_ns`, one
-    hiccup left out, plus `margin_ns`; at least the smallest one plus `min_delay_ns`, at most plus
-    `max_delay_ns`. A hiccup that comes alone costs the blocks that came too late: waiting for it
-    would help nobody, because it is over when it is seen. With the second one the offset grows.
+    time plus an offset. The offset wanted is the transit that all but `late_allowed` packets of
+    the last `window_ns` kept, plus `margin_ns`; at least the smallest one plus `min_delay_ns`, at
+    most plus `max_delay_ns`. So a stall that comes alone, or the burst of a start, costs the
+    blocks that came too late: waiting for it would help nobody, because it is over when it is
+    seen.
 
     It grows at once: what the decoder makes up is inserted before the next block, or, where a late
     block has just been concealed, that is taken as the insertion, and the block is played after
     it. Up to 5 ms are gained by stretching. It shrinks by shortening: each block is played in the
-    time of at most 1/40 fewer samples, so that the voice is half a semitone higher for as long.
+    time of at most 1/40 fewer samples, so that the voice is half a semitone higher for as long;
+    while nobody speaks, of half as many.
 
     Feed `handle_packet`; when `poll_timeout` is due call `handle_timeout`, then drain
     `next_event`. A missing block is recovered from the copy in its successor if that is there and
@@ -99,7 +64,8 @@ class PlayoutBuffer:
         min_delay_ns: int = 10 * NS_PER_MS,
         max_delay_ns: int = 200 * NS_PER_MS,
         margin_ns: int = 5 * NS_PER_MS,
-        window_ns: int = 3 * NS_PER_S,
+        window_ns: int = 5 * NS_PER_S,
+        late_allowed: int = 5,
         max_concealed: int = 5,
         max_blocks: int = 50,
     ) -> None:
@@ -108,6 +74,7 @@ class PlayoutBuffer:
         self._max_delay_ns = max_delay_ns
         self._margin_ns = margin_ns
         self._window_ns = window_ns
+        self._late_allowed = late_allowed
         self._max_concealed = max_concealed
         self._max_blocks = max_blocks
         self._events: deque[PlayoutBlock] = deque()
@@ -120,12 +87,7 @@ class PlayoutBuffer:
         self._blocks: dict[int, _Block] = {}
         self._unwrapper = TimestampUnwrapper()
         self._origin: int | None = None
-        # Candidates for the smallest transit of the window, as (when, transit): only those that
-        # no later one outdoes are kept, so the smallest is found at the front.
-        self._smallest: deque[tuple[int, int]] = deque()
-        # The largest transit of each stretch of _HICCUP_NS, as (when it began, transit).
-        self._hiccups: deque[tuple[int, int]] = deque()
-        self._last_transit_ns: int | None = None
+        self._transits = Transits(window_ns=self._window_ns, late_allowed=self._late_allowed)
         self._offset_ns: int | None = None
         self._floor_ns: int | None = None
         self._lowering = False
@@ -135,19 +97,15 @@ class PlayoutBuffer:
         self._just_concealed: int | None = None
         self._samples = BLOCK_SAMPLES
         self._concealed_in_row = 0
+        #: What comes next is the first after nothing or a silence.
+        self._beginning = False
 
     @property
     def delay_ns(self) -> int:
         """How long a packet of the quickest transit waits before it is played."""
-        if self._offset_ns is None or not self._smallest:
+        if self._offset_ns is None or not self._transits:
             return 0
-        return self._offset_ns - self._smallest[0][1]
-
-    def oldest_age_ns(self, now_ns: int) -> int:
-        """How long the packet that plays next has waited."""
-        if not self._blocks:
-            return 0
-        return now_ns - self._blocks[min(self._blocks)].received_ns
+        return self._offset_ns - self._transits.quickest_ns
 
     def __len__(self) -> int:
         return len(self._blocks)
@@ -176,7 +134,7 @@ class PlayoutBuffer:
             self._resync()
         media = self._unwrapper.unwrap(packet.timestamp)
         transit_ns = now_ns - _ns(media)
-        last_ns = self._last_transit_ns
+        last_ns = self._transits.last_ns
         if last_ns is not None and abs(transit_ns - last_ns) > _RESYNC_NS:
             self._resync()
             media = self._unwrapper.unwrap(packet.timestamp)
@@ -189,7 +147,7 @@ class PlayoutBuffer:
                 self.counts.late += 1
                 return
             self._rewind(media)
-        self._blocks[media] = _Block(packet.payload, samples, now_ns)
+        self._blocks[media] = _Block(packet.payload, samples)
         if self._next is None:
             self._begin(min(self._blocks), now_ns)
         elif media < self._next:
@@ -207,20 +165,8 @@ class PlayoutBuffer:
         self._reset()
 
     def _observe(self, now_ns: int, transit_ns: int) -> None:
-        self._last_transit_ns = transit_ns
-        while self._smallest and self._smallest[-1][1] >= transit_ns:
-            self._smallest.pop()
-        self._smallest.append((now_ns, transit_ns))
-        hiccups = self._hiccups
-        if hiccups and now_ns - hiccups[-1][0] < _HICCUP_NS:
-            began_ns, largest_ns = hiccups[-1]
-            hiccups[-1] = began_ns, max(largest_ns, transit_ns)
-        else:
-            hiccups.append((now_ns, transit_ns))
-        for window in (self._smallest, hiccups):
-            while window[0][0] < now_ns - self._window_ns:
-                window.popleft()
-        ceiling_ns = self._smallest[0][1] + self._max_delay_ns
+        self._transits.handle_arrival(now_ns, transit_ns)
+        ceiling_ns = self._transits.quickest_ns + self._max_delay_ns
         if self._offset_ns is not None and self._offset_ns > ceiling_ns:
             # After a stall the queue empties in a burst: what is too old goes, all at once.
             self._skip_overdue(ceiling_ns, now_ns)
@@ -239,17 +185,18 @@ class PlayoutBuffer:
 
     def _target_ns(self) -> int:
         """The offset that the jitter of the window asks for."""
-        quickest_ns = self._smallest[0][1]
-        late = nlargest(2, (transit_ns for _, transit_ns in self._hiccups))
-        wanted_ns = max(late[-1] + self._margin_ns, quickest_ns + self._min_delay_ns)
-        return min(wanted_ns, quickest_ns + self._max_delay_ns)
+        quickest_ns = self._transits.quickest_ns
+        wanted_ns = self._transits.bound_ns + self._margin_ns
+        return min(
+            max(wanted_ns, quickest_ns + self._min_delay_ns), quickest_ns + self._max_delay_ns
+        )
 
     def _wanted_ns(self) -> int:
         """The offset that jitter and `hold` ask for."""
         target_ns = self._target_ns()
         if self._floor_ns is None:
             return target_ns
-        return max(target_ns, min(self._floor_ns, self._smallest[0][1] + self._max_delay_ns))
+        return max(target_ns, min(self._floor_ns, self._transits.quickest_ns + self._max_delay_ns))
 
     def _lacking_ns(self) -> int:
         """How much the offset is too small for the jitter."""
@@ -258,11 +205,25 @@ class PlayoutBuffer:
 
     def _begin(self, media: int, now_ns: int) -> None:
         """Play `media` next, after nothing or after a silence: any offset will do."""
-        earliest_ns = now_ns if self._played_up_to is not None else _ns(media)
+        earliest_ns = now_ns + _SETTLE_NS
         if self._free_ns is not None:
             earliest_ns = max(earliest_ns, self._free_ns)
         self._offset_ns = max(self._wanted_ns(), earliest_ns - _ns(media))
         self._next = media
+        self._beginning = True
+
+    def _settle(self, now_ns: int) -> None:
+        """Leave out what came so late that all that follows would be later than it has to be."""
+        self._beginning = False
+        wanted_ns = self._wanted_ns()
+        waiting = sorted(self._blocks)
+        for media in waiting[:-1]:
+            if _ns(media) + wanted_ns >= now_ns:
+                break
+            del self._blocks[media]
+            self.counts.dropped += 1
+        self._next = media = min(self._blocks)
+        self._offset_ns = max(wanted_ns, now_ns - _ns(media))
 
     def _rewind(self, media: int) -> None:
         """Take the concealment of `media` as what the delay has to grow by, and play it now."""
@@ -286,6 +247,9 @@ class PlayoutBuffer:
             self._play(due_ns)
 
     def _play(self, due_ns: int) -> None:
+        if self._beginning:
+            self._settle(due_ns)
+            return
         assert self._next is not None
         media = self._next
         self._just_concealed = None
@@ -343,7 +307,8 @@ class PlayoutBuffer:
     ) -> None:
         assert self._origin is not None and self._offset_ns is not None
         timestamp = (self._origin + media) & 0xFFFF_FFFF
-        played = samples + self._stretch(samples)
+        pause = payload is not None and not recovered and is_pause(payload)
+        played = samples + self._stretch(samples, _PAUSE_STRETCH if pause else _STRETCH)
         self._events.append(
             PlayoutBlock(payload, timestamp, samples, due_ns, played, recovered=recovered)
         )
@@ -351,8 +316,9 @@ class PlayoutBuffer:
         self._free_ns = due_ns + _ns(played)
         self._pass(media, samples)
 
-    def _stretch(self, samples: int) -> int:
-        """By how many samples a block is to be longer, or, below 0, shorter."""
+    def _stretch(self, samples: int, parts: int) -> int:
+        """By how many samples a block is to be longer, or, below 0, shorter; at most one of
+        `parts` of them."""
         assert self._offset_ns is not None
         wanted_ns = self._wanted_ns()
         lacking = (wanted_ns - self._offset_ns) * AUDIO_CLOCK_HZ // NS_PER_S
@@ -362,10 +328,10 @@ class PlayoutBuffer:
             self._lowering = True
         if lacking > 0:
             self.counts.stretched += 1
-            return min(lacking, samples // _STRETCH)
+            return min(lacking, samples // parts)
         if self._lowering:
             self.counts.shortened += 1
-            return max(lacking, -(samples // _STRETCH))
+            return max(lacking, -(samples // parts))
         return 0
 
     def _pass(self, media: int, samples: int) -> None:

@@ -238,6 +238,7 @@ class VoiceReceiving(_Receiving):
         probe.total("frames_concealed", counts.concealed + self._corrupt)
         probe.total("frames_recovered", counts.recovered)
         probe.total("frames_late", counts.late)
+        probe.total("frames_left_out", counts.dropped)
         probe.total("inserted_ns", self._inserted_ns)
         probe.total("frames_stretched", counts.stretched)
         probe.total("frames_shortened", counts.shortened)

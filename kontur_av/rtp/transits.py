@@ -1,0 +1,64 @@
+"""How long packets were under way of late, and what that asks of a jitter buffer."""
+
+from bisect import bisect_left, insort
+from collections import deque
+
+from kontur_av.clock import NS_PER_MS
+
+#: So many arrivals in a row, spread over so long, are no burst that empties a queue.
+_LEVEL_ARRIVALS = 3
+_LEVEL_SPREAD_NS = 30 * NS_PER_MS
+
+
+class Transits:
+    """The transits, arrival less media time, of the packets that came in the last `window_ns`.
+
+    Clocks may differ: only differences of transits mean anything. All in nanoseconds.
+
+    late_allowed: so many packets of a window may come too late, because each is concealed. That
+    is the share aimed at, and it also says that one stall of the machine or one burst at a
+    start is none that all later sound has to wait for: what it delayed is over when it is seen.
+    """
+
+    def __init__(self, *, window_ns: int, late_allowed: int) -> None:
+        self._window_ns = window_ns
+        self._late_allowed = late_allowed
+        self._arrivals: deque[tuple[int, int]] = deque()
+        self._ordered: list[int] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._ordered)
+
+    def handle_arrival(self, now_ns: int, transit_ns: int) -> None:
+        """A packet has come at `now_ns`."""
+        arrivals, ordered = self._arrivals, self._ordered
+        arrivals.append((now_ns, transit_ns))
+        insort(ordered, transit_ns)
+        while arrivals[0][0] < now_ns - self._window_ns:
+            _, old_ns = arrivals.popleft()
+            del ordered[bisect_left(ordered, old_ns)]
+
+    @property
+    def last_ns(self) -> int | None:
+        """That of the packet that came last."""
+        return self._arrivals[-1][1] if self._arrivals else None
+
+    @property
+    def quickest_ns(self) -> int:
+        """The smallest; there must be one."""
+        return self._ordered[0]
+
+    @property
+    def bound_ns(self) -> int:
+        """That which all but the late ones allowed did not exceed; there must be one.
+
+        Where the last arrivals were all slower, and are no burst, the path has become longer:
+        then the quickest of them counts at once.
+        """
+        ordered, arrivals = self._ordered, self._arrivals
+        bound_ns = ordered[max(0, len(ordered) - 1 - self._late_allowed)]
+        if len(arrivals) >= _LEVEL_ARRIVALS:
+            last = [arrivals[-1 - back] for back in range(_LEVEL_ARRIVALS)]
+            if last[0][0] - last[-1][0] >= _LEVEL_SPREAD_NS:
+                return max(bound_ns, min(transit_ns for _, transit_ns in last))
+        return bound_ns
