@@ -1,0 +1,143 @@
+"""What is left out, what is not, and that nobody takes it for lost."""
+
+from itertools import pairwise
+from math import hypot
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_MS
+from telepresence.haptics.deadband import (
+    ENERGY_FLOOR_UJ,
+    FORCE_FLOOR_N,
+    FORCE_SHARE,
+    LONGEST_PAUSE_NS,
+    POSITION_FLOOR_M,
+    command_deadband,
+    feedback_deadband,
+)
+from telepresence.haptics.latency import LatencyMatcher
+from telepresence.haptics.loop import MAX_AGE_NS, joystick_link, robot_link
+from telepresence.haptics.sample import Command, Feedback
+
+REST = Feedback(-5.0, 0.0, 100, True)
+
+
+def sent(deadband, values, holding=False):
+    """The cycles, counted from 0, whose samples are sent: one a millisecond."""
+    return [
+        k for k, value in enumerate(values) if deadband.handle_sample(value, holding, k * NS_PER_MS)
+    ]
+
+
+def test_what_does_not_change_goes_every_few_milliseconds_so_that_two_may_be_lost():
+    band = feedback_deadband()
+    cycles = sent(band, [REST] * 100)
+    assert {b - a for a, b in pairwise(cycles)} == {LONGEST_PAUSE_NS // NS_PER_MS}
+    assert 3 * LONGEST_PAUSE_NS < MAX_AGE_NS
+    assert band.left_out == band.samples - len(cycles) == 100 - len(cycles)
+
+
+@pytest.mark.parametrize(
+    "news",
+    [
+        {"contact": False},
+        {"mode": 1},
+        {"lit": 2},
+        {"acted": True},
+        {"halted": True},
+        {"fx_n": -5.0 * (1 + FORCE_SHARE) - 0.001},
+        {"fy_n": 5.0 * FORCE_SHARE + 0.001},
+        {"energy_uj": 100 + ENERGY_FLOOR_UJ},
+    ],
+)
+def test_news_of_the_robot_goes_at_once(news):
+    assert sent(feedback_deadband(), [REST, REST, REST._replace(**news)]) == [0, 2]
+
+
+@pytest.mark.parametrize(
+    "news",
+    [{"dead_man": False}, {"state": 4}, {"buttons": 1}, {"acted": True}, {"halted": True}],
+)
+def test_news_of_the_joystick_goes_at_once(news):
+    rest = Command(0.01, 0.0, 0)
+    assert sent(command_deadband(), [rest, rest, rest._replace(**news)]) == [0, 2]
+
+
+def test_that_the_peer_is_not_heard_any_more_is_said_at_once():
+    band = feedback_deadband()
+    assert band.handle_sample(REST, False, 0)
+    assert not band.handle_sample(REST, False, NS_PER_MS)
+    assert band.handle_sample(REST, True, 2 * NS_PER_MS)
+
+
+def test_a_fast_hand_may_be_further_from_what_was_sent_than_a_slow_one():
+    def worst_m(speed_m_s):
+        band, held, worst = command_deadband(), None, 0.0
+        for k in range(200):
+            value = Command(speed_m_s * k / 1000, 0.0, 0)
+            if band.handle_sample(value, False, k * NS_PER_MS):
+                held = value
+            worst = max(worst, value.x_m - held.x_m)
+        return worst
+
+    assert 0 < worst_m(0.01) <= POSITION_FLOOR_M
+    assert POSITION_FLOOR_M < worst_m(0.3) <= POSITION_FLOOR_M + 0.3 * 0.002
+
+
+forces = st.floats(-65, 65, allow_nan=False)
+
+
+@given(st.lists(st.tuples(forces, forces, st.integers(0, 300)), min_size=1, max_size=60))
+def test_what_is_held_is_never_further_off_than_the_band(steps):
+    band = feedback_deadband()
+    held, held_k, energy_uj = None, 0, 0
+    for k, (fx_n, fy_n, more_uj) in enumerate(steps):
+        energy_uj += more_uj
+        value = Feedback(fx_n, fy_n, energy_uj, True)
+        if band.handle_sample(value, False, k * NS_PER_MS):
+            held, held_k = value, k
+        room_n = max(FORCE_SHARE * hypot(held.fx_n, held.fy_n), FORCE_FLOOR_N)
+        assert hypot(fx_n - held.fx_n, fy_n - held.fy_n) <= room_n
+        assert energy_uj - held.energy_uj < ENERGY_FLOOR_UJ
+        assert k - held_k < LONGEST_PAUSE_NS // NS_PER_MS
+
+
+def test_a_sample_that_is_left_out_is_neither_lost_nor_missed():
+    robot, joystick = robot_link(deadband=True), joystick_link(deadband=True)
+    matcher = LatencyMatcher()
+    events = []
+    for k in range(3000):
+        now_ns = k * NS_PER_MS
+        # Pressed, released and pressed again, with quiet between.
+        push = 5.0 if k // 200 % 2 else 0.0
+        robot.handle_local(Feedback(-push, 0.0, k, push > 0), now_ns)
+        joystick.handle_local(Command(0.0, 0.0, k), now_ns)
+        up, down = robot.poll_transmit(now_ns), joystick.poll_transmit(now_ns)
+        if up is not None:
+            joystick.handle_datagram(up, now_ns + NS_PER_MS // 2)
+        if down is not None:
+            robot.handle_datagram(down, now_ns + NS_PER_MS // 2)
+        felt = joystick.latest(now_ns + NS_PER_MS // 2)
+        assert felt is not None and felt.contact == (push > 0)
+        while (event := joystick.next_event()) is not None:
+            events.append(event)
+    report = joystick.report()
+    assert report["received"] == robot.report()["sent"] < 600
+    assert report["lost"] == report["late"] == report["restarts"] == report["garbage"] == 0
+    assert robot.report()["left_out"] + robot.report()["sent"] == 3000
+    assert len(events) == 1, "found once, never lost"
+    matcher.handle_sent(robot.take_sent_stamps())
+    matcher.handle_received(joystick.take_received_stamps())
+    latencies = matcher.take_latencies_ns(3000 * NS_PER_MS)
+    assert len(latencies) == report["received"] and set(latencies) == {NS_PER_MS // 2}
+
+
+def test_without_a_deadband_every_sample_goes():
+    link = robot_link()
+    link.handle_local(REST, 0)
+    assert link.poll_transmit(0) is not None
+    link.handle_local(REST, NS_PER_MS)
+    assert link.poll_transmit(NS_PER_MS) is not None
+    assert "left_out" not in link.report()
