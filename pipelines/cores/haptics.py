@@ -5,32 +5,33 @@ from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.probe import Probe
-from telepresence.haptics.joystick import Joystick
-from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
-from telepresence.haptics.robot import Robot
-from telepresence.haptics.sample import Command, Feedback
+from telepresence.haptics.bilateral import Handle, MasterSide, SlaveSide
+from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
 
-Out = TypeVar("Out")
-In = TypeVar("In")
+Side = TypeVar("Side", bound=MasterSide | SlaveSide)
 
 #: The world is drawn at 30 pictures a second: a state every 10 ms is fresh enough for all.
 _PUBLISH_EVERY = 10
+#: Of a side's report: what adds up over its lives, and what does not.
+PORT_TOTALS = ("energy_in_uj", "energy_out_uj", "passivity_acted", "totals_refused")
+PORT_GAUGES = ("credit_uj", "least_uj")
 #: Once a millisecond.
 CYCLE_NS = NS_PER_MS
 
 
-class _End(Generic[Out, In]):
+class _End(Generic[Side]):
     """In each cycle: `handle_datagram` for all that has come, `handle_cycle`, `poll_transmit`."""
 
-    def __init__(self, link: HapticLink[Out, In], probe: Probe) -> None:
+    def __init__(self, side: Side, probe: Probe) -> None:
+        self.side = side
         self._probe = probe
-        self._link = link
+        self._link = side.link
         # Looked up once: they are called a thousand times a second.
-        self.handle_datagram = link.handle_datagram
-        self.poll_transmit = link.poll_transmit
-        self._latest, self._handle_local = link.latest, link.handle_local
+        self.handle_datagram = side.handle_datagram
+        self.poll_transmit = side.poll_transmit
+        self._cycle = side.handle_cycle
         self._sent, self._received = probe.rows("haptic_tx"), probe.rows("haptic_rx")
 
     def tell(self) -> None:
@@ -38,13 +39,18 @@ class _End(Generic[Out, In]):
         link = self._link
         for name, value in link.report().items():
             self._probe.total(name, value)
+        figures = self.side.report()
+        for name in PORT_TOTALS:
+            self._probe.total(name, figures[name])
+        for name in PORT_GAUGES:
+            self._probe.gauge(name, figures[name])
         self._sent.extend(chain.from_iterable(link.take_sent_stamps()))
         self._received.extend(chain.from_iterable(link.take_received_stamps()))
         while link.next_event() is not None:
             pass
 
 
-class RobotEnd(_End[Feedback, Command]):
+class RobotEnd(_End[SlaveSide]):
     """Follows the commands, measures the force, and lets the world see where the tip is.
 
     `next_event` gives a state every 10 cycles, and at once when a contact begins or ends. Each
@@ -53,9 +59,7 @@ class RobotEnd(_End[Feedback, Command]):
     """
 
     def __init__(self, probe: Probe, *, deadband: bool = False) -> None:
-        super().__init__(robot_link(deadband=deadband), probe)
-        self._robot = Robot()
-        self._step = self._robot.step
+        super().__init__(SlaveSide(link=robot_link(deadband=deadband)), probe)
         self._contact_since_ns: int | None = None
         self._touched_ns: int | None = None
         self._contacts = probe.rows("contact")
@@ -64,8 +68,8 @@ class RobotEnd(_End[Feedback, Command]):
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """One cycle, which moves the robot on by `advance_ns`."""
-        self._handle_local(self._step(self._latest(now_ns), advance_ns), now_ns)
-        robot = self._robot
+        self._cycle(now_ns, advance_ns)
+        robot = self.side.robot
         changed = robot.contact != (self._contact_since_ns is not None)
         if changed:
             self._contact_since_ns = now_ns if robot.contact else None
@@ -94,12 +98,17 @@ class RobotEnd(_End[Feedback, Command]):
         return state
 
 
-class JoystickEnd(_End[Command, Feedback]):
-    """Moves the handle as the simulated hand does, and puts the robot's force on it."""
+class JoystickEnd(_End[MasterSide]):
+    """Moves the handle as the simulated hand does, and puts the robot's force on it.
 
-    def __init__(self, probe: Probe, *, deadband: bool = False) -> None:
-        super().__init__(joystick_link(deadband=deadband), probe)
-        self._step = Joystick().step
+    handle: instead of the simulated joystick in the simulated hand.
+    """
+
+    def __init__(
+        self, probe: Probe, *, deadband: bool = False, handle: Handle | None = None
+    ) -> None:
+        super().__init__(MasterSide(link=joystick_link(deadband=deadband), handle=handle), probe)
+        self._latest = self.side.link.latest
         self._steps = StepDetector()
         self._feel, self._felt = self._steps.handle_sample, probe.rows("step")
 
@@ -108,7 +117,7 @@ class JoystickEnd(_End[Command, Feedback]):
         feedback = self._latest(now_ns)
         if feedback is not None:
             self._feel(now_ns, feedback.fx_n, feedback.fy_n, feedback.contact)
-        self._handle_local(self._step(feedback, advance_ns), now_ns)
+        self._cycle(now_ns, advance_ns)
 
     def tell(self) -> None:
         """Put the counters and stamps into the probe, and the instants of the force's steps."""

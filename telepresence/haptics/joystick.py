@@ -1,171 +1,137 @@
-"""A simulated joystick with two degrees of freedom, force feedback, and a hand that holds it.
+"""A simulated joystick with two degrees of freedom and force feedback.
 
-The handle and the hand are one point mass on a spring and a damper, which pull it to where the
-person means to be. The intention is a script: a table of waypoints, joined by movements of least
-jerk (T. Flash and N. Hogan, "The coordination of arm movements", J. Neurosci. 5, 1985).
+The handle is a point mass with viscous and Coulomb friction, stops at the ends of its workspace,
+and motors that get warm. Kontur-2's joystick has two degrees of freedom, a dead-man button and a
+temperature supervision (C. Riecke et al., "Kontur-2 mission: the DLR force feedback joystick for
+space telemanipulation from the ISS", i-SAIRAS 2016); the numbers here are this project's own.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from math import sqrt
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.sample import Command, Feedback
-
-_MAX_STEP_NS = NS_PER_MS
-_MAX_ADVANCE_NS = 50 * NS_PER_MS
-
-
-class Waypoint(NamedTuple):
-    """Be at (x_m, y_m) `move_ns` after the waypoint before, then stay for `stay_ns`."""
-
-    x_m: float
-    y_m: float
-    move_ns: int
-    stay_ns: int
-
-
-#: Approach the wall at x = 0.06 m, press on the lowest LED target, slide along the wall to the
-#: middle and the upper one, let go and come back: 9 s.
-PRESS_AND_SLIDE = (
-    Waypoint(0.000, -0.050, 1_200 * NS_PER_MS, 400 * NS_PER_MS),
-    Waypoint(0.085, -0.050, 1_400 * NS_PER_MS, 800 * NS_PER_MS),
-    Waypoint(0.085, 0.000, 900 * NS_PER_MS, 700 * NS_PER_MS),
-    Waypoint(0.085, 0.050, 900 * NS_PER_MS, 800 * NS_PER_MS),
-    Waypoint(0.010, 0.050, 900 * NS_PER_MS, 300 * NS_PER_MS),
-    Waypoint(-0.060, 0.010, 700 * NS_PER_MS, 0 * NS_PER_MS),
-)
+from kontur_av.clock import NS_PER_S
+from telepresence.haptics.sample import STATE_APPLICATION
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JoystickModel:
-    """What the simulated joystick and the hand on it are made of."""
+    """What the simulated joystick is made of; all of it chosen, in the range of desktop devices.
+
+    mass_kg: felt at the handle. viscous_n_s_m, coulomb_n: friction; the latter is smoothed around
+    standstill over `stick_m_s`. force_limit_n: what cold motors give, of the force's size.
+    half_width_m, half_height_m: the workspace; the stops beyond are springs of stop_n_m with the
+    damping stop_n_s_m, and only push.
+    ambient_c: where the temperature begins. heat_k_n2: by how much a force of 1 N warms the motors
+    in the end (it goes with the square of the current). warm_s: time constant of that.
+    derate_from_c, derate_to_c, derated: between these temperatures the limit falls from the whole
+    to this share of it.
+    """
 
     mass_kg: float = 0.4
-    hand_stiffness_n_m: float = 400.0
-    hand_damping_n_s_m: float = 25.0
-    force_gain: float = 0.5  # how much of the measured force the motors give
-    force_limit_n: float = 12.0  # of the motors, per axis
-    force_rate_n_s: float = 1000.0  # of the motors: no blow when the samples come back
-    relax_s: float = 0.1  # without feedback the motors' force decays with this time constant
+    viscous_n_s_m: float = 1.0
+    coulomb_n: float = 0.2
+    stick_m_s: float = 0.005
+    force_limit_n: float = 12.0
+    half_width_m: float = 0.15
+    half_height_m: float = 0.10
+    stop_n_m: float = 5000.0
+    stop_n_s_m: float = 40.0
+    ambient_c: float = 23.0
+    heat_k_n2: float = 0.5
+    warm_s: float = 240.0
+    derate_from_c: float = 60.0
+    derate_to_c: float = 80.0
+    derated: float = 0.25
 
 
 class Joystick:
-    """The joystick's state; `step` moves it on.
+    """The joystick's state; `push` moves it on.
 
-    x_m, y_m: the handle (m); vx_m_s, vy_m_s: its velocity; motor_x_n, motor_y_n: the force
-    that the motors exert on it (N).
+    x_m, y_m: the handle; vx_m_s, vy_m_s: its velocity. motor_x_n, motor_y_n: the force that the
+    motors exert on it. temperature_c: of the motors. force_limit_n: what they can give at that
+    temperature. work_j: what they have done at the handle so far.
+    dead_man, buttons, state: what the samples tell of them; somebody else sets them.
     """
 
     def __init__(
-        self,
-        model: JoystickModel | None = None,
-        *,
-        script: Sequence[Waypoint] = PRESS_AND_SLIDE,
+        self, model: JoystickModel | None = None, *, x_m: float = 0.0, y_m: float = 0.0
     ) -> None:
-        if not script or sum(point.move_ns + point.stay_ns for point in script) <= 0:
-            raise ValueError("a script has at least one waypoint and takes some time")
-        self.model = model or JoystickModel()
-        self.script = tuple(script)
-        self.x_m = script[-1].x_m
-        self.y_m = script[-1].y_m
-        self.vx_m_s = 0.0
-        self.vy_m_s = 0.0
-        self.motor_x_n = 0.0
-        self.motor_y_n = 0.0
-        model = self.model
+        self.model = model = model or JoystickModel()
+        self.x_m, self.y_m = x_m, y_m
+        self.vx_m_s = self.vy_m_s = 0.0
+        self.motor_x_n = self.motor_y_n = 0.0
+        self.work_j = 0.0
+        self.temperature_c = model.ambient_c
+        self.force_limit_n = model.force_limit_n
+        self.dead_man = True
+        self.buttons = 0
+        self.state = STATE_APPLICATION
+        # Looked up at once, not one by one: `push` is called a thousand times a second.
         self._constants = (
-            model.mass_kg,
-            model.hand_stiffness_n_m,
-            model.hand_damping_n_s_m,
-            model.force_gain,
-            model.force_limit_n,
-            model.force_rate_n_s,
+            model.viscous_n_s_m,
+            model.coulomb_n,
+            model.stick_m_s,
+            model.half_width_m,
+            model.half_height_m,
+            model.heat_k_n2,
+            model.ambient_c,
         )
-        self._index = 0
-        self._into_ns = 0
-        #: How long the present point takes.
-        self._point_ns = script[0].move_ns + script[0].stay_ns
 
-    @property
-    def period_ns(self) -> int:
-        """How long the script takes before it begins again."""
-        return sum(point.move_ns + point.stay_ns for point in self.script)
+    def push(
+        self,
+        motor_x_n: float,
+        motor_y_n: float,
+        hand_x_n: float,
+        hand_y_n: float,
+        hand_kg: float,
+        dt_ns: int,
+    ) -> None:
+        """Move on by `dt_ns`, at most 1 ms, with these forces of the motors and of the hand (N).
 
-    def step(self, feedback: Feedback | None, dt_ns: int) -> Command:
-        """Move on by `dt_ns` with `feedback` on the motors; None when there is no fresh one.
-
-        Of a `dt_ns` beyond 50 ms (the process stood still) only 50 ms are done.
+        hand_kg: what moves along with the handle. The motors give no more than `force_limit_n`.
         """
-        if 0 < dt_ns <= _MAX_STEP_NS:
-            self._integrate(feedback, dt_ns)
-        else:
-            remaining_ns = min(dt_ns, _MAX_ADVANCE_NS)
-            while remaining_ns > 0:
-                part_ns = min(remaining_ns, _MAX_STEP_NS)
-                self._integrate(feedback, part_ns)
-                remaining_ns -= part_ns
-        return Command(self.x_m, self.y_m, 0)
-
-    def intention(self) -> tuple[float, float]:
-        """Where the hand means to be now (m)."""
-        point = self.script[self._index]
-        before = self.script[self._index - 1]
-        if self._into_ns >= point.move_ns:
-            return point.x_m, point.y_m
-        s = self._into_ns / point.move_ns
-        share = s * s * s * (10.0 + s * (6.0 * s - 15.0))
-        return (
-            before.x_m + (point.x_m - before.x_m) * share,
-            before.y_m + (point.y_m - before.y_m) * share,
-        )
-
-    def _integrate(self, feedback: Feedback | None, dt_ns: int) -> None:
-        # Looked up at once, not one by one: this is done a thousand times a second.
-        mass, stiffness, damping, gain, limit, rate = self._constants
+        viscous, coulomb, stick, width, height, heat, ambient = self._constants
         dt_s = dt_ns / NS_PER_S
-        self._into_ns = into_ns = self._into_ns + dt_ns
-        if into_ns >= self._point_ns:
-            self._next_point()
-        to_x, to_y = self.intention()
-
-        if feedback is None:
-            keep = max(0.0, 1.0 - dt_s / self.model.relax_s)
-            motor_x = self.motor_x_n * keep
-            motor_y = self.motor_y_n * keep
-        else:
-            change = rate * dt_s
-            motor_x, motor_y = self.motor_x_n, self.motor_y_n
-            target_x, target_y = gain * feedback[0], gain * feedback[1]
-            if motor_x != target_x:
-                motor_x = _approach(motor_x, target_x, change, limit)
-            if motor_y != target_y:
-                motor_y = _approach(motor_y, target_y, change, limit)
-        self.motor_x_n, self.motor_y_n = motor_x, motor_y
+        size = motor_x_n * motor_x_n + motor_y_n * motor_y_n
+        if size > self.force_limit_n * self.force_limit_n:
+            share = self.force_limit_n / sqrt(size)
+            motor_x_n *= share
+            motor_y_n *= share
+            size = self.force_limit_n * self.force_limit_n
+        self.motor_x_n, self.motor_y_n = motor_x_n, motor_y_n
+        model = self.model
+        self.temperature_c += (ambient + heat * size - self.temperature_c) * dt_s / model.warm_s
+        if self.temperature_c > model.derate_from_c or self.force_limit_n < model.force_limit_n:
+            self._derate()
 
         x, y, vx, vy = self.x_m, self.y_m, self.vx_m_s, self.vy_m_s
-        force_x = stiffness * (to_x - x) - damping * vx + motor_x
-        force_y = stiffness * (to_y - y) - damping * vy + motor_y
-        # Semi-implicit Euler: the new velocity moves the handle, which keeps the spring stable.
-        vx += force_x / mass * dt_s
-        vy += force_y / mass * dt_s
+        drag = viscous + coulomb / (sqrt(vx * vx + vy * vy) + stick)
+        force_x = motor_x_n + hand_x_n - drag * vx
+        force_y = motor_y_n + hand_y_n - drag * vy
+        if not (-width <= x <= width and -height <= y <= height):
+            force_x += self._stop(x, vx, width)
+            force_y += self._stop(y, vy, height)
+        # Semi-implicit Euler: the new velocity moves the handle, which keeps the springs stable.
+        per_kg = dt_s / (model.mass_kg + hand_kg)
+        vx += force_x * per_kg
+        vy += force_y * per_kg
         self.x_m = x + vx * dt_s
         self.y_m = y + vy * dt_s
         self.vx_m_s, self.vy_m_s = vx, vy
+        self.work_j += (motor_x_n * vx + motor_y_n * vy) * dt_s
 
-    def _next_point(self) -> None:
-        while self._into_ns >= self._point_ns:
-            self._into_ns -= self._point_ns
-            self._index = (self._index + 1) % len(self.script)
-            point = self.script[self._index]
-            self._point_ns = point.move_ns + point.stay_ns
+    def _stop(self, at_m: float, v_m_s: float, end_m: float) -> float:
+        """The push of the stop at ±end_m."""
+        model = self.model
+        if at_m > end_m:
+            return min(0.0, model.stop_n_m * (end_m - at_m) - model.stop_n_s_m * v_m_s)
+        if at_m < -end_m:
+            return max(0.0, model.stop_n_m * (-end_m - at_m) - model.stop_n_s_m * v_m_s)
+        return 0.0
 
-
-def _approach(value: float, target: float, change: float, limit: float) -> float:
-    """`value` moved towards `target` by at most `change`, and never beyond ±`limit`."""
-    target = limit if target > limit else -limit if target < -limit else target
-    if target > value + change:
-        return value + change
-    if target < value - change:
-        return value - change
-    return target
+    def _derate(self) -> None:
+        model = self.model
+        span_c = model.derate_to_c - model.derate_from_c
+        over = (self.temperature_c - model.derate_from_c) / span_c
+        over = 0.0 if over < 0.0 else 1.0 if over > 1.0 else over
+        self.force_limit_n = model.force_limit_n * (1.0 - (1.0 - model.derated) * over)

@@ -1,146 +1,153 @@
-"""A simulated robot with two degrees of freedom that follows a command and meets a wall.
+"""A simulated robot with two degrees of freedom, and the modes in which its joints are driven.
 
-The tip is a point mass. A spring and a damper pull it to a reference, and the reference follows
-the command (impedance control: N. Hogan, "Impedance Control", J. Dyn. Sys. Meas. Control 107,
-1985). The wall is a one-sided spring and damper (Kelvin-Voigt contact that never pulls).
+Two joints, each of which moves the tip along one axis of the board through a lever; gravity and
+the coupling between them are compensated, so the tip is a point mass with the joints' friction.
 """
 
 from dataclasses import dataclass
-from math import sqrt
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.sample import Command, Feedback
+from telepresence.haptics.board import WALL_X_M as WALL_X_M
+from telepresence.haptics.board import Board
+from telepresence.haptics.sample import MODE_IMPEDANCE, MODE_OFF, MODE_POSITION, MODE_TORQUE
 
-#: The contact wall: this line of the task board, which the tip touches from smaller x.
-WALL_X_M = 0.06
-
-_MAX_STEP_NS = NS_PER_MS
-_MAX_ADVANCE_NS = 50 * NS_PER_MS
+MODE_NAMES = {
+    MODE_OFF: "off",
+    MODE_TORQUE: "torque",
+    MODE_POSITION: "position",
+    MODE_IMPEDANCE: "impedance",
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotModel:
-    """What the simulated robot is made of.
+    """What the simulated robot is made of; all of it chosen.
 
-    The defaults keep the loop over the joystick stable whatever the delay: with the hand of
-    `JoystickModel` the loop gain is below 0.54 at every frequency (small-gain theorem).
+    mass_kg: felt at the tip. lever_m: from joint to tip: a torque of 1 N m is a force of 1 / lever.
+    friction_n_s_m: of the joints, at the tip. force_limit_n: of the joints, at the tip, per axis.
+    brake_n_s_m: when the robot is off. hold_n_m, hold_n_s_m: spring and damper of the position
+    mode. position_m_s: how fast that goes.
     """
 
     mass_kg: float = 0.5
-    stiffness_n_m: float = 600.0  # of the position tracking
-    damping_ratio: float = 1.0  # of the position tracking
-    velocity_forward: float = 0.5  # share of the commanded velocity that the damper knows of
-    force_limit_n: float = 30.0  # of the position tracking, per axis
-    wall_x_m: float = WALL_X_M
-    wall_stiffness_n_m: float = 1500.0
-    wall_damping_n_s_m: float = 20.0
-    friction: float = 0.15  # Coulomb, along the wall
-    reference_speed_m_s: float = 0.5  # the reference never moves faster: no jump on resumption
-    relax_s: float = 0.2  # without commands the spring's pull decays with this time constant
-    half_width_m: float = 0.15  # the workspace is the task board, centred on the origin
-    half_height_m: float = 0.10
+    lever_m: float = 0.4
+    friction_n_s_m: float = 0.5
+    force_limit_n: float = 30.0
+    brake_n_s_m: float = 200.0
+    hold_n_m: float = 4000.0
+    hold_n_s_m: float = 90.0
+    position_m_s: float = 0.3
 
 
 class Robot:
     """The robot's state; `step` moves it on.
 
-    x_m, y_m: the tip (m); vx_m_s, vy_m_s: its velocity; force_n: the wall's push on the tip,
-    >= 0 (N); friction_n: the force along the wall (N, signed along y); contact: it touches.
+    x_m, y_m: the tip; vx_m_s, vy_m_s: its velocity. push_x_n, push_y_n: the board's force on the
+    tip, as the force sensor measures it. force_n: of that the wall's push, >= 0. contact: the tip
+    touches the wall or the spring. mode: MODE_…. work_j: what the joints have done at the tip.
+
+    In the mode "torque" it does what `set_torque` said, in "position" it goes to `set_position`
+    and stays there, in "impedance" a spring and a damper pull the tip to `set_impedance`'s centre.
+    Who knows the force on the tip beforehand (the bilateral controller does) gives it to `step`.
     """
 
     def __init__(
-        self, model: RobotModel | None = None, *, x_m: float = 0.0, y_m: float = 0.0
+        self,
+        model: RobotModel | None = None,
+        *,
+        board: Board | None = None,
+        x_m: float = 0.0,
+        y_m: float = 0.0,
     ) -> None:
-        self.model = model = model or RobotModel()
-        self.x_m = x_m
-        self.y_m = y_m
-        self.vx_m_s = 0.0
-        self.vy_m_s = 0.0
+        self.model = model or RobotModel()
+        self.board = board or Board()
+        self.x_m, self.y_m = x_m, y_m
+        self.vx_m_s = self.vy_m_s = 0.0
+        self.push_x_n = self.push_y_n = 0.0
         self.force_n = 0.0
-        self.friction_n = 0.0
         self.contact = False
-        self._reference_x = x_m
-        self._reference_y = y_m
-        # Looked up at once, not one by one: `step` is called a thousand times a second.
-        self._constants = (
-            model.half_width_m,
-            model.half_height_m,
-            model.reference_speed_m_s,
-            2.0 * model.damping_ratio * sqrt(model.mass_kg * model.stiffness_n_m),
-            model.stiffness_n_m,
-            model.force_limit_n,
-            model.velocity_forward,
-            model.mass_kg,
-            model.wall_x_m,
+        self.work_j = 0.0
+        self.mode = MODE_IMPEDANCE
+        self._torque_x = self._torque_y = 0.0
+        self._target_x, self._target_y = x_m, y_m
+        self._setpoint_x, self._setpoint_y = x_m, y_m
+        self._stiffness = self._damping = 0.0
+        self._press = self.board.press
+        self._limit, self._friction = self.model.force_limit_n, self.model.friction_n_s_m
+
+    def set_off(self) -> None:
+        """No torque; the brakes hold."""
+        self.mode = MODE_OFF
+
+    def set_torque(self, first_n_m: float, second_n_m: float) -> None:
+        """The torques of the two joints (N m); the first moves the tip along x."""
+        self.mode = MODE_TORQUE
+        self._torque_x, self._torque_y = first_n_m, second_n_m
+
+    def set_position(self, x_m: float, y_m: float) -> None:
+        """Go there at `position_m_s`, and stay."""
+        if self.mode != MODE_POSITION:
+            self._setpoint_x, self._setpoint_y = self.x_m, self.y_m
+        self.mode = MODE_POSITION
+        self._target_x, self._target_y = x_m, y_m
+
+    def set_impedance(
+        self, x_m: float, y_m: float, stiffness_n_m: float, damping_n_s_m: float
+    ) -> None:
+        """A spring and a damper from the tip to (x_m, y_m), which is at rest."""
+        self.mode = MODE_IMPEDANCE
+        self._target_x, self._target_y = x_m, y_m
+        self._stiffness, self._damping = stiffness_n_m, damping_n_s_m
+
+    def drive(self, dt_ns: int) -> None:
+        """Move on by `dt_ns`, at most 1 ms, as the mode says."""
+        mode = self.mode
+        if mode == MODE_TORQUE:
+            lever = self.model.lever_m
+            self.step(self._torque_x / lever, self._torque_y / lever, dt_ns)
+        elif mode == MODE_POSITION:
+            reach = self.model.position_m_s * dt_ns / NS_PER_S
+            self._setpoint_x += max(-reach, min(reach, self._target_x - self._setpoint_x))
+            self._setpoint_y += max(-reach, min(reach, self._target_y - self._setpoint_y))
+            self._pull(
+                self._setpoint_x,
+                self._setpoint_y,
+                self.model.hold_n_m,
+                self.model.hold_n_s_m,
+                dt_ns,
+            )
+        elif mode == MODE_IMPEDANCE:
+            self._pull(self._target_x, self._target_y, self._stiffness, self._damping, dt_ns)
+        else:
+            brake = self.model.brake_n_s_m
+            self.step(-brake * self.vx_m_s, -brake * self.vy_m_s, dt_ns)
+
+    def _pull(self, x: float, y: float, stiffness: float, damping: float, dt_ns: int) -> None:
+        self.step(
+            stiffness * (x - self.x_m) - damping * self.vx_m_s,
+            stiffness * (y - self.y_m) - damping * self.vy_m_s,
+            dt_ns,
         )
 
-    def step(self, command: Command | None, dt_ns: int) -> Feedback:
-        """Move on by `dt_ns` towards `command`; None when there is no fresh one.
-
-        Without a command the robot holds, and what it presses with decays to nothing. Of a
-        `dt_ns` beyond 50 ms (the process stood still) only 50 ms are done.
-        """
-        if 0 < dt_ns <= _MAX_STEP_NS:
-            self._integrate(command, dt_ns / NS_PER_S)
-        else:
-            remaining_ns = min(dt_ns, _MAX_ADVANCE_NS)
-            while remaining_ns > 0:
-                part_ns = min(remaining_ns, _MAX_STEP_NS)
-                self._integrate(command, part_ns / NS_PER_S)
-                remaining_ns -= part_ns
-        return Feedback(-self.force_n, self.friction_n, 0, self.contact)
-
-    def feedback(self) -> Feedback:
-        """The measured force (of the environment on the tip) and the tip's position."""
-        return Feedback(-self.force_n, self.friction_n, 0, self.contact)
-
-    def _integrate(self, command: Command | None, dt_s: float) -> None:
-        # One function: a call costs as much as a tenth of what is calculated here.
-        width, height, speed, damping, stiffness, limit, forward, mass, wall_x = self._constants
+    def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
+        """Move on by `dt_ns`, at most 1 ms, with this force of the joints on the tip (N, N)."""
+        if dt_ns > NS_PER_MS:
+            raise ValueError(f"a step is at most {NS_PER_MS} ns, not {dt_ns}")
+        dt_s = dt_ns / NS_PER_S
+        limit, friction = self._limit, self._friction
+        if not (-limit <= fx_n <= limit and -limit <= fy_n <= limit):
+            fx_n = limit if fx_n > limit else -limit if fx_n < -limit else fx_n
+            fy_n = limit if fy_n > limit else -limit if fy_n < -limit else fy_n
         x, y, vx, vy = self.x_m, self.y_m, self.vx_m_s, self.vy_m_s
-        reference_x, reference_y = self._reference_x, self._reference_y
-
-        # The reference moves, and the damper knows of a share of its velocity.
-        if command is None:
-            share = dt_s / self.model.relax_s
-            reference_x += (x - reference_x) * share
-            reference_y += (y - reference_y) * share
-            reference_vx = reference_vy = 0.0
-        else:
-            to_x, to_y = command[0], command[1]
-            reference_vx = reference_vy = 0.0
-            to_x = width if to_x > width else -width if to_x < -width else to_x
-            to_y = height if to_y > height else -height if to_y < -height else to_y
-            dx, dy = to_x - reference_x, to_y - reference_y
-            reach = speed * dt_s
-            distance = sqrt(dx * dx + dy * dy)
-            if distance <= reach:
-                reference_x, reference_y = to_x, to_y
-            else:
-                reference_x += dx * reach / distance
-                reference_y += dy * reach / distance
-                reference_vx = dx / distance * speed
-                reference_vy = dy / distance * speed
-        self._reference_x, self._reference_y = reference_x, reference_y
-
-        pull_x = stiffness * (reference_x - x) + damping * (forward * reference_vx - vx)
-        pull_y = stiffness * (reference_y - y) + damping * (forward * reference_vy - vy)
-        pull_x = limit if pull_x > limit else -limit if pull_x < -limit else pull_x
-        pull_y = limit if pull_y > limit else -limit if pull_y < -limit else pull_y
-
-        depth = x - wall_x
-        wall = 0.0
-        if depth > 0.0:
-            model = self.model
-            wall = model.wall_stiffness_n_m * depth + model.wall_damping_n_s_m * vx
-            wall = wall if wall > 0.0 else 0.0
-        # Coulomb friction, smoothed around standstill so that a step can't overshoot it.
-        friction = -self.model.friction * wall * vy / (abs(vy) + 0.01)
-
+        board = self.board
+        push_x, push_y = self._press(x, y, vx, vy)
         # Semi-implicit Euler: the new velocity moves the tip, which keeps the springs stable.
-        vx += (pull_x - wall) / mass * dt_s
-        vy += (pull_y + friction) / mass * dt_s
+        per_kg = dt_s / self.model.mass_kg
+        vx += (fx_n + push_x - friction * vx) * per_kg
+        vy += (fy_n + push_y - friction * vy) * per_kg
         self.x_m = x + vx * dt_s
         self.y_m = y + vy * dt_s
         self.vx_m_s, self.vy_m_s = vx, vy
-        self.force_n, self.friction_n, self.contact = wall, friction, depth > 0.0
+        self.push_x_n, self.push_y_n = push_x, push_y
+        self.force_n, self.contact = board.wall_n, board.touching
+        self.work_j += (fx_n * vx + fy_n * vy) * dt_s

@@ -9,20 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from kontur_av.clock import NS_PER_S
-from telepresence.haptics.robot import WALL_X_M as WALL_X_M
+from telepresence.haptics.board import LED_REACH_M as LED_REACH_M
+from telepresence.haptics.board import LEDS_M as LEDS_M
+from telepresence.haptics.board import WALL_X_M as WALL_X_M
 
 BOARD_WIDTH_M = 0.30
 BOARD_HEIGHT_M = 0.20
-#: Centres of the LED targets: three on the wall, two for the eye.
-LEDS_M: tuple[tuple[float, float], ...] = (
-    (WALL_X_M, -0.05),
-    (WALL_X_M, 0.0),
-    (WALL_X_M, 0.05),
-    (-0.06, 0.05),
-    (-0.06, -0.05),
-)
-#: Touching within this distance of an LED's centre lights it.
-LED_REACH_M = 0.012
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,218 @@
+"""The two sides of the bilateral exchange, each with all that one cycle of a millisecond does.
+
+A side is a core: in each cycle `handle_datagram` for all that has come, `handle_cycle`, then send
+what `poll_transmit` gives. Both in one process, with a channel between them, are the whole loop.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from kontur_av.clock import NS_PER_MS
+from telepresence.haptics.board import Board, led_at
+from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
+from telepresence.haptics.joystick import Joystick, JoystickModel
+from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
+from telepresence.haptics.master import MasterController, MasterModel
+from telepresence.haptics.robot import Robot
+from telepresence.haptics.sample import MODE_IMPEDANCE, STATE_HALTED, Command, Feedback
+from telepresence.haptics.slave import SlaveController, SlaveModel
+
+#: Of a time that was missed (the process stood still) so much is made up for.
+_MAX_ADVANCE_NS = 50 * NS_PER_MS
+
+
+class Handle(Protocol):
+    """What the master's side moves: a joystick with a hand on it, simulated or real.
+
+    x_m, y_m: where it is. force_limit_n: what its motors can give now. dead_man, buttons, state:
+    what the samples tell of them.
+    """
+
+    x_m: float
+    y_m: float
+    force_limit_n: float
+    dead_man: bool
+    buttons: int
+    state: int
+
+    def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
+        """Exert this force (N, N), and be where the handle is `dt_ns` (at most 1 ms) later."""
+
+
+class HeldJoystick(Joystick):
+    """The simulated joystick in a simulated hand: `Handle`."""
+
+    def __init__(self, model: JoystickModel | None = None, *, hand: Hand | None = None) -> None:
+        self.hand = hand = hand or Hand()
+        super().__init__(model, x_m=hand.x_m, y_m=hand.y_m)
+
+    def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
+        """Move on by `dt_ns` with this force of the motors."""
+        hand = self.hand
+        hand_x, hand_y = hand.force(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s, dt_ns)
+        self.push(fx_n, fy_n, hand_x, hand_y, hand.mass_kg, dt_ns)
+
+
+class _Side:
+    """What both sides have: energies and counters for the report."""
+
+    link: HapticLink[Any, Any]
+    controller: MasterController | SlaveController
+
+    def report(self) -> dict[str, int]:
+        """Energies (µJ) and counters by name; `least_uj` is the least the observer ever said."""
+        controller = self.controller
+        return {
+            "energy_in_uj": controller.energy_in_uj,
+            "energy_out_uj": controller.energy_out_uj,
+            "granted_uj": controller.granted_uj,
+            "credit_uj": round(controller.credit_uj),
+            "least_uj": round(controller.least_observed_uj),
+            "passivity_acted": controller.acted,
+            "totals_refused": controller.port.refused,
+        }
+
+
+class MasterSide(_Side):
+    """The joystick's side: handle, controller and link.
+
+    passive: without, the controller only observes. script, hand: of the simulated hand. handle:
+    instead of the simulated joystick in that hand. model: of the controller.
+
+    force_x_n, force_y_n: what is displayed now. handle.x_m …: see `Handle` and `Joystick`.
+    """
+
+    def __init__(
+        self,
+        *,
+        passive: bool = True,
+        script: Sequence[Waypoint] = TAP_TARGETS,
+        hand: HandModel | None = None,
+        handle: Handle | None = None,
+        model: MasterModel | None = None,
+        link: HapticLink[Command, Feedback] | None = None,
+    ) -> None:
+        self.handle: Handle = handle or HeldJoystick(hand=Hand(hand, script=script))
+        self.controller: MasterController = MasterController(model, passive=passive)
+        self.link: HapticLink[Command, Feedback] = link or joystick_link()
+        self.force_x_n = self.force_y_n = 0.0
+        self._restarts = 0
+        self._acted = 0
+        # Looked up once: they are called a thousand times a second.
+        self.handle_datagram = self.link.handle_datagram
+        self.poll_transmit = self.link.poll_transmit
+
+    def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
+        """One cycle, which moves the handle on by `advance_ns`; of more than 50 ms only 50 ms."""
+        link = self.link
+        if link.restarts != self._restarts:
+            self._restarts = link.restarts
+            self.controller.handle_restart()
+        feedback = link.latest(now_ns)
+        if advance_ns > NS_PER_MS:
+            advance_ns = min(advance_ns, _MAX_ADVANCE_NS)
+            while advance_ns > NS_PER_MS:
+                self._cycle(feedback, NS_PER_MS)
+                advance_ns -= NS_PER_MS
+        self._cycle(feedback, advance_ns)
+        handle, controller = self.handle, self.controller
+        acted, self._acted = controller.acted != self._acted, controller.acted
+        link.handle_local(
+            Command(
+                handle.x_m,
+                handle.y_m,
+                controller.port.granted_uj,
+                handle.dead_man,
+                handle.state,
+                handle.buttons,
+                acted,
+                handle.state >= STATE_HALTED,
+            ),
+            now_ns,
+        )
+
+    def _cycle(self, feedback: Feedback | None, dt_ns: int) -> None:
+        if dt_ns <= 0:
+            return
+        handle, controller = self.handle, self.controller
+        controller.limit_n = handle.force_limit_n
+        fx, fy = controller.step(feedback, handle.x_m, handle.y_m, dt_ns)
+        self.force_x_n, self.force_y_n = fx, fy
+        handle.step(fx, fy, dt_ns)
+
+
+class SlaveSide(_Side):
+    """The robot's side: robot, board, controller and link.
+
+    passive: without, the controller only observes. board: what the tip can touch. robot: instead
+    of the default one. model: of the controller.
+
+    force_x_n, force_y_n: the coordinating force. robot.x_m, robot.push_x_n …: see `Robot`. In
+    another mode than impedance the robot does what that says, and the operator feels nothing.
+    """
+
+    def __init__(
+        self,
+        *,
+        passive: bool = True,
+        board: Board | None = None,
+        robot: Robot | None = None,
+        model: SlaveModel | None = None,
+        link: HapticLink[Feedback, Command] | None = None,
+    ) -> None:
+        self.robot = robot = robot or Robot(board=board)
+        self.controller: SlaveController = SlaveController(
+            model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
+        )
+        self.link: HapticLink[Feedback, Command] = link or robot_link()
+        self.force_x_n = self.force_y_n = 0.0
+        self.lit: int | None = None
+        self._restarts = 0
+        self._acted = 0
+        # Looked up once: they are called a thousand times a second.
+        self.handle_datagram = self.link.handle_datagram
+        self.poll_transmit = self.link.poll_transmit
+
+    def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
+        """One cycle, which moves the robot on by `advance_ns`; of more than 50 ms only 50 ms."""
+        link = self.link
+        if link.restarts != self._restarts:
+            self._restarts = link.restarts
+            self.controller.handle_restart()
+        command = link.latest(now_ns)
+        if advance_ns > NS_PER_MS:
+            advance_ns = min(advance_ns, _MAX_ADVANCE_NS)
+            while advance_ns > NS_PER_MS:
+                self._cycle(command, NS_PER_MS)
+                advance_ns -= NS_PER_MS
+        self._cycle(command, advance_ns)
+        robot, controller = self.robot, self.controller
+        acted, self._acted = controller.acted != self._acted, controller.acted
+        contact = robot.contact
+        self.lit = lit = led_at(robot.x_m, robot.y_m) if contact else None
+        link.handle_local(
+            Feedback(
+                robot.push_x_n,
+                robot.push_y_n,
+                controller.port.granted_uj,
+                contact,
+                robot.mode,
+                lit,
+                acted,
+                robot.mode != MODE_IMPEDANCE,
+            ),
+            now_ns,
+        )
+
+    def _cycle(self, command: Command | None, dt_ns: int) -> None:
+        if dt_ns <= 0:
+            return
+        robot, controller = self.robot, self.controller
+        if robot.mode != MODE_IMPEDANCE:
+            robot.drive(dt_ns)
+            controller.release(robot.x_m, robot.y_m)
+            self.force_x_n = self.force_y_n = 0.0
+            return
+        fx, fy = controller.step(command, robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s, dt_ns)
+        self.force_x_n, self.force_y_n = fx, fy
+        robot.step(fx, fy, dt_ns)

@@ -1,0 +1,165 @@
+"""The task board as the tip feels it: a wall with the LED targets, a spring, a contour to follow.
+
+All lengths in metres, in the board's coordinates (see `telepresence.world.state`). Each element
+pushes on the tip; the forces add up.
+"""
+
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from math import atan2, cos, hypot, sin, sqrt, tau
+
+#: The contact wall: this line of the task board, which the tip touches from smaller x.
+WALL_X_M = 0.06
+#: Centres of the LED targets: three on the wall, two for the eye.
+LEDS_M: tuple[tuple[float, float], ...] = (
+    (WALL_X_M, -0.05),
+    (WALL_X_M, 0.0),
+    (WALL_X_M, 0.05),
+    (-0.06, 0.05),
+    (-0.06, -0.05),
+)
+#: Touching within this distance of an LED's centre lights it.
+LED_REACH_M = 0.012
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class WallModel:
+    """A one-sided spring and damper (Kelvin-Voigt contact that never pulls), all chosen.
+
+    stiffness_n_m: up to 5000. friction: Coulomb, along the wall, smoothed over `stick_m_s`.
+    """
+
+    x_m: float = WALL_X_M
+    stiffness_n_m: float = 1500.0
+    damping_n_s_m: float = 20.0
+    friction: float = 0.15
+    stick_m_s: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.stiffness_n_m <= 5000.0:
+            raise ValueError(f"a wall has 0 to 5000 N/m, not {self.stiffness_n_m:g}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SpringModel:
+    """A soft plate at the left edge that springs back, without loss: x below `x_m`, |y| within
+    `half_height_m`. All chosen."""
+
+    x_m: float = -0.115
+    half_height_m: float = 0.02
+    stiffness_n_m: float = 200.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ContourModel:
+    """A groove of `half_width_m` along the drawn curve, whose walls push the tip to its middle.
+
+    Its potential is depth_j * (1 - (d / half_width)^2)^2 below the board's, with the distance d
+    from the curve: force and its slope are continuous at the edges. All chosen.
+    """
+
+    half_width_m: float = 0.008
+    depth_j: float = 0.004
+    centre_x_m: float = -0.045
+
+
+def contour_point(t: float) -> tuple[float, float]:
+    """The point of the drawn curve at the angle `t` (rad): x and y (m)."""
+    return (
+        -0.045 + 0.068 * cos(t) - 0.008 * cos(3.0 * t),
+        0.070 * sin(t) + 0.006 * sin(3.0 * t),
+    )
+
+
+def led_at(x_m: float, y_m: float) -> int | None:
+    """Index into LEDS_M of the target that a tip lights which touches at (x_m, y_m)."""
+    # No two targets are within reach of one place.
+    for index, (led_x, led_y) in enumerate(LEDS_M):
+        dx, dy = x_m - led_x, y_m - led_y
+        if dx * dx + dy * dy <= LED_REACH_M * LED_REACH_M:
+            return index
+    return None
+
+
+@dataclass(slots=True)
+class _Rays:
+    """How far the curve lies from its centre, by the direction: a table of one turn."""
+
+    radii: list[float] = field(default_factory=list)
+
+    STEPS = 720
+
+    def __post_init__(self) -> None:
+        points = [contour_point(tau * k / 7200) for k in range(7200)]
+        rays = sorted((atan2(y, x + 0.045) % tau, hypot(x + 0.045, y)) for x, y in points)
+        angles = [angle for angle, _ in rays]
+        for k in range(self.STEPS + 1):
+            self.radii.append(rays[bisect_right(angles, tau * k / self.STEPS) % len(rays)][1])
+
+    def at(self, angle: float) -> tuple[float, float]:
+        """The radius (m) in the direction `angle` (rad), and its slope (m/rad)."""
+        place = (angle % tau) * (self.STEPS / tau)
+        index = min(int(place), self.STEPS - 1)
+        low, high = self.radii[index], self.radii[index + 1]
+        return low + (high - low) * (place - index), (high - low) * (self.STEPS / tau)
+
+
+class Board:
+    """What the tip can touch; `press` gives the force on it.
+
+    After `press`: wall_n: the wall's push, >= 0; rub_n: the friction along it (signed along y);
+    touching: the tip is in the wall or in the spring. spring, contour: None leaves them out.
+    """
+
+    def __init__(
+        self,
+        wall: WallModel | None = None,
+        *,
+        spring: SpringModel | None = SpringModel(),
+        contour: ContourModel | None = ContourModel(),
+    ) -> None:
+        self.wall = wall or WallModel()
+        self.spring = spring
+        self.contour = contour
+        self.wall_n = 0.0
+        self.rub_n = 0.0
+        self.touching = False
+        self._wall_x = self.wall.x_m
+        # Right of this there is nothing but the wall.
+        self._left_x = 0.03 if spring or contour else -1.0
+        self._rays = _Rays() if contour else None
+
+    def press(self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float) -> tuple[float, float]:
+        """The board's force on the tip (N, N), which is at (x_m, y_m) and moves."""
+        self.touching = False
+        depth = x_m - self._wall_x
+        if depth > 0.0:
+            wall = self.wall
+            push = wall.stiffness_n_m * depth + wall.damping_n_s_m * vx_m_s
+            push = push if push > 0.0 else 0.0
+            # Coulomb friction, smoothed around standstill so that a step can't overshoot it.
+            rub = -wall.friction * push * vy_m_s / (abs(vy_m_s) + wall.stick_m_s)
+            self.wall_n, self.rub_n, self.touching = push, rub, True
+            return -push, rub
+        self.wall_n = self.rub_n = 0.0
+        return self._left(x_m, y_m) if x_m < self._left_x else (0.0, 0.0)
+
+    def _left(self, x: float, y: float) -> tuple[float, float]:
+        fx = fy = 0.0
+        spring, contour, rays = self.spring, self.contour, self._rays
+        if spring is not None and x < spring.x_m and abs(y) < spring.half_height_m:
+            fx = spring.stiffness_n_m * (spring.x_m - x)
+            self.touching = True
+        if contour is not None and rays is not None:
+            dx = x - contour.centre_x_m
+            radius = sqrt(dx * dx + y * y)
+            if radius > 0.01:
+                curve, slope = rays.at(atan2(y, dx))
+                away = (radius - curve) / contour.half_width_m
+                if -1.0 < away < 1.0:
+                    push = -4.0 * contour.depth_j / contour.half_width_m * away * (1 - away * away)
+                    # The gradient of radius - curve(angle).
+                    turn = slope / (radius * radius)
+                    fx += push * (dx / radius + y * turn)
+                    fy += push * (y / radius - dx * turn)
+        return fx, fy

@@ -1,0 +1,180 @@
+"""The controller at the robot: it pulls the tip to where the hand is and keeps that passive.
+
+A reference follows the received positions; a spring and a damper between reference and tip make
+the force on the tip (impedance control: N. Hogan, "Impedance Control", J. Dyn. Sys. Meas. Control
+107, 1985). The port is the reference: the coordinating force, and the way that the reference goes.
+A step that would cost more than the credit is scaled down, in the direction of the force alone, to
+what the credit pays (a passivity controller of the admittance type). What the reference then lacks
+of the way is made up as soon as there is credit, because positions, not velocities, are received.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+from kontur_av.clock import NS_PER_S
+from telepresence.haptics.passivity import Port, PortFigures
+from telepresence.haptics.sample import STATE_APPLICATION, Command
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SlaveModel:
+    """Parameters of the controller at the robot; all of them chosen.
+
+    stiffness_n_m, damping_n_s_m: between reference and tip; critically damped for 0.5 kg.
+    force_limit_n: of the coordinating force, per axis. follow_s: time constant with which the
+    reference follows the received position: it smooths the steps of 20 µm, and of a jittery path.
+    speed_m_s, acceleration_m_s2: of the reference, also when it makes up for what it lacks.
+    relax_s: without commands the reference goes to the tip with this time constant, so that what
+    the tip presses with decays. half_width_m, half_height_m: the reference stays on the board.
+    reserve_j, limit_j: `Port`.
+    """
+
+    stiffness_n_m: float = 1000.0
+    damping_n_s_m: float = 45.0
+    force_limit_n: float = 30.0
+    follow_s: float = 0.008
+    speed_m_s: float = 0.5
+    acceleration_m_s2: float = 50.0
+    relax_s: float = 0.2
+    half_width_m: float = 0.15
+    half_height_m: float = 0.10
+    reserve_j: float = 0.004
+    limit_j: float = 0.5
+
+
+class SlaveController(PortFigures):
+    """`step` once a millisecond gives the force on the tip; it is held until the next step.
+
+    passive: without, the same controller only observes. reference_x_m, reference_y_m: where the
+    tip is to be. holding: it follows nothing. acted: steps that the passivity controller cut.
+    """
+
+    def __init__(
+        self,
+        model: SlaveModel | None = None,
+        *,
+        passive: bool = True,
+        x_m: float = 0.0,
+        y_m: float = 0.0,
+    ) -> None:
+        self.model = model = model or SlaveModel()
+        self.passive = passive
+        self.port = (
+            Port(reserve_j=model.reserve_j, limit_j=model.limit_j) if passive else Port.observing()
+        )
+        self.acted = 0
+        self.holding = True
+        self.reference_x_m, self.reference_y_m = x_m, y_m
+        self._vx = self._vy = 0.0
+        # Looked up at once, not one by one: `step` is called a thousand times a second.
+        self._constants = (
+            model.stiffness_n_m,
+            model.damping_n_s_m,
+            model.force_limit_n,
+            model.follow_s,
+            model.speed_m_s,
+            model.acceleration_m_s2,
+            model.half_width_m,
+            model.half_height_m,
+        )
+
+    def handle_restart(self) -> None:
+        """The peer began anew."""
+        self.port.handle_restart()
+
+    def release(self, x_m: float, y_m: float) -> None:
+        """Something else drives the robot, whose tip is at (x_m, y_m): the reference goes along.
+
+        The spring's energy is lost, which no port gives out.
+        """
+        self.reference_x_m, self.reference_y_m = x_m, y_m
+        self._vx = self._vy = 0.0
+        self.holding = True
+
+    def step(
+        self,
+        command: Command | None,
+        x_m: float,
+        y_m: float,
+        vx_m_s: float,
+        vy_m_s: float,
+        dt_ns: int,
+    ) -> tuple[float, float]:
+        """The force on the tip (N, N) from now on, `dt_ns` after the step before.
+
+        command: the newest sample, None if there is no fresh one; one whose dead-man button is
+        not pressed, or whose joystick is not in its application, moves nothing either.
+        x_m, y_m, vx_m_s, vy_m_s: where the tip is and how it moves.
+        """
+        stiffness, damping, limit, follow_s, speed, acceleration, width, height = self._constants
+        dt_s = dt_ns / NS_PER_S
+        port = self.port
+        reference_x, reference_y = self.reference_x_m, self.reference_y_m
+        if command is None:
+            port.handle_silence(dt_ns)
+        else:
+            port.handle_total(command[2], dt_ns)
+        if command is None or not command[3] or command[4] != STATE_APPLICATION or command[7]:
+            self.holding = True
+            share = 1.0 / self.model.relax_s
+            vx, vy = (x_m - reference_x) * share, (y_m - reference_y) * share
+        else:
+            self.holding = False
+            to_x, to_y = command[0], command[1]
+            to_x = width if to_x > width else -width if to_x < -width else to_x
+            to_y = height if to_y > height else -height if to_y < -height else to_y
+            share = 1.0 / (follow_s + dt_s)
+            vx, vy = (to_x - reference_x) * share, (to_y - reference_y) * share
+        size = vx * vx + vy * vy
+        if size > speed * speed:
+            share = speed / sqrt(size)
+            vx *= share
+            vy *= share
+        change_x, change_y = vx - self._vx, vy - self._vy
+        size, most = change_x * change_x + change_y * change_y, acceleration * dt_s
+        if size > most * most:
+            share = most / sqrt(size)
+            vx = self._vx + change_x * share
+            vy = self._vy + change_y * share
+
+        # The force is linear in the step of the reference: f = still + gain * d.
+        dx, dy = vx * dt_s, vy * dt_s
+        gain = stiffness + damping / dt_s
+        still_x = stiffness * (reference_x - x_m) - damping * vx_m_s
+        still_y = stiffness * (reference_y - y_m) - damping * vy_m_s
+        fx, fy = still_x + gain * dx, still_y + gain * dy
+        if self.passive and fx * dx + fy * dy > port.credit_j:
+            self.acted += 1
+            dx, dy = self._cut(still_x, still_y, dx, dy, gain)
+            fx, fy = still_x + gain * dx, still_y + gain * dy
+            vx, vy = dx / dt_s, dy / dt_s
+        if not (-limit <= fx <= limit and -limit <= fy <= limit):
+            fx = limit if fx > limit else -limit if fx < -limit else fx
+            fy = limit if fy > limit else -limit if fy < -limit else fy
+            if self.passive and fx * dx + fy * dy > port.credit_j:
+                dx = dy = vx = vy = 0.0
+        port.handle_flow(fx * dx + fy * dy)
+        self._vx, self._vy = vx, vy
+        self.reference_x_m, self.reference_y_m = reference_x + dx, reference_y + dy
+        return fx, fy
+
+    def _cut(
+        self, still_x: float, still_y: float, dx: float, dy: float, gain: float
+    ) -> tuple[float, float]:
+        """The step of the reference, scaled along the force so that it costs just the credit.
+
+        The part across the force (that of the whole step) costs nothing together with none of the
+        part along it; with a share s of that the step costs s*b + s^2*a.
+        """
+        credit = max(0.0, self.port.credit_j)
+        fx, fy = still_x + gain * dx, still_y + gain * dy
+        force = sqrt(fx * fx + fy * fy)
+        along_x, along_y = fx / force, fy / force
+        along = dx * along_x + dy * along_y
+        a = gain * along * along
+        b = along * (still_x * along_x + still_y * along_y)
+        # A hair less than the root: rounding must not cost what is not there.
+        share = (sqrt(b * b + 4.0 * a * credit) - b) / (2.0 * a) * (1.0 - 1e-9)
+        share = min(1.0, max(0.0, share))
+        lacking = (1.0 - share) * along
+        return dx - lacking * along_x, dy - lacking * along_y
