@@ -19,6 +19,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
 from pipelines.probe import FLUSH_NS, Message
 from pipelines.skew import RECENT_DEPTH, LipSyncShare, Recent, Skew
+from pipelines.sync.figures import PERCEIVED, SyncFigures
 from pipelines.terms import LONGEST_GAP_NS, Way
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.sample import SAMPLE_OCTETS, SEQUENCE_MODULUS
@@ -29,6 +30,12 @@ _JOIN_DEPTH = 2000
 #: Of a thousand haptic samples a second, one of these is enough to compare other senses with.
 _FELT_EVERY_NS = 20 * NS_PER_MS
 _FELT_DEPTH = 1024
+#: What shows or feels nothing for longer pauses; so many pauses are remembered of each.
+_SHOWN_PAUSE_NS = NS_PER_S
+_FELT_PAUSE_NS = NS_PER_S // 5
+_PAUSES = 1000
+#: A process tells twice a second: this is half a minute.
+_LATELY_BATCHES = 60
 #: Half a turn of the samples' sequence numbers at 1 kHz: beyond that a match would be a guess.
 _TURN_NS = 30 * NS_PER_S
 
@@ -50,8 +57,8 @@ _WIDTHS = {
     "lateness": 1,
     "sending": 1,
     "contact": 2,
-    "light": 3,
-    "click": 3,
+    "light": 4,
+    "click": 4,
     "step": 1,
 }
 
@@ -90,6 +97,8 @@ class StreamFigures:
         self.last_shown_ns: int | None = None
         #: Displayed instants and latencies that were not compared with the other senses yet.
         self.fresh: deque[tuple[int, int]] = deque(maxlen=RECENT_DEPTH)
+        #: From when to when nothing was displayed, once something was.
+        self.pauses_ns: deque[tuple[int, int]] = deque(maxlen=_PAUSES)
         #: How far the capture time that travelled by RTCP lies beside the one that was stamped.
         self.stamp_error = Histogram()
         #: Of pictures: what their time is made of.
@@ -137,6 +146,9 @@ class StreamFigures:
             latency_ns = displayed_ns - capture_ns
             self.latency.add(latency_ns)
             self.last_latency_ns = latency_ns
+            before_ns = self.last_shown_ns
+            if before_ns is not None and displayed_ns - before_ns > _SHOWN_PAUSE_NS:
+                self.pauses_ns.append((before_ns, displayed_ns))
             self.last_shown_ns = displayed_ns
             self.recent.add(displayed_ns, latency_ns)
             self.fresh.append((displayed_ns, latency_ns))
@@ -195,10 +207,15 @@ class HapticFigures:
         self.rate = RateMeter(windows_ns=(NS_PER_S,))
         self.latency = Histogram()
         self.recent = Recent()
+        #: When a sample was received last, and from when to when none was.
+        self.last_felt_ns: int | None = None
+        self.pauses_ns: deque[tuple[int, int]] = deque(maxlen=_PAUSES)
         self._matcher = LatencyMatcher()
         # Beside the matcher, which tells latencies but not when they were felt.
         self._sent_ns = np.full(SEQUENCE_MODULUS, -(1 << 62), np.int64)
         self._felt: deque[tuple[int, int]] = deque(maxlen=_FELT_DEPTH)
+        #: The newest batches of (sequence, instant) of what was received.
+        self._lately: deque[NDArray[np.int64]] = deque(maxlen=_LATELY_BATCHES)
 
     def handle_sent(self, rows: NDArray[np.int64]) -> None:
         self._matcher.handle_sent(tuple(row) for row in rows.tolist())
@@ -208,7 +225,9 @@ class HapticFigures:
     def handle_received(self, rows: NDArray[np.int64], now_ns: int) -> None:
         if not len(rows):
             return
+        self._lately.append(rows.copy())
         self._matcher.handle_received([tuple(row) for row in rows.tolist()])
+        self._note_pauses(rows[:, 1])
         latencies = self._matcher.take_latencies_ns(now_ns)
         if latencies:
             self.latency.add(np.array(latencies))
@@ -224,6 +243,22 @@ class HapticFigures:
             at_ns = instant_ns if last_ns is None else max(instant_ns, last_ns)
             self.rate.add(at_ns, samples * SAMPLE_OCTETS)
         self._remember()
+
+    def _note_pauses(self, instants_ns: NDArray[np.int64]) -> None:
+        if self.last_felt_ns is not None:
+            instants_ns = np.concatenate(([self.last_felt_ns], instants_ns))
+        for index in np.flatnonzero(np.diff(instants_ns) > _FELT_PAUSE_NS).tolist():
+            self.pauses_ns.append((int(instants_ns[index]), int(instants_ns[index + 1])))
+        self.last_felt_ns = int(instants_ns[-1])
+
+    def sent_ns_at(self, instant_ns: int) -> int | None:
+        """When the sample was sent that was the newest at `instant_ns`; None if that is unknown."""
+        for rows in reversed(self._lately):
+            if rows[0, 1] <= instant_ns:
+                index = int(np.searchsorted(rows[:, 1], instant_ns, "right")) - 1
+                sent_ns = int(self._sent_ns[rows[index, 0]])
+                return sent_ns if abs(instant_ns - sent_ns) < _TURN_NS else None
+        return None
 
     def _remember(self) -> None:
         """Remember the latency of each of the chosen samples of which both stamps are there."""
@@ -320,6 +355,8 @@ class Collector:
         self.processes: dict[str, ProcessFigures] = {}
         self.skews = {name: Skew() for name in ("video_haptic", "audio_haptic", "audio_video")}
         self.lip_sync = LipSyncShare()
+        #: The same out of content: contacts, and what was seen, heard and felt of them.
+        self.sync = SyncFigures()
 
     def process(self, name: str) -> ProcessFigures:
         """The figures of the process `name`."""
@@ -340,6 +377,7 @@ class Collector:
             self._handle_series(process, figures, series, values, now_ns)
         # By then the other senses' messages about that instant have come.
         self._compare(now_ns - NS_PER_S)
+        self.sync.handle_time(now_ns, self.haptics["up"].sent_ns_at)
 
     def handle_end(self) -> None:
         """The session is over: compare what still waits."""
@@ -350,12 +388,13 @@ class Collector:
     ) -> None:
         kind, _, stream = series.partition(".")
         rows = np.frombuffer(values, np.int64).reshape(-1, _WIDTHS[kind])
+        if kind in PERCEIVED:
+            self.sync.handle_rows(kind, stream, rows.tolist())
+            return
         if kind == "lateness":
             figures.lateness.add(rows)
         elif kind == "sending":
             figures.sending.add(rows)
-        elif kind in ("contact", "light", "click", "step"):
-            pass
         elif kind in ("haptic_tx", "haptic_rx"):
             for name, (sender, receiver) in HAPTIC_ENDS.items():
                 if kind == "haptic_tx" and process == sender:

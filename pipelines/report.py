@@ -1,6 +1,6 @@
 """One report for every run: what each stream got, as plain values for JSON."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -10,6 +10,8 @@ from pipelines.collector import HAPTIC_ENDS, Collector, ProcessFigures, StreamFi
 from pipelines.link_figures import gateway_figures, link_figures, summary_us
 from pipelines.setup import Setup, VideoStream, VoiceStream
 from pipelines.silence import MISSED_NS, missed_ns, signal_ns, silences, stopped_ns
+from pipelines.sync.figures import disagreements
+from pipelines.sync.section import sync_section
 from pipelines.terms import video_lead
 from telepresence.link.profile import LinkProfile
 
@@ -80,6 +82,7 @@ def build_report(
             force_ns=collector.haptics["up"].latency.mean,
             epoch_ns=_radio_epoch_ns(collector),
         ),
+        "sync": sync_section(setup, collector.sync, media=media),
         "lip_sync": collector.lip_sync.summary() if collector.lip_sync.counted_ns else None,
         "cpu": {
             "total_s": round(sum(cpu_s.values()) + launcher_cpu_s, 2),
@@ -107,6 +110,12 @@ def _radio_epoch_ns(collector: Collector) -> int:
     return 0
 
 
+def _pauses_s(pauses_ns: Iterable[tuple[int, int]], collector: Collector) -> list[list[float]]:
+    """From when to when, in seconds of the session."""
+    epoch_ns = _radio_epoch_ns(collector)
+    return [[round((at - epoch_ns) / NS_PER_S, 3) for at in pause] for pause in pauses_ns]
+
+
 def _stream(
     stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, seconds: float
 ) -> dict[str, Any]:
@@ -131,6 +140,7 @@ def _stream(
             **spread_ms(figures.latency),
             "stages": {stage: spread_ms(histogram) for stage, histogram in figures.stages.items()},
         },
+        "pauses_s": _pauses_s(figures.pauses_ns, collector),
         "capture_stamp_error_us": round(figures.stamp_error.max / NS_PER_US, 1),
     }
 
@@ -167,6 +177,7 @@ def _haptic(name: str, setup: Setup, collector: Collector, seconds: float) -> di
         "late": receiver.total("late"),
         "garbage": receiver.total("garbage"),
         "latency_ms": spread_ms(collector.haptics[name].latency),
+        "pauses_s": _pauses_s(collector.haptics[name].pauses_ns, collector),
         "lateness_us": summary_us(sender.lateness),
         "slips": sender.total("slips"),
     }
@@ -231,6 +242,7 @@ def failures(
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
         if long_enough and receiver.total("received") == 0:
             found.append(f"haptic_{name}: no sample was received")
+    found += disagreements(sync_section(setup, collector.sync, media=media))
     for process, told in collector.processes.items():
         dropped = told.total("probe_values_dropped")
         if dropped:

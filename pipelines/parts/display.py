@@ -18,6 +18,7 @@ from pipelines.names import CONCEALED as CONCEALED
 from pipelines.names import LAG, displayed_topic, lag_topic, received_topic
 from pipelines.process import PATIENCE_NS, Context
 from pipelines.setup import VideoStream, VoiceStream
+from pipelines.sync.watching import OPERATORS, Watching
 
 #: How often the age on a stale picture is drawn anew.
 _REDRAW_NS = 100 * NS_PER_MS
@@ -71,6 +72,7 @@ def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream
     """Show the newest picture and every block of sound of `streams`."""
     clock = context.clock
     showing = Showing(context.setup, streams, context.probe)
+    watching, watched = Watching(context.probe), {stream.name for stream in streams} & OPERATORS
     context.on_flush(lambda: showing.tell(clock.now_ns()))
     with context.open_bus() as bus:
         readers = [
@@ -96,6 +98,8 @@ def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream
                 while (lease := take()) is not None:
                     now_ns = clock.now_ns()
                     showing.handle_shown(stream.name, lease.stamp, now_ns)
+                    if stream.name in watched:
+                        watching.handle_sample(stream.name, lease, now_ns)
                     if screen is None:
                         lease.release()
                     else:

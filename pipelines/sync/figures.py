@@ -1,7 +1,7 @@
 """From contacts and what was perceived of them to latencies, skews and a verdict on the stamps."""
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import Any
@@ -12,6 +12,8 @@ from pipelines.sync.matching import Found, match
 
 #: The senses, and what carries them to the operator.
 SENSES = {"light": "uplink_video", "click": "uplink_voice", "force": "haptic_up"}
+#: The rows that processes tell of contacts and of what they perceived.
+PERCEIVED = frozenset({"contact", "light", "click", "step"})
 #: The pairs of the report: how much later the first comes than the second.
 PAIRS = {
     "video_haptic": ("light", "force"),
@@ -54,20 +56,35 @@ class SyncFigures:
     def __init__(self) -> None:
         self._contacts: deque[tuple[int, int]] = deque(maxlen=_DEPTH)
         self._found: dict[str, deque[Found]] = {sense: deque(maxlen=_DEPTH) for sense in SENSES}
+        #: Steps of the force whose samples' stamps are not known yet.
+        self._steps: deque[int] = deque(maxlen=_DEPTH)
         #: Until when everything is known.
         self._now_ns = -(1 << 62)
 
-    def handle_time(self, now_ns: int) -> None:
-        """All that happened by `now_ns` was told."""
+    def handle_rows(self, kind: str, stream: str, rows: Sequence[Sequence[int]]) -> None:
+        """Rows of one of `PERCEIVED`, as a process tells them.
+
+        contact: (instant, index of the LED or -1). step: (instant). light and click, of `stream`:
+        see `pipelines.sync.watching`.
+        """
+        if kind == "contact":
+            self._contacts.extend((instant_ns, led) for instant_ns, led in rows)
+        elif kind == "step":
+            self._steps.extend(instant_ns for (instant_ns,) in rows)
+        elif SENSES[kind] == stream:
+            self._found[kind].extend(
+                Found(instant_ns, float(strength), stamp_ns, slack_ns)
+                for instant_ns, stamp_ns, slack_ns, strength in rows
+            )
+
+    def handle_time(self, now_ns: int, sent_ns_at: Callable[[int], int | None]) -> None:
+        """It is `now_ns`. sent_ns_at: when the force that was felt at an instant was sent."""
         self._now_ns = max(self._now_ns, now_ns)
-
-    def handle_contacts(self, rows: Iterable[Sequence[int]]) -> None:
-        """(instant, index of the LED or -1) of contacts that began."""
-        self._contacts.extend((instant_ns, led) for instant_ns, led in rows)
-
-    def handle_found(self, sense: str, found: Iterable[Found]) -> None:
-        """What a detector of `sense` found."""
-        self._found[sense].extend(found)
+        steps = self._steps
+        # By then both ends of the samples have told their stamps.
+        while steps and steps[0] <= now_ns - _PATIENCE_NS:
+            instant_ns = steps.popleft()
+            self._found["force"].append(Found(instant_ns, stamp_ns=sent_ns_at(instant_ns)))
 
     def events(self, soonest_ns: int = 0) -> list[Event]:
         """Every contact with a target, by its instant; bounces are none of their own."""

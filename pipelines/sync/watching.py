@@ -5,13 +5,26 @@ stamps, how much earlier it may have been captured, strength).
 """
 
 from collections.abc import Mapping
+from typing import Protocol
 
 from kontur_av.detect import ClickDetector, LightDetector
-from kontur_av.media import I420, CaptureStamp, Pcm
+from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
 from pipelines.probe import Probe
+from pipelines.sync.figures import SENSES
 
-#: Numbers in a row.
-ROW = 4
+#: The streams that show the operator where the contacts are.
+OPERATORS = frozenset({SENSES["light"], SENSES["click"]})
+
+
+class Sample(Protocol):
+    """What lies in shared memory: a picture or a block of sound."""
+
+    @property
+    def stamp(self) -> CaptureStamp: ...
+
+    def video(self) -> VideoFrame: ...
+
+    def audio(self) -> AudioFrame: ...
 
 
 class Watching:
@@ -21,6 +34,13 @@ class Watching:
         self._probe = probe
         self._eyes: dict[str, LightDetector] = {}
         self._ears: dict[str, ClickDetector] = {}
+
+    def handle_sample(self, stream: str, sample: Sample, now_ns: int) -> None:
+        """Whatever there is of `stream` is shown, or heard, from `now_ns` on."""
+        if stream == SENSES["light"]:
+            self.handle_picture(stream, sample.video().data, sample.stamp, now_ns)
+        else:
+            self.handle_sound(stream, sample.audio().samples, sample.stamp, now_ns)
 
     def handle_picture(self, stream: str, picture: I420, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture of `stream`, shape (height * 3 // 2, width), is shown at `now_ns`."""
