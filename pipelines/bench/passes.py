@@ -2,12 +2,9 @@
 
 import argparse
 import json
-import signal
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -24,7 +21,7 @@ from pipelines.bench.passes_figures import (
     summary,
     table_rows,
 )
-from pipelines.bench.passes_run import Plan, run_sessions
+from pipelines.bench.passes_run import Plan, ended_alike, run_sessions
 from pipelines.report_file import check_writable, write_report
 from pipelines.setup import Setup
 from pipelines.setup_file import load_setup
@@ -85,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         console.print(f"{len(seeds) - len(missing)} of {len(seeds)} are in {args.report}")
     ended_early = False
     try:
-        with _ended_alike(), closing(run_sessions(plan, missing, jobs=args.jobs)) as runs:
+        with ended_alike(), closing(run_sessions(plan, missing, jobs=args.jobs)) as runs:
             for seed, report in runs:
                 sessions[seed] = _figures(report, setup)
                 _keep(args.report, plan, sessions)
@@ -158,20 +155,6 @@ def _keep(path: Path | None, plan: Plan, sessions: dict[int, Figures]) -> None:
     if path is not None:
         ordered = {str(seed): sessions[seed] for seed in sorted(sessions)}
         write_report(path, {"plan": asdict(plan), "sessions": ordered})
-
-
-@contextmanager
-def _ended_alike() -> Iterator[None]:
-    """SIGTERM ends the sessions as Ctrl-C does."""
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _title(args: argparse.Namespace, ended_early: bool, count: int) -> str:

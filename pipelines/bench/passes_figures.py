@@ -4,13 +4,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from kontur_av.clock import NS_PER_S
-from pipelines.collector import HAPTIC_ENDS
 
 #: Of the time that the orbit predicts as usable, this share must have been.
 USABLE_SHARE = 0.99
-#: Of the pictures, sounds and samples that a signal of that length could bring, this share must
-#: have come to their ends: what stands still for long is missed here, wherever in the session.
-SHOWN_SHARE = 0.95
+#: What shows or feels nothing for longer, while there is a signal and the orbit predicts one, is
+#: stuck: pictures and sounds, and samples.
+LONGEST_PAUSE_S = {"shown": 3.0, "felt": 1.0}
 #: Rounding down at both ports makes the observed energy short by this much at most (µJ).
 ROUNDING_UJ = 2
 #: Over no 100 ms more than this of a cap's share (docs/video.md).
@@ -55,6 +54,10 @@ def pass_figures(report: Mapping[str, Any], *, start_s: float = 0.0) -> Figures:
                 "latency_ms": haptic["latency_ms"],
             }
             for name, haptic in report["haptic"].items()
+        },
+        "longest_pause_s": {
+            "shown": _longest_pause_s(report, report["streams"], window),
+            "felt": _longest_pause_s(report, report["haptic"], window),
         },
         "streams": {name: _stream(stream) for name, stream in report["streams"].items()},
         "skew_ms": report["skew_ms"],
@@ -111,6 +114,28 @@ def signal_s(report: Mapping[str, Any], begin_s: float, end_s: float) -> float:
     return min(heard, default=0.0)
 
 
+def _longest_pause_s(
+    report: Mapping[str, Any],
+    channels: Mapping[str, Mapping[str, Any]],
+    window: tuple[float, float] | None,
+) -> float:
+    """The longest part of a pause in which there was a signal all the time, in the window."""
+    if window is None:
+        return 0.0
+    longest_s = 0.0
+    for name, channel in channels.items():
+        # Where it ends, somebody hears the other end's gateway.
+        end = "space" if name.startswith("up") else "ground"
+        contacts = report["gateways"][end].get("supervision", {}).get("contacts", ())
+        for begin_s, end_s in channel["pauses_s"]:
+            for contact in contacts:
+                lost_ns = contact["lost_ns"]
+                last_s = report["seconds"] if lost_ns is None else lost_ns / NS_PER_S
+                first_s = max(begin_s, contact["acquired_ns"] / NS_PER_S, window[0])
+                longest_s = max(longest_s, min(end_s, last_s, window[1]) - first_s)
+    return round(longest_s, 3)
+
+
 def least_energy_uj(report: Mapping[str, Any]) -> float | None:
     """The least energy (µJ) that a passivity observer has seen; None if there is none."""
     found = [
@@ -129,7 +154,7 @@ def faults(figures: Figures) -> list[str]:
     predicted_s, usable_s = figures["predicted_s"], figures["usable_s"]
     if predicted_s is None or usable_s < USABLE_SHARE * predicted_s - _acquisition_s(figures):
         found.append("unusable")
-    if any(share < SHOWN_SHARE for share in shown_shares(figures).values()):
+    if any(figures["longest_pause_s"][kind] > most for kind, most in LONGEST_PAUSE_S.items()):
         found.append("stuck")
     least_uj = figures["least_energy_uj"]
     if least_uj is not None and least_uj < -ROUNDING_UJ:
@@ -147,20 +172,9 @@ def _acquisition_s(figures: Figures) -> float:
     return 0.1 if figures["predicted_s"] == figures["seconds"] else 0.0
 
 
-def shown_shares(figures: Figures) -> dict[str, float]:
-    """Of all that was captured or sent while there was a signal, the share that came to its end."""
-    while_signal = figures["signal_s"] / max(figures["seconds"], 1e-9)
-    shares = {}
-    for name, stream in figures["streams"].items():
-        shares[name] = stream["frames_displayed"] / max(1, stream["frames_captured"] * while_signal)
-    for name in HAPTIC_ENDS:
-        haptic = figures["haptic"][name]
-        shares[f"haptic_{name}"] = haptic["received"] / max(1, haptic["sent"] * while_signal)
-    return shares
-
-
 #: Of the table of sessions. Lost: of all frames, with those before and after the usable time;
-#: skew: video after force; hurt: damaged; cap: the largest second of any stream, of its cap.
+#: shown/s: pictures a second of signal; skew: video after force; hurt: damaged; cap: the largest
+#: second of any stream, of its cap.
 HEADINGS = (
     "seed",
     "usable s",
@@ -168,10 +182,11 @@ HEADINGS = (
     "lost up/down %",
     "force p99.9",
     "video p50/p99",
+    "shown/s",
     "voice p99",
     "skew p95",
     "lip-sync %",
-    "stale/frozen/hurt s",
+    "stale/ frozen/ hurt s",
     "cap %",
     "least µJ",
     "verdict",
@@ -201,6 +216,9 @@ def _cells(figures: Figures) -> tuple[str, ...]:
         " / ".join(lost),
         f"{figures['haptic']['up']['latency_ms']['p99.9']:.1f}",
         "" if video is None else "{p50:.1f} / {p99:.1f}".format(**video["latency_ms"]),
+        ""
+        if video is None
+        else f"{video['frames_displayed'] / max(1e-9, figures['signal_s']):.1f}",
         "" if voice is None else f"{voice['latency_ms']['p99']:.1f}",
         "" if skew is None else f"{skew['p95']:.1f}",
         "" if together is None else f"{100 * together['within']:.2f}",

@@ -1,14 +1,16 @@
 """Sessions on virtual time, each in a process of its own, a few at once."""
 
 import json
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Generator, Sequence
-from contextlib import suppress
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import FrameType
 from typing import Any
 
 from kontur_av.errors import ConfigError
@@ -102,3 +104,17 @@ def run_sessions(
         finally:
             for session in running:
                 session.end()
+
+
+@contextmanager
+def ended_alike() -> Iterator[None]:
+    """SIGTERM interrupts as Ctrl-C does."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

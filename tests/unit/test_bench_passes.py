@@ -1,0 +1,228 @@
+"""Many sessions of a pass: what is kept of each, its verdict, and going on where one has ended."""
+
+import copy
+import json
+from contextlib import closing
+
+import pytest
+
+from pipelines.bench.passes_figures import (
+    HEADINGS,
+    faults,
+    markdown,
+    pass_figures,
+    signal_s,
+    usable_window,
+)
+from pipelines.bench.passes_run import Plan, run_sessions
+from pipelines.cli import main
+
+S = 1_000_000_000
+
+
+def report(seconds=100.0, windows=((10, 90),), contact=None):
+    """A session without media whose two ends heard each other in `windows` (s)."""
+    contacts = [
+        {"acquired_ns": begin * S, "lost_ns": None if end is None else end * S}
+        for begin, end in windows
+    ]
+    heard_s = sum((seconds if end is None else end) - begin for begin, end in windows)
+    told = {
+        "supervision": {
+            "counts": {"signals_acquired": len(windows)},
+            "contact_ns": heard_s * S,
+            "contacts": contacts,
+        },
+        "radio": {"frames_hit": 3} | ({} if contact is None else {"contact": contact}),
+    }
+    samples = round(1000 * seconds)
+    haptic = {
+        "sent": samples,
+        "received": 1000 * heard_s,
+        "pauses_s": [[1.0, 20.0]],
+        "latency_ms": {"p50": 11.0, "p99.9": 12.0, "max": 12.5},
+    }
+    link = {"frames": samples, "frames_lost": samples - 1000 * heard_s}
+    return {
+        "seconds": seconds,
+        "streams": {},
+        "haptic": {"up": haptic, "down": dict(haptic)},
+        "link": {"uplink": link, "downlink": link},
+        "gateways": {"ground": told, "space": told},
+        "skew_ms": {"video_haptic": None},
+        "lip_sync": None,
+        "failures": [],
+    }
+
+
+CONTACT = {"usable_from_s": 30.0, "usable_to_s": 300.0}
+
+
+def video(**changed):
+    return {
+        "cap_bps": 85_000,
+        "payload_bps_max_1s": 85_000,
+        "payload_bps_max_100ms": 127_500,
+        "rtp_packets": 2400,
+        "rtp_lost": 0,
+        "frames_captured": 3000,
+        "frames_displayed": 2400,
+        "pauses_s": [],
+        "stale_ms": 0.0,
+        "stale_episodes": 0,
+        "latency_ms": {"p50": 48.0, "p99": 60.0, "stages": {}},
+    } | changed
+
+
+def test_the_usable_window_is_that_of_the_orbit_within_the_session():
+    assert usable_window(report(), 0.0) == (0.0, 100.0)
+    assert usable_window(report(contact=CONTACT), 0.0) == (30.0, 100.0)
+    assert usable_window(report(contact=CONTACT), 50.0) == (0.0, 100.0)
+    assert usable_window(report(contact=CONTACT), 250.0) == (0.0, 50.0)
+    assert usable_window(report(contact=CONTACT), 400.0) is None
+
+
+def test_signal_is_counted_within_the_window_and_at_the_end_that_hears_less():
+    found = report(windows=((10, 40), (50, None)))
+    assert signal_s(found, 30.0, 100.0) == pytest.approx(60.0)
+    found["gateways"]["space"] = copy.deepcopy(found["gateways"]["space"])
+    found["gateways"]["space"]["supervision"]["contacts"].pop()
+    assert signal_s(found, 30.0, 100.0) == pytest.approx(10.0)
+
+
+def test_a_pass_that_kept_its_signal_is_usable():
+    figures = pass_figures(report(windows=((10, 20), (29, None)), contact=CONTACT))
+    assert (figures["predicted_s"], figures["usable_s"]) == (70.0, 70.0)
+    assert figures["contacts"] == {"ground": 2, "space": 2}
+    assert faults(figures) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda it: it.update(failures=["something"]), "failed"),
+        (lambda it: it["haptic"]["up"].update(pauses_s=[[50, 51.1]]), "stuck"),
+        (lambda it: it["streams"]["uplink_video"].update(pauses_s=[[25, 33.1]]), "stuck"),
+        (lambda it: it["haptic"]["down"].update(least_observed_uj=-3), "unstable"),
+        (lambda it: it["streams"].update(uplink_video=video(payload_bps_max_1s=85_100)), "cap"),
+        (lambda it: it["streams"].update(uplink_video=video(payload_bps_max_100ms=128_000)), "cap"),
+    ],
+)
+def test_what_is_wrong_is_named(change, word):
+    found = report(windows=((20, None),), contact=CONTACT)
+    found["streams"]["uplink_video"] = video()
+    found["haptic"]["down"]["least_observed_uj"] = -2
+    assert faults(pass_figures(found)) == []
+    change(found)
+    named = faults(pass_figures(found))
+    assert len(named) == 1
+    assert word in named[0]
+
+
+def test_a_pause_counts_only_while_there_is_a_signal_in_the_usable_window():
+    found = report(windows=((20, 50), (50.5, None)), contact=CONTACT)
+    # Of these 12, 5 and 3 s no more than 2.9 at a time were with a signal from second 30 on.
+    found["streams"]["uplink_video"] = video(pauses_s=[[20, 32.9], [47.5, 52.5], [97.1, 100.0]])
+    figures = pass_figures(found)
+    assert figures["longest_pause_s"] == {"shown": 2.9, "felt": 0.0}
+    assert faults(figures) == []
+
+
+def test_a_signal_that_was_away_for_a_hundredth_of_the_window_is_not_usable():
+    lost = report(windows=((20, 50), (51, None)), contact=CONTACT)
+    assert faults(pass_figures(lost)) == ["unusable"]
+    assert faults({"error": "killed"}) == ["crashed"]
+
+
+def test_the_table_has_a_cell_for_every_heading():
+    whole = report(windows=((20, None),), contact=CONTACT)
+    whole["streams"]["uplink_video"] = video(frozen_ms=1500.0, damaged_ms=200.0)
+    sessions = {2: {"error": "killed"}, 1: pass_figures(whole)}
+    lines = markdown(sessions, "two").splitlines()
+    rows = [line for line in lines if line.startswith("|")]
+    assert {row.count("|") for row in rows} == {len(HEADINGS) + 1}
+    assert rows[2].startswith(
+        "| 1 | 70.0 of 70.0 | 1 | 20.00 / 20.00 | 12.0 | 48.0 / 60.0 | 30.0 |"
+    )
+    assert "| 0.0 / 1.5 / 0.2 | 100.0 |" in rows[2]
+    assert rows[3].endswith("| crashed |")
+    assert "1 of 2 sessions usable, 1 crashed." in lines[-1]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """A report of two sessions, and the command that made it."""
+    directory = tmp_path_factory.mktemp("passes")
+    kept = directory / "passes.json"
+    command = ["bench", "passes", "--seconds", "4", "--radio", "clean", "--no-media"]
+    command += ["--report", str(kept), "--markdown", str(directory / "table.md")]
+    assert main([*command, "--sessions", "2", "--first-seed", "5"]) == 0
+    return kept, command
+
+
+def test_two_sessions_are_run_and_kept(ran):
+    kept, _ = ran
+    sessions = json.loads(kept.read_text())["sessions"]
+    assert list(sessions) == ["5", "6"]
+    assert all(figures["usable_s"] > 3.9 for figures in sessions.values())
+    assert "2 of 2 sessions usable." in (kept.parent / "table.md").read_text()
+
+
+def test_sessions_that_are_there_are_not_run_again(ran, capsys):
+    kept, command = ran
+    marked = json.loads(kept.read_text())
+    marked["sessions"]["5"]["wall_s"] = 1234.5
+    # One that crashed is worth another try.
+    marked["sessions"]["6"] = {"error": "killed"}
+    kept.write_text(json.dumps(marked))
+    assert main([*command, "--sessions", "2", "--first-seed", "5"]) == 0
+    assert "1 of 2 are in" in capsys.readouterr().out
+    sessions = json.loads(kept.read_text())["sessions"]
+    assert sessions["5"]["wall_s"] == 1234.5
+    assert sessions["6"]["wall_s"] < 60
+
+
+def test_a_report_of_other_sessions_is_not_mixed_up_with_these(ran, capsys):
+    kept, command = ran
+    assert main([*command, "--seconds", "5"]) == 2
+    assert "its sessions have seconds 4.0; name another file" in capsys.readouterr().err
+    other = kept.parent / "other.json"
+    other.write_text('{"setup": "spacejustin"}')
+    assert main(["bench", "passes", "--report", str(other)]) == 2
+    assert "is no report of `bench passes`" in capsys.readouterr().err
+
+
+def test_sessions_are_ended_with_the_one_who_asked():
+    plan = Plan(setup="spacejustin", seconds=4.0, radio="clean", media=False)
+    endless = Plan(setup="spacejustin", seconds=90_000.0, radio="clean", media=False)
+    with closing(run_sessions(plan, [1], jobs=2)) as runs:
+        seed, found = next(runs)
+    assert (seed, found["simulation"]["seed"]) == (1, 1)
+
+    class Mixed(Plan):
+        def command(self, seed, path):
+            return (plan if seed == 1 else endless).command(seed, path)
+
+    mixed = Mixed(setup="", seconds=0.0, radio="", media=False)
+    with closing(run_sessions(mixed, [1, 2], jobs=2)) as runs:
+        assert next(runs)[0] == 1
+    # It would have gone on for a day: `close` has ended it, or would not have come back.
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--sessions", "0"], "--sessions 0"),
+        (["--seconds", "0"], "--seconds 0"),
+        (["--jobs", "0"], "--jobs 0"),
+        (["--setup", "nowhere"], "nowhere"),
+        (["--radio", "nowhere"], "nowhere"),
+        (["--report", "/nowhere/at/all.json"], "--report"),
+        (["--markdown", "/nowhere/at/all.md"], "--markdown"),
+    ],
+)
+def test_mistakes_are_one_line(options, told, capsys):
+    assert main(["bench", "passes", *options]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1
