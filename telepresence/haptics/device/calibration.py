@@ -18,8 +18,8 @@ from telepresence.haptics.device.script import (
 )
 
 #: What the handle is pushed with; enough for its friction, and harmless for fingers. Chosen.
-PUSH_N = 3.0
-_SPEED_M_S = 0.5
+PUSH_N = 5.0
+_SPEED_M_S = 0.6
 #: How far a measured width may be from the one in the facts: beyond it an encoder or an axis is
 #: not what it should be. Chosen.
 TOLERANCE = 0.08

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from telepresence.haptics.device.states import State
+
 
 class Reading(NamedTuple):
     """What the joystick's sensors say.
@@ -72,11 +74,17 @@ class JoystickDevice(Protocol):
     def read(self) -> Reading:
         """What the sensors say now."""
 
+    def set_zero(self, x_m: float, y_m: float) -> None:
+        """What reads (x_m, y_m) now is the middle, and reads 0 from now on."""
+
     def write_force(self, x_n: float, y_n: float) -> None:
         """Have the motors push with this force (N) until the next call."""
 
     def write_leds(self, mask: int) -> None:
         """Light these LEDs, 0x1 for the first, and no others."""
+
+    def show_state(self, state: State) -> None:
+        """The joystick is in this state now; what the device, or who holds it, makes of that."""
 
     def advance(self, dt_ns: int) -> None:
         """`dt_ns` pass."""

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from kontur_av.errors import ConfigError
 from telepresence.haptics.device.device import DeviceFacts, Reading
+from telepresence.haptics.device.states import State
 from telepresence.haptics.device.stick import (
     ABS_X,
     ABS_Y,
@@ -123,12 +124,19 @@ class GamepadDevice:
             self._ask_state()
         return self._stick.reading()
 
+    def set_zero(self, x_m: float, y_m: float) -> None:
+        """What reads (x_m, y_m) now reads 0 from now on."""
+        self._stick.handle_zero(x_m, y_m)
+
     def write_force(self, x_n: float, y_n: float) -> None:
         """Felt as a rumble, without its direction, on a controller that has one."""
         self._force_n = hypot(x_n, y_n)
 
     def write_leds(self, mask: int) -> None:
         """Nothing: a controller's LEDs say which player it is, and are the kernel's."""
+
+    def show_state(self, state: State) -> None:
+        """Nothing: it has no light of its own for that."""
 
     def advance(self, dt_ns: int) -> None:
         """`dt_ns` pass."""

@@ -29,6 +29,8 @@ FELT_BY_NOBODY_N = 10.0
 #: What is refused as long as the supervisor has a reason to halt.
 _NEED_HEALTH = (Event.CALIBRATE, Event.START, Event.RESUME)
 
+_WELL, _APPLICATION = Verdict.WELL, State.APPLICATION
+
 
 class Operation:
     """Runs one `device`; the reading that it gives is calibrated.
@@ -64,9 +66,12 @@ class Operation:
         self._run: ScriptRun[Calibration] | None = None
         self._output = IDLE
         self._leds = -1
+        self._shown: State | None = None
         self._cycles = 0
         self._retries = 0
         self._held_since_ns: int | None = None
+        #: The force is back in full since the dead-man button was pressed.
+        self._returned = False
 
     @property
     def state(self) -> State:
@@ -114,49 +119,45 @@ class Operation:
             return refusal
         self._run = None
         if event is Event.CALIBRATE:
-            self.calibration = None
+            self._forget_calibration()
             self._run = ScriptRun(calibrate(self.facts))
         elif event in (Event.RESUME, Event.START):
             self.supervisor.forget_silence()
             self._held_since_ns = None
+            self._returned = False
+        self.supervisor.expects_peer = not self._hands_off and event is Event.START
         return ""
 
     def handle_reading(self, now_ns: int) -> Reading:
         """Read the device, judge what it says, and go on with what is under way."""
-        raw = self.device.read()
-        calibration = self.calibration
-        state = self.machine.state
-        if calibration is None:
-            reading, half_width_m, half_height_m = raw, float("inf"), float("inf")
-        else:
-            reading = raw._replace(x_m=raw.x_m - calibration.x_m, y_m=raw.y_m - calibration.y_m)
-            half_width_m, half_height_m = calibration.half_width_m, calibration.half_height_m
-        self.reading = reading
-        verdict = self.supervisor.handle_reading(
-            reading,
-            now_ns,
-            half_width_m=half_width_m,
-            half_height_m=half_height_m,
-            expects_peer=state is State.APPLICATION and not self._hands_off,
-        )
-        if verdict is not Verdict.WELL:
+        self.reading = reading = self.device.read()
+        supervisor, machine = self.supervisor, self.machine
+        # Compared by identity, and nothing looked up twice: this is done a thousand times a second.
+        verdict = supervisor.handle_reading(reading, now_ns)
+        if verdict is not _WELL:
             self._handle_verdict(verdict, now_ns)
-        if self.machine.state is State.APPLICATION:
-            self._allow(reading, now_ns)
-        else:
+        if machine.state is not _APPLICATION:
             self.force_limit_n = 0.0
-            self._go_on(raw, now_ns)
+            self._go_on(reading, now_ns)
+        elif self._returned and reading.dead_man:
+            self.force_limit_n = self._most_n * supervisor.share
+        else:
+            self._allow(reading, now_ns)
         return reading
 
     def handle_force(self, x_n: float, y_n: float, leds: int = 0) -> None:
         """What the application wants the motors and the LEDs to do; cut to what is allowed."""
-        if self.machine.state is State.APPLICATION:
+        state = self.machine.state
+        if state is State.APPLICATION:
             limit_n = self.force_limit_n
             if not (-limit_n <= x_n <= limit_n and -limit_n <= y_n <= limit_n):
                 x_n = _cut(x_n, limit_n)
                 y_n = _cut(y_n, limit_n)
         else:
             x_n, y_n, leds = self._output.x_n, self._output.y_n, self._output.leds
+        if state is not self._shown:
+            self._shown = state
+            self.device.show_state(state)
         self.device.write_force(x_n, y_n)
         if leds != self._leds:
             self._leds = leds
@@ -172,7 +173,7 @@ class Operation:
         return {
             "device": self.facts.name,
             "state": self.machine.state.words,
-            "reason": self.machine.reason,
+            "reason": self.machine.reason or self.supervisor.reason,
             "temperature_c": self.reading.temperature_c,
             "hottest_c": supervisor.hottest_c,
             "temperature_warnings": supervisor.warnings,
@@ -195,21 +196,20 @@ class Operation:
         }
 
     def _allow(self, reading: Reading, now_ns: int) -> None:
-        """In the application: how much force there may be."""
-        limit_n = self._most_n * self.supervisor.share
-        if not self._hands_off:
-            if not reading.dead_man:
-                if self._held_since_ns is not None:
-                    self.released += 1
-                self._held_since_ns = None
-                self.force_limit_n = 0.0
-                return
-            if self._held_since_ns is None:
-                self._held_since_ns = now_ns
-            held_ns = now_ns - self._held_since_ns
-            if held_ns < _RETURN_NS:
-                limit_n *= held_ns / _RETURN_NS
-        self.force_limit_n = limit_n
+        """In the application, not in the hand yet, or no more: how much force there may be."""
+        self._returned = False
+        if not reading.dead_man and not self._hands_off:
+            if self._held_since_ns is not None:
+                self.released += 1
+            self._held_since_ns = None
+            self.force_limit_n = 0.0
+            return
+        if self._held_since_ns is None:
+            self._held_since_ns = now_ns
+        held_ns = now_ns - self._held_since_ns
+        self._returned = held_ns >= _RETURN_NS
+        share = min(1.0, held_ns / _RETURN_NS)
+        self.force_limit_n = self._most_n * self.supervisor.share * share
 
     def _handle_verdict(self, verdict: Verdict, now_ns: int) -> None:
         machine, reason = self.machine, self.supervisor.reason
@@ -228,6 +228,7 @@ class Operation:
             self._run = None
             self._output = IDLE
             self.prompt = ""
+            self.supervisor.expects_peer = False
 
     def _go_on(self, raw: Reading, now_ns: int) -> None:
         """Outside the application: self-test, calibration, and what comes by itself."""
@@ -249,9 +250,15 @@ class Operation:
                     machine.handle_event(Event.CALIBRATION_FAILED, now_ns, found.problem)
                 else:
                     self.calibration = found
+                    self.device.set_zero(found.x_m, found.y_m)
+                    self.supervisor.set_workspace(found.half_width_m, found.half_height_m)
                     machine.handle_event(Event.CALIBRATION_PASSED, now_ns)
         elif self._automatic:
             self._ask_by_itself(state, now_ns)
+
+    def _forget_calibration(self) -> None:
+        self.calibration = None
+        self.supervisor.forget_workspace()
 
     def _ask_by_itself(self, state: State, now_ns: int) -> None:
         if state is State.STANDBY:
@@ -268,7 +275,7 @@ class Operation:
         ):
             self._retries += 1
             # A fault of a place that was calibrated wrongly would keep its own mend away.
-            self.calibration = None
+            self._forget_calibration()
             self.supervisor.verdict = Verdict.WELL
             self.handle_request(Event.ACKNOWLEDGE, now_ns)
 

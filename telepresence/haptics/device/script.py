@@ -97,8 +97,10 @@ class Servo:
 SERVO = Servo()
 
 #: At rest: slower than this, for this long.
-_REST_M_S = 0.002
-_REST_NS = 50 * NS_PER_MS
+_REST_M_S = 0.005
+_REST_NS = 40 * NS_PER_MS
+#: Slower than this a handle that is not there yet is held by friction.
+_SLOW_M_S = 0.01
 #: A pull that grows by this much a second overcomes friction without a blow.
 _CREEP_N_S = 10.0
 _NEAR_M = 0.002
@@ -134,17 +136,19 @@ def travel(
         reading = cycle.reading
         dt_s = (cycle.now_ns - last_ns) / NS_PER_S
         last_ns = cycle.now_ns
+        speed = hypot(reading.vx_m_s, reading.vy_m_s)
         way = hypot(x_m - to_x, y_m - to_y)
         step = speed_m_s * dt_s
         if way <= step:
             to_x, to_y = x_m, y_m
-            extra_x += _creep(x_m - reading.x_m, dt_s)
-            extra_y += _creep(y_m - reading.y_m, dt_s)
+            if speed < _SLOW_M_S:
+                extra_x += _creep(x_m - reading.x_m, dt_s)
+                extra_y += _creep(y_m - reading.y_m, dt_s)
         else:
             to_x += (x_m - to_x) * step / way
             to_y += (y_m - to_y) * step / way
         near = abs(x_m - reading.x_m) < _NEAR_M and abs(y_m - reading.y_m) < _NEAR_M
-        if not near or hypot(reading.vx_m_s, reading.vy_m_s) > _REST_M_S:
+        if not near or speed > _REST_M_S:
             still_since_ns = cycle.now_ns
         elif cycle.now_ns - still_since_ns >= _REST_NS:
             return cycle, True

@@ -1,27 +1,35 @@
 """A simulated joystick as a device: mechanics, motors, sensors, and the faults it may have.
 
-Nobody's hand is on it, unless `hand` gives the force of one; a person whose fingers are on the
-buttons answers the LEDs, as the check of the buttons asks for.
+Mechanics and motors are those of `telepresence.haptics.joystick`, a hand is that of
+`telepresence.haptics.hand`. Where there is no hand, fingers are on the buttons all the same, and
+answer the LEDs as the check of the buttons asks for.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import DeviceFacts, Reading
+from telepresence.haptics.device.states import State
+from telepresence.haptics.hand import Hand
+from telepresence.haptics.joystick import Joystick, JoystickModel
+
+_MODEL = JoystickModel()
 
 FACTS = DeviceFacts(
     name="simulated joystick",
-    half_width_m=0.1,
-    half_height_m=0.08,
-    force_limit_n=12.0,
-    mass_kg=0.4,
-    coulomb_n=0.25,
-    viscous_n_s_m=0.8,
+    half_width_m=_MODEL.half_width_m,
+    half_height_m=_MODEL.half_height_m,
+    force_limit_n=_MODEL.force_limit_n,
+    mass_kg=_MODEL.mass_kg,
+    coulomb_n=_MODEL.coulomb_n,
+    viscous_n_s_m=_MODEL.viscous_n_s_m,
     buttons=4,
     leds=4,
 )
+
+_NEVER_NS = 1 << 62
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,7 +45,7 @@ class Faults:
     motor_gain: float = 1.0
     dead_button: int = -1
     heat_c: float = 0.0
-    lost_ns: int | None = None
+    lost_ns: int = _NEVER_NS
 
 
 #: Faults by the name that a device's SPEC has for them, `sim:NAME`.
@@ -48,7 +56,7 @@ FAULTS: Mapping[str, Faults] = MappingProxyType(
         "friction": Faults(friction=4.0),
         "weak": Faults(motor_gain=0.6),
         "button": Faults(dead_button=1),
-        "hot": Faults(heat_c=70.0),
+        "hot": Faults(heat_c=80.0),
         "unplugged": Faults(lost_ns=8 * NS_PER_S),
     }
 )
@@ -56,6 +64,10 @@ FAULTS: Mapping[str, Faults] = MappingProxyType(
 #: How long a person takes to see a light and press: simple reactions take 0.2 to 0.3 s (R. D. Luce,
 #: "Response Times", 1986).
 _REACTION_NS = 250 * NS_PER_MS
+#: How long a hand takes to close around the handle. Chosen.
+_GRIP_NS = 400 * NS_PER_MS
+#: Of a time that was missed (the process stood still) so much is made up for.
+_MAX_ADVANCE_NS = 50 * NS_PER_MS
 
 
 class Fingers:
@@ -85,80 +97,106 @@ class Fingers:
 
 
 class SimulatedDevice:
-    """A joystick that is calculated; `switched_on_m`: where its encoders began to count."""
+    """`Joystick` with sensors, buttons, LEDs, and perhaps a hand.
+
+    hand: takes the handle, and presses the dead-man button, as long as the joystick is in the
+    application; without one nobody does. start_m: where the handle is when it is switched on: its
+    encoders begin to count there. stuck: an axis that does not move from now on, -1 for none.
+    """
+
+    facts = FACTS
 
     def __init__(
         self,
         faults: Faults | None = None,
         *,
-        temperature_c: float = 22.0,
+        hand: Hand | None = None,
         start_m: tuple[float, float] = (0.013, -0.021),
     ) -> None:
-        self.facts = FACTS
-        self.faults = faults or Faults()
+        self.hand = hand
+        faults = faults or Faults()
+        model = replace(_MODEL, coulomb_n=_MODEL.coulomb_n * faults.friction)
+        self.joystick = Joystick(model, x_m=start_m[0], y_m=start_m[1])
+        self.joystick.temperature_c += faults.heat_c
+        self.stuck = faults.stuck
+        self._gain = faults.motor_gain
+        self._live_buttons = ~(1 << faults.dead_button) if faults.dead_button >= 0 else -1
+        self._lost_ns = faults.lost_ns
         self.fingers = Fingers(self.facts.leds)
         self.leds = 0
-        self.force_x_n = self.force_y_n = 0.0
-        self._x, self._y = start_m
-        self._vx = self._vy = 0.0
-        self._zero = start_m
-        self._temperature_c = temperature_c
+        self._zero_x, self._zero_y = start_m
+        self._force_x_n = self._force_y_n = 0.0
+        self._held_ns = -1
         self._now_ns = 0
 
     def read(self) -> Reading:
-        faults = self.faults
-        gone = faults.lost_ns is not None and self._now_ns >= faults.lost_ns
-        buttons = self.fingers.buttons
-        if faults.dead_button >= 0:
-            buttons &= ~(1 << faults.dead_button)
+        """What the encoders, the buttons and the thermometer say."""
+        joystick, fingers = self.joystick, self.fingers
+        held = self._held_ns >= 0 or fingers.dead_man
         return Reading(
-            self._x - self._zero[0],
-            self._y - self._zero[1],
-            self._vx,
-            self._vy,
-            buttons,
-            self.fingers.dead_man,
-            self._temperature_c + faults.heat_c,
-            not gone,
+            joystick.x_m - self._zero_x,
+            joystick.y_m - self._zero_y,
+            joystick.vx_m_s,
+            joystick.vy_m_s,
+            fingers.buttons & self._live_buttons,
+            held,
+            joystick.temperature_c,
+            self._now_ns < self._lost_ns,
         )
 
+    def set_zero(self, x_m: float, y_m: float) -> None:
+        """What reads (x_m, y_m) now reads 0 from now on."""
+        self._zero_x += x_m
+        self._zero_y += y_m
+
     def write_force(self, x_n: float, y_n: float) -> None:
-        limit = self.facts.force_limit_n
-        self.force_x_n = max(-limit, min(limit, x_n))
-        self.force_y_n = max(-limit, min(limit, y_n))
+        """The motors' force (N); `Joystick` cuts it."""
+        gain = self._gain
+        self._force_x_n, self._force_y_n = gain * x_n, gain * y_n
 
     def write_leds(self, mask: int) -> None:
+        """Light these LEDs; whose fingers are on the buttons sees them."""
         self.leds = mask
         self.fingers.handle_leds(mask)
 
+    def show_state(self, state: State) -> None:
+        """The hand takes the handle in the application, and lets go outside it."""
+        if self.hand is not None:
+            self._held_ns = 0 if state is State.APPLICATION else -1
+
     def advance(self, dt_ns: int) -> None:
+        """`dt_ns` pass."""
         self._now_ns += dt_ns
-        self.fingers.advance(dt_ns)
-        f = self.facts
-        gain = self.faults.motor_gain
-        dt = dt_ns / NS_PER_S
-        self._x, self._vx = _axis(
-            self._x, self._vx, gain * self.force_x_n, f.half_width_m, f, self.faults, dt
-        )
-        self._y, self._vy = _axis(
-            self._y, self._vy, gain * self.force_y_n, f.half_height_m, f, self.faults, dt
-        )
-        if self.faults.stuck == 0:
-            self._x, self._vx = self._zero[0], 0.0
-        if self.faults.stuck == 1:
-            self._y, self._vy = self._zero[1], 0.0
+        if self.hand is None:
+            self.fingers.advance(dt_ns)
+        if 0 < dt_ns <= NS_PER_MS:
+            self._step(dt_ns)
+            return
+        remaining_ns = min(dt_ns, _MAX_ADVANCE_NS)
+        while remaining_ns > 0:
+            self._step(min(remaining_ns, NS_PER_MS))
+            remaining_ns -= NS_PER_MS
 
     def close(self) -> None:
-        self.write_force(0, 0)
+        """No force and no light."""
+        self.write_force(0.0, 0.0)
         self.write_leds(0)
 
-
-def _axis(x, v, force, half, f, faults, dt):
-    fc = f.coulomb_n * faults.friction
-    force -= f.viscous_n_s_m * v
-    if abs(x) > half:
-        force -= 20000 * (x - (half if x > 0 else -half)) + 60 * v
-    v += force / f.mass_kg * dt
-    dv = fc / f.mass_kg * dt
-    v = 0.0 if abs(v) <= dv else v - dv if v > 0 else v + dv
-    return x + v * dt, v
+    def _step(self, dt_ns: int) -> None:
+        joystick, hand = self.joystick, self.hand
+        x, y, vx, vy = joystick.x_m, joystick.y_m, joystick.vx_m_s, joystick.vy_m_s
+        hand_x = hand_y = hand_kg = 0.0
+        if hand is not None and self._held_ns >= 0:
+            hand_x, hand_y = hand.force(x, y, vx, vy, dt_ns)
+            hand_kg = hand.mass_kg
+            if self._held_ns < _GRIP_NS:
+                # Fingers close; nobody snatches.
+                self._held_ns += dt_ns
+                grip = self._held_ns / _GRIP_NS
+                hand_x *= grip
+                hand_y *= grip
+        joystick.push(self._force_x_n, self._force_y_n, hand_x, hand_y, hand_kg, dt_ns)
+        if self.stuck == 0:
+            joystick.x_m, joystick.vx_m_s = x, 0.0
+        elif self.stuck == 1:
+            joystick.y_m, joystick.vy_m_s = y, 0.0

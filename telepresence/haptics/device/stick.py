@@ -71,6 +71,7 @@ class Stick:
         self._dead_man = self._dead_man_code is None
         self._to_x, self._to_y = self._x, self._y = self._places()
         self._vx = self._vy = 0.0
+        self._zero_x = self._zero_y = 0.0
 
     def handle_event(self, kind: int, code: int, value: int) -> None:
         """One event of the controller; what it does not know is ignored."""
@@ -96,6 +97,11 @@ class Stick:
         if self._dead_man_code is not None:
             self._dead_man = self._dead_man_code in pressed
 
+    def handle_zero(self, x_m: float, y_m: float) -> None:
+        """What reads (x_m, y_m) now reads 0 from now on."""
+        self._zero_x += x_m
+        self._zero_y += y_m
+
     def handle_gone(self) -> None:
         """It was unplugged."""
         self.present = False
@@ -103,7 +109,14 @@ class Stick:
     def reading(self) -> Reading:
         """Where the filter is now, and the buttons."""
         return Reading(
-            self._x, self._y, self._vx, self._vy, self._buttons, self._dead_man, None, self.present
+            self._x - self._zero_x,
+            self._y - self._zero_y,
+            self._vx,
+            self._vy,
+            self._buttons,
+            self._dead_man,
+            None,
+            self.present,
         )
 
     def advance(self, dt_ns: int) -> None:

@@ -12,10 +12,13 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from math import isfinite
+from math import inf, isfinite
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import Reading
+
+#: Motors get warm in minutes: their thermometer is looked at so often.
+_LOOK_NS = 20 * NS_PER_MS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -27,7 +30,7 @@ class Limits:
     warn_c: float = 60.0
     halt_c: float = 80.0
     cool_c: float = 55.0
-    least_share: float = 0.3  # of the force limit that is left just below `halt_c`
+    least_share: float = 0.25  # of the force limit that is left just below `halt_c`
     silence_ns: int = 5 * NS_PER_S
     outside_m: float = 0.01
     speed_m_s: float = 8.0
@@ -58,8 +61,9 @@ class Verdict(Enum):
 class Supervisor:
     """Looks at each reading. `verdict` and `reason` (one line) say what it thinks of the newest.
 
-    share: of the force limit, what heat has left. warnings: how often `warn_c` was passed.
-    hottest_c: the highest temperature so far, None without a sensor.
+    expects_peer: whether silence counts; set it. share: of the force limit, what heat has left.
+    warnings: how often `warn_c` was passed. hottest_c: the highest temperature so far, None
+    without a sensor.
     """
 
     def __init__(self, limits: Limits | None = None) -> None:
@@ -67,12 +71,16 @@ class Supervisor:
         self.verdict = Verdict.WELL
         self.reason = ""
         self.share = 1.0
+        self.expects_peer = False
         self.warnings = 0
         self.hottest_c: float | None = None
         self._temperature_c: float | None = None
+        self._look_ns = 0
         self._hot = False
         self._heard_ns: int | None = None
         self._silent = False
+        self._speed_m_s = self.limits.speed_m_s
+        self.forget_workspace()
 
     def handle_heard(self, now_ns: int) -> None:
         """A sample of the peer is fresh."""
@@ -83,24 +91,21 @@ class Supervisor:
         """The silence counts anew from the next reading on: nothing was expected until now."""
         self._heard_ns = None
 
-    def handle_reading(
-        self,
-        reading: Reading,
-        now_ns: int,
-        *,
-        half_width_m: float,
-        half_height_m: float,
-        expects_peer: bool,
-    ) -> Verdict:
-        """Judge `reading`, which is calibrated to a workspace of these half widths.
+    def set_workspace(self, half_width_m: float, half_height_m: float) -> None:
+        """From now on the place is judged: the handle is calibrated to these half widths."""
+        self._half_m = (half_width_m, half_height_m)
+        self._reach_x_m = half_width_m + self.limits.outside_m
+        self._reach_y_m = half_height_m + self.limits.outside_m
 
-        They are infinite before that. expects_peer: whether silence counts.
-        """
+    def forget_workspace(self) -> None:
+        """What is read is no place until the next calibration."""
+        self.set_workspace(inf, inf)
+
+    def handle_reading(self, reading: Reading, now_ns: int) -> Verdict:
+        """Judge `reading`."""
         x_m, y_m, vx_m_s, vy_m_s, _, _, temperature_c, present = reading
         # One comparison each for the ordinary case; what is not a number fails it as well.
-        limits = self.limits
-        reach_x, reach_y = half_width_m + limits.outside_m, half_height_m + limits.outside_m
-        speed = limits.speed_m_s
+        reach_x, reach_y, speed = self._reach_x_m, self._reach_y_m, self._speed_m_s
         if not (
             present
             and -reach_x <= x_m <= reach_x
@@ -108,32 +113,26 @@ class Supervisor:
             and -speed <= vx_m_s <= speed
             and -speed <= vy_m_s <= speed
         ):
-            return self._judge_sensors(reading, half_width_m, half_height_m)
-        if temperature_c is not None and temperature_c != self._temperature_c:
-            self._temperature_c = temperature_c
+            return self._judge_sensors(reading)
+        if temperature_c is not None and now_ns >= self._look_ns:
+            self._look_ns = now_ns + _LOOK_NS
             self._handle_temperature(temperature_c)
-        if self._hot:
-            return self._say(
-                Verdict.HALT,
-                f"the motors are at {self._temperature_c:.0f} °C: they may go on below "
-                f"{self.limits.cool_c:.0f} °C",
-            )
-        if expects_peer:
+        if self.expects_peer:
             if self._heard_ns is None:
                 self._heard_ns = now_ns
             elif now_ns - self._heard_ns > self.limits.silence_ns:
                 self._silent = True
-        if self._silent:
-            return self._say(
-                Verdict.HALT,
-                f"no sample from the robot for {self.limits.silence_ns / NS_PER_S:g} s",
-            )
+        if self._hot or self._silent:
+            if self.verdict is not Verdict.HALT:
+                self._say(Verdict.HALT, self._why_halt())
+            return Verdict.HALT
         if self.verdict is not Verdict.WELL:
             self._say(Verdict.WELL, "")
         return Verdict.WELL
 
     def _handle_temperature(self, temperature_c: float) -> None:
         limits = self.limits
+        self._temperature_c = temperature_c
         if self.hottest_c is None or temperature_c > self.hottest_c:
             if (self.hottest_c or limits.cool_c) <= limits.warn_c < temperature_c:
                 self.warnings += 1
@@ -144,12 +143,18 @@ class Supervisor:
         elif temperature_c < limits.cool_c:
             self._hot = False
 
-    def _judge_sensors(
-        self, reading: Reading, half_width_m: float, half_height_m: float
-    ) -> Verdict:
+    def _why_halt(self) -> str:
+        if self._hot:
+            return (
+                f"the motors were at {self._temperature_c:.0f} °C: they may go on below "
+                f"{self.limits.cool_c:.0f} °C"
+            )
+        return f"no sample from the robot for {self.limits.silence_ns / NS_PER_S:g} s"
+
+    def _judge_sensors(self, reading: Reading) -> Verdict:
         if not reading.present:
             return self._say(Verdict.FATAL, "the device is gone: plug it in and start anew")
-        for axis, half_m in ((0, half_width_m), (1, half_height_m)):
+        for axis, half_m in enumerate(self._half_m):
             name, place_m, speed_m_s = "xy"[axis], reading.place(axis), reading.speed(axis)
             if not (isfinite(place_m) and isfinite(speed_m_s)):
                 return self._say(Verdict.FAULT, f"axis {name} reads no number")

@@ -1,0 +1,55 @@
+"""The joystick in operation as the handle that the bilateral controller works with."""
+
+from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.device.operation import Operation
+from telepresence.haptics.device.states import State
+from telepresence.haptics.device.supervision import Limits
+from telepresence.haptics.sample import Feedback
+
+#: Only here is a reading a place: before, the encoders' zero is anywhere.
+_PLACED = (State.CALIBRATED, State.APPLICATION, State.HALTED)
+
+
+class OperatedHandle:
+    """`telepresence.haptics.bilateral.Handle` on a `JoystickDevice`, through its `Operation`.
+
+    x_m, y_m: the calibrated place, at rest as long as there is none. force_limit_n: 0 outside the
+    application and while the dead-man button is let go. dead_man, buttons, state: what the samples
+    say. Its time is what `step` is told, so that it runs on virtual time as well.
+    """
+
+    def __init__(self, device: JoystickDevice, *, limits: Limits | None = None) -> None:
+        self.device = device
+        self.operation = Operation(device, limits=limits)
+        self.x_m = self.y_m = 0.0
+        self.force_limit_n = 0.0
+        self.dead_man = False
+        self.buttons = 0
+        self.state = int(State.INIT)
+        self._leds = 0
+        self._now_ns = 0
+
+    @property
+    def now_ns(self) -> int:
+        """How much time its steps have taken so far."""
+        return self._now_ns
+
+    def handle_feedback(self, feedback: Feedback) -> None:
+        """A fresh sample of the robot: it is heard, and its LED is lit on the joystick too."""
+        self.operation.handle_heard(self._now_ns)
+        lit = feedback.lit
+        self._leds = 0 if lit is None else 1 << lit
+
+    def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
+        """Exert this force (N, N), and be where the handle is `dt_ns` later."""
+        operation = self.operation
+        operation.handle_force(fx_n, fy_n, self._leds)
+        self.device.advance(dt_ns)
+        self._now_ns = now_ns = self._now_ns + dt_ns
+        reading = operation.handle_reading(now_ns)
+        state = operation.machine.state
+        self.state = int(state)
+        if state in _PLACED:
+            self.x_m, self.y_m = reading.x_m, reading.y_m
+        self.dead_man, self.buttons = reading.dead_man, reading.buttons
+        self.force_limit_n = operation.force_limit_n
