@@ -17,7 +17,8 @@ class Showing:
     def __init__(
         self, setup: Setup, streams: Sequence[VideoStream | VoiceStream], probe: Probe
     ) -> None:
-        self._probe = probe
+        #: Where it tells what was shown.
+        self.probe = self._probe = probe
         self._shown = {stream.name: 0 for stream in streams}
         #: By stream.
         self.staleness = {stream.name: _staleness(setup, stream) for stream in streams}

@@ -32,6 +32,7 @@ from pipelines.sim.senders import VideoSender, VoiceSender
 from pipelines.sim.studio import Picture, VideoDecoding, VideoStudio, VoiceDecoding, VoiceStudio
 from pipelines.sim.telling import Telling
 from pipelines.sim.workers import Worker, Workers
+from pipelines.sync.watching import OPERATORS
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 
@@ -196,6 +197,7 @@ class Media:
         scene = self._scene
         probe = scene.telling.probe(f"{stream.name}_receive")
         far = scene.space if stream is scene.setup.uplink_video else scene.ground
+        watched = (stream.width, stream.height) if stream.name in OPERATORS else None
         receiver = VideoReceiver(
             stream.name,
             VideoReceiving(
@@ -206,7 +208,7 @@ class Media:
             ),
             showing,
             agenda=scene.agenda,
-            decoder=scene.workers.start(VideoDecoding),
+            decoder=scene.workers.start(partial(VideoDecoding, watched)),
             costs=scene.costs,
             ask=partial(far.handle_datagram, feedback_flow(stream.name)),
         )
@@ -223,7 +225,7 @@ class Media:
             VoiceReceiving(scene.setup, stream, self._clock.from_ntp, probe),
             showing,
             agenda=scene.agenda,
-            decoder=scene.workers.start(VoiceDecoding),
+            decoder=scene.workers.start(partial(VoiceDecoding, watched=stream.name in OPERATORS)),
             costs=scene.costs,
         )
         if pictures is not None:

@@ -14,6 +14,7 @@ from pipelines.cores.showing import Showing
 from pipelines.sim.agenda import Agenda, Timer
 from pipelines.sim.costs import CodingCosts
 from pipelines.sim.workers import Batch, Worker
+from pipelines.sync.watching import Recall, tell_click, tell_light
 
 
 class VideoReceiver:
@@ -43,6 +44,7 @@ class VideoReceiver:
         self._decoding: deque[tuple[int, int, int | None]] = deque()
         self._timer = Timer(agenda, self._expire)
         self._counts = (0, 0, 0)
+        self._recall = Recall()
         self.handle_report: Callable[[bytes, int], bool] = receiving.handle_report
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
@@ -58,7 +60,7 @@ class VideoReceiver:
         while (unit := self._receiving.next_event()) is not None:
             # One after the other, as in the live process.
             self._free_ns = max(now_ns, self._free_ns) + self._cost_ns
-            self._decoder.submit((unit.data, unit.timestamp))
+            self._decoder.submit((unit.data, unit.timestamp, self._free_ns))
             self._agenda.at(self._free_ns, partial(self._date, unit.timestamp))
         feedback = self._receiving.poll_feedback(now_ns)
         if feedback is not None:
@@ -75,7 +77,7 @@ class VideoReceiver:
         """Wait for all that was decoded by `until_ns`, and show it at its own instant."""
         while self._decoding and self._decoding[0][0] <= until_ns:
             shown_ns, timestamp, dated_ns = self._decoding.popleft()
-            pictures, self._counts = self._decoder.next_result()
+            pictures, self._counts, lights = self._decoder.next_result()
             for of, width, height, corrupt in pictures:
                 capture_ns = dated_ns if of == timestamp else self._receiving.capture_ns(of)
                 stamp = self._receiving.handle_picture(
@@ -83,6 +85,9 @@ class VideoReceiver:
                 )
                 if stamp is not None:
                     self._showing.handle_shown(self._stream, stamp, shown_ns)
+                    self._recall.add(of, stamp.capture_ns)
+            for light in lights:
+                tell_light(self._showing.probe, self._stream, light, self._recall.captured_ns)
 
     def tell(self) -> None:
         """Put the counters into the probe."""
@@ -110,6 +115,7 @@ class VoiceReceiver:
         self._decoder = Batch(decoder)
         self._cost_ns = costs.ns("voice_decode")
         self._decoding: deque[tuple[int, PlayoutBlock, int | None]] = deque()
+        self._recall = Recall()
         self._timer = Timer(agenda, self._expire)
         self.handle_report: Callable[[bytes, int], bool] = receiving.handle_report
         self.handle_picture_shown = receiving.handle_picture_shown
@@ -123,16 +129,20 @@ class VoiceReceiver:
     def _expire(self, now_ns: int) -> None:
         self._receiving.handle_timeout(now_ns)
         while (block := self._receiving.next_event()) is not None:
-            self._decoder.submit(block)
+            heard_ns = now_ns + self._cost_ns
+            self._decoder.submit((block, heard_ns))
             capture_ns = self._receiving.capture_ns(block.timestamp)
-            self._decoding.append((now_ns + self._cost_ns, block, capture_ns))
+            self._decoding.append((heard_ns, block, capture_ns))
         self._timer.set(self._receiving.poll_timeout(), now_ns)
 
     def settle(self, until_ns: int) -> None:
         """Wait for all that was decoded by `until_ns`, and let it be heard at its own instant."""
         while self._decoding and self._decoding[0][0] <= until_ns:
             heard_ns, block, capture_ns = self._decoding.popleft()
-            decoded = self._decoder.next_result()
+            decoded, clicks = self._decoder.next_result()
             stamp = self._receiving.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
             if stamp is not None:
                 self._showing.handle_shown(self._stream, stamp, heard_ns)
+                self._recall.add(block.timestamp, stamp.capture_ns)
+            for click in clicks:
+                tell_click(self._showing.probe, self._stream, click, self._recall.captured_ns)

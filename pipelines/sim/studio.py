@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S, ManualClock
+from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.h264 import H264Decoder, H264Encoder
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, empty_picture
 from kontur_av.opus import OpusEncoder, bitrate_under_cap
@@ -41,7 +42,7 @@ class Shot(NamedTuple):
 Picture = tuple[Shot] | tuple[Shot | None, Shot | None]
 
 #: What becomes of an access unit: see `VideoDecoding`.
-Decoded = tuple[list[tuple[int, int, int, bool]], tuple[int, int, int]]
+Decoded = tuple[list[tuple[int, int, int, bool]], tuple[int, int, int], list[Light]]
 
 
 class VideoStudio:
@@ -59,7 +60,7 @@ class VideoStudio:
             height=stream.height,
             fps=stream.fps,
             cap_bps=stream.cap_bps,
-            coded_size=stream.coded_size,
+            coded_size=stream.coded,
         )
         self._views: dict[str, str] = {}
         self._films: dict[str, _Film] = {}
@@ -123,25 +124,33 @@ class _Film:
 
 
 class VideoDecoding:
-    """Decodes every access unit: a list of (Annex B octets, timestamp).
+    """Decodes every access unit: a list of (Annex B octets, timestamp, instant of showing it).
 
-    Gives for each the pictures that come out as (timestamp, width, height, corrupt), and the
-    decoder's counters after it: decoded, corrupt, restarts.
+    Gives for each the pictures that come out as (timestamp, width, height, corrupt), the
+    decoder's counters after it: decoded, corrupt, restarts; and the lights that are seen to have
+    come on, each with the timestamps of its picture and of the one before as tags.
+
+    watched: (width, height) in which they are shown; None: nobody looks for lights.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, watched: tuple[int, int] | None = None) -> None:
         self._decoder = H264Decoder()
+        self._shown = None if watched is None else empty_picture(*watched)
+        self._eye = LightDetector()
 
-    def __call__(self, units: Sequence[tuple[bytes, int]]) -> list[Decoded]:
+    def __call__(self, units: Sequence[tuple[bytes, int, int]]) -> list[Decoded]:
         return [self._decode(*unit) for unit in units]
 
-    def _decode(self, data: bytes, timestamp: int) -> Decoded:
+    def _decode(self, data: bytes, timestamp: int, shown_ns: int) -> Decoded:
         decoder = self._decoder
-        pictures = [
-            (picture.timestamp, picture.width, picture.height, picture.corrupt)
-            for picture in decoder.decode(data, timestamp)
-        ]
-        return pictures, (decoder.decoded, decoder.corrupt_units, decoder.restarts)
+        pictures = []
+        for picture in decoder.decode(data, timestamp):
+            pictures.append((picture.timestamp, picture.width, picture.height, picture.corrupt))
+            if self._shown is not None:
+                picture.scale_into(self._shown)
+                self._eye.handle_picture(self._shown, shown_ns, picture.timestamp)
+        lights = list(iter(self._eye.next_event, None))
+        return pictures, (decoder.decoded, decoder.corrupt_units, decoder.restarts), lights
 
 
 class VoiceStudio:
@@ -189,10 +198,26 @@ class VoiceStudio:
 
 
 class VoiceDecoding:
-    """Makes each `PlayoutBlock` of a list sound; gives for each whether it is what was sent."""
+    """Makes each block of a list of (`PlayoutBlock`, instant of hearing it) sound.
 
-    def __init__(self) -> None:
+    Gives for each whether it is what was sent, and the clicks that are heard to have begun, each
+    with its block's timestamp as tag.
+
+    watched: somebody listens for clicks.
+    """
+
+    def __init__(self, *, watched: bool = False) -> None:
         self._player = VoicePlayer()
+        self._ear = ClickDetector() if watched else None
 
-    def __call__(self, blocks: Sequence[PlayoutBlock]) -> list[bool]:
-        return [self._player.play(block)[1] for block in blocks]
+    def __call__(
+        self, blocks: Sequence[tuple[PlayoutBlock, int]]
+    ) -> list[tuple[bool, list[Click]]]:
+        return [self._play(*block) for block in blocks]
+
+    def _play(self, block: PlayoutBlock, heard_ns: int) -> tuple[bool, list[Click]]:
+        samples, decoded = self._player.play(block)
+        if self._ear is None:
+            return decoded, []
+        self._ear.handle_block(samples, heard_ns, block.timestamp)
+        return decoded, list(iter(self._ear.next_event, None))

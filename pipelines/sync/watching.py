@@ -7,7 +7,7 @@ stamps, how much earlier it may have been captured, strength).
 from collections.abc import Mapping
 from typing import Protocol
 
-from kontur_av.detect import ClickDetector, LightDetector
+from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
 from pipelines.probe import Probe
 from pipelines.sync.figures import SENSES
@@ -49,14 +49,7 @@ class Watching:
             eye = self._eyes[stream] = LightDetector()
         eye.handle_picture(picture, now_ns, stamp.capture_ns)
         while (light := eye.next_event()) is not None:
-            tell_light(
-                self._probe,
-                stream,
-                light.instant_ns,
-                light.tag,
-                light.previous_tag,
-                light.strength,
-            )
+            tell_light(self._probe, stream, light, _ITSELF)
 
     def handle_sound(self, stream: str, samples: Pcm, stamp: CaptureStamp, now_ns: int) -> None:
         """A block of sound of `stream` is heard from `now_ns` on."""
@@ -65,49 +58,49 @@ class Watching:
             ear = self._ears[stream] = ClickDetector()
         ear.handle_block(samples, now_ns, stamp.capture_ns)
         while (click := ear.next_event()) is not None:
-            tell_click(
-                self._probe,
-                stream,
-                click.instant_ns,
-                click.tag + click.offset_ns,
-                click.strength,
-            )
+            tell_click(self._probe, stream, click, _ITSELF)
 
 
-def tell_light(
-    probe: Probe,
-    stream: str,
-    instant_ns: int,
-    capture_ns: int,
-    previous_ns: int,
-    strength: float,
-) -> None:
-    """Put a light into the probe: its first picture's capture, and that of the one before."""
-    slack_ns = max(0, capture_ns - previous_ns)
-    probe.row(f"light.{stream}", instant_ns, capture_ns, slack_ns, round(strength))
+class _Itself(dict[int, int]):
+    """Tags that are capture instants already."""
+
+    def __missing__(self, tag: int) -> int:
+        return tag
 
 
-def tell_click(
-    probe: Probe, stream: str, instant_ns: int, capture_ns: int, strength: float
-) -> None:
-    """Put a click into the probe."""
-    probe.row(f"click.{stream}", instant_ns, capture_ns, 0, round(strength))
+_ITSELF = _Itself()
+
+
+def tell_light(probe: Probe, stream: str, light: Light, captured_ns: Mapping[int, int]) -> None:
+    """Put a light into the probe. captured_ns: when the pictures were captured, by their tags."""
+    try:
+        capture_ns = captured_ns[light.tag]
+        slack_ns = max(0, capture_ns - captured_ns[light.previous_tag])
+    except KeyError:
+        # A picture without a date was not shown.
+        return
+    row = light.instant_ns, capture_ns, slack_ns, round(light.strength)
+    probe.row(f"light.{stream}", *row)
+
+
+def tell_click(probe: Probe, stream: str, click: Click, captured_ns: Mapping[int, int]) -> None:
+    """Put a click into the probe. captured_ns: when the blocks were captured, by their tags."""
+    try:
+        capture_ns = captured_ns[click.tag] + click.offset_ns
+    except KeyError:
+        return
+    probe.row(f"click.{stream}", click.instant_ns, capture_ns, 0, round(click.strength))
 
 
 class Recall:
-    """The capture instants of the newest pictures or blocks, by their RTP timestamps."""
+    """When the newest pictures or blocks were captured, by their RTP timestamps."""
 
     def __init__(self, depth: int = 64) -> None:
         self._depth = depth
-        self._captured_ns: dict[int, int] = {}
+        self.captured_ns: dict[int, int] = {}
 
     def add(self, timestamp: int, capture_ns: int) -> None:
-        captured_ns = self._captured_ns
-        captured_ns[timestamp] = capture_ns
-        if len(captured_ns) > self._depth:
-            del captured_ns[next(iter(captured_ns))]
-
-    @property
-    def captured_ns(self) -> Mapping[int, int]:
-        """By timestamp."""
-        return self._captured_ns
+        """One more; the oldest goes."""
+        self.captured_ns[timestamp] = capture_ns
+        if len(self.captured_ns) > self._depth:
+            del self.captured_ns[next(iter(self.captured_ns))]
