@@ -29,10 +29,11 @@ FORCE_FLOOR_N = 0.1
 #: Psychophysics 46, 1989), because it is multiplied by the stiffness of a contact.
 POSITION_FLOOR_M = 0.1e-3
 #: Where the hand was so long ago is where it is, for a hand that moves (chosen).
-POSITION_LAG_NS = 2 * NS_PER_MS
-#: Energy that has come together since the last sample is the peer's to spend: what 5 N do over
-#: the floor of the position.
-ENERGY_FLOOR_UJ = 500
+POSITION_LAG_NS = NS_PER_MS
+#: Energy that is granted since the last sample is the peer's to spend, and what it lacks it can't
+#: do (measured: docs/deadband.md). The robot spends more of it than the hand.
+COMMAND_ENERGY_UJ = 50
+FEEDBACK_ENERGY_UJ = 500
 #: A peer is silent after 20 ms: so two samples in a row may be lost.
 LONGEST_PAUSE_NS = 6 * NS_PER_MS
 #: A cycle that begins a little early is still the last one of the pause.
@@ -45,33 +46,37 @@ _ACTED, _HALTED = 6, 7
 
 
 class Deadband:
-    """Says of each sample whether it is to be sent. A core: it is told the time.
+    """Says of each sample what is to be sent of it. A core: it is told the time.
 
     share: of the value last sent by which the next one may differ. lag_ns: it may also differ by
-    what it moves in this time. floor: or by this, in the value's unit.
+    what it moves in this time. floor: or by this, in the value's unit. energy_uj: so much that is
+    granted is not kept back.
 
-    Ask `handle_sample` once a cycle, and send what it says yes to. left_out: samples that were not
+    Ask `handle_sample` once a cycle, and send what it gives. left_out: samples that were not
     sent, of `samples`.
     """
 
-    def __init__(self, *, share: float, lag_ns: int, floor: float) -> None:
+    def __init__(self, *, share: float, lag_ns: int, floor: float, energy_uj: int) -> None:
         self.left_out = 0
         self.samples = 0
         self._share = share
         self._lag_ns = lag_ns
         self._floor = floor
+        self._energy_uj = energy_uj
         self._sent: Any = None
         self._sent_ns = 0
         self._radius = 0.0
         self._holding = False
+        self._acted = False
         self._last_x = self._last_y = 0.0
         self._last_ns = 0
 
-    def handle_sample(self, value: Any, holding: bool, now_ns: int) -> bool:
-        """Whether `value`, a `sample.Command` or a `sample.Feedback`, is to be sent.
+    def handle_sample(self, value: Any, holding: bool, now_ns: int) -> Any:
+        """What is to be sent of `value`, a `Command` or a `Feedback` of `sample`; None if nothing.
 
         holding: the flag that goes with it. Where that, contact, state, mode, buttons, LED or a
-        fault differ from what was sent last, or the passivity controller acted, it is.
+        fault differ from what was sent last, it is sent. It says that the passivity controller
+        acted also where that was at a sample that was left out.
         """
         self.samples += 1
         sent = self._sent
@@ -88,25 +93,33 @@ class Deadband:
             dx, dy = x - sent[0], y - sent[1]
             if (
                 dx * dx + dy * dy < room * room
-                and value[2] - sent[2] < ENERGY_FLOOR_UJ
+                and value[2] - sent[2] < self._energy_uj
                 and value[3:_ACTED] == sent[3:_ACTED]
-                and not value[_ACTED]
                 and value[_HALTED] == sent[_HALTED]
                 and holding == self._holding
             ):
                 self.left_out += 1
-                return False
+                self._acted = self._acted or value[_ACTED]
+                return None
         self._sent, self._sent_ns, self._holding = value, now_ns, holding
         radius = self._share * sqrt(x * x + y * y)
         self._radius = radius if radius > self._floor else self._floor
-        return True
+        if self._acted:
+            self._acted = False
+            return value._replace(acted=True)
+        return value
 
 
 def command_deadband() -> Deadband:
     """For the joystick's positions (m)."""
-    return Deadband(share=0.0, lag_ns=POSITION_LAG_NS, floor=POSITION_FLOOR_M)
+    return Deadband(
+        share=0.0,
+        lag_ns=POSITION_LAG_NS,
+        floor=POSITION_FLOOR_M,
+        energy_uj=COMMAND_ENERGY_UJ,
+    )
 
 
 def feedback_deadband() -> Deadband:
     """For the robot's forces (N)."""
-    return Deadband(share=FORCE_SHARE, lag_ns=0, floor=FORCE_FLOOR_N)
+    return Deadband(share=FORCE_SHARE, lag_ns=0, floor=FORCE_FLOOR_N, energy_uj=FEEDBACK_ENERGY_UJ)

@@ -170,9 +170,11 @@ class HapticLink(Generic[Out, In]):
         if local is None:
             return None
         deadband = self.deadband
-        if deadband is not None and not deadband.handle_sample(local, not self._hearing, now_ns):
-            self._local = None
-            return None
+        if deadband is not None:
+            local = deadband.handle_sample(local, not self._hearing, now_ns)
+            if local is None:
+                self._local = None
+                return None
         sequence = self.sent % SEQUENCE_MODULUS
         data = self._pack(sequence, local, not self._hearing)
         self._local = None

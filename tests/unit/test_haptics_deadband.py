@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.deadband import (
-    ENERGY_FLOOR_UJ,
+    COMMAND_ENERGY_UJ,
+    FEEDBACK_ENERGY_UJ,
     FORCE_FLOOR_N,
     FORCE_SHARE,
     LONGEST_PAUSE_NS,
@@ -27,7 +28,9 @@ REST = Feedback(-5.0, 0.0, 100, True)
 def sent(deadband, values, holding=False):
     """The cycles, counted from 0, whose samples are sent: one a millisecond."""
     return [
-        k for k, value in enumerate(values) if deadband.handle_sample(value, holding, k * NS_PER_MS)
+        k
+        for k, value in enumerate(values)
+        if deadband.handle_sample(value, holding, k * NS_PER_MS) is not None
     ]
 
 
@@ -45,11 +48,10 @@ def test_what_does_not_change_goes_every_few_milliseconds_so_that_two_may_be_los
         {"contact": False},
         {"mode": 1},
         {"lit": 2},
-        {"acted": True},
         {"halted": True},
         {"fx_n": -5.0 * (1 + FORCE_SHARE) - 0.001},
         {"fy_n": 5.0 * FORCE_SHARE + 0.001},
-        {"energy_uj": 100 + ENERGY_FLOOR_UJ},
+        {"energy_uj": 100 + FEEDBACK_ENERGY_UJ},
     ],
 )
 def test_news_of_the_robot_goes_at_once(news):
@@ -58,7 +60,13 @@ def test_news_of_the_robot_goes_at_once(news):
 
 @pytest.mark.parametrize(
     "news",
-    [{"dead_man": False}, {"state": 4}, {"buttons": 1}, {"acted": True}, {"halted": True}],
+    [
+        {"dead_man": False},
+        {"state": 4},
+        {"buttons": 1},
+        {"halted": True},
+        {"energy_uj": COMMAND_ENERGY_UJ},
+    ],
 )
 def test_news_of_the_joystick_goes_at_once(news):
     rest = Command(0.01, 0.0, 0)
@@ -67,9 +75,17 @@ def test_news_of_the_joystick_goes_at_once(news):
 
 def test_that_the_peer_is_not_heard_any_more_is_said_at_once():
     band = feedback_deadband()
-    assert band.handle_sample(REST, False, 0)
-    assert not band.handle_sample(REST, False, NS_PER_MS)
-    assert band.handle_sample(REST, True, 2 * NS_PER_MS)
+    assert band.handle_sample(REST, False, 0) == REST
+    assert band.handle_sample(REST, False, NS_PER_MS) is None
+    assert band.handle_sample(REST, True, 2 * NS_PER_MS) == REST
+
+
+def test_that_the_controller_acted_meanwhile_is_said_by_the_next_sample():
+    band = feedback_deadband()
+    band.handle_sample(REST, False, 0)
+    assert band.handle_sample(REST._replace(acted=True), False, NS_PER_MS) is None
+    assert band.handle_sample(REST, False, LONGEST_PAUSE_NS).acted
+    assert not band.handle_sample(REST, False, 2 * LONGEST_PAUSE_NS).acted
 
 
 def test_a_fast_hand_may_be_further_from_what_was_sent_than_a_slow_one():
@@ -77,13 +93,13 @@ def test_a_fast_hand_may_be_further_from_what_was_sent_than_a_slow_one():
         band, held, worst = command_deadband(), None, 0.0
         for k in range(200):
             value = Command(speed_m_s * k / 1000, 0.0, 0)
-            if band.handle_sample(value, False, k * NS_PER_MS):
+            if band.handle_sample(value, False, k * NS_PER_MS) is not None:
                 held = value
             worst = max(worst, value.x_m - held.x_m)
         return worst
 
     assert 0 < worst_m(0.01) <= POSITION_FLOOR_M
-    assert POSITION_FLOOR_M < worst_m(0.3) <= POSITION_FLOOR_M + 0.3 * 0.002
+    assert POSITION_FLOOR_M < worst_m(0.3) <= POSITION_FLOOR_M + 0.3 * 0.001
 
 
 forces = st.floats(-65, 65, allow_nan=False)
@@ -96,11 +112,11 @@ def test_what_is_held_is_never_further_off_than_the_band(steps):
     for k, (fx_n, fy_n, more_uj) in enumerate(steps):
         energy_uj += more_uj
         value = Feedback(fx_n, fy_n, energy_uj, True)
-        if band.handle_sample(value, False, k * NS_PER_MS):
+        if band.handle_sample(value, False, k * NS_PER_MS) is not None:
             held, held_k = value, k
         room_n = max(FORCE_SHARE * hypot(held.fx_n, held.fy_n), FORCE_FLOOR_N)
         assert hypot(fx_n - held.fx_n, fy_n - held.fy_n) <= room_n
-        assert energy_uj - held.energy_uj < ENERGY_FLOOR_UJ
+        assert energy_uj - held.energy_uj < FEEDBACK_ENERGY_UJ
         assert k - held_k < LONGEST_PAUSE_NS // NS_PER_MS
 
 
