@@ -19,8 +19,9 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.frame import PictureType
 from av.video.reformatter import VideoReformatter
 
+from kontur_av.cuts import Cuts
 from kontur_av.errors import ConfigError
-from kontur_av.h264_settings import H264Settings, coded_size_for
+from kontur_av.h264_settings import H264Settings, coded_size_for, restless_size_for
 from kontur_av.media import (
     I420,
     VIDEO_CLOCK_HZ,
@@ -51,8 +52,10 @@ class H264Encoder:
     width, height: of the pictures that will be given; what `media.check_size` admits.
     fps: pictures a second that will be given; when some are left out, each access unit keeps its
         size. `follow` changes it.
-    coded_size: (width, height) in which they are coded; None: `h264_settings.coded_size_for`. A
-        receiver gets them in this size, and scales them up with `DecodedPicture.scale_into`.
+    coded_size: (width, height) in which they are coded; None: `h264_settings.coded_size_for`, and
+        where that is smaller, a smaller one yet while cuts come too fast for it (`cuts.Cuts`), each
+        time from a key picture on. A receiver gets them in this size, and scales them up with
+        `DecodedPicture.scale_into`.
     refresh_s: from the begin of one refresh wave to the next. A wave takes a picture for each
         column of macroblocks, or all of this time if that is less; a decoder that joins without
         a key picture has a whole picture at the end of the first wave that begins.
@@ -85,11 +88,12 @@ class H264Encoder:
                 f"pictures of {width}x{height} coded as {coded[0]}x{coded[1]}: take no larger size"
             )
         self.width, self.height = width, height
-        #: The size in which pictures are coded.
+        #: The size in which pictures are coded, where not too many of them are cuts.
         self.coded_size = coded
         #: Access units made so far.
         self.encoded = 0
-        self._small = None if coded == (width, height) else empty_picture(*coded)
+        # A stream in its own size keeps it: not every receiver can scale.
+        self._cuts = Cuts() if coded_size is None and coded != (width, height) else None
         self._settings = H264Settings(
             width=coded[0],
             height=coded[1],
@@ -139,8 +143,12 @@ class H264Encoder:
                 f"picture of {frame.width}x{frame.height}, encoder for {self.width}x{self.height}"
             )
         data = frame.data
-        if self._small is not None:
+        if self._cuts is not None:
             # Only here: OpenCV takes longer to load than all the rest of a receiver.
+            from kontur_av.scaling import thumbnail
+
+            self._settle(self._cuts.handle_picture(thumbnail(data)))
+        if self._small is not None:
             from kontur_av.scaling import shrink
 
             shrink(data, self._small)
@@ -155,7 +163,16 @@ class H264Encoder:
         unit = without_user_data(bytes(packet)) if packet.is_keyframe else bytes(packet)
         return AccessUnit(unit, frame.stamp, packet.is_keyframe, now())
 
+    def _settle(self, restless: bool) -> None:
+        if restless == self._settings.punctual:
+            return
+        width, height = restless_size_for(*self.coded_size) if restless else self.coded_size
+        self._settings = replace(self._settings, width=width, height=height, punctual=restless)
+        self._begin()
+
     def _begin(self) -> None:
+        size = self._settings.width, self._settings.height
+        self._small = None if size == (self.width, self.height) else empty_picture(*size)
         self._given = 0
         self._codec = _open_encoder(self._settings)
         self._ticks = Fraction(VIDEO_CLOCK_HZ) / self._settings.rate

@@ -11,11 +11,13 @@ from kontur_av.media import check_size
 _MACROBLOCK = 16 * 16
 
 #: Below so many bits for each macroblock of a picture x264 can only leave blocks as they were.
-#: Measured at 85 kbit/s and 30 Hz: 640x480 (2.4 bits) is 4 to 8 dB worse than 320x240 (9.4 bits).
-_BITS_PER_MACROBLOCK = 8
+#: Measured at 85 kbit/s and 30 Hz: 640x480 (2.4 bits) is 4 to 8 dB worse than 384x288 (6.6 bits).
+_BITS_PER_MACROBLOCK = 6.5
 #: Sizes to code in, as shares of the size that is shown.
-_SHARES = (Fraction(1), Fraction(3, 4), Fraction(1, 2), Fraction(3, 8), Fraction(1, 4))
+_SHARES = tuple(Fraction(parts, 20) for parts in (20, 15, 12, 10, 8, 5))
 _NARROWEST = 160
+#: Where each picture is another one: the share of the size that they are coded in otherwise.
+_RESTLESS_SHARE = Fraction(2, 3)
 
 #: One slice, because each has its header and forgets its contexts; a cut must not become an IDR
 #: picture; psy keeps grain, for which there are no bits here; adaptive quantisation moves bits
@@ -28,6 +30,9 @@ _BLOCKS = "partitions=p8x8,i8x8,i4x4:me=hex"
 class _Effort:
     """What x264 is told: the constant quality where there are bits enough, and its buffer model.
 
+    coarsest: the largest quantiser; with none but H.264's own x264 goes on with ruins, where with
+    one a picture that needs more bits is late once and the following ones are good.
+
     The model holds about one picture's share, so that no picture is much larger than that, and is
     filled a little faster than the cap, because x264 leaves a part unused. The pacer keeps the cap.
     """
@@ -35,17 +40,18 @@ class _Effort:
     crf: int
     rate_over_cap: Fraction
     buffer_over_share: Fraction
+    coarsest: int
     parameters: str
 
 
-#: For few macroblocks (3 ms of a core for 300 of them). With the limit of the quantiser a picture
-#: that needs more bits is late once and the following ones are good, where x264 would go on with
-#: ruins: 1 dB on the worst twentieth of the pictures.
+#: For few macroblocks (3 ms of a core for 300 of them). Its quantiser gives 1 dB on the worst
+#: twentieth of the pictures. x264 counts its buffer in whole kbit: this is 3 at 85 kbit/s.
 _THIN = _Effort(
     crf=10,
-    rate_over_cap=Fraction(108, 100),
+    rate_over_cap=Fraction(102, 100),
     buffer_over_share=Fraction(106, 100),
-    parameters=f"{_ALWAYS}:{_BLOCKS}:subme=7:trellis=2:qpmax=48",
+    coarsest=48,
+    parameters=f"{_ALWAYS}:{_BLOCKS}:subme=7:trellis=2",
 )
 #: A session on two cores has no time for more: `subme=6:trellis=1` gives 0.8 to 1.4 dB more at
 #: 512 kbit/s (where pictures have 36 to 46 dB) for twice the time, 10 to 16 ms a picture.
@@ -53,8 +59,11 @@ _WIDE = _Effort(
     crf=1,
     rate_over_cap=Fraction(102, 100),
     buffer_over_share=Fraction(1),
-    parameters=f"{_ALWAYS}:{_BLOCKS}:subme=2:trellis=0:qpmax=51",
+    coarsest=51,
+    parameters=f"{_ALWAYS}:{_BLOCKS}:subme=2:trellis=0",
 )
+#: The coarsest quantiser where no picture shall be late.
+_PUNCTUAL = 51
 #: Macroblocks a second up to which there is time for the thin channel's search.
 _THIN_UP_TO = 20_000
 
@@ -74,9 +83,18 @@ def coded_size_for(width: int, height: int, fps: float | Fraction, cap_bps: int)
     return size
 
 
+def restless_size_for(width: int, height: int) -> tuple[int, int]:
+    """The size for pictures that change too often for this one (`cuts.Cuts`)."""
+    smaller = round(width * _RESTLESS_SHARE / 4) * 4, round(height * _RESTLESS_SHARE / 4) * 4
+    return smaller if smaller[0] >= _NARROWEST and smaller[1] >= 16 else (width, height)
+
+
 @dataclass(frozen=True, kw_only=True)
 class H264Settings:
-    """What x264 is told for pictures of this size and rate under this cap."""
+    """What x264 is told for pictures of this size and rate under this cap.
+
+    punctual: rather be coarse than late, at a cut, too.
+    """
 
     width: int
     height: int
@@ -84,6 +102,7 @@ class H264Settings:
     cap_bps: int
     refresh_s: float
     preset: str
+    punctual: bool = False
 
     @property
     def refresh_pictures(self) -> int:
@@ -94,6 +113,7 @@ class H264Settings:
         """Options of FFmpeg's libx264."""
         blocks_hz = self.width * self.height * self.rate / _MACROBLOCK
         effort = _THIN if blocks_hz <= _THIN_UP_TO else _WIDE
+        coarsest = _PUNCTUAL if self.punctual else effort.coarsest
         return {
             "preset": self.preset,
             "tune": "zerolatency",
@@ -101,5 +121,5 @@ class H264Settings:
             "crf": str(effort.crf),
             "maxrate": str(int(self.cap_bps * effort.rate_over_cap)),
             "bufsize": str(int(self.cap_bps * effort.buffer_over_share / self.rate)),
-            "x264-params": effort.parameters,
+            "x264-params": f"{effort.parameters}:qpmax={coarsest}",
         }

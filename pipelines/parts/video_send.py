@@ -18,7 +18,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
         height=stream.height,
         fps=stream.fps,
         cap_bps=stream.cap_bps,
-        coded_size=stream.coded_size,
+        coded_size=stream.coded,
     )
     profile = context.setup.profile_of(stream)
     gain = gain_of(context.setup, stream)
