@@ -65,6 +65,7 @@ def build_report(
         "seconds": round(seconds, 3),
         "streams": {stream.name: _stream(stream, setup, collector, seconds) for stream in streams},
         "haptic": {name: _haptic(name, setup, collector, seconds) for name in HAPTIC_ENDS},
+        "joystick": collector.process("joystick").gauges.get("joystick"),
         "link": {
             "uplink": uplink,
             "downlink": link_figures(setup, collector, "downlink"),
@@ -242,6 +243,9 @@ def failures(
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
         if long_enough and receiver.total("received") == 0:
             found.append(f"haptic_{name}: no sample was received")
+    joystick = collector.process("joystick").gauges.get("joystick")
+    if joystick is not None and joystick["state"].endswith("error"):
+        found.append(f"joystick: {joystick['state']}: {joystick['reason']}")
     found += disagreements(sync_section(setup, collector.sync, media=media))
     for process, told in collector.processes.items():
         dropped = told.total("probe_values_dropped")

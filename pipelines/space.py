@@ -14,17 +14,18 @@ from pipelines.parts.voice_receive import run_voice_receive
 from pipelines.parts.voice_send import run_voice_send
 from pipelines.process import LOOP_PRIORITY, VOICE_PRIORITY, Part, Segment, Stage
 from pipelines.setup import Setup
+from telepresence.haptics.device.spec import SIMULATED
 
 
-def space_parts(setup: Setup) -> list[Part]:
-    """What runs in space for `setup`."""
+def space_parts(setup: Setup, *, joystick: str = SIMULATED) -> list[Part]:
+    """What runs in space for `setup`, with the joystick of this SPEC."""
     up, voice_up = setup.uplink_video, setup.uplink_voice
     down, voice_down = setup.downlink_video, setup.downlink_voice
     parts = [
         Part(
             "space_gateway", Stage.LINK, partial(run_gateway, segment=Segment.SPACE), LOOP_PRIORITY
         ),
-        Part("joystick", Stage.LINK, run_joystick, LOOP_PRIORITY),
+        Part("joystick", Stage.LINK, partial(run_joystick, spec=joystick), LOOP_PRIORITY),
         Part("console", Stage.LINK, run_console),
         Part("uplink_video_receive", Stage.RECEIVER, partial(run_video_receive, stream=up)),
     ]

@@ -30,6 +30,7 @@ from pipelines.setup import STEREO, Setup, VideoStream
 from pipelines.setup_file import load_setup
 from pipelines.space import space_parts
 from pipelines.summary import print_summary
+from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.world import audio_scenes, video_scenes
 
 
@@ -52,6 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_radio_arguments(parser)
     add_deadband_argument(parser)
     parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
+    parser.add_argument(
+        "--joystick",
+        default=SIMULATED,
+        metavar="SPEC",
+        help="sim, evdev or evdev:/dev/input/eventN (default: sim); see `kontur-av joystick list`",
+    )
     loudness = parser.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
     loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
@@ -63,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
     check_sources(setup)
+    check_joystick(args.joystick)
     snapshots = _made_directory(args.snapshots)
     check_writable(args.report)
     clear_dead_sessions()
@@ -71,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     load_libraries()
     clock = MonotonicClock()
     draw_backgrounds(setup, clock)
-    parts = session_parts(setup, snapshots=snapshots is not None)
+    parts = session_parts(setup, snapshots=snapshots is not None, joystick=args.joystick)
     with (
         hold_session(setup.name) as session,
         _live_view(quiet=args.quiet, verbose=args.verbose) as view,
@@ -116,9 +124,12 @@ def _live_view(*, quiet: bool, verbose: bool) -> Iterator[LiveView]:
             view.__exit__(None, None, None)
 
 
-def session_parts(setup: Setup, *, snapshots: bool = False) -> list[Part]:
+def session_parts(
+    setup: Setup, *, snapshots: bool = False, joystick: str = SIMULATED
+) -> list[Part]:
     """The processes of a session, in the order in which they are started."""
-    parts = sorted([*ground_parts(setup), *space_parts(setup)], key=lambda part: part.stage)
+    both = [*ground_parts(setup), *space_parts(setup, joystick=joystick)]
+    parts = sorted(both, key=lambda part: part.stage)
     if snapshots:
         from pipelines.parts.snapshots import run_snapshots
 

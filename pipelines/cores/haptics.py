@@ -6,6 +6,7 @@ from typing import Generic, TypeVar
 from kontur_av.clock import NS_PER_MS
 from pipelines.probe import Probe
 from telepresence.haptics.bilateral import Handle, MasterSide, SlaveSide
+from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
@@ -101,13 +102,19 @@ class RobotEnd(_End[SlaveSide]):
 class JoystickEnd(_End[MasterSide]):
     """Moves the handle as the simulated hand does, and puts the robot's force on it.
 
-    handle: instead of the simulated joystick in the simulated hand.
+    handle: instead of the simulated joystick in the simulated hand. Of one in operation the state
+    is told as the gauge "joystick".
     """
 
     def __init__(
-        self, probe: Probe, *, deadband: bool = False, handle: Handle | None = None
+        self,
+        probe: Probe,
+        *,
+        deadband: bool = False,
+        handle: Handle | OperatedHandle | None = None,
     ) -> None:
         super().__init__(MasterSide(link=joystick_link(deadband=deadband), handle=handle), probe)
+        self._operated = handle if isinstance(handle, OperatedHandle) else None
         self._latest = self.side.link.latest
         self._steps = StepDetector()
         self._feel, self._felt = self._steps.handle_sample, probe.rows("step")
@@ -117,11 +124,15 @@ class JoystickEnd(_End[MasterSide]):
         feedback = self._latest(now_ns)
         if feedback is not None:
             self._feel(now_ns, feedback.fx_n, feedback.fy_n, feedback.contact)
+            if self._operated is not None:
+                self._operated.handle_feedback(feedback)
         self._cycle(now_ns, advance_ns)
 
     def tell(self) -> None:
         """Put the counters and stamps into the probe, and the instants of the force's steps."""
         super().tell()
+        if self._operated is not None:
+            self._probe.gauge("joystick", self._operated.report())
         while (step := self._steps.next_event()) is not None:
             self._felt.append(step.instant_ns)
 

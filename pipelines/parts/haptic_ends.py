@@ -9,6 +9,9 @@ from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.names import ROBOT_TOPIC
 from pipelines.parts.robot_state import STATE_OCTETS, pack_state
 from pipelines.process import PATIENCE_NS, Context
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.spec import SIMULATED, open_device
+from telepresence.haptics.hand import Hand
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.world import WorldState
@@ -32,11 +35,16 @@ def run_robot(context: Context) -> None:
         _run_loop(context, end, ports.robot, ports.ground_haptic, publish)
 
 
-def run_joystick(context: Context) -> None:
-    """Move the handle as the simulated hand does, and put the robot's force on it."""
+def run_joystick(context: Context, spec: str = SIMULATED) -> None:
+    """Operate the joystick that `spec` names, and put the robot's force on it."""
     ports = context.setup.ports
-    end = JoystickEnd(context.probe, deadband=context.setup.deadband)
-    _run_loop(context, end, ports.joystick, ports.space_haptic)
+    device = open_device(spec, hand=Hand())
+    try:
+        handle = OperatedHandle(device)
+        end = JoystickEnd(context.probe, deadband=context.setup.deadband, handle=handle)
+        _run_loop(context, end, ports.joystick, ports.space_haptic)
+    finally:
+        device.close()
 
 
 def _run_loop(

@@ -1,5 +1,9 @@
 """The joystick in operation as the handle that the bilateral controller works with."""
 
+from collections import deque
+from typing import Any
+
+from kontur_av.clock import NS_PER_S
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.operation import Operation
 from telepresence.haptics.device.states import State
@@ -28,6 +32,7 @@ class OperatedHandle:
         self.state = int(State.INIT)
         self._leds = 0
         self._now_ns = 0
+        self._log: deque[dict[str, Any]] = deque(maxlen=20)
 
     @property
     def now_ns(self) -> int:
@@ -39,6 +44,19 @@ class OperatedHandle:
         self.operation.handle_heard(self._now_ns)
         lit = feedback.lit
         self._leds = 0 if lit is None else 1 << lit
+
+    def report(self) -> dict[str, Any]:
+        """`Operation.report`, and `log`: the last 20 transitions, `s` after the handle began."""
+        while (transition := self.operation.next_event()) is not None:
+            self._log.append(
+                {
+                    "s": round(transition.now_ns / NS_PER_S, 3),
+                    "event": transition.event.value,
+                    "state": transition.after.words,
+                    "reason": transition.reason,
+                }
+            )
+        return {**self.operation.report(), "log": list(self._log)}
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
         """Exert this force (N, N), and be where the handle is `dt_ns` later."""

@@ -174,11 +174,11 @@ class Operation:
             "device": self.facts.name,
             "state": self.machine.state.words,
             "reason": self.machine.reason or self.supervisor.reason,
-            "temperature_c": self.reading.temperature_c,
-            "hottest_c": supervisor.hottest_c,
+            "temperature_c": _rounded(self.reading.temperature_c),
+            "hottest_c": _rounded(supervisor.hottest_c),
             "temperature_warnings": supervisor.warnings,
-            "force_share": supervisor.share,
-            "force_limit_n": self.force_limit_n,
+            "force_share": round(supervisor.share, 3),
+            "force_limit_n": round(self.force_limit_n, 3),
             "transitions": self.machine.entered,
             "refused": self.machine.refused,
             "dead_man_released": self.released,
@@ -278,6 +278,10 @@ class Operation:
             self._forget_calibration()
             self.supervisor.verdict = Verdict.WELL
             self.handle_request(Event.ACKNOWLEDGE, now_ns)
+
+
+def _rounded(temperature_c: float | None) -> float | None:
+    return None if temperature_c is None else round(temperature_c, 1)
 
 
 def _cut(force_n: float, limit_n: float) -> float:

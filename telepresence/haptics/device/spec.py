@@ -12,12 +12,13 @@ from kontur_av.errors import ConfigError
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.gamepad import open_gamepad
 from telepresence.haptics.device.simulated import FAULTS, SimulatedDevice
+from telepresence.haptics.hand import Hand
 
 SIMULATED = "sim"
 GAME_CONTROLLER = "evdev"
 
 
-def check_spec(spec: str) -> None:
+def check_joystick(spec: str) -> None:
     """ConfigError, one line, if `spec` names no joystick that can be opened now."""
     if not is_simulated(spec):
         open_device(spec).close()
@@ -30,12 +31,15 @@ def is_simulated(spec: str) -> bool:
     return spec.partition(":")[0] == SIMULATED
 
 
-def open_device(spec: str) -> JoystickDevice:
-    """The joystick that `spec` names; ConfigError if there is none."""
+def open_device(spec: str, *, hand: Hand | None = None) -> JoystickDevice:
+    """The joystick that `spec` names; ConfigError if there is none.
+
+    hand: what holds a simulated one in the application.
+    """
     kind, _, rest = spec.partition(":")
     if kind == SIMULATED:
         fault = _fault(spec)
-        return SimulatedDevice(FAULTS[fault] if fault else None)
+        return SimulatedDevice(FAULTS[fault] if fault else None, hand=hand)
     if kind == GAME_CONTROLLER:
         return open_gamepad(rest)
     raise ConfigError(f"joystick {spec!r}: write sim, sim:FAULT, evdev or evdev:/dev/input/eventN")
