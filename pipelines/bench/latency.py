@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.bench.latency_plot import plot_leads
 from pipelines.bench.latency_runs import (
@@ -29,12 +29,23 @@ from pipelines.setup_file import load_setup
 from pipelines.setups import BUILT_IN
 from pipelines.sim.inputs import check_sources as check_virtual_sources
 from pipelines.stream import check_sources
+from pipelines.sync.limits import LIMITS
 from pipelines.terms import TERMS
 
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
-#: Force that comes before its picture by more is noticed (Di Luca and Mahnan, World Haptics 2019).
-_NOTICED_MS = 15.0
+#: Force that comes before its picture by more is noticed.
+_NOTICED_MS = LIMITS["video_haptic"].most_ns / NS_PER_MS
 _HISTOGRAM_PERCENT = 0.4
+
+_LEAD_NOTE = (
+    "of an event at any instant of the camera's period; docs/latency.md says how each is obtained\n"
+    f"noticed from {_NOTICED_MS:g} ms on ({LIMITS['video_haptic'].source}); force is never delayed"
+)
+_SKEWS = {
+    "video_haptic": ("video", "force"),
+    "audio_haptic": ("audio", "force"),
+    "audio_video": ("audio", "video"),
+}
 
 Report = Mapping[str, Any]
 
@@ -92,7 +103,9 @@ def run(args: argparse.Namespace) -> int:
             base_port=args.base_port,
         )
     clocks = {"virtual": VIRTUAL_CLOCK} | ({} if live is None else {"live": live_clock(live)})
-    console.print(_latencies(setup, virtual, live, clocks))
+    runs: dict[str, Report] = {"virtual": virtual} | ({} if live is None else {"live": live})
+    console.print(_latencies(runs))
+    console.print(_clocks(runs, clocks), markup=False, highlight=False)
     console.print(_targets(setup, args.radio, virtual, live))
     leads = {f"{setup.name}, virtual": virtual["video_lead"]}
     if live is not None:
@@ -102,6 +115,7 @@ def run(args: argparse.Namespace) -> int:
         others[other.name] = virtual_run(other, seconds=args.seconds, seed=args.seed)
         leads[f"{other.name}, virtual"] = others[other.name]["video_lead"]
     console.print(_leads(leads))
+    console.print(_LEAD_NOTE, markup=False, highlight=False)
     for failure in (live or {}).get("failures", ()):
         console.print(f"live session failed: {failure}", markup=False)
     if args.plot is not None:
@@ -148,12 +162,9 @@ def _heading(args: argparse.Namespace, setup: Setup) -> str:
     )
 
 
-def _latencies(
-    setup: Setup, virtual: Report, live: Report | None, clocks: Mapping[str, Clock]
-) -> Table:
-    runs = {"virtual": virtual} | ({} if live is None else {"live": live})
+def _latencies(runs: Mapping[str, Report]) -> Table:
     table = Table(
-        title="latency in ms: capture to display, mouth to ear, sample to sample; and its stages",
+        title="latency, ms: capture to display, mouth to ear, sample to sample",
         title_justify="left",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
@@ -166,29 +177,26 @@ def _latencies(
     for label, found in _rows(runs):
         cells: list[str] = []
         for latency in found:
-            if latency is None or not latency["count"]:
-                cells += ["", *[""] * len(_PERCENTILES)]
-                continue
-            cells.append(str(latency["count"]))
-            cells += [f"{latency[percentile]:.1f}" for percentile in _PERCENTILES]
+            cells += _cells(latency, sign="+" if " after " in label else "")
         table.add_row(label, *cells)
-    for name in ("video_haptic", "audio_haptic", "audio_video"):
-        if any(report["skew_ms"].get(name) for report in runs.values()):
-            first, _, second = name.partition("_")
-            cells = []
-            for report in runs.values():
-                skew = report["skew_ms"].get(name) or {}
-                of = [f"{skew[p]:+.1f}" if p in skew else "" for p in _PERCENTILES]
-                cells += ["", *of]
-            table.add_row(f"{first} after {'force' if second == 'haptic' else second}", *cells)
-    table.caption = "\n".join(
+    return table
+
+
+def _clocks(runs: Mapping[str, Report], clocks: Mapping[str, Clock]) -> str:
+    lines = [
         f"{name}: {report['seconds']:.0f} s; radio {_range(radio_delay_ms(report))} ms one way; "
         f"{clocks[name].method}, error <= {clocks[name].error_us:g} µs"
         for name, report in runs.items()
-    )
-    table.caption += f"\nmax is exact, the percentiles to {_HISTOGRAM_PERCENT} %"
-    table.caption_justify = "left"
-    return table
+    ]
+    return "\n".join([*lines, f"max is exact, percentiles to {_HISTOGRAM_PERCENT} %\n"])
+
+
+def _cells(summary: Mapping[str, Any] | None, *, sign: str) -> list[str]:
+    if not summary or summary.get("count") == 0:
+        return [""] * (1 + len(_PERCENTILES))
+    count = summary.get("count", summary.get("events", ""))
+    shown = (f"{summary[p]:{sign}.1f}" if p in summary else "" for p in _PERCENTILES)
+    return [str(count), *shown]
 
 
 def _range(limits: tuple[float, float]) -> str:
@@ -198,7 +206,7 @@ def _range(limits: tuple[float, float]) -> str:
 
 def _rows(
     runs: Mapping[str, Report],
-) -> Iterator[tuple[str, Sequence[Mapping[str, float] | None]]]:
+) -> Iterator[tuple[str, Sequence[Mapping[str, Any] | None]]]:
     first = next(iter(runs.values()))
     for direction in ("up", "down"):
         name = "force (haptic_up)" if direction == "up" else "command (haptic_down)"
@@ -209,6 +217,22 @@ def _rows(
         for stage in stream["latency_ms"]["stages"]:
             label = f"  {stage.replace('_', ' ')}"
             yield label, [latency["stages"][stage] for latency in latencies]
+    contacts = [report.get("sync") or {"senses": {}, "skew_ms": {}} for report in runs.values()]
+    for sense, word in (("force", "felt"), ("light", "seen"), ("click", "heard")):
+        told = [of["senses"].get(sense) for of in contacts]
+        if any(of and of["perceived"] for of in told):
+            yield (
+                f"contact until {word} (content)",
+                [of and {**of["latency_ms"], "count": of["perceived"]} for of in told],
+            )
+    for name, (first_sense, second) in _SKEWS.items():
+        label = f"{first_sense} after {second}"
+        for words, skews in (
+            (f"{label} (stamps)", [report["skew_ms"].get(name) for report in runs.values()]),
+            (f"{label} (content)", [of["skew_ms"].get(name) for of in contacts]),
+        ):
+            if any(skews):
+                yield words, skews
 
 
 def _targets(setup: Setup, radio: str, virtual: Report, live: Report | None) -> Table:
@@ -254,9 +278,4 @@ def _leads(leads: Mapping[str, Mapping[str, Any] | None]) -> Table:
             for key in ("video_ms", "force_ms", "lead_ms")
         ]
         table.add_row(term, *cells)
-    table.caption = (
-        "for an event at any instant of a camera's period; see docs/latency.md for each term.\n"
-        f"noticed from {_NOTICED_MS:g} ms on (Di Luca and Mahnan 2019); force is never delayed"
-    )
-    table.caption_justify = "left"
     return table

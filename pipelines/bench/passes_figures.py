@@ -63,6 +63,7 @@ def pass_figures(report: Mapping[str, Any], *, start_s: float = 0.0) -> Figures:
         "skew_ms": report["skew_ms"],
         "lip_sync": report["lip_sync"],
         "video_lead_ms": (report.get("video_lead") or {}).get("lead_ms", {}).get("total"),
+        "sync": _sync(report.get("sync")),
         "least_energy_uj": least_energy_uj(report),
         "failures": report["failures"],
     }
@@ -84,6 +85,16 @@ def _stream(stream: Mapping[str, Any]) -> Figures:
             if f"{spell}_{unit}" in stream
         },
     }
+
+
+def _sync(sync: Mapping[str, Any] | None) -> Figures | None:
+    """Contacts with a target, how many each sense has missed, and the skews from content."""
+    if sync is None:
+        return None
+    missed = {
+        sense: None if told is None else told["missed"] for sense, told in sync["senses"].items()
+    }
+    return {"events": sync["events"], "missed": missed, "skew_ms": sync["skew_ms"]}
 
 
 def usable_window(report: Mapping[str, Any], start_s: float) -> tuple[float, float] | None:
@@ -138,12 +149,15 @@ def _longest_pause_s(
 
 def least_energy_uj(report: Mapping[str, Any]) -> float | None:
     """The least energy (µJ) that a passivity observer has seen; None if there is none."""
-    found = [
-        haptic["least_observed_uj"]
-        for haptic in report["haptic"].values()
-        if haptic.get("least_observed_uj") is not None
-    ]
-    return min(found, default=None)
+    return min(_values("least_uj", report["haptic"]), default=None)
+
+
+def _values(name: str, table: Mapping[str, Any]) -> Iterator[float]:
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _values(name, value)
+        elif key == name and value is not None:
+            yield value
 
 
 def faults(figures: Figures) -> list[str]:

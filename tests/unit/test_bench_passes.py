@@ -103,7 +103,7 @@ def test_a_pass_that_kept_its_signal_is_usable():
         (lambda it: it.update(failures=["something"]), "failed"),
         (lambda it: it["haptic"]["up"].update(pauses_s=[[50, 51.1]]), "stuck"),
         (lambda it: it["streams"]["uplink_video"].update(pauses_s=[[25, 33.1]]), "stuck"),
-        (lambda it: it["haptic"]["down"].update(least_observed_uj=-3), "unstable"),
+        (lambda it: it["haptic"]["down"]["energy"].update(least_uj=-3), "unstable"),
         (lambda it: it["streams"].update(uplink_video=video(payload_bps_max_1s=85_100)), "cap"),
         (lambda it: it["streams"].update(uplink_video=video(payload_bps_max_100ms=128_000)), "cap"),
     ],
@@ -111,7 +111,7 @@ def test_a_pass_that_kept_its_signal_is_usable():
 def test_what_is_wrong_is_named(change, word):
     found = report(windows=((20, None),), contact=CONTACT)
     found["streams"]["uplink_video"] = video()
-    found["haptic"]["down"]["least_observed_uj"] = -2
+    found["haptic"]["down"]["energy"] = {"least_uj": -2}
     assert faults(pass_figures(found)) == []
     change(found)
     named = faults(pass_figures(found))
