@@ -5,6 +5,6 @@ was really shown and heard, and the instants at which that was so.
 """
 
 from kontur_av.detect.click import Click, ClickDetector
-from kontur_av.detect.light import Light, LightDetector
+from kontur_av.detect.light import Light, LightDetector, Roi
 
-__all__ = ["Click", "ClickDetector", "Light", "LightDetector"]
+__all__ = ["Click", "ClickDetector", "Light", "LightDetector", "Roi"]

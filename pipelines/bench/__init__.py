@@ -12,6 +12,7 @@ BENCHES = {
     "latency": "one page: every stream of a setup, end to end and by stage, and what is in it",
     "link": "the radio link: delays on virtual time, punctuality and cost on this machine",
     "passes": "many sessions of a whole pass on virtual time, and whether each was usable",
+    "sync": "how far sight, hearing and touch lie apart, from what they show; also of recordings",
     "video": "pictures through a thin channel: latency, quality, rate and cost, beside GStreamer's",
     "voice": "speech through a lossy network: mouth to ear, rate and quality, beside GStreamer's",
 }

@@ -18,9 +18,9 @@ LATEST_NS = 1500 * NS_PER_MS
 _BOX_NS = 10 * NS_PER_MS
 _NEIGHBOURS = 7
 #: What lies farther than this from what most say is believed only if it is strong.
-_NEAR_NS = 250 * NS_PER_MS
+_NEAR_NS = 120 * NS_PER_MS
 #: Of the median strength of those that are near: what the near ones and the far ones must have.
-_LEAST_NEAR, _LEAST_FAR = 0.15, 0.6
+_LEAST_NEAR, _LEAST_FAR = 0.2, 0.6
 
 
 @dataclass(frozen=True, slots=True)
