@@ -220,6 +220,8 @@ class Operation:
         elif verdict is Verdict.FAULT:
             if state not in (State.RECOVERABLE, State.FATAL):
                 machine.handle_event(Event.FAULT, now_ns, reason)
+                # It will be calibrated anew, and a place that is no place is no fault meanwhile.
+                self._forget_calibration()
         elif state in (State.APPLICATION, State.CALIBRATED):
             machine.handle_event(Event.HALT, now_ns, reason)
         elif self._run is not None:
@@ -274,9 +276,6 @@ class Operation:
             and now_ns - self.machine.since_ns >= _RETRY_NS
         ):
             self._retries += 1
-            # A fault of a place that was calibrated wrongly would keep its own mend away.
-            self._forget_calibration()
-            self.supervisor.verdict = Verdict.WELL
             self.handle_request(Event.ACKNOWLEDGE, now_ns)
 
 

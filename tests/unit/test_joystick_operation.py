@@ -1,0 +1,245 @@
+"""The joystick in operation: who has its motors, what halts it, and what the samples say of it."""
+
+from copy import deepcopy
+from math import hypot, inf, nan
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.bilateral import MasterSide, SlaveSide
+from telepresence.haptics.device.device import Reading
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.operation import Operation
+from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
+from telepresence.haptics.device.states import Event, State
+from telepresence.haptics.device.supervision import Limits
+from telepresence.haptics.hand import Hand
+from telepresence.haptics.sample import Feedback, unpack_command
+
+QUIET = Feedback(0.0, 0.0, 0, False)
+
+
+class Session:
+    """An operated handle on virtual time, with a robot that sends as long as `robot` is set."""
+
+    def __init__(self, device=None, limits=None):
+        self.device = device or SimulatedDevice(hand=Hand())
+        self.handle = OperatedHandle(self.device, limits=limits)
+        self.operation = self.handle.operation
+        self.robot = True
+
+    def run(self, seconds, force=(0.0, 0.0), each=None):
+        for _ in range(round(seconds * 1000)):
+            if self.robot:
+                self.handle.handle_feedback(QUIET)
+            self.handle.step(*force, NS_PER_MS)
+            if each is not None:
+                each()
+        return self
+
+    def into_application(self):
+        self.run(4)
+        assert self.operation.state is State.APPLICATION
+        return self
+
+
+def test_it_goes_into_the_application_by_itself_and_finds_its_middle():
+    session = Session(SimulatedDevice(hand=Hand(), start_m=(0.03, -0.04)))
+    states = []
+    session.run(4, each=lambda: states.append(session.handle.state))
+    assert sorted(set(states)) == [0, 1, 2, 3] and states == sorted(states)
+    joystick = session.device.joystick
+    assert hypot(session.handle.x_m - joystick.x_m, session.handle.y_m - joystick.y_m) < 0.001
+    log = [entry["event"] for entry in session.handle.report()["log"]]
+    assert log == ["self-test passed", "calibrate", "calibration passed", "start"]
+
+
+def test_without_a_calibration_there_is_no_place_and_no_force_for_the_controller():
+    session = Session()
+    places = set()
+
+    def look():
+        if session.operation.state < State.CALIBRATED:
+            places.add((session.handle.x_m, session.handle.y_m, session.handle.force_limit_n))
+
+    session.run(4, each=look)
+    assert places == {(0.0, 0.0, 0.0)}
+
+
+def test_a_released_dead_man_button_takes_the_force_and_its_return_is_slow():
+    session = Session().into_application()
+    assert session.handle.force_limit_n == FACTS.force_limit_n
+    session.device.show_state(State.HALTED)  # the hand lets go
+    session.run(0.002, force=(3.0, 0.0))
+    assert not session.handle.dead_man
+    assert session.handle.force_limit_n == 0.0
+    session.run(0.002, force=(3.0, 0.0))
+    assert session.device.joystick.motor_x_n == 0.0
+    session.device.show_state(State.APPLICATION)
+    session.run(0.1)
+    assert 0.0 < session.handle.force_limit_n < FACTS.force_limit_n / 2
+    session.run(0.3)
+    assert session.handle.force_limit_n == FACTS.force_limit_n
+    assert session.operation.released == 1
+
+
+def test_heat_warns_then_weakens_then_halts_until_it_is_cool():
+    session = Session().into_application()
+    joystick = session.device.joystick
+    joystick.temperature_c = 70.0
+    session.run(0.1)
+    report = session.handle.report()
+    assert report["temperature_warnings"] == 1
+    # The device and its supervisor take the same from it.
+    assert abs(session.handle.force_limit_n - joystick.force_limit_n) < 0.1
+    assert 0.25 < report["force_share"] < 1.0
+    joystick.temperature_c = 80.5
+    session.run(0.1, force=(5.0, 0.0))
+    assert session.operation.state is State.HALTED
+    assert joystick.motor_x_n == 0.0
+    assert "80 °C" in session.operation.reason or "81 °C" in session.operation.reason
+    assert "not yet" in session.operation.handle_request(Event.RESUME, session.handle.now_ns)
+    joystick.temperature_c = 60.0
+    session.run(0.1)
+    assert session.operation.state is State.HALTED
+    joystick.temperature_c = 50.0
+    session.run(0.5)
+    assert session.operation.state is State.APPLICATION
+
+
+def test_silence_halts_it_and_the_first_sample_brings_it_back():
+    limits = Limits(silence_ns=NS_PER_S)
+    session = Session(limits=limits).into_application()
+    session.robot = False
+    session.run(1.1)
+    assert session.operation.state is State.HALTED
+    assert session.operation.reason == "no sample from the robot for 1 s"
+    session.run(3)
+    assert session.operation.machine.entered == 5
+    session.robot = True
+    session.run(0.01)
+    assert session.operation.state is State.APPLICATION
+
+
+def test_a_person_may_halt_and_resume_and_is_told_why_not():
+    operation = Operation(SimulatedDevice(), automatic=False)
+    now_ns = 0
+
+    def run(milliseconds):
+        nonlocal now_ns
+        for _ in range(milliseconds):
+            now_ns += NS_PER_MS
+            operation.handle_reading(now_ns)
+            operation.handle_force(0.0, 0.0)
+            operation.device.advance(NS_PER_MS)
+
+    run(30)
+    assert operation.state is State.STANDBY
+    assert "not in the state standby" in operation.handle_request(Event.HALT, now_ns)
+    assert not operation.handle_request(Event.CALIBRATE, now_ns)
+    run(4000)
+    assert operation.state is State.CALIBRATED
+    assert not operation.handle_request(Event.START, now_ns)
+    assert not operation.handle_request(Event.HALT, now_ns, "lunch")
+    assert operation.reason == "lunch"
+    assert "nothing that can be asked" in operation.handle_request(Event.FAULT, now_ns)
+    run(100)
+    assert operation.state is State.HALTED
+    assert not operation.handle_request(Event.RESUME, now_ns)
+    assert operation.state is State.CALIBRATED
+
+
+def test_a_handle_beyond_its_workspace_is_an_error_that_a_calibration_mends():
+    session = Session().into_application()
+    session.device.set_zero(0.3, 0.0)  # an encoder that has jumped
+    session.run(0.01)
+    assert session.operation.state is State.RECOVERABLE
+    assert "the workspace ends at ±151 mm" in session.operation.reason
+    session.run(6)
+    assert session.operation.state is State.APPLICATION
+    joystick = session.device.joystick
+    assert abs(session.handle.x_m - joystick.x_m) < 0.002
+
+
+def into_application():
+    operation, now_ns = Operation(SimulatedDevice()), 0
+    while operation.state is not State.APPLICATION:
+        now_ns += NS_PER_MS
+        operation.handle_reading(now_ns)
+        operation.handle_force(0.0, 0.0)
+        operation.device.advance(NS_PER_MS)
+    return operation, now_ns
+
+
+CALIBRATED = into_application()
+numbers = st.floats(-1, 1) | st.sampled_from([nan, inf, -inf, 1e300])
+readings = st.builds(
+    Reading,
+    numbers,
+    numbers,
+    numbers,
+    numbers,
+    st.integers(0, 15),
+    st.booleans(),
+    st.none() | st.floats(-50, 200),
+    st.sampled_from([True] * 9 + [False]),
+)
+
+
+@settings(max_examples=80)
+@given(
+    st.lists(st.tuples(readings, st.integers(1, 60), st.floats(-50, 50) | numbers), max_size=30),
+    st.booleans(),
+)
+def test_whatever_the_sensors_say_force_stays_within_what_is_allowed(script, calibrated):
+    operation, now_ns = deepcopy(CALIBRATED) if calibrated else (Operation(SimulatedDevice()), 0)
+    device = operation.device
+
+    def cycle(reading, force_n):
+        nonlocal now_ns
+        now_ns += NS_PER_MS
+        device.read = lambda: reading
+        operation.handle_reading(now_ns)
+        operation.handle_force(force_n, -force_n)
+        device.advance(NS_PER_MS)
+        wanted = max(abs(device._force_x_n), abs(device._force_y_n))
+        if operation.state is State.APPLICATION:
+            assert wanted <= operation.force_limit_n <= FACTS.force_limit_n
+            assert operation.reading.dead_man or wanted == 0.0
+        elif operation.state is not State.STANDBY:
+            assert wanted == 0.0
+        return operation.state
+
+    for reading, cycles, force_n in script:
+        for _ in range(cycles):
+            state = cycle(reading, force_n)
+        assert reading.present or state is State.FATAL
+
+
+def test_the_samples_carry_its_state_and_the_fatal_one_is_final():
+    device = SimulatedDevice(FAULTS["unplugged"], hand=Hand())
+    handle = OperatedHandle(device)
+    master, slave = MasterSide(handle=handle), SlaveSide()
+    seen = []
+    pushed_after = 0.0
+    for millisecond in range(1, 10_000):
+        now_ns = millisecond * NS_PER_MS
+        master.handle_cycle(now_ns, NS_PER_MS)
+        slave.handle_cycle(now_ns, NS_PER_MS)
+        sample = master.poll_transmit(now_ns)
+        value = unpack_command(sample).value
+        if value.state not in seen:
+            seen.append(value.state)
+        assert value.halted == (value.state >= State.HALTED)
+        slave.handle_datagram(sample, now_ns)
+        answer = slave.poll_transmit(now_ns)
+        master.handle_datagram(answer, now_ns)
+        feedback = master.link.latest(now_ns)
+        if feedback is not None:
+            handle.handle_feedback(feedback)
+        if millisecond > 8_010:
+            pushed_after = max(pushed_after, abs(master.force_x_n), abs(master.force_y_n))
+    assert seen == [0, 1, 2, 3, 7]
+    assert pushed_after == 0.0
+    assert master.controller.least_observed_uj >= -1
