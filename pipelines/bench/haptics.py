@@ -11,7 +11,7 @@ from rich.table import Table
 
 from kontur_av.errors import ConfigError
 from pipelines.bench.haptics_cell import Cell, full_grid, read_cell, small_grid
-from pipelines.bench.haptics_claims import Claim, claims
+from pipelines.bench.haptics_claims import Claim, claims, needed
 from pipelines.bench.haptics_figures import Figures
 from pipelines.bench.haptics_grid import processors, run_grid
 from pipelines.bench.haptics_map import StabilityMap
@@ -82,7 +82,9 @@ def run(args: argparse.Namespace) -> int:
         console.print(_map_table(_WITHOUT, StabilityMap(without)))
         console.print(_map_table(_WITH, StabilityMap(with_)))
         console.print(_channel_table(with_))
-    found = claims(without, with_)
+    found = claims(with_)
+    if not chosen:
+        found.append(needed(without))
     console.print(_claim_table(found))
     if args.report is not None:
         write_report(args.report, _report(args, without, with_, found))
@@ -146,7 +148,7 @@ def _map_table(title: str, found: StabilityMap) -> Table:
 
 _HEADINGS = (
     *("least energy µJ", "given µJ", "contact N", "handle N"),
-    *("swing N", "jump N/ms", "drift mm", "touches"),
+    *("swing N", "felt %", "rise N/ms", "drift mm", "touches"),
 )
 
 
@@ -162,7 +164,8 @@ def _channel_table(with_: Sequence[Figures]) -> Table:
             f"{max(f.contact_peak_n for f in rows):.1f}",
             f"{max(f.displayed_peak_n for f in rows):.1f}",
             f"{max(f.swing_n for f in rows):.2f}",
-            f"{max(f.jump_n_ms for f in rows):.2f}",
+            f"{100 * min(f.felt for f in rows):.0f}",
+            f"{max(f.rise_n_ms for f in rows):.2f}",
             f"{max(f.drift_mm for f in rows):.1f}",
             str(min(f.touches for f in rows)),
         )
@@ -181,7 +184,8 @@ def _cell_table(without: Sequence[Figures], with_: Sequence[Figures]) -> Table:
                 f"{figures.contact_peak_n:.1f}",
                 f"{figures.displayed_peak_n:.1f}",
                 f"{figures.swing_n:.2f}",
-                f"{figures.jump_n_ms:.2f}",
+                f"{100 * figures.felt:.0f}",
+                f"{figures.rise_n_ms:.2f}",
                 f"{figures.drift_mm:.1f}",
                 str(figures.touches),
             )

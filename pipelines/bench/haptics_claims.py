@@ -7,8 +7,8 @@ from pipelines.bench.haptics_figures import SWING_N, Figures
 
 #: Of a total, which is sent in whole µJ, rounded down.
 ROUNDING_UJ = 1.0
-CONTACT_N = 35.0
-JUMP_N_MS = 1.0
+#: How fast the master lets the received force grow, and what its damping may add.
+RISE_N_MS = 1.1
 DRIFT_MM = 1.0
 
 
@@ -21,17 +21,15 @@ class Claim:
     holds: bool
 
 
-def claims(without: Sequence[Figures], with_: Sequence[Figures]) -> list[Claim]:
-    """All claims, each on the worst cell; the same cells in both, in the same order."""
+def claims(with_: Sequence[Figures]) -> list[Claim]:
+    """What is claimed of the passivity controllers, each on the worst of these runs with them."""
     least = min(with_, key=_least_uj)
     given = max(with_, key=lambda f: f.given_uj)
-    contact = max(with_, key=lambda f: f.contact_peak_n)
-    jump = max(with_, key=lambda f: f.jump_n_ms)
+    contact = max(with_, key=lambda f: f.contact_peak_n / f.contact_bound_n)
+    rise = max(with_, key=lambda f: f.rise_n_ms)
     drift = max(with_, key=lambda f: f.drift_mm)
     swings = [f for f in with_ if f.unstable]
-    swung = [f for f in without if f.unstable]
-    made = sum(f.given_uj > ROUNDING_UJ for f in without)
-    found = [
+    return [
         Claim(
             f"observed energy at either port is never below -{ROUNDING_UJ:g} µJ",
             f"{_least_uj(least):.2f} µJ: {least.cell.name}",
@@ -43,9 +41,10 @@ def claims(without: Sequence[Figures], with_: Sequence[Figures]) -> list[Claim]:
             given.given_uj <= ROUNDING_UJ,
         ),
         Claim(
-            f"the wall is never pressed with more than {CONTACT_N:g} N",
-            f"{contact.contact_peak_n:.1f} N: {contact.cell.name}",
-            contact.contact_peak_n <= CONTACT_N,
+            "the wall is never pressed harder than a tip that only follows the hand can press it",
+            f"{contact.contact_peak_n:.1f} N, bound {contact.contact_bound_n:.1f} N: "
+            f"{contact.cell.name}",
+            contact.contact_peak_n <= contact.contact_bound_n,
         ),
         Claim(
             f"on a still hand no force swings on by more than {SWING_N:g} N",
@@ -53,9 +52,9 @@ def claims(without: Sequence[Figures], with_: Sequence[Figures]) -> list[Claim]:
             not swings,
         ),
         Claim(
-            f"the force on the hand never changes by more than {JUMP_N_MS:g} N in 1 ms",
-            f"{jump.jump_n_ms:.2f} N: {jump.cell.name}",
-            jump.jump_n_ms <= JUMP_N_MS + 1e-9,
+            f"the force on the hand never grows by more than {RISE_N_MS:g} N in 1 ms",
+            f"{rise.rise_n_ms:.2f} N: {rise.cell.name}",
+            rise.rise_n_ms <= RISE_N_MS,
         ),
         Claim(
             f"free again and at rest, tip and handle are within {DRIFT_MM:g} mm",
@@ -63,14 +62,17 @@ def claims(without: Sequence[Figures], with_: Sequence[Figures]) -> list[Claim]:
             drift.drift_mm <= DRIFT_MM,
         ),
     ]
-    found.append(
-        Claim(
-            "without the controllers the network makes energy, and forces swing on",
-            f"it makes energy in {made}, swings on in {len(swung)} of {len(without)}",
-            made > 0 and bool(swung),
-        )
+
+
+def needed(without: Sequence[Figures]) -> Claim:
+    """That the controllers are needed: what these runs without them come to."""
+    swung = sum(f.unstable for f in without)
+    made = sum(f.given_uj > ROUNDING_UJ for f in without)
+    return Claim(
+        "without the controllers the network makes energy, and forces swing on",
+        f"it makes energy in {made}, swings on in {swung} of {len(without)}",
+        made > 0 and swung > 0,
     )
-    return found
 
 
 def _least_uj(figures: Figures) -> float:

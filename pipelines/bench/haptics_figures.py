@@ -1,15 +1,18 @@
 """What a run of a cell comes to: figures out of what the plants really did."""
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipelines.bench.haptics_cell import Cell
-from pipelines.bench.haptics_plan import Plan
+from pipelines.bench.haptics_plan import DEPTH_M, Plan
+from telepresence.haptics.robot import RobotModel
+from telepresence.haptics.slave import SlaveModel
 
 #: A hand that keeps still on a wall feels a still force: a swing beyond this (N, peak to peak)
-#: that does not fade is an oscillation. It is a fifth of the smallest peak that a press gives.
+#: that does not fade is an oscillation. It is a fifth of what the softest press of the grids has.
 SWING_N = 1.0
 #: It fades if the last third of the hold swings less than this share of the middle third.
 FADES = 0.7
@@ -46,11 +49,12 @@ class Figures:
     least_master_uj, least_slave_uj: least energy that the observers saw, below 0: the port gave
     more than had come in at the other. given_uj: most that the network had given out in all, at
     any instant, above 0: it made energy. contact_peak_n, displayed_peak_n: the largest forces
-    of the wall and on the handle. swing_n: of both forces in the last third of the hold,
-    middle_swing_n: in the middle third. jump_n_ms: the largest change of the force on the
-    handle from one cycle to the next; drive_jump_n_ms: of the force on the tip. drift_mm: how
-    far apart handle and tip are at the very end, at rest and free. touched: of the handle.
-    acted_master, acted_slave: cycles in which a controller took something away.
+    of the wall and on the handle; contact_bound_n: see `contact_bound_n`. swing_n: of both forces
+    in the last third of the hold, middle_swing_n: in the middle third. felt: the mean force on
+    the handle over that of the wall in the last third. rise_n_ms, drop_n_ms: the largest growth
+    and the largest fall of the force on the handle from one cycle to the next. drift_mm: how far
+    apart handle and tip are at the very end, at rest and free. touches: how often the wall was
+    met. acted_master, acted_slave: cycles in which a controller took something away.
     """
 
     cell: Cell
@@ -59,11 +63,13 @@ class Figures:
     least_slave_uj: float
     given_uj: float
     contact_peak_n: float
+    contact_bound_n: float
     displayed_peak_n: float
     swing_n: float
     middle_swing_n: float
-    jump_n_ms: float
-    drive_jump_n_ms: float
+    felt: float
+    rise_n_ms: float
+    drop_n_ms: float
     drift_mm: float
     touches: int
     acted_master: int
@@ -84,6 +90,9 @@ def figures(
     contact = trace.contact_n > 0.0
     # The last tenth of a second: hand and tip have been at rest for long.
     apart = trace.handle[-100:] - trace.tip[-100:]
+    sizes = np.hypot(*trace.displayed.T)
+    changes = np.diff(sizes)
+    pressed_n = float(trace.contact_n[end - third : end].mean())
     return Figures(
         cell=cell,
         passive=passive,
@@ -91,11 +100,13 @@ def figures(
         least_slave_uj=1e6 * float(trace.slave_observed_j.min()),
         given_uj=1e6 * float((trace.master_given_j + trace.slave_given_j).max()),
         contact_peak_n=float(trace.contact_n.max()),
-        displayed_peak_n=float(np.hypot(*trace.displayed.T).max()),
+        contact_bound_n=contact_bound_n(cell.wall),
+        displayed_peak_n=float(sizes.max()),
         swing_n=_swing(trace, end - third, end),
         middle_swing_n=_swing(trace, end - 2 * third, end - third),
-        jump_n_ms=_jump(trace.displayed),
-        drive_jump_n_ms=_jump(trace.drive),
+        felt=float(sizes[end - third : end].mean()) / pressed_n if pressed_n else 0.0,
+        rise_n_ms=float(changes.max()),
+        drop_n_ms=float(-changes.min()),
         drift_mm=1e3 * float(np.hypot(*apart.T).max()),
         touches=int(np.count_nonzero(contact[1:] & ~contact[:-1])),
         acted_master=acted[0],
@@ -109,5 +120,13 @@ def _swing(trace: Trace, begin: int, end: int) -> float:
     return float(max(swings))
 
 
-def _jump(force: Values) -> float:
-    return float(np.hypot(*np.diff(force, axis=0).T).max())
+def contact_bound_n(wall_n_m: float) -> float:
+    """The largest force (N) with which a tip that only follows the hand can press this wall.
+
+    It is the press when the hand is as deep behind the wall as it means to be (the controller's
+    spring and the wall in series), and on top of that the blow of the tip's mass at the greatest
+    speed of the reference, v * sqrt(k * m) of an undamped wall.
+    """
+    slave, robot = SlaveModel(), RobotModel()
+    spring = slave.stiffness_n_m * wall_n_m / (slave.stiffness_n_m + wall_n_m)
+    return DEPTH_M * spring + slave.speed_m_s * sqrt(wall_n_m * robot.mass_kg)

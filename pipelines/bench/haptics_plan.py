@@ -15,7 +15,7 @@ from telepresence.haptics.hand import Waypoint
 
 _TARGETS_Y_M = (-0.05, 0.0, 0.05)
 #: The hand means to be so far behind the wall, as one presses a button.
-_DEPTH_M = 0.025
+DEPTH_M = 0.025
 _AWAY_M = 0.04
 #: An oscillation of the delayed loop takes 2 to 4 round trips: three thirds of 4 round trips.
 _HOLD_ROUND_TRIPS = 12.0
@@ -59,7 +59,7 @@ def plan(cell: Cell, seconds: float) -> Plan:
         dark.append((press_s, press_s + cell.blackout))
         press_s += cell.blackout + recovery_s
     hold_end_s = press_s + max(seconds / 2.0, _HOLD_ROUND_TRIPS * round_trip_s)
-    script.append(_waypoint(WALL_X_M + _DEPTH_M, _TARGETS_Y_M[0], 1.0, hold_end_s - touched_s - 1))
+    script.append(_waypoint(WALL_X_M + DEPTH_M, _TARGETS_Y_M[0], 1.0, hold_end_s - touched_s - 1))
     script.append(_waypoint(0.0, 0.0, 1.0, 10.0 + recovery_s))
     end_s = hold_end_s + 1.0 + recovery_s
     spans = [(_ns(begin), _ns(end)) for begin, end in dark]
@@ -74,7 +74,7 @@ def plan(cell: Cell, seconds: float) -> Plan:
 
 def _touch(y_m: float) -> list[Waypoint]:
     return [
-        _waypoint(WALL_X_M + _DEPTH_M, y_m, 0.6, 0.5),
+        _waypoint(WALL_X_M + DEPTH_M, y_m, 0.6, 0.5),
         _waypoint(WALL_X_M - _AWAY_M, y_m, 0.5, 0.2),
     ]
 
