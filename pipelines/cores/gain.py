@@ -17,9 +17,9 @@ STEADY_NS = 2 * NS_PER_S
 MOST_STEADY_NS = 32 * NS_PER_S
 #: A change costs what a step gives in about this time (docs/deadband.md): lasted is longer.
 LASTED_NS = 10 * NS_PER_S
-#: Of what is free so much stays so: by so much it may fall, in bit/s, until what has left already
-#: is out of the second of the cap, in lumps of a picture.
-RESERVE_BPS = 6_000
+#: Of what is free so much stays so: it may fall by 96 bits a millisecond, and its gateway tells
+#: every 4 ms.
+RESERVE_BPS = 2_000
 #: The raised cap is found to this, in bit/s.
 _GRAIN_BPS = 100
 #: x264 knows its buffer in so many bits.

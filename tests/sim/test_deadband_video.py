@@ -1,0 +1,187 @@
+"""What left-out samples give to the picture, slot by slot: never more than is really there."""
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from random import Random
+
+import numpy as np
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.rtp.sender import RTP_HEADER_OCTETS
+from pipelines.cores.gain import STEADY_NS, gain_of
+from pipelines.cores.sending import RtpIdentity, VideoSending
+from pipelines.probe import Probe
+from pipelines.setups import BUILT_IN
+from pipelines.simulate import simulate
+from telepresence.link.flows import Level
+from telepresence.link.gateway import Gateway
+
+SETUP = replace(BUILT_IN["spacejustin"], deadband=True)
+STREAM = SETUP.uplink_video
+SAMPLE = bytes(12)
+CODING_NS = 6 * NS_PER_MS
+FREED_BITS = 8 * SETUP.uplink.insert_octets
+
+
+@dataclass
+class Ground:
+    """A gateway and a video sender that always fills its cap and more.
+
+    left: (instant, octets, cap at that instant); free: the slots without a sample.
+    """
+
+    told_every_ms: int = 4
+    left: list = field(default_factory=list)
+    free: list = field(default_factory=list)
+    caps: list = field(default_factory=list)
+    waited: Counter = field(default_factory=Counter)
+
+    def __post_init__(self):
+        self.gateway = Gateway(
+            transmit=SETUP.uplink,
+            transmit_flows=SETUP.uplink_flows,
+            receive=SETUP.downlink,
+            receive_flows=SETUP.downlink_flows,
+            master=True,
+            life=1,
+            now_ns=0,
+        )
+        # As if the other end were heard: it need not be there.
+        self.gateway.sender.set_patience(None)
+        identity = RtpIdentity(1, 2, 3)
+        self.probe = Probe(None)
+        gain = gain_of(SETUP, STREAM)
+        self.sending = VideoSending(STREAM, SETUP.uplink, identity, self.probe, gain)
+        self.random = Random(1)
+
+    def run(self, pattern, seconds):
+        """pattern(slot): whether the slot has a sample."""
+        gateway, sending = self.gateway, self.sending
+        ready_ns, cap_bps = None, STREAM.cap_bps
+        for slot in range(seconds * 1000):
+            now_ns = slot * NS_PER_MS
+            if pattern(slot):
+                gateway.handle_haptic(SAMPLE, now_ns)
+            else:
+                self.free.append(slot)
+            gateway.handle_slot(now_ns)
+            while gateway.poll_transmit(now_ns) is not None:
+                pass
+            if slot % self.told_every_ms == 0:
+                freed_bps = gateway.freed_bps // 1000 * 1000
+                waiting = gateway.sender.waiting_octets(Level.VIDEO)
+                sending.handle_freed(freed_bps, now_ns)
+                sending.handle_link(waiting, 0, True, now_ns)
+                self.waited[waiting // 200] += 1
+            if slot % 33 == 0:
+                stamp = CaptureStamp(now_ns, slot, "test")
+                sending.handle_picture(stamp, now_ns)
+            if ready_ns is None:
+                coding = sending.poll_encode(now_ns)
+                if coding is not None:
+                    ready_ns = now_ns + CODING_NS
+                    cap_bps = coding.cap_bps or cap_bps
+            elif now_ns >= ready_ns:
+                ready_ns = None
+                octets = round(cap_bps / 240 * self.random.uniform(0.7, 1.5))
+                nal = b"\0\0\0\1\x41" + bytes(0x55 for _ in range(octets))
+                sending.handle_access_unit(AccessUnit(nal, stamp, False, now_ns))
+            if ready_ns is None:
+                while (packet := sending.poll_transmit(now_ns)) is not None:
+                    self.left.append((now_ns, len(packet) - RTP_HEADER_OCTETS))
+                    gateway.handle_datagram("uplink_video", packet, now_ns)
+            self.caps.append(self.probe.rows("out")[-1] if self.left else STREAM.cap_bps)
+        return self
+
+    def octets_in(self, begin_s, end_s):
+        return sum(n for at_ns, n in self.left if begin_s * NS_PER_S <= at_ns < end_s * NS_PER_S)
+
+
+def resting(slot):
+    return slot % 6 == 0
+
+
+def resting_and_touching(period, touch):
+    """At rest, but for `touch` slots of each `period`, where every sample goes."""
+    return lambda slot: slot % 6 == 0 or slot % period < touch
+
+
+def most_above_bits(ground):
+    """The most that left in any sliding second, beyond the cap and all that was freed in it."""
+    times = np.array([at_ns for at_ns, _ in ground.left])
+    sums = np.concatenate([[0], np.cumsum([8 * octets for _, octets in ground.left])])
+    free = np.array(ground.free, dtype=np.int64) * NS_PER_MS
+    first = np.searchsorted(times, times - NS_PER_S, side="right")
+    sent = sums[1:] - sums[first]
+    freed = np.searchsorted(free, times, side="right") - np.searchsorted(
+        free, times - NS_PER_S, side="right"
+    )
+    return (sent - STREAM.cap_bps - FREED_BITS * freed).max()
+
+
+def test_at_rest_the_rate_rises_by_what_is_saved_and_in_contact_it_falls_at_once():
+    touched_s = 12
+    ground = Ground().run(lambda slot: resting(slot) or slot >= touched_s * 1000, 16)
+    before_bps = 8 * ground.octets_in(0, 2) / 2
+    after_bps = 8 * ground.octets_in(8, 12) / 4
+    saved_bps = 80_000
+    gain_bps = max(caps for caps in ground.caps) - STREAM.cap_bps
+    assert 0.6 * saved_bps < gain_bps <= saved_bps
+    assert after_bps - before_bps > 0.8 * gain_bps
+    # Not before it was steady, and down again as soon as the first second of contact has less.
+    caps = ground.caps
+    assert caps[STEADY_NS // NS_PER_MS] == STREAM.cap_bps
+    fallen = next(k for k in range(touched_s * 1000, len(caps)) if caps[k] == STREAM.cap_bps)
+    assert fallen - touched_s * 1000 < 1000
+    assert 8 * ground.octets_in(13.1, 16) / 2.9 <= STREAM.cap_bps * 1.01
+    assert most_above_bits(ground) <= 0
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        resting_and_touching(5000, 900),
+        resting_and_touching(12_000, 300),
+        resting_and_touching(7000, 3000),
+        resting_and_touching(400, 60),
+        lambda slot: slot < 11_000 and slot % 6 != 0,
+        lambda slot: slot >= 9000,
+        # Just enough for a step, and then nothing at all.
+        lambda slot: slot % 3 == 0 or slot >= 9000,
+        lambda slot: slot % 5 in (0, 2) or slot >= 9000,
+        lambda slot: slot % 100 < 38 or slot >= 9000,
+        lambda slot: Random(slot // 700).random() < Random(slot).random(),
+        lambda slot: True,
+    ],
+)
+def test_in_no_sliding_second_more_leaves_than_the_cap_and_what_that_second_freed(pattern):
+    ground = Ground().run(pattern, 20)
+    assert most_above_bits(ground) <= 0
+    assert ground.octets_in(10, 20) > 0.8 * STREAM.cap_bps / 8 * 10
+
+
+def test_without_a_deadband_nothing_is_gained_whatever_is_free():
+    ground = Ground()
+    ground.sending = VideoSending(STREAM, SETUP.uplink, RtpIdentity(1, 2, 3), ground.probe)
+    ground.run(lambda slot: False, 8)
+    assert set(ground.caps) == {STREAM.cap_bps}
+
+
+def test_a_whole_session_gains_and_says_so():
+    setup = replace(BUILT_IN["taskboard"], radio="clean")
+    plain = simulate(setup, seconds=6.0, seed=1)
+    saving = simulate(replace(setup, deadband=True), seconds=6.0, seed=1)
+    assert saving["failures"] == plain["failures"] == []
+    video, before = (report["streams"]["uplink_video"] for report in (saving, plain))
+    assert video["gained_bps"] > 15_000 and "gained_bps" not in before
+    assert video["payload_bps_mean"] > before["payload_bps_mean"] + 5_000
+    # The channel is faster by what is saved, and pictures grow by no more than that.
+    assert video["latency_ms"]["p50"] < before["latency_ms"]["p50"]
+    up = saving["haptic"]["up"]
+    assert up["saved_bps"] > 60_000 and up["lost"] == 0
+    assert up["sent"] + up["left_out"] == 6000
+    freed_bps = saving["link"]["uplink"]["freed_bps"]
+    assert freed_bps == pytest.approx(up["saved_bps"], rel=0.01)
+    assert plain["link"]["uplink"]["freed_bps"] < 100
