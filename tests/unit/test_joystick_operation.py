@@ -221,7 +221,7 @@ def test_the_samples_carry_its_state_and_the_fatal_one_is_final():
     device = SimulatedDevice(FAULTS["unplugged"], hand=Hand())
     handle = OperatedHandle(device)
     master, slave = MasterSide(handle=handle), SlaveSide()
-    seen = []
+    seen, lights = [], set()
     pushed_after = 0.0
     for millisecond in range(1, 10_000):
         now_ns = millisecond * NS_PER_MS
@@ -238,8 +238,11 @@ def test_the_samples_carry_its_state_and_the_fatal_one_is_final():
         feedback = master.link.latest(now_ns)
         if feedback is not None:
             handle.handle_feedback(feedback)
+        lights.add((device.leds, slave.lit))
         if millisecond > 8_010:
             pushed_after = max(pushed_after, abs(master.force_x_n), abs(master.force_y_n))
     assert seen == [0, 1, 2, 3, 7]
     assert pushed_after == 0.0
+    # The LED that the robot has lit is lit on the joystick too.
+    assert (0b001, 0) in lights
     assert master.controller.least_observed_uj >= -1
