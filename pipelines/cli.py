@@ -10,6 +10,8 @@ from kontur_av import __version__
 from kontur_av.errors import ConfigError
 
 WELL, FAILED, MISTAKE = 0, 1, 2
+#: As shells tell that a signal, the second one, has ended a command.
+INTERRUPTED = 128 + 2
 
 
 class _Parser(argparse.ArgumentParser):
@@ -83,7 +85,7 @@ def _devices(args: argparse.Namespace) -> int:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 well, 1 something failed, 2 the user's mistake."""
+    """Run the command; 0 well, 1 something failed, 2 the user's mistake, 130 interrupted."""
     # Before NumPy is loaded: its library's threads would not survive the launcher's forks.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
@@ -94,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"kontur-av: {error}", file=sys.stderr)
         return MISTAKE
     except KeyboardInterrupt:
-        return WELL
+        return INTERRUPTED
     return result
 
 

@@ -93,10 +93,14 @@ def output_that_may_fail() -> Iterator[None]:
         yield
         sys.stdout.flush()
     except OSError:
-        # What is left of it would be tried, and fail, once more at the exit.
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, 1)
-        os.close(nowhere)
+        discard_output()
+
+
+def discard_output() -> None:
+    """Nobody reads it: what is left of it would be tried, and fail, once more at the exit."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.close(nowhere)
 
 
 @contextmanager

@@ -2,14 +2,14 @@
 
 import argparse
 import gc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
-from pipelines.command import output_that_may_fail
+from pipelines.command import output_that_may_fail, stopped_by_signals
 from pipelines.radio_options import (
     add_deadband_argument,
     add_radio_arguments,
@@ -25,6 +25,9 @@ from pipelines.sim.session import Selection, Simulation
 from pipelines.sim.workers import Workers
 from pipelines.stream import check_sources, parse_sources
 from pipelines.summary import print_summary
+
+#: So much virtual time is run between two looks at whether anybody wants it to stop.
+_STRIDE_NS = 50 * NS_PER_MS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,7 +69,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the simulation; 1 if its report names a failure."""
+    """Run the simulation; 1 if its report names a failure.
+
+    Ctrl-C and SIGTERM end it early: the report is that of what was simulated until then.
+    """
     if not 0 < args.seconds < 1e6:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0 and below 1000000")
     setup = load_setup(args.setup)
@@ -77,14 +83,16 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.report)
     selections = parse_selections(args.select, setup, args.seconds)
     costs = CodingCosts(**{cost.name: getattr(args, cost.name) for cost in fields(CodingCosts)})
-    report = simulate(
-        setup,
-        seconds=args.seconds,
-        seed=args.seed,
-        media=not args.no_media,
-        selections=selections,
-        costs=costs,
-    )
+    with stopped_by_signals() as stopped:
+        report = simulate(
+            setup,
+            seconds=args.seconds,
+            seed=args.seed,
+            media=not args.no_media,
+            selections=selections,
+            costs=costs,
+            stopped=stopped,
+        )
     if args.report is not None:
         write_report(args.report, report)
     if not args.quiet:
@@ -101,8 +109,12 @@ def simulate(
     media: bool = True,
     selections: Sequence[Selection] = (),
     costs: CodingCosts | None = None,
+    stopped: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any]:
-    """The report of `seconds` of virtual time. The same arguments give the same report."""
+    """The report of `seconds` of virtual time. The same arguments give the same report.
+
+    stopped: asked all the time; once it says so, the report is that of the time until then.
+    """
     with Workers() as workers:
         simulation = Simulation(
             setup, workers, seed=seed, media=media, selections=selections, costs=costs
@@ -111,7 +123,10 @@ def simulate(
         gc.collect()
         gc.freeze()
         try:
-            simulation.run(round(seconds * NS_PER_S))
+            now_ns, end_ns = 0, round(seconds * NS_PER_S)
+            while now_ns < end_ns and not stopped():
+                now_ns = min(now_ns + _STRIDE_NS, end_ns)
+                simulation.run(now_ns)
         finally:
             gc.unfreeze()
         return simulation.report()

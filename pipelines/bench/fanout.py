@@ -13,12 +13,12 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.topics import MAX_READERS
+from pipelines.bench.console import open_console
 from pipelines.bench.fanout_gstreamer import ShmSinkWay, lacking
 from pipelines.bench.fanout_run import PICTURES_HZ, FanOut, fan_out
 from pipelines.bench.fanout_ways import HEIGHT, WIDTH, QueueWay, TopicWay, Way
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     if missing is None:
         ways.append(ShmSinkWay())
     ways.append(QueueWay())
-    console = Console() if Console().is_terminal else Console(width=118)
+    console = open_console(args)
     fast_s = min(_FAST_S, args.seconds)
     found = []
     for way, number in product(ways, readers):

@@ -6,12 +6,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.meters import Histogram
+from pipelines.bench.console import open_console
 from pipelines.bench.link_cost import slot_cost
 from pipelines.bench.link_live import Punctuality, live_punctuality
 from pipelines.bench.link_resume import resumptions
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--blackouts {args.blackouts}: give 1 to 10000")
     check_writable(args.report)
     load_setup(args.setup)
-    console = Console() if Console().is_terminal else Console(width=118)
+    console = open_console(args)
     figures: dict[str, Any] = {}
     for name, table, values in _tables(args):
         console.print(table)

@@ -5,13 +5,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.sources.source import BLOCK_NS
+from pipelines.bench.console import open_console
 from pipelines.bench.plot import check_plot, plot_distributions
 from pipelines.bench.voice_gstreamer import Peer, listen_live, missing
 from pipelines.bench.voice_network import BURST_PACKETS, Network
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--jitter-ms {args.jitter_ms:g}: give 0 to 20")
     check_writable(args.report)
     check_plot(args.plot)
-    console = Console() if Console().is_terminal else Console(width=118)
+    console = open_console(args)
     if not pesq_is_there():
         console.print("no quality: PESQ is missing (pip install 'kontur-av[bench]')", markup=False)
     absent = "left out by --no-live" if args.no_live else missing()
