@@ -9,10 +9,10 @@ after that there is the rest of the slot for figures.
 import secrets
 import select
 from contextlib import ExitStack
-from dataclasses import replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp
+from pipelines.cores.ends import make_gateway
 from pipelines.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
 from pipelines.margin import Margin
 from pipelines.names import BACKLOG, backlog_topic
@@ -23,7 +23,6 @@ from telepresence.link.flows import Level
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import Gateway
 from telepresence.link.receiver import HapticReceived, PacketReceived
-from telepresence.link.supervision_configuration import SupervisionTiming
 
 #: A burst larger than this in one slot waits in the socket for the next one.
 _MOST_DATAGRAMS = 64
@@ -33,8 +32,6 @@ _TELL_NS = 4 * NS_PER_MS
 _FREED_GRAIN_BPS = 1_000
 #: What figures take at the worst: they are put together when so much of a slot is left.
 _FIGURES_NS = NS_PER_MS // 2
-#: What an answer takes besides the way there and back.
-_TURNAROUND_NS = 200 * NS_PER_MS
 
 _ON_THIS_MACHINE = EndAddresses()
 
@@ -102,32 +99,6 @@ class _Ports:
         return self.to_peer.failed
 
 
-def make_gateway(context: Context, segment: Segment) -> Gateway:
-    """The core of one end, with the radio on its way out."""
-    setup = context.setup
-    up = setup.uplink, setup.uplink_flows
-    down = setup.downlink, setup.downlink_flows
-    (transmit, sent), (receive, received) = (up, down) if segment is Segment.GROUND else (down, up)
-    return Gateway(
-        transmit=transmit,
-        transmit_flows=sent,
-        receive=receive,
-        receive_flows=received,
-        master=segment is Segment.GROUND,
-        # By this the peer knows that it has another one before it.
-        life=1 + secrets.randbelow(0xFFFF),
-        now_ns=context.clock.now_ns(),
-        radio=setup.radio_path(transmit, seed=context.seed, epoch_ns=context.started_ns),
-    )
-
-
-def _timing(setup: Setup) -> SupervisionTiming:
-    """With patience enough for the radio's delay."""
-    timing = SupervisionTiming()
-    round_trip_ns = 2 * setup.radio_profile.longest_delay_ns + _TURNAROUND_NS
-    return replace(timing, round_trip_ns=max(timing.round_trip_ns, round_trip_ns))
-
-
 def run_gateway(
     context: Context,
     *,
@@ -140,7 +111,14 @@ def run_gateway(
     tell_backlog: tell the session's video sender through shared memory how much video waits.
     """
     clock, probe = context.clock, context.probe
-    gateway = make_gateway(context, segment)
+    gateway = make_gateway(
+        context.setup,
+        ground=segment is Segment.GROUND,
+        life=1 + secrets.randbelow(0xFFFF),
+        seed=context.seed,
+        epoch_ns=context.started_ns,
+        now_ns=clock.now_ns(),
+    )
     ports = _Ports(context.setup, segment, gateway, addresses)
     slot_ns = gateway.sender.profile.slot_ns
     schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(slot_ns), period_ns=slot_ns)

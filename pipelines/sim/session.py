@@ -16,6 +16,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.collector import Collector
 from pipelines.cores.choosing import CameraChoice, Console
+from pipelines.cores.ends import make_gateway
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.probe import FLUSH_NS, Probe
 from pipelines.report import build_report
@@ -44,7 +45,7 @@ class Selection:
 
 
 class Simulation:
-    """A session of `setup`; `run` it once, then ask for its `report`.
+    """A session of `setup`; `run` it, in one piece or in several, then ask for its `report`.
 
     seed: everything random derives from it. media: without, only haptics and telecommands travel.
     selections: the script of telecommands.
@@ -218,19 +219,12 @@ class Simulation:
                     consumer(event.data, now_ns)
 
     def _gateway(self, segment: str) -> Gateway:
-        setup = self.setup
-        up = setup.uplink, setup.uplink_flows
-        down = setup.downlink, setup.downlink_flows
-        ground = segment == "ground"
-        (transmit, sent), (receive, received) = (up, down) if ground else (down, up)
-        gateway = Gateway(
-            transmit=transmit,
-            transmit_flows=sent,
-            receive=receive,
-            receive_flows=received,
-            radio=setup.radio_path(transmit, seed=self._seed, epoch_ns=_START_NS),
-            master=ground,
+        gateway = make_gateway(
+            self.setup,
+            ground=segment == "ground",
             life=self._random(segment).randint(1, 0xFFFF),
+            seed=self._seed,
+            epoch_ns=_START_NS,
             now_ns=_START_NS,
         )
         probe = self._probe(f"{segment}_gateway")
