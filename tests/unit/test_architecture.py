@@ -14,6 +14,7 @@ DOORS = {
     "asyncio",
     "concurrent",
     "datetime",
+    "evdev",
     "multiprocessing",
     "os",
     "secrets",
@@ -67,6 +68,7 @@ SHELLS = {
     "pipelines/sim/workers.py": "processes",
     "pipelines/sinks.py": "a random number of a receiver",
     "pipelines/stream.py": "a command",
+    "telepresence/haptics/device/gamepad.py": "a device",
 }
 
 
