@@ -1,0 +1,111 @@
+"""Stamps against content: both say the same of a session, and a broken stamp is noticed."""
+
+from dataclasses import replace
+
+import pytest
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.media import CaptureStamp
+from pipelines.cores import sending
+from pipelines.cores.receiving import VideoReceiving
+from pipelines.setup import Setup, VideoStream, VoiceStream
+from pipelines.simulate import simulate
+from telepresence.haptics.loop import HapticLink
+
+SECONDS = 12.0
+DELAY_MS = 2.0
+SETUP = Setup(
+    name="eyes and ears",
+    cameras=("left",),
+    uplink_video=VideoStream(name="uplink_video", cap_bps=60_000, width=320, height=240),
+    # Wider than the real one: there is less of a click left that falls into a loud vowel.
+    uplink_voice=VoiceStream(name="uplink_voice", cap_bps=24_000),
+    downlink_video=None,
+    downlink_voice=None,
+)
+
+
+@pytest.fixture(scope="module")
+def setup(tmp_path_factory):
+    radio = tmp_path_factory.mktemp("radio") / "straight.toml"
+    radio.write_text(f"delay_ms = {DELAY_MS}\n")
+    wide = replace(SETUP.uplink, frame_octets=64, pointer_in_signaling=False)
+    return replace(SETUP, radio=str(radio), uplink=wide, sources={"left": "scene:left"})
+
+
+@pytest.fixture(scope="module")
+def honest(setup):
+    return simulate(setup, seconds=SECONDS, seed=1)
+
+
+@pytest.fixture(scope="module")
+def broken(setup):
+    """The same session; every stamp is off by what would ruin a judgement."""
+    with pytest.MonkeyPatch.context() as patch:
+        shown, heard, felt = (
+            VideoReceiving.handle_picture,
+            sending.heard_stamp,
+            HapticLink.take_sent_stamps,
+        )
+
+        def later(stamp: CaptureStamp | None, by_ms: int) -> CaptureStamp | None:
+            if stamp is None:
+                return None
+            return replace(stamp, capture_ns=stamp.capture_ns + by_ms * NS_PER_MS)
+
+        patch.setattr(
+            VideoReceiving,
+            "handle_picture",
+            lambda *args, **options: later(shown(*args, **options), 40),
+        )
+        patch.setattr(sending, "heard_stamp", lambda stamp: later(heard(stamp), 5))
+        patch.setattr(
+            HapticLink,
+            "take_sent_stamps",
+            lambda link: [(number, at - 5 * NS_PER_MS) for number, at in felt(link)],
+        )
+        return simulate(setup, seconds=SECONDS, seed=1)
+
+
+def test_stamps_and_content_agree(honest):
+    sync = honest["sync"]
+    assert sync["events"] >= 5
+    for sense, period_ms, share in (("light", 1000 / 30, 0.8), ("click", 0, 0.5), ("force", 0, 1)):
+        figures = sync["senses"][sense]
+        assert figures["agrees"] is True, figures
+        assert figures["perceived"] >= share * sync["events"]
+        content, stamps = figures["latency_ms"]["p50"], figures["stamped_latency_ms"]["p50"]
+        assert -2 <= content - stamps <= period_ms + 2
+    assert honest["failures"] == []
+
+
+def test_force_comes_first_and_its_latency_is_known(honest):
+    senses = honest["sync"]["senses"]
+    # From a haptic cycle to the sender's slot, and from the other's slot to its cycle.
+    assert senses["force"]["latency_ms"] == dict.fromkeys(
+        ("p50", "p95", "p99", "max"), DELAY_MS + 1
+    )
+    assert senses["force"]["missed"] == 0
+    for pair in ("video_haptic", "audio_haptic"):
+        assert honest["sync"]["skew_ms"][pair]["p50"] > 0
+
+
+def test_skews_by_content_are_those_by_stamps(honest):
+    period_ms = 1000 / 30
+    content, stamps = honest["sync"]["skew_ms"], honest["skew_ms"]
+    # A light waits for the next picture; by the stamps nothing does.
+    assert -2 <= content["video_haptic"]["p50"] - stamps["video_haptic"]["p50"] <= period_ms + 2
+    assert abs(content["audio_haptic"]["p50"] - stamps["audio_haptic"]["p50"]) <= 2
+
+
+@pytest.mark.parametrize(
+    ("sense", "stream", "off_ms"),
+    [("light", "uplink_video", 40), ("click", "uplink_voice", 5), ("force", "haptic_up", -5)],
+)
+def test_a_broken_stamp_is_noticed(honest, broken, sense, stream, off_ms):
+    figures = broken["sync"]["senses"][sense]
+    assert figures["agrees"] is False
+    before = honest["sync"]["senses"][sense]["stamp_error_ms"]["p50"]
+    assert figures["stamp_error_ms"]["p50"] - before == pytest.approx(off_ms, abs=2.5)
+    (line,) = (one for one in broken["failures"] if one.startswith(stream) and "disagree" in one)
+    assert "stamps and content disagree" in line
