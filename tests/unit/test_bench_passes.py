@@ -126,6 +126,10 @@ def test_a_pause_counts_only_while_there_is_a_signal_in_the_usable_window():
     figures = pass_figures(found)
     assert figures["longest_pause_s"] == {"shown": 2.9, "felt": 0.0}
     assert faults(figures) == []
+    found["gateways"]["ground"]["radio"]["contact"] = CONTACT | {"usable_to_s": 99.0}
+    assert pass_figures(found)["longest_pause_s"]["shown"] == 2.9
+    found["streams"]["uplink_video"]["pauses_s"] = [[95.1, 100.0]]
+    assert pass_figures(found)["longest_pause_s"]["shown"] == 3.9
 
 
 def test_a_signal_that_was_away_for_a_hundredth_of_the_window_is_not_usable():
