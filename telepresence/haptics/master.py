@@ -16,6 +16,8 @@ from telepresence.haptics.passivity import Port, PortFigures
 from telepresence.haptics.sample import Feedback
 
 _CYCLE_S = NS_PER_MS / NS_PER_S
+#: In a cycle. Less has no direction.
+_NO_WAY_M = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,7 +34,7 @@ class MasterModel:
     """
 
     force_scale: float = 1.0
-    damping_n_s_m: float = 3.0
+    damping_n_s_m: float = 4.0
     rate_n_s: float = 1000.0
     relax_s: float = 0.1
     acceleration_m_s2: float = 150.0
@@ -125,7 +127,7 @@ class MasterController(PortFigures):
             dy *= ahead
             flow = fx * dx + fy * dy
             need = (flow * self.model.horizon if flow > 0.0 else flow) + force * margin
-            if need > port.credit_j:
+            if need > port.credit_j and need > 0.0:
                 self.acted += 1
                 fx, fy = self._cut(fx, fy, dx, dy, margin)
         self._fx, self._fy = fx, fy
@@ -137,11 +139,11 @@ class MasterController(PortFigures):
         """The force scaled down so that a way within `margin` of (dx, dy) costs the credit."""
         credit = max(0.0, self.port.credit_j)
         flow = fx * dx + fy * dy
-        if flow <= 0.0:
-            # It brakes: only what the handle may do in another direction costs anything.
+        way = sqrt(dx * dx + dy * dy)
+        if flow <= 0.0 or way < _NO_WAY_M:
+            # It brakes or holds: only what the handle may do in another way costs anything.
             share = credit / (flow + sqrt(fx * fx + fy * fy) * margin)
             return fx * share, fy * share
-        way = sqrt(dx * dx + dy * dy)
         along = flow / way
         along_x, along_y = along * dx / way, along * dy / way
         across_x, across_y = fx - along_x, fy - along_y

@@ -15,6 +15,9 @@ from kontur_av.clock import NS_PER_S
 from telepresence.haptics.passivity import Port, PortFigures
 from telepresence.haptics.sample import STATE_APPLICATION, Command
 
+#: A step that dissipates less is none.
+_NO_COST_J = 1e-18
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SlaveModel:
@@ -26,7 +29,8 @@ class SlaveModel:
     speed_m_s, acceleration_m_s2: of the reference, also when it makes up for what it lacks.
     relax_s: without commands the reference goes to the tip with this time constant, so that what
     the tip presses with decays. half_width_m, half_height_m: the reference stays on the board.
-    reserve_j, limit_j: `Port`.
+    reserve_j, limit_j: `Port`; the reserve is what the moving tip carries: what braking it gives
+    back pays for the next movement.
     """
 
     stiffness_n_m: float = 1000.0
@@ -38,7 +42,7 @@ class SlaveModel:
     relax_s: float = 0.2
     half_width_m: float = 0.15
     half_height_m: float = 0.10
-    reserve_j: float = 0.004
+    reserve_j: float = 0.020
     limit_j: float = 0.5
 
 
@@ -143,7 +147,8 @@ class SlaveController(PortFigures):
         still_x = stiffness * (reference_x - x_m) - damping * vx_m_s
         still_y = stiffness * (reference_y - y_m) - damping * vy_m_s
         fx, fy = still_x + gain * dx, still_y + gain * dy
-        if self.passive and fx * dx + fy * dy > port.credit_j:
+        cost = fx * dx + fy * dy
+        if self.passive and cost > port.credit_j and cost > 0.0:
             self.acted += 1
             dx, dy = self._cut(still_x, still_y, dx, dy, gain)
             fx, fy = still_x + gain * dx, still_y + gain * dy
@@ -172,6 +177,8 @@ class SlaveController(PortFigures):
         along_x, along_y = fx / force, fy / force
         along = dx * along_x + dy * along_y
         a = gain * along * along
+        if a < _NO_COST_J:
+            return 0.0, 0.0
         b = along * (still_x * along_x + still_y * along_y)
         # A hair less than the root: rounding must not cost what is not there.
         share = (sqrt(b * b + 4.0 * a * credit) - b) / (2.0 * a) * (1.0 - 1e-9)

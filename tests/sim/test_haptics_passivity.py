@@ -1,0 +1,201 @@
+"""Whatever moves, and whatever becomes of the samples: no port gives what was not granted."""
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from telepresence.haptics.loop import joystick_link, robot_link
+from telepresence.haptics.master import MasterController, MasterModel
+from telepresence.haptics.passivity import Port
+from telepresence.haptics.sample import Command, Feedback
+from telepresence.haptics.slave import SlaveController
+
+MS = 1_000_000
+DT = 1e-3
+#: One count of the energy in a sample.
+COUNT_J = 1e-6
+
+unit = st.floats(-1.0, 1.0)
+#: For so many ms, the hand accelerates so and the tip moves so; the path delays each sample by
+#: something up to so many ms, and loses this share of them.
+spans = st.tuples(
+    st.integers(1, 100),
+    st.tuples(unit, unit),
+    st.tuples(unit, unit),
+    st.tuples(unit, unit),
+    st.integers(0, 80),
+    st.sampled_from([0.0, 0.0, 0.3, 1.0]),
+)
+
+
+class Ends:
+    """Both controllers; the hand and the tip do what they are told, whatever the forces say."""
+
+    def __init__(self, random: Callable[[], float]) -> None:
+        self.random = random
+        self.master, self.slave = MasterController(), SlaveController()
+        self.space, self.ground = joystick_link(), robot_link()
+        self.hand, self.tip = [0.0, 0.0, 0.0, 0.0], [0.0, 0.0]
+        self.push = (0.0, 0.0)
+        self.path: list[tuple[int, int, bytes]] = []
+        self.now_ns = 0
+        #: In and out of both ports over all their lives, those that have ended.
+        self.taken_j = self.given_j = 0.0
+
+    def restart_master(self) -> None:
+        self._end(self.master)
+        self.master, self.space = MasterController(), joystick_link()
+
+    def restart_slave(self) -> None:
+        self._end(self.slave)
+        self.slave, self.ground = SlaveController(x_m=self.tip[0], y_m=self.tip[1]), robot_link()
+
+    def _end(self, controller: MasterController | SlaveController) -> None:
+        self.taken_j += controller.port.in_j
+        self.given_j += controller.port.out_j
+
+    def cycle(
+        self,
+        pull: tuple[float, float],
+        tip: tuple[float, float],
+        delay_ms: int,
+        loss: float,
+    ) -> None:
+        now_ns = self.now_ns
+        due = [sample for sample in self.path if sample[0] <= now_ns]
+        self.path = [sample for sample in self.path if sample[0] > now_ns]
+        for _, to, data in sorted(due, key=lambda sample: sample[0]):
+            (self.ground if to else self.space).handle_datagram(data, now_ns)
+        hand = self.hand
+        # As much as the controller is promised to see, in any direction.
+        most = MasterModel().acceleration_m_s2 / 2**0.5
+        for axis in (0, 1):
+            hand[2 + axis] += pull[axis] * most * DT
+            if abs(hand[axis]) > 0.12 and hand[axis] * hand[2 + axis] > 0:
+                hand[2 + axis] -= max(-most * DT, min(most * DT, hand[2 + axis]))
+            hand[2 + axis] = max(-1.5, min(1.5, hand[2 + axis]))
+            hand[axis] += hand[2 + axis] * DT
+            self.tip[axis] += tip[axis] * DT
+        self.master.step(self.space.latest(now_ns), hand[0], hand[1], MS)
+        self.slave.step(self.ground.latest(now_ns), *self.tip, *tip, MS)
+        self.space.handle_local(Command(hand[0], hand[1], self.master.granted_uj), now_ns)
+        self.ground.handle_local(Feedback(*self.push, self.slave.granted_uj, True), now_ns)
+        for to, link in ((1, self.space), (0, self.ground)):
+            data = link.poll_transmit(now_ns)
+            assert data is not None
+            if self.random() >= loss:
+                self.path.append((now_ns + round(self.random() * delay_ms * MS), to, data))
+        self.now_ns += MS
+
+    def check(self) -> None:
+        assert self.master.port.credit_j >= -COUNT_J
+        assert self.slave.port.credit_j >= -COUNT_J
+        taken_j = self.taken_j + self.master.port.in_j + self.slave.port.in_j
+        given_j = self.given_j + self.master.port.out_j + self.slave.port.out_j
+        assert given_j <= taken_j + COUNT_J
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.lists(spans, min_size=1, max_size=8),
+    st.randoms(use_true_random=False),
+    st.none() | st.tuples(st.integers(0, 7), st.booleans()),
+)
+def test_no_motion_and_no_path_makes_an_observer_negative(spans, random, restart) -> None:
+    ends = Ends(random.random)
+    for index, (cycles, pull, tip, push, delay_ms, loss) in enumerate(spans):
+        if restart is not None and restart[0] == index:
+            (ends.restart_master if restart[1] else ends.restart_slave)()
+        ends.push = (push[0] * 60.0, push[1] * 60.0)
+        for _ in range(cycles):
+            ends.cycle(pull, tip, delay_ms, loss)
+            ends.check()
+
+
+def test_one_sample_heals_any_loss() -> None:
+    whole, torn = Port(), Port()
+    total_uj = 0
+    whole.handle_total(0, MS)
+    torn.handle_total(0, MS)
+    for k in range(300):
+        total_uj += 37 * (k % 7)
+        whole.handle_total(total_uj, MS)
+        if k < 299:
+            torn.handle_silence(MS)
+        else:
+            torn.handle_total(total_uj, MS)
+    assert torn.credit_j == pytest.approx(whole.credit_j) == pytest.approx(total_uj * 1e-6)
+
+
+def test_a_wrap_of_the_total_is_no_restart() -> None:
+    port = Port()
+    for total_uj in ((1 << 32) - 300, (1 << 32) - 100, 50):
+        port.handle_total(total_uj, MS)
+    assert port.credit_j == pytest.approx(350e-6)
+    assert port.refused == 0
+
+
+@pytest.mark.parametrize("jump_uj", [-1, -5_000_000, 20_000_000, 1 << 31])
+def test_a_total_that_no_peer_can_have_reached_gives_nothing(jump_uj: int) -> None:
+    port = Port()
+    port.handle_total(50_000_000, MS)
+    port.handle_total((50_000_000 + jump_uj) % (1 << 32), MS)
+    assert (port.credit_j, port.refused) == (0.0, 1)
+    # Counting goes on from there.
+    port.handle_total((50_000_000 + jump_uj + 10) % (1 << 32), MS)
+    assert port.credit_j == pytest.approx(10e-6)
+
+
+def test_after_a_silence_in_which_the_total_may_have_wrapped_it_gives_nothing() -> None:
+    port = Port()
+    port.handle_total(0, MS)
+    port.handle_silence(100_000 * MS)
+    port.handle_total(1_000, MS)
+    assert (port.credit_j, port.refused) == (0.0, 1)
+
+
+def test_what_is_kept_is_not_granted_and_credit_has_a_limit() -> None:
+    port = Port(reserve_j=0.004, limit_j=0.5)
+    port.handle_flow(-0.003)
+    assert (port.credit_j, port.granted_uj) == (pytest.approx(0.003), 0)
+    port.handle_flow(-0.003)
+    assert (port.credit_j, port.granted_uj) == (pytest.approx(0.004), 2000)
+    port.handle_flow(0.001)
+    assert port.kept_j + port.granted_j == pytest.approx(port.in_j)
+    port.handle_total(0, MS)
+    port.handle_total(900_000, 100 * MS)
+    assert port.credit_j == 0.5
+    assert port.received_j - port.forgotten_j + port.kept_j - port.out_j == pytest.approx(0.5)
+
+
+def test_without_the_controllers_the_observers_only_observe() -> None:
+    slave = SlaveController(passive=False)
+    for k in range(200):
+        slave.step(Command(1e-4 * k, 0.0, 0), 0.0, 0.0, 0.0, 0.0, MS)
+    assert slave.observed_uj < -10_000
+    assert slave.least_observed_uj == slave.observed_uj
+    assert slave.acted == 0
+    held = SlaveController()
+    for k in range(200):
+        held.step(Command(1e-4 * k, 0.0, 0), 0.0, 0.0, 0.0, 0.0, MS)
+    assert held.reference_x_m == 0.0
+    assert held.acted > 150
+
+
+def test_the_reference_makes_up_for_what_it_lacks_at_a_bounded_speed() -> None:
+    slave = SlaveController()
+    x_m, v_m_s, places = 0.0, 0.0, []
+    for k in range(1500):
+        # Nothing is granted in the first 500 ms, then more than enough.
+        granted_uj = 0 if k < 500 else (k - 499) * 2000
+        force, _ = slave.step(Command(0.05, 0.0, granted_uj), x_m, 0.0, v_m_s, 0.0, MS)
+        v_m_s += force / 0.5 * DT
+        x_m += v_m_s * DT
+        places.append(slave.reference_x_m)
+    assert places[499] == 0.0
+    assert places[-1] == pytest.approx(0.05, abs=1e-4)
+    speeds = [(b - a) / DT for a, b in pairwise(places)]
+    assert 0.1 < max(speeds) <= slave.model.speed_m_s + 1e-9
