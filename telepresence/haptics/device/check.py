@@ -31,12 +31,16 @@ class Figure:
         """For the report."""
         return {
             "name": self.name,
-            "value": None if self.value is None else round(self.value, 6),
+            "value": _rounded(self.value),
             "unit": self.unit,
-            "least": self.least,
-            "most": self.most,
+            "least": _rounded(self.least),
+            "most": _rounded(self.most),
             "passed": self.passed,
         }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 6)
 
 
 @dataclass(frozen=True, slots=True)
