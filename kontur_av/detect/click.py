@@ -34,6 +34,8 @@ _LEAST_RATIO = 2.0
 _MOST_LEFT = 0.4
 #: Mean amplitude in the band, in counts of int16: weaker is not looked at (-41 dB of full scale).
 _LEAST_PEAK = 300.0
+#: A click's tones may sink below half of the peak for so many samples: 0.75 ms.
+_DIP = 36
 #: After one click none for so long: what follows is its echo.
 _REST = 48
 
@@ -131,8 +133,13 @@ class ClickDetector:
     def _add(self, frame: int, peak: float) -> None:
         begin = frame * _FRAME - self._begin
         low = max(0, begin - _FRAME * 2)
-        rising = self._line[low : begin + _RISE * _FRAME] >= peak / 2
-        sample = self._begin + low + int(np.argmax(rising)) - _FILTER_DELAY
+        rising = self._line[low : begin + _RISE * _FRAME]
+        # Backwards from where it is loud, past a tone's own dips: a voice may have been loud before.
+        loud = int(np.argmax(rising >= 0.8 * peak))
+        above = np.flatnonzero(rising[: loud + 1] >= 0.5 * peak)
+        dips = np.flatnonzero(np.diff(above) > _DIP)
+        first = int(above[dips[-1] + 1 if len(dips) else 0])
+        sample = self._begin + low + first - _FILTER_DELAY
         for index, now_ns, tag, _ in reversed(self._blocks):
             if index <= sample or index == self._blocks[0][0]:
                 offset_ns = round((sample - index) * NS_PER_S / AUDIO_CLOCK_HZ)

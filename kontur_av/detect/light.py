@@ -26,6 +26,9 @@ _PEAK_RISE = 30
 _LEAST_STRENGTH = 80
 _LEAST_SHARE = 0.4
 _CLOSE = 5
+#: So much more than the light itself may go on changing close by from the first picture with it to
+#: the second: a small light beside something that moves.
+_MOST_GOING_ON = 600
 #: Of all cells a patch has at most this share, and all that changes in a picture at most that.
 _LARGEST_PATCH = 0.08
 _LARGEST_CHANGE = 0.30
@@ -144,6 +147,8 @@ class LightDetector:
                 continue
             # A light stays as it is; what moves goes on moving.
             going_on = float(np.abs(fourth[rows, columns] - third[rows, columns]).sum())
+            if going_on > strength + _MOST_GOING_ON:
+                continue
             strength *= strength / (strength + going_on)
             if strength > strongest:
                 best, strongest = label, strength

@@ -1,0 +1,64 @@
+"""Steps of the received force: dated at their begin, and counted once."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_MS
+from telepresence.haptics.step_detector import StepDetector
+
+
+def steps(samples):
+    """(index of the sample, rise) of each step; samples: (fx, fy, contact), one a millisecond."""
+    detector = StepDetector()
+    for number, (fx, fy, contact) in enumerate(samples):
+        detector.handle_sample(number * NS_PER_MS, fx, fy, contact)
+    return [(step.instant_ns // NS_PER_MS, step.rise_n) for step in iter(detector.next_event, None)]
+
+
+def press(contact=True, force=3.0, rise=5, hold=300):
+    ramp = [(-force * (k + 1) / rise, 0.0, contact) for k in range(rise)]
+    return ramp + [(-force, 0.0, contact)] * hold
+
+
+def free(count=200, contact=False):
+    return [(0.0, 0.0, contact)] * count
+
+
+@given(
+    rise=st.integers(1, 40), force=st.floats(0.3, 60), hold=st.integers(1, 400), flag=st.booleans()
+)
+def test_a_step_is_dated_at_its_first_sample(rise, force, hold, flag):
+    yes, no = (True, False) if flag else (None, None)
+    found = steps(free(contact=no) + press(yes, force, rise, hold) + free(contact=no))
+    assert len(found) == 1
+    # What is below the noise is not seen yet.
+    assert 200 <= found[0][0] <= 200 + 0.02 / force * rise + 1
+
+
+def test_each_press_is_one_step():
+    found = steps((free() + press()) * 4)
+    assert [index for index, _ in found] == [200, 705, 1210, 1715]
+
+
+def test_a_bounce_is_no_second_step():
+    assert len(steps(free() + press(hold=10) + free(30) + press())) == 1
+
+
+def test_letting_go_is_no_step():
+    assert len(steps(free(contact=None) + press(None, hold=800) + free(400, None))) == 1
+
+
+def test_without_contact_nothing_that_the_force_does_is_a_step():
+    assert steps(free() + press(False) + free()) == []
+
+
+def test_a_force_that_was_there_before_the_contact_hides_no_step():
+    moving = [(0.5, 0.1, False)] * 200
+    ((index, rise),) = steps(moving + [(0.5 - 0.1 * k, 0.1, True) for k in range(1, 30)])
+    assert index == 200
+    assert rise >= 0.2
+
+
+def test_slow_drift_and_rounding_are_no_steps():
+    assert steps([(0.0005 * k, 0.0, None) for k in range(4000)]) == []
+    assert steps([(0.002 * (k % 2), 0.0, True) for k in range(1000)]) == []
