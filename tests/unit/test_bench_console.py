@@ -12,7 +12,7 @@ import argparse, json, sys
 from pipelines.bench.console import open_console
 console = open_console(argparse.Namespace(report=sys.argv[1] or None, plot=None))
 for number in range(100):
-    console.print("x" * 100_000)
+    console.print("ten letters " * 100, highlight=False)
 if sys.argv[1]:
     open(sys.argv[1], "w").write(json.dumps({"printed": number}))
 """
