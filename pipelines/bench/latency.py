@@ -195,8 +195,13 @@ def _cells(summary: Mapping[str, Any] | None, *, sign: str) -> list[str]:
     if not summary or summary.get("count") == 0:
         return [""] * (1 + len(_PERCENTILES))
     count = summary.get("count", summary.get("events", ""))
-    shown = (f"{summary[p]:{sign}.1f}" if p in summary else "" for p in _PERCENTILES)
-    return [str(count), *shown]
+    return [str(count), *(_digits(summary.get(p), sign) for p in _PERCENTILES)]
+
+
+def _digits(value: float | None, sign: str) -> str:
+    if value is None:
+        return ""
+    return f"{value:{sign}.1f}" if abs(value) < 100 else f"{value:{sign}.0f}"
 
 
 def _range(limits: tuple[float, float]) -> str:

@@ -149,7 +149,8 @@ def _longest_pause_s(
 
 def least_energy_uj(report: Mapping[str, Any]) -> float | None:
     """The least energy (µJ) that a passivity observer has seen; None if there is none."""
-    return min(_values("least_uj", report["haptic"]), default=None)
+    places = (report["haptic"], report.get("processes", {}))
+    return min((least for place in places for least in _values("least_uj", place)), default=None)
 
 
 def _values(name: str, table: Mapping[str, Any]) -> Iterator[float]:
