@@ -6,6 +6,10 @@ the next cycle may give out is bounded beforehand: the handle goes on as it went
 its greatest acceleration makes of that in one cycle. If that could be more than the credit, the
 part of the force along the motion is scaled down (a passivity controller of the impedance type).
 Nothing is ever added or turned round, so there is no gain that could grow at low speed.
+
+The robot's force and the damping that the hand always feels are bounded one after the other. Were
+only their sum bounded, a hand on its way back from a wall would pay with its damping for the force
+that still pushes it along, and the robot would get nothing to follow it with.
 """
 
 from dataclasses import dataclass
@@ -16,8 +20,6 @@ from telepresence.haptics.passivity import Port, PortFigures
 from telepresence.haptics.sample import Feedback
 
 _CYCLE_S = NS_PER_MS / NS_PER_S
-#: In a cycle. Less has no direction.
-_NO_WAY_M = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,7 +32,11 @@ class MasterModel:
     it decays with this time constant. acceleration_m_s2: the handle never has more: it bounds how
     far the next cycle can differ from the last. horizon: the credit must last for so many cycles
     at the present speed, so that a force that can't be paid for fades instead of breaking off.
+    reserved: of the reserve only this share pays for the force over a horizon: the rest is for the
+    damping. regain_n_s: how fast a force comes back that was scaled down: faster, it would buzz.
     velocity_s: time constant of the velocity that the damping uses. reserve_j, limit_j: `Port`.
+    keep_j, return_s: credit beyond the first goes back to the robot with this time constant: it
+    moves what a hand at rest has no use for.
     """
 
     force_scale: float = 1.0
@@ -40,8 +46,12 @@ class MasterModel:
     acceleration_m_s2: float = 150.0
     horizon: float = 5.0
     velocity_s: float = 0.003
+    reserved: float = 0.02
+    regain_n_s: float = 30.0
     reserve_j: float = 0.004
     limit_j: float = 0.5
+    keep_j: float = 0.02
+    return_s: float = 0.5
 
 
 class MasterController(PortFigures):
@@ -62,6 +72,9 @@ class MasterController(PortFigures):
         self._last: tuple[float, float] | None = None
         self._goal_x = self._goal_y = 0.0
         self._fx = self._fy = 0.0
+        #: Of that, the robot's force.
+        self._gx = self._gy = 0.0
+        self._regaining = False
         self._vx = self._vy = 0.0
         # Looked up at once, not one by one: `step` is called a thousand times a second.
         self._constants = (
@@ -96,6 +109,9 @@ class MasterController(PortFigures):
             port.handle_silence(dt_ns)
         else:
             port.handle_total(feedback[2], dt_ns)
+            surplus_j = port.credit_j - self.model.keep_j
+            if surplus_j > 0.0 and self.passive:
+                port.give_back(surplus_j * dt_s / (dt_s + self.model.return_s))
         if feedback is None or feedback[7]:
             keep = max(0.0, 1.0 - dt_s / self.model.relax_s)
             self._goal_x *= keep
@@ -106,50 +122,69 @@ class MasterController(PortFigures):
         share = dt_s / (dt_s + velocity_s)
         self._vx = vx = self._vx + (dx / dt_s - self._vx) * share
         self._vy = vy = self._vy + (dy / dt_s - self._vy) * share
-        change_x = self._goal_x - damping * vx - fx
-        change_y = self._goal_y - damping * vy - fy
-        change, most = sqrt(change_x * change_x + change_y * change_y), rate * dt_s
+        gx, gy = self._gx, self._gy
+        change_x, change_y = self._goal_x - gx, self._goal_y - gy
+        change = sqrt(change_x * change_x + change_y * change_y)
+        most = rate * dt_s
+        if self._regaining:
+            most = self.model.regain_n_s * dt_s
+            self._regaining = change > most
         if change > most:
             change_x *= most / change
             change_y *= most / change
-        fx += change_x
-        fy += change_y
+        gx += change_x
+        gy += change_y
+        bx, by = -damping * vx, -damping * vy
+        fx, fy = gx + bx, gy + by
         force = sqrt(fx * fx + fy * fy)
         if force > self.limit_n:
-            fx *= self.limit_n / force
-            fy *= self.limit_n / force
-            force = self.limit_n
+            share = self.limit_n / force
+            gx, gy, bx, by = gx * share, gy * share, bx * share, by * share
 
         if self.passive:
             # The way of the next cycle, if the handle goes on as it went.
             ahead = _CYCLE_S / dt_s
             dx *= ahead
             dy *= ahead
-            flow = fx * dx + fy * dy
-            need = (flow * self.model.horizon if flow > 0.0 else flow) + force * margin
-            if need > port.credit_j and need > 0.0:
+            left_j = port.credit_j
+            need_j = bx * dx + by * dy + sqrt(bx * bx + by * by) * margin
+            if need_j > 0.0:
+                if need_j > left_j:
+                    share = left_j / need_j if left_j > 0.0 else 0.0
+                    bx, by, need_j = bx * share, by * share, need_j * share
+                left_j -= need_j
+            force = sqrt(gx * gx + gy * gy)
+            flow_j = gx * dx + gy * dy
+            reserved_j = (1.0 - self.model.reserved) * min(left_j, self.model.reserve_j)
+            if (
+                flow_j + force * margin > left_j
+                or flow_j * self.model.horizon > left_j - reserved_j
+            ) and force > 0.0:
+                gx, gy = self._cut(gx, gy, dx, dy, left_j, left_j - reserved_j)
                 self.acted += 1
-                fx, fy = self._cut(fx, fy, dx, dy, margin)
-        self._fx, self._fy = fx, fy
-        return fx, fy
+                self._regaining = True
+        self._gx, self._gy = gx, gy
+        self._fx, self._fy = gx + bx, gy + by
+        return self._fx, self._fy
 
     def _cut(
-        self, fx: float, fy: float, dx: float, dy: float, margin: float
+        self, gx: float, gy: float, dx: float, dy: float, left_j: float, spend_j: float
     ) -> tuple[float, float]:
-        """The force scaled down so that a way within `margin` of (dx, dy) costs the credit."""
-        credit = max(0.0, self.port.credit_j)
-        flow = fx * dx + fy * dy
-        way = sqrt(dx * dx + dy * dy)
-        if flow <= 0.0 or way < _NO_WAY_M:
-            # It brakes or holds: only what the handle may do in another way costs anything.
-            share = credit / (flow + sqrt(fx * fx + fy * fy) * margin)
-            return fx * share, fy * share
-        along = flow / way
-        along_x, along_y = along * dx / way, along * dy / way
-        across_x, across_y = fx - along_x, fy - along_y
-        aside = sqrt(across_x * across_x + across_y * across_y) * margin
-        if aside >= credit:
-            share = credit / aside if aside > 0.0 else 0.0
-            return across_x * share, across_y * share
-        share = min(1.0, (credit - aside) / (along * (way * self.model.horizon + margin)))
-        return across_x + along_x * share, across_y + along_y * share
+        """The force scaled down: along (dx, dy) to what `spend_j` pays for over the horizon, and
+        as a whole so that no way within the margin of (dx, dy) costs more than `left_j`."""
+        margin = self._constants[4]
+        flow_j = gx * dx + gy * dy
+        if flow_j > 0.0 and flow_j * self.model.horizon > spend_j:
+            lacking = 1.0 - max(0.0, spend_j) / (flow_j * self.model.horizon)
+            size = dx * dx + dy * dy
+            if size > 0.0:
+                along = lacking * flow_j / size
+                gx -= along * dx
+                gy -= along * dy
+                flow_j *= 1.0 - lacking
+        need_j = flow_j + sqrt(gx * gx + gy * gy) * margin
+        if need_j > left_j:
+            share = max(0.0, left_j) / need_j if need_j > 0.0 else 0.0
+            gx *= share
+            gy *= share
+        return gx, gy

@@ -32,8 +32,9 @@ class Port:
     in_j, out_j: what has flowed into the network here, and out of it; both only grow.
     granted_j: what of `in_j` the peer may give out. kept_j: what of it this port may give out.
     received_j: what the peer's totals have brought. forgotten_j: credit beyond the limit.
-    credit_j: received + kept - forgotten - out: the passivity observer of this port. least_j: the
-    least it ever was. refused: totals that no peer could have reached in the time: no credit.
+    returned_j: credit that was granted to the peer again. credit_j: received + kept - forgotten -
+    returned - out: the passivity observer of this port. least_j: the least it ever was.
+    refused: totals that no peer could have reached in the time: no credit.
 
     reserve_j: up to this much credit is kept of what flows in. limit_j: more credit is forgotten.
     peer_power_w, patience_ns: the peer can't have taken in more than this power gives in the time
@@ -58,6 +59,7 @@ class Port:
         self.kept_j = 0.0
         self.received_j = 0.0
         self.forgotten_j = 0.0
+        self.returned_j = 0.0
         self.credit_j = 0.0
         self.least_j = 0.0
         self.refused = 0
@@ -120,6 +122,12 @@ class Port:
         if credit > self.limit_j:
             self.forgotten_j += credit - self.limit_j
             self.credit_j = self.limit_j
+
+    def give_back(self, energy_j: float) -> None:
+        """So much of the credit is not needed here: the peer may give it out."""
+        self.credit_j -= energy_j
+        self.returned_j += energy_j
+        self.granted_j += energy_j
 
     def handle_silence(self, dt_ns: int) -> None:
         """`dt_ns` have passed without a fresh sample."""

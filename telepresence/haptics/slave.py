@@ -43,7 +43,7 @@ class SlaveModel:
     half_width_m: float = 0.15
     half_height_m: float = 0.10
     reserve_j: float = 0.020
-    limit_j: float = 0.5
+    limit_j: float = 0.1
 
 
 class SlaveController(PortFigures):
