@@ -134,7 +134,7 @@ class ClickDetector:
         begin = frame * _FRAME - self._begin
         low = max(0, begin - _FRAME * 2)
         rising = self._line[low : begin + _RISE * _FRAME]
-        # Backwards from where it is loud, past a tone's own dips: a voice may have been loud before.
+        # Backwards from where it is loud, past a tone's own dips: a voice may have been loud too.
         loud = int(np.argmax(rising >= 0.8 * peak))
         above = np.flatnonzero(rising[: loud + 1] >= 0.5 * peak)
         dips = np.flatnonzero(np.diff(above) > _DIP)
