@@ -21,7 +21,7 @@ from av.video.reformatter import VideoReformatter
 
 from kontur_av.cuts import Cuts
 from kontur_av.errors import ConfigError
-from kontur_av.h264_settings import H264Settings, coded_size_for, restless_size_for
+from kontur_av.h264_settings import H264Settings, Search, coded_size_for, restless_size_for
 from kontur_av.media import (
     I420,
     VIDEO_CLOCK_HZ,
@@ -59,6 +59,7 @@ class H264Encoder:
     refresh_s: from the begin of one refresh wave to the next. A wave takes a picture for each
         column of macroblocks, or all of this time if that is less; a decoder that joins without
         a key picture has a whole picture at the end of the first wave that begins.
+    search: "thorough" takes twice the time for pictures of 640x480, and gives 1 dB.
     preset: libx264's, for what `h264_settings` leaves open.
 
     Raises ConfigError for what cannot be encoded, or when PyAV has no libx264.
@@ -74,6 +75,7 @@ class H264Encoder:
         coded_size: tuple[int, int] | None = None,
         refresh_s: float = REFRESH_S,
         preset: str = "superfast",
+        search: Search = "quick",
     ) -> None:
         check_size(width, height)
         rate = Fraction(fps).limit_denominator(1001)
@@ -101,6 +103,7 @@ class H264Encoder:
             cap_bps=cap_bps,
             refresh_s=refresh_s,
             preset=preset,
+            search=search,
         )
         self._begin()
 

@@ -3,12 +3,17 @@
 What was tried, and what each thing gave, is in docs/video.md.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Literal, get_args
 
 from kontur_av.media import check_size
 
 _MACROBLOCK = 16 * 16
+
+#: How long x264 may look for the best way to code a large picture. A small one has time enough.
+Search = Literal["quick", "thorough"]
+SEARCHES: tuple[Search, ...] = get_args(Search)
 
 #: Below so many bits for each macroblock of a picture x264 can only leave blocks as they were.
 #: Measured at 85 kbit/s and 30 Hz: 640x480 (2.4 bits) is 4 to 8 dB worse than 384x288 (6.6 bits).
@@ -23,7 +28,7 @@ _RESTLESS_SHARE = Fraction(2, 3)
 #: picture; psy keeps grain, for which there are no bits here; adaptive quantisation moves bits
 #: away from where PSNR counts them.
 _ALWAYS = "sliced-threads=0:scenecut=0:psy=0:aq-mode=0:weightp=0"
-_BLOCKS = "partitions=p8x8,i8x8,i4x4:me=hex"
+_BLOCKS = "partitions=p8x8,i8x8,i4x4"
 
 
 @dataclass(frozen=True)
@@ -44,24 +49,26 @@ class _Effort:
     parameters: str
 
 
-#: For few macroblocks (3 ms of a core for 300 of them). Its quantiser gives 1 dB on the worst
+#: For few macroblocks (3 ms of a core for 430 of them; `subme=7:trellis=2:me=hex` finds nothing
+#: more there). Its quantiser gives 1 dB on the worst
 #: twentieth of the pictures. x264 counts its buffer in whole kbit: this is 3 at 85 kbit/s.
 _THIN = _Effort(
     crf=10,
     rate_over_cap=Fraction(102, 100),
     buffer_over_share=Fraction(106, 100),
     coarsest=48,
-    parameters=f"{_ALWAYS}:{_BLOCKS}:subme=7:trellis=2",
+    parameters=f"{_ALWAYS}:{_BLOCKS}:me=dia:subme=6:trellis=1",
 )
-#: A session on two cores has no time for more: `subme=6:trellis=1` gives 0.8 to 1.4 dB more at
-#: 512 kbit/s (where pictures have 36 to 46 dB) for twice the time, 10 to 16 ms a picture.
+#: For a session on two cores, which has no time for more: 6 to 8 ms a picture at 512 kbit/s.
 _WIDE = _Effort(
     crf=1,
     rate_over_cap=Fraction(102, 100),
     buffer_over_share=Fraction(1),
     coarsest=51,
-    parameters=f"{_ALWAYS}:{_BLOCKS}:subme=2:trellis=0",
+    parameters=f"{_ALWAYS}:{_BLOCKS}:me=hex:subme=2:trellis=0",
 )
+#: Twice the time, and 0.8 to 1.4 dB more at 512 kbit/s, where pictures have 36 to 46 dB.
+_WIDE_THOROUGH = replace(_WIDE, parameters=f"{_ALWAYS}:{_BLOCKS}:me=hex:subme=6:trellis=1")
 #: The coarsest quantiser where no picture shall be late.
 _PUNCTUAL = 51
 #: Macroblocks a second up to which there is time for the thin channel's search.
@@ -93,7 +100,7 @@ def restless_size_for(width: int, height: int) -> tuple[int, int]:
 class H264Settings:
     """What x264 is told for pictures of this size and rate under this cap.
 
-    punctual: rather be coarse than late, at a cut, too.
+    search: how much time it takes for it. punctual: rather be coarse than late, at a cut, too.
     """
 
     width: int
@@ -102,6 +109,7 @@ class H264Settings:
     cap_bps: int
     refresh_s: float
     preset: str
+    search: Search = "quick"
     punctual: bool = False
 
     @property
@@ -112,7 +120,9 @@ class H264Settings:
     def options(self) -> dict[str, str]:
         """Options of FFmpeg's libx264."""
         blocks_hz = self.width * self.height * self.rate / _MACROBLOCK
-        effort = _THIN if blocks_hz <= _THIN_UP_TO else _WIDE
+        effort = _WIDE_THOROUGH if self.search == "thorough" else _WIDE
+        if blocks_hz <= _THIN_UP_TO:
+            effort = _THIN
         coarsest = _PUNCTUAL if self.punctual else effort.coarsest
         return {
             "preset": self.preset,

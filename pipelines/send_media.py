@@ -10,6 +10,7 @@ from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.h264 import REFRESH_S, SLOW_REFRESH_S, H264Encoder
+from kontur_av.h264_settings import Search
 from kontur_av.link_clock import LinkClock
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
@@ -67,6 +68,7 @@ class VideoOut:
         clock: MonotonicClock,
         coded_size: tuple[int, int] | None,
         refresh_s: float | None,
+        search: Search,
     ) -> None:
         self._clock = clock
         self._refresh_s = refresh_s
@@ -77,6 +79,7 @@ class VideoOut:
             cap_bps=cap_bps,
             coded_size=coded_size,
             refresh_s=REFRESH_S if refresh_s is None else refresh_s,
+            search=search,
         )
         self.size, self.coded_size = (width, height), self._encoder.coded_size
         #: What the source writes to, and the newest whole picture.
@@ -88,7 +91,7 @@ class VideoOut:
         self._listener = PictureLossListener(ssrc=self.rtp.ssrc)
         self._heard_ns: int | None = None
         self._slow_refresh = False
-        self.parameter_sets = self._parameter_sets(fps, cap_bps)
+        self.parameter_sets = self._parameter_sets(fps, cap_bps, search)
         self.encoded = 0
         self.encode_ns = Histogram()
         self.source = open_video(
@@ -109,12 +112,17 @@ class VideoOut:
     def refused(self) -> int:
         return self._link_clock.refused
 
-    def _parameter_sets(self, fps: int, cap_bps: int) -> tuple[bytes, ...]:
+    def _parameter_sets(self, fps: int, cap_bps: int, search: Search) -> tuple[bytes, ...]:
         # The SDP has to be there before the first packet is. A second encoder that is set up alike
         # writes the same SPS and PPS, and the real one still begins with the first real picture.
         width, height = self.size
         twin = H264Encoder(
-            width=width, height=height, fps=fps, cap_bps=cap_bps, coded_size=self.coded_size
+            width=width,
+            height=height,
+            fps=fps,
+            cap_bps=cap_bps,
+            coded_size=self.coded_size,
+            search=search,
         )
         self._newest.fill(128)
         unit = twin.encode(VideoFrame(self._newest, CaptureStamp(0, 0, "twin")), lambda: 0)
@@ -223,7 +231,7 @@ def open_media(args: argparse.Namespace, clock: MonotonicClock) -> Iterator[Vide
             raise ConfigError(f"--refresh-s {args.refresh_s:g}: take 0.1 to 600 seconds")
         media = VideoOut(
             *(args.video, width, height, args.fps, cap_bps, channel_bps),
-            *(clock, coded, args.refresh_s),
+            *(clock, coded, args.refresh_s, args.search),
         )
     else:
         media = AudioOut(args.audio, cap_bps, channel_bps, clock)
