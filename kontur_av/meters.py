@@ -1,7 +1,6 @@
 """What a run is judged by: percentiles of latencies, and bit rates over sliding windows."""
 
 from collections import deque
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -118,31 +117,6 @@ class Histogram:
             "p99": self.percentile(99) / NS_PER_MS,
             "max": self.max / NS_PER_MS,
         }
-
-    def to_dict(self) -> dict[str, Any]:
-        """Everything counted, as plain values (for JSON or a pipe to another process)."""
-        used = np.flatnonzero(self._counts)
-        return {
-            "buckets": {str(i): int(self._counts[i]) for i in used},
-            "sum": self._sum,
-            "min": self.min,
-            "max": self._max,
-            "negative": self.negative,
-        }
-
-    @classmethod
-    def from_dict(cls, plain: Mapping[str, Any]) -> "Histogram":
-        """The histogram that `to_dict` wrote."""
-        histogram = cls()
-        for index, count in plain["buckets"].items():
-            histogram._counts[int(index)] = count
-        histogram._count = int(histogram._counts.sum())
-        histogram._sum = plain["sum"]
-        histogram._max = plain["max"]
-        histogram.negative = plain["negative"]
-        if histogram._count:
-            histogram._min = plain["min"]
-        return histogram
 
 
 class _Window:

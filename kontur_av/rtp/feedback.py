@@ -5,9 +5,11 @@ counts. Healing on demand spares the periodic refresh most of its octets, as lon
 back.
 """
 
-from aiortc.rtp import RTCP_PSFB_PLI, RtcpPacket, RtcpPsfbPacket
+from aiortc.rtp import RTCP_PSFB_PLI, RtcpPsfbPacket
 
 from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ProtocolError
+from kontur_av.rtp.wire import parse_rtcp
 
 #: While a picture stays damaged, it is asked for again this often: longer than most round trips.
 ASK_AGAIN_NS = 250 * NS_PER_MS
@@ -64,9 +66,8 @@ class PictureLossListener:
     def handle_feedback(self, datagram: bytes, now_ns: int) -> None:
         """An RTCP datagram from the receiver. Garbage is counted; this never raises."""
         try:
-            packets = RtcpPacket.parse(datagram)
-        except Exception:
-            # aiortc's parser raises more than it says on what it does not expect.
+            packets = parse_rtcp(datagram)
+        except ProtocolError:
             self.garbage += 1
             return
         for packet in packets:

@@ -142,11 +142,6 @@ class RtpReceiver:
         return (self._jitter_16 >> 4) * NS_PER_S // self.clock_rate_hz
 
     @property
-    def expected(self) -> int:
-        """Packets of the present source that should have come so far (appendix A.3)."""
-        return 0 if self.ssrc is None else self._highest - self._first + 1
-
-    @property
     def waiting(self) -> int:
         """Packets that wait behind a gap now (at most MAX_WAITING)."""
         return len(self._waiting)

@@ -100,11 +100,6 @@ class LinkProfile:
         return self._bps(self.frame_octets)
 
     @property
-    def application_bps(self) -> int:
-        """Insert zone and data zone, in bit/s."""
-        return self._bps(self.insert_octets + self.data_octets)
-
-    @property
     def media_bps(self) -> int:
         """What all levels below haptics share with a sample in every slot, their packets' headers
         included, in bit/s."""

@@ -27,7 +27,6 @@ VOICE = StreamNeed(name="uplink_voice", payload_bps=8000, packets_per_s=50, leve
 
 def test_rates_of_the_profiles():
     assert UPLINK.capacity_bps == 256_000
-    assert UPLINK.application_bps == 192_000
     assert UPLINK.media_bps == 96_000
     assert DOWNLINK.capacity_bps == 4_000_000
     assert DOWNLINK.data_octets == 480

@@ -1,7 +1,5 @@
 """Percentiles within their promised error, and sliding windows that miss nothing."""
 
-import json
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -26,8 +24,13 @@ def test_percentile_is_within_half_a_percent(values, p):
     assert histogram.mean == pytest.approx(sum(values) / len(values))
 
 
+def all_of(histogram):
+    percentiles = [histogram.percentile(p) for p in range(101)] if histogram.count else []
+    return percentiles, histogram.mean, histogram.min, histogram.max, histogram.negative
+
+
 @given(st.lists(st.integers(-5, 2**63 - 1), max_size=40), st.integers(0, 40))
-def test_one_by_one_in_bulk_merged_and_revived_are_the_same(values, cut):
+def test_one_by_one_in_bulk_and_merged_are_the_same(values, cut):
     single, bulk, merged, rest = (Histogram() for _ in range(4))
     for value in values:
         single.add(value)
@@ -35,10 +38,9 @@ def test_one_by_one_in_bulk_merged_and_revived_are_the_same(values, cut):
     merged.add(np.array(values[:cut], np.int64))
     rest.add(np.array(values[cut:], np.int64))
     merged.merge(rest)
-    revived = Histogram.from_dict(json.loads(json.dumps(single.to_dict())))
-    for other in (bulk, merged, revived):
-        assert other.to_dict() == single.to_dict()
-        assert other.count == single.count == len(values)
+    for other in (bulk, merged):
+        assert all_of(other) == all_of(single)
+        assert other.count == len(values)
 
 
 def test_negative_values_count_as_zero_and_show():
