@@ -43,9 +43,10 @@ class CapGain:
         self.bps = 0
         self._earned = 0
         self.changes = 0
-        #: The lowest step that there was since then, above the present one.
+        #: The lowest step that there was since then, above the present one; and since when there
+        #: was any.
         self._higher: int | None = None
-        self._higher_since_ns = 0
+        self._higher_since_ns = self._above_since_ns = 0
         self._patience_ns = STEADY_NS
         self._raised_ns = 0
         self._told_ns: int | None = None
@@ -69,6 +70,10 @@ class CapGain:
                 return True
             return False
         if self._higher is None:
+            self._above_since_ns = now_ns
+        # What is free is a mean over a second: until that is over it may still be rising.
+        rising = now_ns - self._above_since_ns < NS_PER_S
+        if self._higher is None or (rising and step > self._higher):
             self._higher, self._higher_since_ns = step, now_ns
         self._higher = min(self._higher, step)
         if now_ns - self._higher_since_ns < (STEADY_NS if at_once else self._patience_ns):

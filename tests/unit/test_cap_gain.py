@@ -51,6 +51,17 @@ def test_what_was_not_there_all_the_time_is_not_taken():
     assert told(gain, SECOND_FREED_BPS, NS_PER_S, STEADY_NS) == []
 
 
+def test_what_rises_over_a_second_is_taken_once():
+    gain = CapGain(SETUP, STREAM)
+    changes = [
+        now_ns
+        for now_ns in range(0, 5 * NS_PER_S, 4 * NS_PER_MS)
+        if gain.handle_freed(min(SECOND_FREED_BPS, SECOND_FREED_BPS * now_ns // NS_PER_S), now_ns)
+    ]
+    assert changes == [NS_PER_S + STEADY_NS]
+    assert gain.bps == SECOND_BPS
+
+
 def test_it_falls_at_once_and_rises_more_slowly_after_a_gain_that_did_not_last():
     gain = CapGain(SETUP, STREAM)
     now_ns = 0
