@@ -26,7 +26,8 @@ def _tap(y_m: float) -> tuple[Waypoint, ...]:
     """2 s: across to `y_m` before the wall at x = 0.06 m, press there, and back from the wall."""
     return (
         Waypoint(0.040, y_m, 350 * NS_PER_MS, 0),
-        Waypoint(0.085, y_m, 500 * NS_PER_MS, 750 * NS_PER_MS),
+        # No multiple of a camera's period, or every touch would wait as long for its picture.
+        Waypoint(0.085, y_m, 500 * NS_PER_MS, 757 * NS_PER_MS),
         Waypoint(0.040, y_m, 400 * NS_PER_MS, 0),
     )
 
