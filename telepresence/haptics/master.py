@@ -20,6 +20,9 @@ from telepresence.haptics.passivity import Port, PortFigures
 from telepresence.haptics.sample import Feedback
 
 _CYCLE_S = NS_PER_MS / NS_PER_S
+#: Half a count of the energy in a sample, which nobody can tell from none. Without it a hand that
+#: begins slowly would feel no damping, give no energy, and so never begin to move the robot.
+_ROUNDING_J = 0.5e-6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -146,7 +149,7 @@ class MasterController(PortFigures):
             ahead = _CYCLE_S / dt_s
             dx *= ahead
             dy *= ahead
-            left_j = port.credit_j
+            left_j = port.credit_j + _ROUNDING_J
             need_j = bx * dx + by * dy + sqrt(bx * bx + by * by) * margin
             if need_j > 0.0:
                 if need_j > left_j:
