@@ -143,7 +143,7 @@ class PlayoutBuffer:
         if self._origin is None:
             self._origin = (packet.timestamp - media) & 0xFFFF_FFFF
         if self._played_up_to is not None and media < self._played_up_to:
-            if media != self._just_concealed or self._lacking_ns() <= 0:
+            if media != self._just_concealed or self._lacking_ns() <= _STRETCHED_NS:
                 self.counts.late += 1
                 return
             self._rewind(media)
