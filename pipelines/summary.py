@@ -55,6 +55,7 @@ def print_summary(report: Mapping[str, Any]) -> None:
     ]
     if skews:
         console.print("skew at the operator, ms: " + ", ".join(skews))
+    _print_content(console, report["sync"])
     together = report["lip_sync"]
     if together is not None:
         console.print(
@@ -83,6 +84,25 @@ def print_summary(report: Mapping[str, Any]) -> None:
             console.print(f"{name}: gave nothing in the last {entry['silent_s']} s{escape(fault)}")
     for failure in report["failures"]:
         console.print(f"[bold red]failed:[/] {failure}")
+
+
+def _print_content(console: Console, sync: Mapping[str, Any] | None) -> None:
+    if sync is None:
+        return
+    senses = [
+        f"{sense} {figures['latency_ms']['p50']:.1f} ({figures['perceived']})"
+        for sense, figures in sync["senses"].items()
+        if figures is not None and figures["perceived"]
+    ]
+    skews = [
+        f"{name.replace('_', ' to ')} {skew['p50']:+.1f} (p95 {skew['p95']:+.1f})"
+        for name, skew in sync["skew_ms"].items()
+        if skew is not None
+    ]
+    console.print(
+        f"by content, ms after each of {sync['events']} contacts: {', '.join(senses)}; "
+        f"skew: {', '.join(skews)}"
+    )
 
 
 def _kbps(bps: float) -> str:

@@ -56,7 +56,9 @@ class Room:
         sounding = np.zeros(max(count + len(self._click), len(self._tail)))
         sounding[: len(self._tail)] = self._tail
         touched_ns = state.contact_since_ns if state.touched_ns is None else state.touched_ns
-        begin = 0 if touched_ns is None else (touched_ns - capture_ns) * AUDIO_CLOCK_HZ // NS_PER_S
+        # The first sample that is not before the contact.
+        late_ns = 0 if touched_ns is None else capture_ns - touched_ns
+        begin = -(late_ns * AUDIO_CLOCK_HZ // NS_PER_S)
         # What begins after this block is the next one's.
         if touched_ns is not None and touched_ns != self._touched_ns and begin < count:
             if begin >= 0:

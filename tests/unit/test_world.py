@@ -23,6 +23,7 @@ from telepresence.world import (
     video_scenes,
 )
 from telepresence.world.ground_views import GroundView, targets_px
+from telepresence.world.sound import Room
 from telepresence.world.speech import media_folder, speech
 
 SIZE = (640, 480)
@@ -199,6 +200,74 @@ def test_the_click_begins_with_the_contact():
     assert abs(begin_ns + heard[0] * NS_PER_S // 48_000 - touch_ns) < NS_PER_MS
     assert heard[-1] - heard[0] < 0.05 * 48_000
     assert np.abs(clicked - quiet).max() > 6_000
+
+
+def heard_of(states, blocks=20, begin_ns=2 * NS_PER_S):
+    """What a room adds to its silence for these states, told at the end of each block."""
+
+    def sound(state_at):
+        room = Room("ground", fan=False, state_at=state_at, seed=21)
+        samples = np.zeros((blocks, 960), np.int16)
+        for number, block in enumerate(samples):
+            room.fill(block, number, begin_ns + number * 20 * NS_PER_MS)
+        return samples.reshape(-1).astype(int), room
+
+    clicked, room = sound(states)
+    return np.abs(clicked - sound(lambda now_ns: WorldState(now_ns))[0]), room
+
+
+@pytest.mark.parametrize("after_ms", [0.0, 3.02, 19.98, 20.0, 41.5])
+def test_a_click_begins_at_the_very_sample(after_ms):
+    touched_ns = 2 * NS_PER_S + 40 * NS_PER_MS + round(after_ms * NS_PER_MS)
+
+    def state_at(now_ns):
+        # Over again after 4 ms: a microphone that asks every 20 ms hardly sees it.
+        contact = touched_ns <= now_ns < touched_ns + 4 * NS_PER_MS
+        since_ns = touched_ns if contact else None
+        known_ns = touched_ns if now_ns >= touched_ns else None
+        return WorldState(now_ns, contact=contact, contact_since_ns=since_ns, touched_ns=known_ns)
+
+    change, room = heard_of(state_at)
+    due = math.ceil((40 + after_ms) * 48)
+    assert due <= np.nonzero(change)[0][0] <= due + 2
+    assert room.late_clicks == 0
+
+
+def test_a_click_that_is_told_late_sounds_where_it_should_all_the_same():
+    touched_ns = 2 * NS_PER_S + 39 * NS_PER_MS
+
+    def state_at(now_ns):
+        # Told to the block after the one in which it began.
+        known = now_ns > 2 * NS_PER_S + 40 * NS_PER_MS
+        return WorldState(now_ns, touched_ns=touched_ns if known else None)
+
+    change, room = heard_of(state_at)
+    assert room.late_clicks == 1
+    first = np.nonzero(change)[0][0]
+    assert 40 * 48 <= first <= 40 * 48 + 2
+    whole, _ = heard_of(lambda now_ns: WorldState(now_ns, touched_ns=touched_ns))
+    assert np.array_equal(change[40 * 48 :], whole[40 * 48 :])
+
+
+def test_two_contacts_in_a_row_are_two_clicks():
+    first_ns, second_ns = (2 * NS_PER_S + ms * NS_PER_MS for ms in (50, 130))
+
+    def state_at(now_ns):
+        past = [at for at in (first_ns, second_ns) if at <= now_ns]
+        return WorldState(now_ns, touched_ns=past[-1] if past else None)
+
+    change, _ = heard_of(state_at)
+    assert change[50 * 48 : 52 * 48].max() > 5000
+    assert change[120 * 48 : 130 * 48].max() < 100
+    assert change[130 * 48 : 132 * 48].max() > 5000
+
+
+def test_a_camera_sees_no_light_before_the_contact():
+    x, y = LEDS_M[1]
+    state = WorldState(10 * NS_PER_MS, x, y, 3.0, True, 9 * NS_PER_MS, 9 * NS_PER_MS)
+    assert state.at(9 * NS_PER_MS).lit == 1
+    assert state.at(9 * NS_PER_MS - 1).lit is None
+    assert state.at(11 * NS_PER_MS) is state
 
 
 def test_speech_samples_are_small():
