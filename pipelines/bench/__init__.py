@@ -9,6 +9,7 @@ from importlib import import_module
 #: What can be measured, and what it is about.
 BENCHES = {
     "fanout": "one picture to many processes: cost of publishing, and how soon it is there",
+    "haptics": "the hand on virtual time: energy, force and stability over a grid of radios",
     "latency": "one page: every stream of a setup, end to end and by stage, and what is in it",
     "link": "the radio link: delays on virtual time, punctuality and cost on this machine",
     "passes": "many sessions of a whole pass on virtual time, and whether each was usable",
