@@ -7,6 +7,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
 from pipelines.ages import spells
 from pipelines.collector import HAPTIC_ENDS, Collector, ProcessFigures, StreamFigures
+from pipelines.cores.haptics import PORT_GAUGES, PORT_TOTALS
 from pipelines.link_figures import gateway_figures, link_figures, summary_us
 from pipelines.setup import Setup, VideoStream, VoiceStream
 from pipelines.silence import MISSED_NS, missed_ns, signal_ns, silences, stopped_ns
@@ -181,7 +182,14 @@ def _haptic(name: str, setup: Setup, collector: Collector, seconds: float) -> di
         "pauses_s": _pauses_s(collector.haptics[name].pauses_ns, collector),
         "lateness_us": summary_us(sender.lateness),
         "slips": sender.total("slips"),
+        "port": _port(sender),
     }
+
+
+def _port(end: ProcessFigures) -> dict[str, Any]:
+    """The energies (µJ) of the port at the sender of a direction, and its passivity controller."""
+    totals = {name: end.total(name) for name in PORT_TOTALS}
+    return totals | {name: end.gauges[name] for name in PORT_GAUGES if name in end.gauges}
 
 
 def _saved(profile: LinkProfile, sender: ProcessFigures, seconds: float) -> dict[str, int]:
@@ -243,6 +251,11 @@ def failures(
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
         if long_enough and receiver.total("received") == 0:
             found.append(f"haptic_{name}: no sample was received")
+        end = HAPTIC_ENDS[name][0]
+        least_uj = collector.process(end).gauges.get("least_uj", 0)
+        # A count of the energy in a sample is rounding.
+        if least_uj < -1:
+            found.append(f"{end}: its port gave out {-least_uj} µJ that nobody had granted")
     joystick = collector.process("joystick").gauges.get("joystick")
     if joystick is not None and joystick["state"].endswith("error"):
         found.append(f"joystick: {joystick['state']}: {joystick['reason']}")
