@@ -20,7 +20,8 @@ class LipSync:
     """Knows how late the pictures of a place come, and so how late its sound must be at least.
 
     A picture that is late by itself delays no sound, nor do pictures that no longer come or that
-    are too old to be of use; and no sound is delayed until it is too old itself.
+    are too old to be of use; where most are, none counts. And no sound is delayed until it is too
+    old itself.
 
     oldest_picture_ns: older pictures do not count. oldest_sound_ns: no sound is made older.
     """
@@ -33,16 +34,19 @@ class LipSync:
 
     def handle_picture(self, shown_ns: int, latency_ns: int) -> None:
         """A picture was shown at `shown_ns`, `latency_ns` after its capture."""
-        if latency_ns < self._oldest_picture_ns:
-            self._pictures.append((shown_ns, latency_ns))
-            self._forget(shown_ns)
+        self._pictures.append((shown_ns, latency_ns))
+        self._forget(shown_ns)
 
     def _forget(self, now_ns: int) -> None:
         pictures = self._pictures
         while pictures and pictures[0][0] <= now_ns - _WINDOW_NS:
             pictures.popleft()
-        latencies = sorted(latency_ns for _, latency_ns in pictures)
-        self._late_ns = latencies[int(_SHARE * (len(latencies) - 1))] if latencies else None
+        oldest_ns = self._oldest_picture_ns
+        latencies = sorted(latency_ns for _, latency_ns in pictures if latency_ns < oldest_ns)
+        if 2 * len(latencies) > len(pictures):
+            self._late_ns = latencies[int(_SHARE * (len(latencies) - 1))]
+        else:
+            self._late_ns = None
 
     def least_latency_ns(self, now_ns: int) -> int | None:
         """The least latency for a sound that is heard now; None: whatever it has is right."""

@@ -28,6 +28,9 @@ def test_a_single_late_picture_delays_no_sound_and_one_too_old_never_does():
     calm = watching([60] * 60).least_latency_ns(2 * NS_PER_S)
     assert watching([60] * 58 + [250, 60]).least_latency_ns(2 * NS_PER_S) == calm
     assert watching([500] * 60).least_latency_ns(2 * NS_PER_S) is None
+    # Where most come too late to be of use, the others cannot save it.
+    assert watching([500, 200, 500] * 20).least_latency_ns(2 * NS_PER_S) is None
+    assert watching([200, 500, 200] * 20).least_latency_ns(2 * NS_PER_S) is not None
 
 
 def test_no_sound_is_made_too_old_and_pictures_that_stay_away_hold_nothing():
