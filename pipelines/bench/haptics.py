@@ -6,10 +6,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
+from pipelines.bench.console import open_console
 from pipelines.bench.haptics_cell import Cell, full_grid, read_cell, small_grid
 from pipelines.bench.haptics_claims import Claim, claims, needed
 from pipelines.bench.haptics_figures import Figures
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     check_plot(args.plot)
     chosen = [read_cell(text) for text in args.cell or ()]
     cells = chosen or list(_GRIDS[args.grid]())
-    console = Console() if Console().is_terminal else Console(width=118)
+    console = open_console(args)
     without, with_ = [], []
     for pair in run_grid(cells, seconds=args.seconds, seed=args.seed, jobs=jobs):
         without.append(pair[0])

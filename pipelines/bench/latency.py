@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
+from pipelines.bench.console import open_console
 from pipelines.bench.latency_plot import plot_leads
 from pipelines.bench.latency_runs import (
     VIRTUAL_CLOCK,
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.report)
     check_plot(args.plot)
     setups = _setups(args)
-    console = Console() if Console().is_terminal else Console(width=118)
+    console = open_console(args)
     setup = setups[0]
     console.print(_heading(args, setup), markup=False, highlight=False)
     virtual = virtual_run(setup, seconds=args.seconds, seed=args.seed)

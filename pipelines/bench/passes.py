@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
+from pipelines.bench.console import open_console
 from pipelines.bench.passes_figures import (
     HEADINGS,
     Figures,
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     sessions = _kept(args.report, plan)
     seeds = range(args.first_seed, args.first_seed + args.sessions)
     missing = [seed for seed in seeds if seed not in sessions]
-    console = Console() if Console().is_terminal else Console(width=150)
+    console = open_console(args, width=150)
     if len(missing) < len(seeds):
         console.print(f"{len(seeds) - len(missing)} of {len(seeds)} are in {args.report}")
     ended_early = False

@@ -16,6 +16,7 @@ from rich.table import Table
 from kontur_av.clock import NS_PER_MS
 from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
+from pipelines.bench.console import open_console
 from pipelines.bench.latency_runs import live_run
 from pipelines.bench.plot import check_plot, plot_distributions
 from pipelines.bench.sync_footage import clicks, joined, lights, steps
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print; 1 if the stamps of a session disagree with its content."""
     check_writable(args.report)
     check_plot(args.plot)
-    console = Console() if Console().is_terminal else Console(width=118)
+    console = open_console(args)
     recordings = {name: path for name in _RECORDINGS if (path := getattr(args, name)) is not None}
     if recordings:
         return _run_footage(args, recordings, console)

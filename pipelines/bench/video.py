@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-from rich.console import Console
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
+from pipelines.bench.console import open_console
 from pipelines.bench.plot import check_plot, plot_distributions
 from pipelines.bench.video_clips import FOOTAGE, SCENE, Clip, clips
 from pipelines.bench.video_contenders import CONTENDERS, ContenderError, missing
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     width, height, terms = _checked(args)
     # Its threads would not survive the forks, and one is enough.
     cv2.setNumThreads(1)
-    console = Console() if Console().is_terminal else Console(width=118)
+    console = open_console(args)
 
     def say(line: str) -> None:
         """A line as it is, however long."""
