@@ -26,6 +26,7 @@ def claims(with_: Sequence[Figures]) -> list[Claim]:
     given = max(with_, key=lambda f: f.given_uj)
     contact = max(with_, key=lambda f: f.contact_peak_n / f.contact_bound_n)
     rise = max(with_, key=lambda f: f.rise_n_ms)
+    swing = max(with_, key=lambda f: f.swing_n)
     swings = [f for f in with_ if f.unstable]
     return [
         Claim(
@@ -46,7 +47,7 @@ def claims(with_: Sequence[Figures]) -> list[Claim]:
         ),
         Claim(
             f"on a still hand no force swings on by more than {SWING_N:g} N",
-            f"{len(swings)} of {len(with_)}" + (f": {swings[0].cell.name}" if swings else ""),
+            f"{len(swings)} of {len(with_)}; most {swing.swing_n:.2f} N: {swing.cell.name}",
             not swings,
         ),
         Claim(

@@ -11,9 +11,10 @@ from pipelines.bench.haptics_plan import DEPTH_M, Plan
 from telepresence.haptics.robot import RobotModel
 from telepresence.haptics.slave import SlaveModel
 
-#: A hand that keeps still on a wall feels a still force: a swing beyond this (N, peak to peak)
-#: that does not fade is an oscillation. It is a fifth of what the softest press of the grids has.
-SWING_N = 1.0
+#: A hand that keeps still on a wall feels a still force. A swing beyond this (N, peak to peak)
+#: that does not fade is an oscillation: a quarter of the press on the softest wall of the grids,
+#: all of which an unstable loop gives and takes.
+SWING_N = 2.0
 #: It fades if the last third of the hold swings less than this share of the middle third.
 FADES = 0.7
 

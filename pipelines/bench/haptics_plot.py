@@ -13,7 +13,6 @@ from pipelines.bench.haptics_map import StabilityMap
 from pipelines.bench.haptics_plan import Plan
 from pipelines.bench.plot_series import Image, map_panel, series_panel
 
-#: Of the axes, so that a diverging run does not flatten the other.
 _PERIOD_S = 0.001
 
 
@@ -33,11 +32,12 @@ def plot(
 
 def _course(cell: Cell, plan: Plan, without: Trace, with_: Trace) -> list[Image]:
     dark = [(begin / 1e9, end / 1e9) for begin, end in {*plan.down_dark, *plan.up_dark}]
-    both = (("without the controllers", without), ("with the controllers", with_))
-    most_j = max(1e-3, *(float(np.abs(_given(trace)).max()) for trace in (with_,)))
+    both = (("without", without), ("with", with_))
+    # So that a run that makes energy does not flatten the other.
+    most_j = max(1e-3, float(np.abs(_given(with_)).max()))
     panels = []
     for what, unit, limits, curves in (
-        ("position across the wall", "mm", (-20.0, 100.0), _positions),
+        ("position", "mm", (-20.0, 100.0), _positions),
         ("force", "N", (-5.0, 35.0), _forces),
         ("energy", "mJ", (-2e3 * most_j, 2e3 * most_j), _energies),
     ):
@@ -45,7 +45,7 @@ def _course(cell: Cell, plan: Plan, without: Trace, with_: Trace) -> list[Image]
             np.hstack(
                 [
                     series_panel(
-                        f"{what}, {name}: {cell.name}",
+                        f"{what} {name}: {cell.name}",
                         curves(trace),
                         period_s=_PERIOD_S,
                         unit=unit,
@@ -82,7 +82,7 @@ def _energies(trace: Trace) -> dict[str, Values]:
 def _map(title: str, found: StabilityMap) -> Image:
     good = [[not found.unstable(wall, delay)[0] for delay in found.delays] for wall in found.walls]
     return map_panel(
-        title,
+        f"{title}: cells that swing on, largest contact force",
         columns=[f"{delay:g} ms" for delay in found.delays],
         rows=[f"{wall / 1000:g} kN/m" for wall in found.walls],
         good=np.array(good),

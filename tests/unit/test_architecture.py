@@ -42,6 +42,7 @@ SHELLS = {
     "pipelines/bench/fanout_run.py": "processes",
     "pipelines/bench/fanout_ways.py": "asks for the process's number",
     "pipelines/bench/latency_runs.py": "runs a command, and tries the clock",
+    "pipelines/bench/haptics_grid.py": "processes",
     "pipelines/bench/link_live.py": "runs commands",
     "pipelines/bench/passes_run.py": "runs commands",
     "pipelines/bench/video_clips.py": "shared memory",

@@ -7,7 +7,7 @@ import cv2
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.bench import haptics
+from pipelines.bench import haptics_claims
 from pipelines.bench.haptics_cell import Cell, full_grid, read_cell, small_grid
 from pipelines.bench.haptics_channel import SampleChannel
 from pipelines.bench.haptics_plan import plan
@@ -90,3 +90,30 @@ def test_a_hold_leaves_time_for_the_loop_to_swing_and_comes_after_all_blackouts(
         assert all(until + cell.delay * MS < begin for _, until in found.down_dark + found.up_dark)
         script_ns = sum(point.move_ns + point.stay_ns for point in found.script)
         assert end < found.end_ns < script_ns
+
+
+CELL = ["--cell", "delay=100", "--seconds", "4", "--jobs", "1"]
+
+
+def test_the_command_writes_its_figures(tmp_path, capsys):
+    report, picture = tmp_path / "h.json", tmp_path / "h.png"
+    assert main(["bench", "haptics", *CELL, "--report", str(report), "--plot", str(picture)]) == 0
+    found = json.loads(report.read_text())
+    assert found["cells"] == 1
+    assert all(claim["holds"] for claim in found["claims"])
+    assert found["without"][0]["unstable"]
+    assert not found["with"][0]["unstable"]
+    assert cv2.imread(str(picture)).shape[2] == 3
+    assert "UNSTABLE" in capsys.readouterr().out
+
+
+def test_a_claim_that_does_not_hold_is_an_exit_code(monkeypatch, capsys):
+    monkeypatch.setattr(haptics_claims, "RISE_N_MS", 1e-6)
+    assert main(["bench", "haptics", *CELL]) == 1
+    assert "NO" in capsys.readouterr().out
+
+
+def test_a_wrong_option_is_refused_in_one_line(capsys):
+    for options in (["--cell", "delay=5000"], ["--seconds", "1"], ["--jobs", "0"]):
+        assert main(["bench", "haptics", *options]) == 2
+        assert capsys.readouterr().err.count("\n") == 1

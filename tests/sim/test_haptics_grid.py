@@ -1,0 +1,74 @@
+"""The corners of the grid of `kontur-av bench haptics`: passive, calm and bounded, or not."""
+
+import numpy as np
+import pytest
+
+from pipelines.bench.haptics_cell import Cell
+from pipelines.bench.haptics_claims import claims, needed
+from pipelines.bench.haptics_figures import Figures
+from pipelines.bench.haptics_plan import plan
+from pipelines.bench.haptics_run import run_cell
+
+SECONDS = 4.0
+#: A hard wall, and whatever the radio can do to it.
+CELLS = (
+    Cell(),
+    Cell(delay=20.0),
+    Cell(delay=100.0),
+    Cell(delay=500.0, wall=500.0),
+    Cell(jitter=50.0),
+    Cell(delay=50.0, loss=30.0, wall=1500.0),
+    Cell(delay=100.0, jitter=50.0, loss=30.0, burst=10.0, blackout=1.0),
+    Cell(delay=1000.0, jitter=50.0, loss=30.0),
+)
+
+
+@pytest.fixture(scope="module", params=CELLS, ids=lambda cell: cell.name)
+def with_controllers(request) -> Figures:
+    return run_cell(request.param, seconds=SECONDS, seed=1, passive=True)[0]
+
+
+def test_every_claim_holds(with_controllers) -> None:
+    for claim in claims([with_controllers]):
+        assert claim.holds, f"{claim.text}: {claim.found}"
+
+
+def test_the_wall_is_met_and_felt(with_controllers) -> None:
+    """Passive is easy for who does nothing at all."""
+    assert with_controllers.touches >= 2
+    assert with_controllers.displayed_peak_n > 3.0
+
+
+@pytest.mark.parametrize("cell", [CELLS[2], CELLS[5]], ids=lambda cell: cell.name)
+def test_without_the_controllers_the_same_cell_makes_energy_and_swings(cell) -> None:
+    found, _ = run_cell(cell, seconds=SECONDS, seed=1, passive=False)
+    assert found.unstable
+    assert needed([found]).holds
+    assert min(found.least_master_uj, found.least_slave_uj) < -100_000
+
+
+def test_a_run_repeats() -> None:
+    cell = Cell(delay=50.0, jitter=20.0, loss=10.0)
+    first, again = (run_cell(cell, seconds=SECONDS, seed=3, passive=True)[0] for _ in range(2))
+    assert first == again
+    assert run_cell(cell, seconds=SECONDS, seed=4, passive=True)[0] != first
+
+
+@pytest.mark.parametrize("wall", [1500.0, 5000.0])
+def test_a_blackout_brings_both_ends_to_rest_and_resumption_no_jump(wall) -> None:
+    cell = Cell(delay=20.0, blackout=5.0, wall=wall)
+    planned = plan(cell, SECONDS)
+    _, trace = run_cell(cell, seconds=SECONDS, seed=1, passive=True)
+    for begin, end in ((b // 1_000_000, e // 1_000_000) for b, e in planned.down_dark):
+        # The robot hears nothing: it presses no more, and stands still.
+        assert trace.contact_n[end - 100 : end].max() < 0.1
+        assert np.ptp(trace.tip[end - 100 : end], axis=0).max() < 1e-4
+        assert trace.contact_n[begin] > 1.0
+    for _, end in ((b // 1_000_000, e // 1_000_000) for b, e in planned.up_dark):
+        # The joystick hears nothing: it shows only its own damping.
+        assert np.abs(trace.displayed[end - 100 : end]).max() < 1.0
+    for _, end in {*planned.down_dark, *planned.up_dark}:
+        back = slice(end // 1_000_000 - 1, end // 1_000_000 + 500)
+        shown = np.hypot(*trace.displayed[back].T)
+        assert np.diff(shown).max() < 1.1
+        assert np.abs(np.diff(trace.tip[back], axis=0)).max() < 0.6e-3
