@@ -49,7 +49,7 @@ class MasterModel:
     acceleration_m_s2: float = 150.0
     horizon: float = 5.0
     velocity_s: float = 0.003
-    reserved: float = 0.02
+    reserved: float = 0.2
     regain_n_s: float = 30.0
     reserve_j: float = 0.004
     limit_j: float = 0.5
