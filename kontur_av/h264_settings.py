@@ -38,8 +38,9 @@ class _Effort:
     coarsest: the largest quantiser; with none but H.264's own x264 goes on with ruins, where with
     one a picture that needs more bits is late once and the following ones are good.
 
-    The model holds about one picture's share, so that no picture is much larger than that, and is
-    filled a little faster than the cap, because x264 leaves a part unused. The pacer keeps the cap.
+    The model holds about one picture's share, so that no picture is much larger than that. Filling
+    it faster gives larger pictures, which are later: from 0.97 to 1.02 of the cap 0.3 dB and
+    1.7 ms at the median. The pacer keeps the cap.
     """
 
     crf: int
@@ -54,7 +55,7 @@ class _Effort:
 #: twentieth of the pictures. x264 counts its buffer in whole kbit: this is 3 at 85 kbit/s.
 _THIN = _Effort(
     crf=10,
-    rate_over_cap=Fraction(102, 100),
+    rate_over_cap=Fraction(1),
     buffer_over_share=Fraction(106, 100),
     coarsest=48,
     parameters=f"{_ALWAYS}:{_BLOCKS}:me=dia:subme=6:trellis=1",
