@@ -8,6 +8,11 @@ from pipelines.bench.haptics_claims import claims, needed
 from pipelines.bench.haptics_figures import Figures
 from pipelines.bench.haptics_plan import plan
 from pipelines.bench.haptics_run import run_cell
+from telepresence.haptics.master import MasterController
+from telepresence.haptics.passivity import Port
+from telepresence.haptics.sample import Feedback
+
+MS = 1_000_000
 
 SECONDS = 4.0
 #: A hard wall, and whatever the radio can do to it.
@@ -72,3 +77,33 @@ def test_a_blackout_brings_both_ends_to_rest_and_resumption_no_jump(wall) -> Non
         shown = np.hypot(*trace.displayed[back].T)
         assert np.diff(shown).max() < 1.1
         assert np.abs(np.diff(trace.tip[back], axis=0)).max() < 0.6e-3
+
+
+def test_what_is_given_back_is_no_longer_there() -> None:
+    port = Port(reserve_j=0.01, limit_j=0.1)
+    port.handle_total(0, MS)
+    for step in range(200):
+        port.handle_flow(0.003 if step % 3 == 0 else -0.004)
+        port.handle_total(900 * step, MS)
+        port.give_back(0.2 * port.credit_j)
+        had_j = port.in_j + port.received_j
+        assert port.granted_j + port.credit_j + port.out_j + port.forgotten_j == pytest.approx(
+            had_j, abs=1e-12
+        )
+
+
+def test_a_force_that_was_cut_comes_back_slowly() -> None:
+    """Else it would be cut again at once, a hundred times a second, and buzz."""
+    master = MasterController()
+    wall, x_m = Feedback(-8.0, 0.0, 0, True), 0.05
+    forces = []
+    for step in range(400):
+        # The hand goes with a force that nobody paid for; then it keeps still.
+        x_m -= 2e-4 if step < 100 else 0.0
+        forces.append(master.step(wall, x_m, 0.0, MS)[0])
+        if step == 100:
+            master.port.handle_total(0, MS)
+            master.port.handle_total(20_000, MS)
+    assert master.acted > 50
+    assert min(np.diff(forces[101:])) > -0.2
+    assert forces[-1] < forces[150] - 2.0
