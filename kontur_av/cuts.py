@@ -1,10 +1,10 @@
-"""Pictures that have nothing to do with the one before, and how often they may be late.
+"""Pictures that have to say everything, and how often they may be late.
 
-The first picture after a cut has to say everything. On a thin channel it is either late, or coarse
-for as long as it takes to mend. Late is the better choice while it is rare: one in a hundred is
-what a 99th percentile forgives. Where cuts come faster, pictures are coded in a smaller size, in
-which that first one is on time: measured at 85 kbit/s it has 25 dB in 256x192, and 21 in 384x288
-where x264 is held to the same octets.
+That is the first picture after a cut, and a key picture that a receiver asked for after a loss. On
+a thin channel it is either late, or coarse for as long as it takes to mend. Late is the better
+choice while it is rare: one in a hundred is what a 99th percentile forgives. Where they come
+faster, pictures are coded in a smaller size, in which that one is on time: measured at 85 kbit/s it
+has 25 dB in 256x192, and 21 in 384x288 where x264 is held to the same octets.
 """
 
 from collections import deque
@@ -20,7 +20,7 @@ _TIMES = 1.5
 #: Pictures that are lately.
 _LATELY = 8
 
-#: Two cuts within so many pictures come too fast for both to be late.
+#: Two such pictures within so many come too fast for both to be late.
 RARE = 120
 #: After so many pictures without any, pictures are large again.
 CALM = 300
@@ -36,22 +36,23 @@ class Cuts:
         self._last: NDArray[np.int16] | None = None
         self._changes: deque[float] = deque(maxlen=_LATELY)
         self._since_cut = CALM
-        #: Cuts found.
+        #: Cuts found, and key pictures asked for.
         self.found = 0
         #: Whether pictures are to be small now.
         self.restless = False
 
-    def handle_picture(self, thumbnail: NDArray[np.uint8]) -> bool:
+    def handle_picture(self, thumbnail: NDArray[np.uint8], *, key: bool = False) -> bool:
         """Whether this picture is to be small; it changes at cuts, and after a calm time.
 
-        thumbnail: luma, of any shape, the same each time.
+        thumbnail: luma, of any shape, the same each time. key: it will be a key picture, though
+        nothing was cut.
         """
         picture = thumbnail.astype(np.int16)
         last, self._last = self._last, picture
         if last is None:
             return False
         change = float(np.abs(picture - last).mean())
-        cut = bool(self._changes) and change > _STEPS + _TIMES * max(self._changes)
+        cut = key or (bool(self._changes) and change > _STEPS + _TIMES * max(self._changes))
         self._changes.append(change)
         self._since_cut += 1
         if cut:

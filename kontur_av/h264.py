@@ -53,8 +53,8 @@ class H264Encoder:
     fps: pictures a second that will be given; when some are left out, each access unit keeps its
         size. `follow` changes it.
     coded_size: (width, height) in which they are coded; None: `h264_settings.coded_size_for`, and
-        where that is smaller, a smaller one yet while cuts come too fast for it (`cuts.Cuts`), each
-        time from a key picture on. A receiver gets them in this size, and scales them up with
+        where that is smaller, a smaller one yet while cuts or forced key pictures come too fast for
+        it (`cuts.Cuts`), each time from a key picture on. A receiver gets them in this size, and scales them up with
         `DecodedPicture.scale_into`.
     refresh_s: from the begin of one refresh wave to the next. A wave takes a picture for each
         column of macroblocks, or all of this time if that is less; a decoder that joins without
@@ -150,7 +150,7 @@ class H264Encoder:
             # Only here: OpenCV takes longer to load than all the rest of a receiver.
             from kontur_av.scaling import thumbnail
 
-            self._settle(self._cuts.handle_picture(thumbnail(data)))
+            self._settle(self._cuts.handle_picture(thumbnail(data), key=force_keyframe))
         if self._small is not None:
             from kontur_av.scaling import shrink
 

@@ -82,7 +82,7 @@ def test_each_process_is_killed_once(start, monkeypatch):
             assert set(session.children()) == set(pids.values()), name
     print("back after, s:", {name: round(seconds, 2) for name, seconds in back_s.items()})
     code, report = session.interrupt()
-    assert code == 0, session.errors()
+    assert code == 0, (session.errors(), report["failures"])
     assert session.errors() == ""
     session.assert_nothing_left()
     assert_sound(report)
@@ -107,7 +107,7 @@ def test_ctrl_c_at_once_leaves_nothing(start):
     # Its first child is none of its processes: libopus is looked for by a program of the system.
     eventually(lambda: any(map(is_part, session.children())), "the first process")
     code, report = session.interrupt()
-    assert code == 0, session.errors()
+    assert code == 0, (session.errors(), report["failures"])
     assert session.errors() == ""
     assert set(report["streams"]) == {"uplink_video"}
     session.assert_nothing_left()

@@ -32,6 +32,16 @@ def test_what_always_changes_is_no_cut():
     assert cuts.found == 0
 
 
+def test_key_pictures_that_are_asked_for_one_after_the_other_are_small():
+    cuts = Cuts()
+    asked = {150, 150 + RARE + 1, 150 + RARE + 31}
+    restless = [
+        cuts.handle_picture(view, key=n in asked) for n, view in enumerate(views(150 + RARE + 90))
+    ]
+    assert restless.index(True) == 150 + RARE + 31
+    assert all(restless[restless.index(True) :])
+
+
 def test_footage_full_of_cuts_is_coded_small_and_they_are_on_time(pictures):
     encoder = H264Encoder(width=640, height=480, fps=30, cap_bps=85_000, refresh_s=20)
     decoder = H264Decoder()
