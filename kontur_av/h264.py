@@ -54,8 +54,8 @@ class H264Encoder:
         size. `follow` changes it.
     coded_size: (width, height) in which they are coded; None: `h264_settings.coded_size_for`, and
         where that is smaller, a smaller one yet while cuts or forced key pictures come too fast for
-        it (`cuts.Cuts`), each time from a key picture on. A receiver gets them in this size, and scales them up with
-        `DecodedPicture.scale_into`.
+        it (`cuts.Cuts`), each time from a key picture on. A receiver gets them in this size, and
+        scales them up with `DecodedPicture.scale_into`.
     refresh_s: from the begin of one refresh wave to the next. A wave takes a picture for each
         column of macroblocks, or all of this time if that is less; a decoder that joins without
         a key picture has a whole picture at the end of the first wave that begins.
