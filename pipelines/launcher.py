@@ -356,7 +356,6 @@ def load_libraries() -> None:
     """Load what the processes need once, before they are forked."""
     # Python looks for it by writing a file there: a process killed meanwhile would leave it.
     tempfile.gettempdir()
-    import aiortc.rtp  # noqa: F401
     import av  # noqa: F401
     import cv2
     import iceoryx2  # noqa: F401

@@ -3,13 +3,12 @@
 import secrets
 from typing import Any
 
-from aiortc.rtp import RtcpRrPacket
-
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.h264 import H264Decoder
 from kontur_av.healing import Healing
 from kontur_av.meters import Histogram
 from kontur_av.rtp.feedback import PictureLossReporter
+from kontur_av.rtp.packets import RtcpRrPacket
 from kontur_av.rtp.payload_h264 import H264Depacketizer
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceived, RtpReceiver

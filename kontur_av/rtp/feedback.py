@@ -5,10 +5,9 @@ counts. Healing on demand spares the periodic refresh most of its octets, as lon
 back.
 """
 
-from aiortc.rtp import RTCP_PSFB_PLI, RtcpPsfbPacket
-
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
+from kontur_av.rtp.packets import RTCP_PSFB_PLI, RtcpPsfbPacket
 from kontur_av.rtp.wire import parse_rtcp
 
 #: While a picture stays damaged, it is asked for again this often: longer than most round trips.

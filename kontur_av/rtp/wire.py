@@ -2,7 +2,8 @@
 
 import struct
 
-from aiortc.rtp import (
+from kontur_av.errors import ProtocolError
+from kontur_av.rtp.packets import (
     RTCP_SDES,
     AnyRtcpPacket,
     RtcpByePacket,
@@ -13,8 +14,6 @@ from aiortc.rtp import (
     RtpPacket,
     pack_rtcp_packet,
 )
-
-from kontur_av.errors import ProtocolError
 
 __all__ = [
     "AnyRtcpPacket",
