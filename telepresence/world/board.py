@@ -8,6 +8,7 @@ from telepresence.world.state import BOARD_HEIGHT_M, BOARD_WIDTH_M, LEDS_M, WALL
 
 Rgb = tuple[int, int, int]
 Image = NDArray[np.uint8]
+_Numbers = NDArray[np.integer | np.floating]
 
 #: Resolution of the drawing and how much of the table it shows, each way from the centre.
 PX_PER_M = 2800
@@ -88,7 +89,8 @@ def _table(width: int, height: int) -> Image:
     grain = np.asarray(cv2.resize(fine, (width, height)))
     ramp = np.linspace(112, 84, height, dtype=np.float32)[:, None]
     luma = np.clip(ramp + grain * 2.0, 0, 255)
-    return (luma[..., None] * np.array((0.97, 1.0, 1.03), np.float32)).clip(0, 255).astype(np.uint8)
+    channels = [np.minimum(luma * np.float32(gain), 255) for gain in (0.97, 1.0, 1.03)]
+    return np.asarray(cv2.merge([channel.astype(np.uint8) for channel in channels]))
 
 
 def _box(
@@ -112,8 +114,21 @@ def _box(
     mask = np.zeros((height // 8, width // 8), np.uint8)
     cv2.rectangle(mask, (a[0] // 8, a[1] // 8), (b[0] // 8, b[1] // 8), 204, cv2.FILLED)
     mask = np.asarray(cv2.GaussianBlur(mask, (0, 0), soften_m * PX_PER_M / 8), np.uint8)
-    weight = np.asarray(cv2.resize(mask, (width, height)), np.float32)[..., None] / 255
-    image[:] = (image * (1 - weight) + np.array(colour, np.float32) * weight).astype(np.uint8)
+    weight = np.asarray(cv2.resize(mask, (width, height)), np.uint8)
+    blend(image, np.array(colour, np.float32), weight.astype(np.float32) / 255)
+
+
+def blend(image: Image, over: _Numbers, weight: _Numbers) -> None:
+    """Lay `over` on `image`, with a share of `weight`, (height, width), from 0 to 1.
+
+    over: (height, width, 3), or one colour, (3,). Only where there is any of it is it worked on.
+    """
+    left, top, columns, rows = cv2.boundingRect((weight > 0).astype(np.uint8))
+    # A few rows at a time: what lies between the steps then stays in the processor's cache.
+    for row in range(top, top + rows, 16):
+        part = slice(row, min(row + 16, top + rows)), slice(left, left + columns)
+        share, laid = weight[part][..., None], over if over.ndim == 1 else over[part]
+        image[part] = laid if share.min() >= 1 else image[part] * (1 - share) + laid * share
 
 
 def _sheen(image: Image) -> None:

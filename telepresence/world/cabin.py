@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420, empty_picture
 from telepresence.world.backdrop import Backdrop
+from telepresence.world.board import blend
 from telepresence.world.brush import Body, Brush, Points, Yuv, capsule, disc, finish, yuv
 from telepresence.world.lettering import Caption
 from telepresence.world.speech import loudness_at
@@ -223,7 +224,8 @@ def _draw_still(width: int, height: int, scale: float, origin: complex) -> Image
     ys, xs = np.mgrid[0 : height * 2, 0 : width * 2].astype(np.float32)
     x, y = (xs / 2 - origin.real) / scale, (ys / 2 - origin.imag) / scale
     light = 0.62 + 0.38 * np.exp(-(((x - 300) / 330) ** 2) - ((y - 60) / 330) ** 2)
-    image[:] = np.clip(light[..., None] * np.array((186, 190, 188)), 0, 255)
+    for channel, level in enumerate((186, 190, 188)):
+        image[..., channel] = light * np.float64(level)
 
     def at(px: float, py: float) -> tuple[int, int]:
         return round((px + origin.real / scale) * zoom), round((py + origin.imag / scale) * zoom)
@@ -311,10 +313,9 @@ def _window(image: Image, at: object, size: object) -> None:
         cv2.ellipse(view, at(x, y), axes, turn, 0, 360, (206, 220, 230), cv2.FILLED, cv2.LINE_AA)
     mask = np.zeros(image.shape[:2], np.uint8)
     cv2.circle(mask, centre, radius, 255, cv2.FILLED, cv2.LINE_AA)
-    weight = (mask / 255.0)[..., None]
     cv2.circle(image, centre, size(70), (98, 102, 106), cv2.FILLED, cv2.LINE_AA)
     cv2.circle(image, centre, size(63), (54, 58, 62), cv2.FILLED, cv2.LINE_AA)
-    image[:] = (view * weight + image * (1 - weight)).astype(np.uint8)
+    blend(image, view, mask / 255.0)
     for k in range(12):
         angle = math.pi * k / 6 + 0.2
         bolt = at(100 + 66.5 * math.cos(angle), 92 + 66.5 * math.sin(angle))

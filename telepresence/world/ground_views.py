@@ -21,6 +21,7 @@ from telepresence.world.board import (
     LED_COLOURS,
     LED_RADIUS_M,
     Image,
+    blend,
     draw_board,
     homography,
 )
@@ -112,8 +113,15 @@ class GroundView:
 
 
 @lru_cache(maxsize=1)
-def _board() -> Image:
-    return draw_board()
+def _board() -> tuple[Image, NDArray[np.float32]]:
+    """The drawing of the board, and how much of it there is: less and less at its edges."""
+    board = draw_board()
+    alpha = np.zeros(board.shape[:2], np.float32)
+    edge = 90
+    alpha[edge:-edge, edge:-edge] = 1.0
+    alpha = np.asarray(cv2.blur(alpha, (2 * edge - 1, 2 * edge - 1)), np.float32)
+    # Far away the drawing is made much smaller: soften it first, or its lines would crawl.
+    return np.asarray(cv2.GaussianBlur(board, (0, 0), 0.8), np.uint8), alpha
 
 
 def _draw_still(view: str, width: int, height: int, margin: int) -> Image:
@@ -126,17 +134,11 @@ def _draw_still(view: str, width: int, height: int, margin: int) -> Image:
         image = np.full((size[1], size[0], 3), 70, np.uint8)
     else:
         image = _room(camera, twice, size)
-    board = _board()
-    alpha = np.zeros(board.shape[:2], np.float32)
-    edge = 90
-    alpha[edge:-edge, edge:-edge] = 1.0
-    alpha = np.asarray(cv2.blur(alpha, (2 * edge - 1, 2 * edge - 1)))
+    board, alpha = _board()
     matrix = twice @ camera.plane_homography() @ homography()
-    # Far away the drawing is made much smaller: soften it first, or its lines would crawl.
-    soft = np.asarray(cv2.GaussianBlur(board, (0, 0), 0.8), np.uint8)
-    warped = cv2.warpPerspective(soft, matrix, size, flags=cv2.INTER_LINEAR)
-    weight = cv2.warpPerspective(alpha, matrix, size, flags=cv2.INTER_LINEAR)[..., None]
-    image = (image * (1 - weight) + warped * weight).astype(np.uint8)
+    warped = cv2.warpPerspective(board, matrix, size, flags=cv2.INTER_LINEAR)
+    weight = cv2.warpPerspective(alpha, matrix, size, flags=cv2.INTER_LINEAR)
+    blend(image, warped, weight)
     small = cv2.resize(image, (size[0] // 2, size[1] // 2), interpolation=cv2.INTER_AREA)
     return _expose(np.asarray(small, np.uint8), view)
 
