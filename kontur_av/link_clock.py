@@ -2,7 +2,8 @@
 
 A picture that is encoded while the channel is still busy waits behind the one before it, and is
 shown that much later. So the newest one is encoded when the channel will have run dry by the time
-that the coding is done. Where the newest one is old by then, the next one is waited for: so
+that the coding is done: the channel takes the one picture while the next one is encoded. Where the
+newest one is old by then, the next one is waited for: so
 encoding locks to the camera's own instants while pictures are small enough, and where they are not
 one is left out. Without that, one large picture is enough to make all that follow late, for as long
 as pictures fill the channel.
@@ -37,7 +38,8 @@ class LinkClock:
     pacer: of the stream. fps: the rate of pictures that the encoder was told.
 
     Tell it of each picture that comes (`handle_picture`), ask `poll_encode` then and at
-    `poll_timeout`, and tell it when the coding is done (`handle_encoded`).
+    `poll_timeout`, and tell it when the coding is done (`handle_encoded`): until then it has
+    no other picture encoded.
     """
 
     def __init__(self, pacer: Pacer, *, fps: float) -> None:
@@ -49,7 +51,8 @@ class LinkClock:
         #: When the newest picture came, and whether it still waits for a decision.
         self._came_ns = 0
         self._waits = False
-        self._begun_ns = 0
+        #: When the one that is being encoded was begun.
+        self._begun_ns: int | None = None
         self._waiting_octets = self._channel_free_ns = 0
         self._now_ns = 0
         self._counted_since_ns: int | None = None
@@ -86,12 +89,16 @@ class LinkClock:
         return True
 
     def poll_timeout(self) -> int | None:
-        """When `poll_encode` is worth the next call; None while no picture waits."""
+        """When `poll_encode` is worth the next call; None while no picture waits, or while one is
+        being encoded."""
         return self._due_ns()
 
     def handle_encoded(self, now_ns: int) -> None:
         """The picture that was to be encoded is."""
+        if self._begun_ns is None:
+            raise ValueError("no picture was to be encoded")
         self._coding_ns += (now_ns - self._begun_ns - self._coding_ns) // _SMOOTHING
+        self._begun_ns = None
 
     def next_rate_hz(self) -> float | None:
         """The rate at which pictures really come, once whenever the encoder should follow it."""
@@ -99,13 +106,10 @@ class LinkClock:
         return hz
 
     def _due_ns(self) -> int | None:
-        if not self._waits:
+        if not self._waits or self._begun_ns is not None:
             return None
         free_ns = max(self._pacer.start_ns(self._now_ns), self._channel_free_ns)
         due_ns = max(free_ns - self._coding_ns, self._came_ns)
-        if self._pacer.depth and (packet_ns := self._pacer.poll_timeout()) is not None:
-            # While it is encoded nothing leaves: what is under way goes first.
-            due_ns = max(due_ns, packet_ns + 1)
         if self._waiting_octets > self._pacer.picture_octets:
             # It may carry less than its rate: what it has is to be seen, not to be reckoned.
             due_ns = max(due_ns, self._now_ns + _LOOK_AGAIN_NS)

@@ -220,6 +220,10 @@ class Reader:
         self._subscriber.delete()
         self.ear.close()
 
+    def has_new(self) -> bool:
+        """Whether a sample is there that was not read yet."""
+        return bool(self._subscriber.has_samples())
+
     def next(self) -> Lease | None:
         """The oldest sample not yet read, or None."""
         sample = self._subscriber.receive()

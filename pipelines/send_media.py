@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Literal
 
+from kontur_av.bell import Sleeper
 from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
@@ -15,6 +16,7 @@ from kontur_av.link_clock import LinkClock
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
     VIDEO_CLOCK_HZ,
+    AccessUnit,
     CaptureStamp,
     VideoFrame,
     empty_picture,
@@ -33,6 +35,8 @@ from kontur_av.rtp.sdp import AUDIO_PAYLOAD_TYPE, VIDEO_PAYLOAD_TYPE
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from kontur_av.sources import open_audio, open_video
 from pipelines.command import parse_size
+from pipelines.cores.coding import Coding
+from pipelines.encoding import EncodingThread
 
 #: A block of sound that waits longer for its leave is not sent at all.
 _STALE_VOICE_NS = 100 * NS_PER_MS
@@ -53,7 +57,10 @@ def _sender(payload_type: int, clock_rate_hz: int, pacer: Pacer) -> RtpSender:
 
 
 class VideoOut:
-    """Pictures from their source to packets that wait in the pacer."""
+    """Pictures from their source to packets that wait in the pacer.
+
+    A picture is encoded in a thread of its own: the packets of the one before leave meanwhile.
+    """
 
     kind: Literal["video", "audio"] = "video"
 
@@ -72,7 +79,7 @@ class VideoOut:
     ) -> None:
         self._clock = clock
         self._refresh_s = refresh_s
-        self._encoder = H264Encoder(
+        encoder = H264Encoder(
             width=width,
             height=height,
             fps=fps,
@@ -81,7 +88,7 @@ class VideoOut:
             refresh_s=REFRESH_S if refresh_s is None else refresh_s,
             search=search,
         )
-        self.size, self.coded_size = (width, height), self._encoder.coded_size
+        self.size, self.coded_size = (width, height), encoder.coded_size
         #: What the source writes to, and the newest whole picture.
         self._coming, self._newest = empty_picture(width, height), empty_picture(width, height)
         self._stamp = CaptureStamp(0, 0, "none")
@@ -103,6 +110,8 @@ class VideoOut:
             clock=clock,
             scenes=_scenes("video") if spec.startswith("scene:") else None,
         )
+        self._encoding = EncodingThread(encoder, clock.now_ns)
+        self._sleeper = Sleeper([], [self._encoding.fileno()])
 
     @property
     def captured(self) -> int:
@@ -130,28 +139,38 @@ class VideoOut:
         return tuple(unit for unit in units if nal_type(unit) in (NAL_SPS, NAL_PPS))
 
     def step(self, timeout_ns: int) -> CaptureStamp | None:
-        """The stamp of the picture whose packets were queued, if one was within `timeout_ns`."""
+        """The stamp of the picture whose packets were queued, if one was within `timeout_ns`.
+
+        Returns as soon as there is anything to do.
+        """
+        if self._encoding.busy:
+            # A picture that comes meanwhile can wait: it would not be encoded sooner.
+            self._sleeper.sleep(timeout_ns)
+            unit = self._encoding.poll()
+            if unit is None:
+                return None
+            self._queue(unit)
+            return unit.stamp
         stamp = self.source.read(self._coming, timeout_ns)
         if stamp is not None:
             self._coming, self._newest = self._newest, self._coming
             self._stamp = stamp
             self._link_clock.handle_picture(stamp.capture_ns, self._clock.now_ns())
-        if not self._link_clock.poll_encode(self._clock.now_ns()):
-            return None
-        keyframe = self._listener.take(self._clock.now_ns())
-        self._follow()
-        frame = VideoFrame(self._newest, self._stamp)
-        unit = self._encoder.encode(frame, self._clock.now_ns, force_keyframe=keyframe)
+        now_ns = self._clock.now_ns()
+        if self._link_clock.poll_encode(now_ns):
+            self._encoding.submit(VideoFrame(self._newest, self._stamp), self._coding(now_ns))
+        return None
+
+    def _queue(self, unit: AccessUnit) -> None:
         self._link_clock.handle_encoded(unit.encoded_ns)
         self.encoded += 1
         self.encode_ns.add(unit.encoded_ns - unit.stamp.capture_ns)
         packets = self.rtp.video_packets(unit)
         octets = [len(packet) - RTP_HEADER_OCTETS for packet in packets]
         self.pacer.handle_access_unit(packets, octets, self._clock.now_ns())
-        return unit.stamp
 
     def poll_timeout(self) -> int | None:
-        """When to step again, whether a picture comes or not."""
+        """When to step again, whatever comes."""
         return self._link_clock.poll_timeout()
 
     def handle_feedback(self, datagram: bytes) -> None:
@@ -161,17 +180,21 @@ class VideoOut:
         if self._listener.garbage == garbage:
             self._heard_ns = now_ns
 
-    def _follow(self) -> None:
-        hz = self._link_clock.next_rate_hz()
+    def close(self) -> None:
+        """End the thread, and give the source back."""
+        self._encoding.close()
+        self.source.close()
+
+    def _coding(self, now_ns: int) -> Coding:
+        keyframe = self._listener.take(now_ns)
         # Whoever joins and is silent, or becomes so, cannot ask for a whole picture.
         since_ns = self._heard_ns
-        slow = since_ns is not None and self._clock.now_ns() - since_ns < _FEEDBACK_SILENCE_NS
+        slow = since_ns is not None and now_ns - since_ns < _FEEDBACK_SILENCE_NS
         refresh_s = None
         if slow != self._slow_refresh and self._refresh_s is None:
             self._slow_refresh = slow
             refresh_s = SLOW_REFRESH_S if slow else REFRESH_S
-        if hz is not None or refresh_s is not None:
-            self._encoder.follow(hz=hz, refresh_s=refresh_s)
+        return Coding(keyframe, self._link_clock.next_rate_hz(), refresh_s)
 
 
 class AudioOut:
@@ -201,6 +224,10 @@ class AudioOut:
 
     def handle_feedback(self, datagram: bytes) -> None:
         pass
+
+    def close(self) -> None:
+        """Give the source back."""
+        self.source.close()
 
     def step(self, timeout_ns: int) -> CaptureStamp | None:
         """As that of `VideoOut`, for a block of sound."""
@@ -238,7 +265,7 @@ def open_media(args: argparse.Namespace, clock: MonotonicClock) -> Iterator[Vide
     try:
         yield media
     finally:
-        media.source.close()
+        media.close()
 
 
 def _scenes(kind: str) -> Mapping[str, Any]:

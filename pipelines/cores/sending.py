@@ -3,18 +3,18 @@
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_S
-from kontur_av.h264 import REFRESH_S, SLOW_REFRESH_S, H264Encoder
+from kontur_av.h264 import REFRESH_S, SLOW_REFRESH_S
 from kontur_av.link_clock import LinkClock
-from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp, VideoFrame
+from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp
 from kontur_av.opus import heard_stamp
 from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from kontur_av.sources.source import BLOCK_NS
+from pipelines.cores.coding import Coding
 from pipelines.cores.gain import CapGain
 from pipelines.names import REPORT_INTERVAL_NS, VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE, cname
 from pipelines.probe import Probe
@@ -108,35 +108,13 @@ class _Sending:
         probe.total("rtp_packets_sent", self._rtp.packets_sent)
 
 
-class Coding(NamedTuple):
-    """How to encode a picture.
-
-    keyframe: as one at which any decoder can start. rate_hz: at which pictures come from now on;
-    refresh_s: from one refresh wave to the next from now on; cap_bps: under which cap from now on;
-    None: as before.
-    """
-
-    keyframe: bool
-    rate_hz: float | None
-    refresh_s: float | None
-    cap_bps: int | None = None
-
-
-def encode(
-    encoder: H264Encoder, frame: VideoFrame, coding: Coding, now: Callable[[], int]
-) -> AccessUnit:
-    """The picture, encoded as `VideoSending` wants it; `now()` is asked when it is done."""
-    if (coding.rate_hz, coding.refresh_s, coding.cap_bps) != (None, None, None):
-        encoder.follow(hz=coding.rate_hz, refresh_s=coding.refresh_s, cap_bps=coding.cap_bps)
-    return encoder.encode(frame, now, force_keyframe=coding.keyframe)
-
-
 class VideoSending(_Sending):
     """Says when to encode the newest picture, and paces what comes out.
 
     Tell it of each picture that comes (`handle_picture`) and of what waits in the gateway
     (`handle_link`), then and at `poll_timeout` ask `poll_encode`; if it says so, encode the newest
-    picture, and give what the encoder made to `handle_access_unit`.
+    picture, and give what the encoder made to `handle_access_unit`. Until then it goes on pacing,
+    and wants no other picture encoded.
 
     gain: by how much its cap follows what `handle_freed` tells.
     """

@@ -3,7 +3,8 @@
 from kontur_av.h264 import H264Encoder
 from kontur_av.topics import Lease
 from pipelines.cores.gain import gain_of
-from pipelines.cores.sending import VideoSending, encode
+from pipelines.cores.sending import VideoSending
+from pipelines.encoding import EncodingThread
 from pipelines.names import BACKLOG, backlog_topic
 from pipelines.parts.sending import Outgoing, random_identity
 from pipelines.process import PATIENCE_NS, Context
@@ -26,23 +27,32 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
     outgoing = Outgoing(context, stream, sending)
     feedback = context.listen(context.setup.ports.exit(feedback_flow(stream.name)))
     context.on_flush(sending.tell)
-    with context.open_bus() as bus:
+    with (
+        context.open_bus() as bus,
+        # It ends before the bus does: till then it may be reading shared memory.
+        EncodingThread(encoder, clock.now_ns) as encoding,
+    ):
         reader = bus.reader(topic)
         backlog_reader = bus.reader(backlog_topic(profile.name))
-        # The newest picture, held until it is encoded or a newer one comes.
+        waiter = bus.waiter([reader], [feedback.fileno(), encoding.fileno()])
+        # The newest picture, held until it is encoded or a newer one comes, and the one that is
+        # being encoded.
         held: Lease | None = None
+        encoded: Lease | None = None
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             due_ns = sending.poll_timeout()
-            reader.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
-            skipped = reader.skipped
-            newer = reader.latest()
-            if newer is not None:
+            waiter.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
+            if reader.has_new():
                 if held is not None:
+                    # First, because a reader holds no more than two and one that it takes.
                     held.release()
-                held = newer
-                sending.handle_picture(held.stamp, clock.now_ns(), skipped=reader.skipped - skipped)
+                skipped = reader.skipped
+                held = reader.latest()
+                if held is not None:
+                    skipped = reader.skipped - skipped
+                    sending.handle_picture(held.stamp, clock.now_ns(), skipped=skipped)
             told = backlog_reader.latest()
             if told is not None:
                 with told:
@@ -53,14 +63,20 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
             outgoing.send_due()
             while (datagram := context.receive(feedback)) is not None:
                 sending.handle_feedback(datagram, clock.now_ns())
+            unit = encoding.poll()
+            if unit is not None and encoded is not None:
+                encoded.release()
+                encoded = None
+                sending.handle_access_unit(unit)
+                outgoing.send_due()
             if held is not None:
                 coding = sending.poll_encode(clock.now_ns())
                 if coding is not None:
-                    with held:
-                        unit = encode(encoder, held.video(), coding, clock.now_ns)
-                    held = None
-                    sending.handle_access_unit(unit)
-            outgoing.send_due()
-        if held is not None:
-            held.release()
+                    encoding.submit(held.video(), coding)
+                    held, encoded = None, held
+        encoding.close()
+        for lease in (held, encoded):
+            if lease is not None:
+                lease.release()
         outgoing.close()
+        del waiter

@@ -1,4 +1,4 @@
-"""The sending processes of a simulated session: each does one thing at a time, and takes time."""
+"""The sending processes of a simulated session: encoding takes its time."""
 
 from collections import deque
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from telepresence.world import WorldState
 
 
 class _Sender:
-    """While it encodes nothing leaves: the live process, too, does one after the other."""
+    """Sends what is due, and looks for what to encode."""
 
     def __init__(
         self,
@@ -31,6 +31,7 @@ class _Sender:
         self._agenda = agenda
         self._gateway = gateway
         self._ntp = ntp
+        #: Whether it is encoding.
         self._busy = False
         self._timer = Timer(agenda, self._wake)
         self.tell = sending.tell
@@ -39,8 +40,6 @@ class _Sender:
         self._send_due(now_ns)
 
     def _send_due(self, now_ns: int) -> None:
-        if self._busy:
-            return
         handle_datagram = self._gateway.handle_datagram
         while (packet := self._sending.poll_transmit(now_ns)) is not None:
             handle_datagram(self._rtp, packet, now_ns)
@@ -51,7 +50,10 @@ class _Sender:
 
 
 class VideoSender(_Sender):
-    """Encodes the newest picture when the stream's budget has room for one."""
+    """Encodes the newest picture when the stream's budget has room for one.
+
+    Meanwhile packets leave: the live process encodes in a thread of its own.
+    """
 
     def __init__(
         self,
@@ -101,13 +103,15 @@ class VideoSender(_Sender):
         self._core.handle_freed(self._gateway.freed_bps, now_ns)
         self._core.handle_access_unit(AccessUnit(data, stamp, keyframe, now_ns))
         self._busy = False
-        # What became due while it was encoding goes before it looks for a picture again.
         self._send_due(now_ns)
         self._look(now_ns)
 
 
 class VoiceSender(_Sender):
-    """Encodes every block of sound as it comes."""
+    """Encodes every block of sound as it comes.
+
+    Meanwhile nothing leaves: the live process, too, does one after the other.
+    """
 
     def __init__(
         self,
@@ -130,6 +134,10 @@ class VoiceSender(_Sender):
         """A block of sound is complete; state: of the world, None for a file's."""
         self._waiting.append((stamp, state))
         self._look(now_ns)
+
+    def _wake(self, now_ns: int) -> None:
+        if not self._busy:
+            self._send_due(now_ns)
 
     def _look(self, now_ns: int) -> None:
         while self._waiting and not self._busy:

@@ -16,7 +16,7 @@ from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.stereo import merge
 from kontur_av.voice import VoicePlayer
-from pipelines.cores.sending import Coding, encode
+from pipelines.cores.coding import Coding, encode
 from pipelines.setup import VideoStream, VoiceStream
 from telepresence.world import WorldState, audio_scenes, render
 

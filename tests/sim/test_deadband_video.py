@@ -88,10 +88,9 @@ class Ground:
                 octets = round(cap_bps / 240 * self.random.uniform(0.7, 1.5))
                 nal = b"\0\0\0\1\x41" + bytes(0x55 for _ in range(octets))
                 sending.handle_access_unit(AccessUnit(nal, stamp, False, now_ns))
-            if ready_ns is None:
-                while (packet := sending.poll_transmit(now_ns)) is not None:
-                    self.left.append((now_ns, len(packet) - RTP_HEADER_OCTETS))
-                    gateway.handle_datagram("uplink_video", packet, now_ns)
+            while (packet := sending.poll_transmit(now_ns)) is not None:
+                self.left.append((now_ns, len(packet) - RTP_HEADER_OCTETS))
+                gateway.handle_datagram("uplink_video", packet, now_ns)
             self.caps.append(self.probe.rows("out")[-1] if self.left else STREAM.cap_bps)
         return self
 

@@ -56,6 +56,8 @@ SHELLS = {
     "pipelines/datagrams.py": "the sockets of a gateway",
     "pipelines/devices.py": "asks the system for its devices",
     "pipelines/doctor.py": "asks the system for everything",
+    "pipelines/doorbell.py": "a file descriptor",
+    "pipelines/encoding.py": "a thread",
     "pipelines/launcher.py": "processes",
     "pipelines/link.py": "a command",
     "pipelines/probe.py": "the socket of a process to its launcher",

@@ -39,6 +39,29 @@ def test_a_picture_is_encoded_when_the_channel_will_be_dry_by_then():
     assert clock.poll_encode(due_ns)
 
 
+def test_packets_that_wait_for_their_leave_do_not_hold_the_next_coding_back():
+    pacer = Pacer(cap_bps=80_000)
+    clock = LinkClock(pacer, fps=30)
+    pacer.handle_access_unit([bytes(270), bytes(20)], [270, 20], 0)  # 27 and 2 ms of the channel
+    assert pacer.poll_transmit(0)
+    clock.handle_picture(0, 20 * MS)
+    due_ns = clock.poll_timeout()
+    assert due_ns == 26 * MS < pacer.poll_timeout()
+    assert clock.poll_encode(due_ns)
+
+
+def test_one_picture_is_encoded_at_a_time():
+    clock = clock_with()
+    clock.handle_picture(0, 0)
+    assert clock.poll_encode(0)
+    clock.handle_picture(PERIOD, PERIOD)
+    assert clock.poll_timeout() is None
+    assert not clock.poll_encode(PERIOD)
+    clock.handle_encoded(PERIOD + 5 * MS)
+    assert clock.poll_encode(PERIOD + 5 * MS)
+    assert clock.refused == 0
+
+
 def test_an_old_picture_gives_way_to_the_next_but_not_for_ever():
     clock = clock_with(300)
     clock.handle_picture(0, 10 * MS)

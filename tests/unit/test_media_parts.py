@@ -266,6 +266,37 @@ def test_pictures_of_the_setups_own_size_are_shown_and_larger_ones_counted(sessi
     assert listen().totals["frames_oversized"] == (0 if lease else 3)
 
 
+def test_an_encoder_that_fails_ends_its_process(session, monkeypatch):
+    stream = SETUP.uplink_video
+
+    def fail(self, *_, **__):
+        raise RuntimeError("out of order")
+
+    monkeypatch.setattr(H264Encoder, "encode", fail)
+    # Ports of its own: what has failed keeps its sockets.
+    setup = replace(SETUP, base_port=29_340)
+    context = Context(session=session, setup=setup, clock=CLOCK, probe=Probe(None))
+    over = threading.Event()
+    with TopicBus(session) as bus:
+        pictures = bus.writer(SELECTED_TOPIC, max_octets=stream.width * stream.height * 3 // 2)
+        picture = empty_picture(stream.width, stream.height)
+        picture[:] = 128
+
+        def film():
+            while not over.wait(0.02):
+                stamp = CaptureStamp(CLOCK.now_ns(), 0, "static")
+                pictures.publish_video(VideoFrame(picture, stamp))
+
+        camera = threading.Thread(target=film)
+        camera.start()
+        try:
+            with pytest.raises(RuntimeError, match="out of order"):
+                run_video_send(context, stream=stream, topic=SELECTED_TOPIC)
+        finally:
+            over.set()
+            camera.join()
+
+
 def test_nothing_is_encoded_while_the_link_is_behind(session):
     """A link that leaves out slots carries less than the cap: the pacer alone would not see it."""
     stream = SETUP.uplink_video

@@ -1,0 +1,100 @@
+"""A picture that takes long to encode is in time: the one before leaves meanwhile."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
+from kontur_av.h264 import H264Encoder
+from kontur_av.media import CaptureStamp, VideoFrame
+from pipelines.cores.coding import encode
+from pipelines.cores.sending import RtpIdentity, VideoSending
+from pipelines.probe import Probe
+from pipelines.setup import VideoStream
+from pipelines.sim.agenda import Agenda
+from pipelines.sim.costs import CodingCosts
+from pipelines.sim.senders import VideoSender
+from pipelines.sim.workers import Job
+
+STREAM = VideoStream(name="video", cap_bps=512_000)
+CHANNEL_BPS = 530_000
+SECONDS = 8
+#: From a picture's capture to the sender, and from its last octet to the screen.
+COMING_NS, SHOWING_NS = NS_PER_MS // 2, 3 * NS_PER_MS
+
+
+class Studio:
+    """Encodes at once; the time that takes is virtual."""
+
+    def __init__(self, pictures):
+        self.pictures = pictures
+        self.encoded = []
+        self.encoder = H264Encoder(
+            width=STREAM.width, height=STREAM.height, fps=STREAM.fps, cap_bps=STREAM.cap_bps
+        )
+
+    def submit(self, job):
+        number, coding = job
+        self.encoded.append(number)
+        frame = VideoFrame(self.pictures[number], CaptureStamp(0, number, "test"))
+        unit = encode(self.encoder, frame, coding, lambda: 0)
+        done = Job(None)
+        done.set((unit.data, unit.keyframe))
+        return done
+
+
+class Channel:
+    """Carries one octet after the other. arrived_ns: the last one of each picture."""
+
+    freed_bps, contacts = 0, 1
+    supervisor = SimpleNamespace(signal=True)
+    sender = SimpleNamespace(waiting_octets=lambda level: 0)
+
+    def __init__(self):
+        self.free_ns = 0
+        self.arrived_ns = []
+
+    def handle_datagram(self, flow, packet, now_ns):
+        octets_ns = len(packet) * 8 * NS_PER_S // CHANNEL_BPS
+        self.free_ns = max(self.free_ns, now_ns) + octets_ns
+        if flow == STREAM.name and packet[1] & 0x80:
+            self.arrived_ns.append(self.free_ns)
+
+
+# Of a period of 33 ms, in which a picture fills the channel for 32.
+@pytest.mark.parametrize("coding_ms", [14, 22])
+def test_coding_and_sending_overlap(pictures, coding_ms):
+    film = pictures("bikes.mp4", SECONDS * STREAM.fps)
+    studio, channel, agenda = Studio(film), Channel(), Agenda()
+    sender = VideoSender(
+        STREAM.name,
+        VideoSending(
+            STREAM, SimpleNamespace(media_bps=CHANNEL_BPS), RtpIdentity(1, 2, 3), Probe(None)
+        ),
+        agenda=agenda,
+        gateway=channel,
+        ntp=ManualClock().ntp,
+        studio=studio,
+        costs=CodingCosts(encode_ms=coding_ms),
+    )
+    captured_ns = [number * NS_PER_S // STREAM.fps for number in range(len(film))]
+
+    def come(number):
+        stamp = CaptureStamp(captured_ns[number], number, "test")
+        return lambda now_ns: sender.handle_picture(number, stamp, now_ns)
+
+    for number, instant_ns in enumerate(captured_ns):
+        agenda.at(instant_ns + COMING_NS, come(number))
+    while agenda.next_ns < (SECONDS + 1) * NS_PER_S:
+        agenda.do_next()
+
+    # One after the other, 22 ms of coding gave 25 pictures a second.
+    settled = [number for number in studio.encoded if number >= STREAM.fps]
+    assert len(settled) >= 29.5 * (SECONDS - 1)
+    latency_ms = [
+        (arrived_ns + SHOWING_NS - captured_ns[number]) / NS_PER_MS
+        for number, arrived_ns in zip(studio.encoded, channel.arrived_ns, strict=True)
+        if number >= STREAM.fps
+    ]
+    assert np.percentile(latency_ms, 99) <= 60
