@@ -56,16 +56,14 @@ class Click:
 
     instant_ns: when it was heard. tag: that of its block, and offset_ns: how far into that block
     it began; below 0 if a block that was told of later shows it. strength: its peak's envelope in
-    the band, in counts of int16. next_tag: of the block after its own, None if that is not known;
-    length_ns: how long its own took.
+    the band, in counts of int16. length_ns: how long its block is heard.
     """
 
     instant_ns: int
     tag: int
     offset_ns: int
     strength: float
-    next_tag: int | None = None
-    length_ns: int = 0
+    length_ns: int
 
 
 class ClickDetector:
@@ -169,9 +167,8 @@ class ClickDetector:
         while number and self._blocks[number][0] > sample:
             number -= 1
         begin, now_ns, tag, count = self._blocks[number]
-        next_tag = self._blocks[number + 1][2] if number + 1 < len(self._blocks) else None
         offset_ns = _ns(sample - begin)
-        return Click(now_ns + offset_ns, tag, offset_ns, peak, next_tag, _ns(count))
+        return Click(now_ns + offset_ns, tag, offset_ns, peak, _ns(count))
 
     def _forget(self) -> None:
         """Drop what no click that is still to be judged can need."""

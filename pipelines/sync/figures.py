@@ -9,6 +9,7 @@ from typing import Any
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.sync.limits import LIMITS
 from pipelines.sync.matching import Found, match
+from pipelines.sync.verdict import judge
 
 #: The senses, and what carries them to the operator.
 SENSES = {"light": "uplink_video", "click": "uplink_voice", "force": "haptic_up"}
@@ -21,11 +22,6 @@ PAIRS = {
     "audio_video": ("click", "light"),
 }
 
-#: How far the stamps may lie beside what is shown, in the median: sound and touch. A picture may
-#: be dated later by up to the time since the one before, and this.
-TOLERANCE_NS = 2 * NS_PER_MS
-#: From so many contacts on there is a verdict.
-LEAST_VERDICT = 3
 #: A contact so soon after another is a bounce of it.
 _BOUNCE_NS = 300 * NS_PER_MS
 #: So long before the end of what is known a contact may not have been perceived yet.
@@ -145,12 +141,7 @@ class SyncFigures:
             for instant_ns, found in perceived
             if found.stamp_ns is not None
         ]
-        errors = sorted(stamp_ns - instant_ns for instant_ns, _, stamp_ns in stamped)
-        slack = sorted(found.slack_ns for _, found, _ in stamped)
-        allowed = -TOLERANCE_NS, TOLERANCE_NS + (rank(slack, 50) if slack else 0)
-        agrees = None
-        if len(errors) >= LEAST_VERDICT:
-            agrees = allowed[0] <= rank(errors, 50) <= allowed[1]
+        verdict = judge(perceived)
         return {
             "stream": SENSES[sense],
             "perceived": len(perceived),
@@ -159,9 +150,14 @@ class SyncFigures:
             "stamped_latency_ms": summary_ms(
                 [found.instant_ns - stamp_ns for _, found, stamp_ns in stamped]
             ),
-            "stamp_error_ms": summary_ms(errors),
-            "allowed_error_ms": [round(value / NS_PER_MS, 3) for value in allowed],
-            "agrees": agrees,
+            "stamp_error_ms": summary_ms([stamp_ns - at for at, _, stamp_ns in stamped]),
+            "judged": verdict.judged,
+            "judged_error_ms": _ms(verdict.median_ns),
+            "confident_ms": None
+            if verdict.between_ns is None
+            else list(map(_ms, verdict.between_ns)),
+            "allowed_error_ms": list(map(_ms, verdict.allowed_ns)),
+            "agrees": verdict.agrees,
             "found": len(self._found[sense]),
         }
 
@@ -172,10 +168,12 @@ def disagreements(report: dict[str, Any] | None) -> list[str]:
     for sense, figures in (report or {"senses": {}})["senses"].items():
         if figures is not None and figures["agrees"] is False:
             least, most = figures["allowed_error_ms"]
+            low, high = figures["confident_ms"]
             lines.append(
                 f"{figures['stream']}: stamps and content disagree: by its stamps a {sense} was "
-                f"captured {figures['stamp_error_ms']['p50']:+.1f} ms after the contact that made "
-                f"it ({least:+.1f} to {most:+.1f} are explained)"
+                f"captured {figures['judged_error_ms']:+.1f} ms after the contact that made it "
+                f"({least:+.1f} to {most:+.1f} are explained; {figures['judged']} say so, "
+                f"{low:+.1f} to {high:+.1f} with 95 % confidence)"
             )
     return lines
 
@@ -215,6 +213,10 @@ def summary_ms(values_ns: Sequence[int]) -> dict[str, float]:
 def rank(ordered: Sequence[int], p: float) -> int:
     """The smallest of the ascending values that at least `p` percent do not exceed."""
     return ordered[max(0, ceil(len(ordered) * p / 100) - 1)]
+
+
+def _ms(value_ns: int | None) -> float | None:
+    return None if value_ns is None else round(value_ns / NS_PER_MS, 3)
 
 
 def _listed(event: Event, start_ns: int) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
+from kontur_av.sources.source import BLOCK_NS
 from pipelines.probe import Probe
 from pipelines.sync.figures import SENSES
 
@@ -86,9 +87,11 @@ def tell_light(probe: Probe, stream: str, light: Light, captured_ns: Mapping[int
 def tell_click(probe: Probe, stream: str, click: Click, captured_ns: Mapping[int, int]) -> None:
     """Put a click into the probe. captured_ns: when the blocks were captured, by their tags."""
     try:
-        capture_ns = captured_ns[click.tag] + click.offset_ns
+        capture_ns = captured_ns[click.tag]
     except KeyError:
         return
+    # However long the playout let the block sound: it shortens and stretches, in a pause by half.
+    capture_ns += click.offset_ns * BLOCK_NS // click.length_ns
     probe.row(f"click.{stream}", click.instant_ns, capture_ns, 0, round(click.strength))
 
 
