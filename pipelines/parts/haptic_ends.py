@@ -68,10 +68,14 @@ def _run_loop(
         end.handle_cycle,
     )
     poll_transmit, next_event, ask = end.poll_transmit, end.next_event, more.poll
-    add_lateness = probe.rows("lateness").append
+    # A list, because an array asks of each number what it is.
+    lateness: list[int] = []
+    lateness_rows, add_lateness = probe.rows("lateness"), lateness.append
 
     def fill() -> None:
         end.tell()
+        lateness_rows.extend(lateness)
+        lateness.clear()
         probe.total("slips", schedule.slips)
         probe.total("cycles", schedule.cycles)
 

@@ -119,9 +119,10 @@ class HapticLink(Generic[Out, In]):
         self._strange_run = 0
         self._hearing = False
         self._events: deque[HapticEvent] = deque(maxlen=64)
-        # Sequence number, instant, sequence number, instant …: a pair a sample would be an
-        # object a millisecond, which nobody looks at before the next report.
-        self._sent_stamps: deque[int] = deque(maxlen=2 * _STAMPS_DEPTH)
+        # Kept objects have each millisecond begin in memory that no cache has, so there are few:
+        # the numbers of what was sent follow from `sent`, and of what was received come sequence
+        # number, instant, sequence number, instant …
+        self._sent_ns: deque[int] = deque(maxlen=_STAMPS_DEPTH)
         self._received_stamps: deque[int] = deque(maxlen=2 * _STAMPS_DEPTH)
 
     def handle_local(self, value: Out, now_ns: int) -> None:
@@ -138,7 +139,8 @@ class HapticLink(Generic[Out, In]):
         due = (self._newest_sequence + 1) % SEQUENCE_MODULUS
         if sequence == due and self._newest is not None:
             self._newest_sequence = sequence
-            self._seen = (self._seen << 1 | 1) & _WINDOW_MASK
+            if self._seen != _WINDOW_MASK:
+                self._seen = (self._seen << 1 | 1) & _WINDOW_MASK
             self._strange_run = 0
             accepted = True
         else:
@@ -148,8 +150,9 @@ class HapticLink(Generic[Out, In]):
             self.peer_holds = bool(flags & FLAG_HOLDING)
             self._newest = value
             self._newest_ns = now_ns
-            self._received_stamps.append(sequence)
-            self._received_stamps.append(now_ns)
+            stamps = self._received_stamps
+            stamps.append(sequence)
+            stamps.append(now_ns)
             if not self._hearing:
                 self._hearing = True
                 self._events.append(PeerFound(now_ns))
@@ -179,8 +182,7 @@ class HapticLink(Generic[Out, In]):
         data = self._pack(sequence, local, not self._hearing)
         self._local = None
         self.sent += 1
-        self._sent_stamps.append(sequence)
-        self._sent_stamps.append(now_ns)
+        self._sent_ns.append(now_ns)
         return data
 
     def poll_timeout(self) -> int | None:
@@ -193,11 +195,20 @@ class HapticLink(Generic[Out, In]):
 
     def take_sent_stamps(self) -> list[tuple[int, int]]:
         """(sequence, instant in ns) of what was sent since the last call, for a latency meter."""
-        return _take(self._sent_stamps)
+        first = self.sent - len(self._sent_ns)
+        taken = [
+            (sequence % SEQUENCE_MODULUS, instant_ns)
+            for sequence, instant_ns in enumerate(self._sent_ns, first)
+        ]
+        self._sent_ns.clear()
+        return taken
 
     def take_received_stamps(self) -> list[tuple[int, int]]:
         """(sequence, instant in ns) of what was received, and was the newest, since last time."""
-        return _take(self._received_stamps)
+        flat = iter(self._received_stamps)
+        taken = list(zip(flat, flat, strict=True))
+        self._received_stamps.clear()
+        return taken
 
     def report(self) -> dict[str, int]:
         """The counters by name."""
@@ -276,10 +287,3 @@ def robot_link(
     """The end at the robot: sends feedback, receives commands."""
     band = feedback_deadband() if deadband else None
     return HapticLink(pack_feedback, read_command, max_age_ns=max_age_ns, deadband=band)
-
-
-def _take(stamps: deque[int]) -> list[tuple[int, int]]:
-    flat = iter(stamps)
-    taken = list(zip(flat, flat, strict=True))
-    stamps.clear()
-    return taken

@@ -57,7 +57,9 @@ class StepDetector:
         change = dx * dx + dy * dy
         if contact is False or change < _NOISE_N * _NOISE_N:
             self._rising_ns = None
-            self._follow(dx, dy)
+            # As `_follow`, without the call: this is what nearly all samples come to.
+            self._base_x += dx * _FOLLOW
+            self._base_y += dy * _FOLLOW
             if not self._armed:
                 self._rest(now_ns)
             return

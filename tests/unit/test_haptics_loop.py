@@ -41,6 +41,24 @@ def test_the_newest_sample_wins_and_a_late_one_is_not_used() -> None:
     assert link.take_received_stamps() == []
 
 
+def test_what_was_sent_is_dated_by_its_number_also_where_that_wraps_and_the_oldest_go() -> None:
+    link = robot_link()
+    numbers = []
+    for now_ns in range(65_530, 65_540):
+        link.sent = now_ns
+        link.handle_local(Feedback(0.0, 0.0, 0, False), now_ns)
+        data = link.poll_transmit(now_ns)
+        assert data is not None
+        numbers.append(unpack_feedback(data).sequence)
+    stamps = list(zip(numbers, range(65_530, 65_540), strict=True))
+    assert stamps[6] == (0, 65_536) and link.take_sent_stamps() == stamps
+    assert link.take_sent_stamps() == []
+    for now_ns in range(20_000):
+        link.handle_local(Feedback(0.0, 0.0, 0, False), now_ns)
+        link.poll_transmit(now_ns)
+    assert link.take_sent_stamps()[0] == ((65_540 + 20_000 - 8192) % 65_536, 20_000 - 8192)
+
+
 def test_an_outage_is_counted_as_loss_even_when_it_is_long() -> None:
     link = robot_link()
     link.handle_datagram(pack_command(0, command(0.0)), 0)

@@ -217,6 +217,17 @@ def test_whatever_the_sensors_say_force_stays_within_what_is_allowed(script, cal
         assert reading.present or state is State.FATAL
 
 
+def test_a_sensor_that_fails_is_noticed_in_the_very_cycle():
+    # Not by the look at what counts in seconds, which is taken every ten cycles only.
+    for wait in range(10):
+        session = Session().into_application().run(wait / 1000)
+        wrong = session.device.read()._replace(vx_m_s=100.0)
+        session.device.read = lambda wrong=wrong: wrong
+        session.run(0.001)
+        assert session.operation.state is not State.APPLICATION
+        assert session.handle.force_limit_n == 0.0
+
+
 def test_the_samples_carry_its_state_and_the_fatal_one_is_final():
     device = SimulatedDevice(FAULTS["unplugged"], hand=Hand())
     handle = OperatedHandle(device)

@@ -3,7 +3,7 @@
 from collections import deque
 from typing import Any
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.operation import Operation
 from telepresence.haptics.device.states import State
@@ -12,6 +12,8 @@ from telepresence.haptics.sample import Feedback
 
 #: Only here is a reading a place: before, the encoders' zero is anywhere.
 _PLACED = (State.CALIBRATED, State.APPLICATION, State.HALTED)
+#: A silence is counted in seconds: that the robot is heard is told no more often than this.
+_HEARD_NS = 20 * NS_PER_MS
 
 
 class OperatedHandle:
@@ -30,7 +32,10 @@ class OperatedHandle:
         self.dead_man = False
         self.buttons = 0
         self.state = int(State.INIT)
+        self._known = State.INIT
+        self._placed = False
         self._leds = 0
+        self._heard_ns = 0
         self._now_ns = 0
         self._log: deque[dict[str, Any]] = deque(maxlen=20)
 
@@ -41,8 +46,11 @@ class OperatedHandle:
 
     def handle_feedback(self, feedback: Feedback) -> None:
         """A fresh sample of the robot: it is heard, and its LED is lit on the joystick too."""
-        self.operation.handle_heard(self._now_ns)
-        lit = feedback.lit
+        now_ns = self._now_ns
+        if now_ns >= self._heard_ns:
+            self._heard_ns = now_ns + _HEARD_NS
+            self.operation.handle_heard(now_ns)
+        lit = feedback[5]
         self._leds = 0 if lit is None else 1 << lit
 
     def report(self) -> dict[str, Any]:
@@ -66,8 +74,9 @@ class OperatedHandle:
         self._now_ns = now_ns = self._now_ns + dt_ns
         reading = operation.handle_reading(now_ns)
         state = operation.machine.state
-        self.state = int(state)
-        if state in _PLACED:
-            self.x_m, self.y_m = reading.x_m, reading.y_m
-        self.dead_man, self.buttons = reading.dead_man, reading.buttons
+        if state is not self._known:
+            self._known, self.state, self._placed = state, int(state), state in _PLACED
+        if self._placed:
+            self.x_m, self.y_m = reading[0], reading[1]
+        self.buttons, self.dead_man = reading[4], reading[5]
         self.force_limit_n = operation.force_limit_n

@@ -26,6 +26,10 @@ _RETURN_NS = 300 * NS_PER_MS
 #: the way to the robot are those of a hand that feels it. Chosen.
 FELT_BY_NOBODY_N = 10.0
 
+#: As long as nothing but the sensors can have changed, only they are judged in each cycle; the
+#: rest, which counts in seconds and minutes, is looked at so often.
+_LOOK_NS = 10 * NS_PER_MS
+
 #: What is refused as long as the supervisor has a reason to halt.
 _NEED_HEALTH = (Event.CALIBRATE, Event.START, Event.RESUME)
 
@@ -72,6 +76,9 @@ class Operation:
         self._held_since_ns: int | None = None
         #: The force is back in full since the dead-man button was pressed.
         self._returned = False
+        #: Until then the sensors alone are judged, by these limits: see `Supervisor.sensible`.
+        self._look_ns = 0
+        self._sensible = self.supervisor.sensible
 
     @property
     def state(self) -> State:
@@ -109,6 +116,7 @@ class Operation:
         """A person asks for `event`: "" if it was done, else one line that says why not."""
         if event not in REQUESTS:
             return f"{event.value}: nothing that can be asked for"
+        self._look_ns = 0
         verdict = self.supervisor.verdict
         if event in _NEED_HEALTH and verdict is not Verdict.WELL:
             return f"{event.value}: not yet, {self.supervisor.reason}"
@@ -131,8 +139,21 @@ class Operation:
     def handle_reading(self, now_ns: int) -> Reading:
         """Read the device, judge what it says, and go on with what is under way."""
         self.reading = reading = self.device.read()
+        if now_ns < self._look_ns:
+            x_m, y_m, vx_m_s, vy_m_s, _, dead_man, _, present = reading
+            reach_x, reach_y, speed = self._sensible
+            if (
+                dead_man
+                and present
+                and -reach_x <= x_m <= reach_x
+                and -reach_y <= y_m <= reach_y
+                and -speed <= vx_m_s <= speed
+                and -speed <= vy_m_s <= speed
+            ):
+                return reading
+        self._look_ns = 0
         supervisor, machine = self.supervisor, self.machine
-        # Compared by identity, and nothing looked up twice: this is done a thousand times a second.
+        # Compared by identity, and nothing looked up twice.
         verdict = supervisor.handle_reading(reading, now_ns)
         if verdict is not _WELL:
             self._handle_verdict(verdict, now_ns)
@@ -141,6 +162,7 @@ class Operation:
             self._go_on(reading, now_ns)
         elif self._returned and reading.dead_man:
             self.force_limit_n = self._most_n * supervisor.share
+            self._look_ns, self._sensible = now_ns + _LOOK_NS, supervisor.sensible
         else:
             self._allow(reading, now_ns)
         return reading

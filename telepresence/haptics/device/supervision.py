@@ -82,6 +82,11 @@ class Supervisor:
         self._speed_m_s = self.limits.speed_m_s
         self.forget_workspace()
 
+    @property
+    def sensible(self) -> tuple[float, float, float]:
+        """Farthest place along x and along y (m), and the highest speed (m/s), that make sense."""
+        return self._reach_x_m, self._reach_y_m, self._speed_m_s
+
     def handle_heard(self, now_ns: int) -> None:
         """A sample of the peer is fresh."""
         self._heard_ns = now_ns
