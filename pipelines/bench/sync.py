@@ -207,8 +207,8 @@ def _senses(senses: Mapping[str, Mapping[str, Any] | None]) -> Table:
         title="from the contact to the operator, ms",
         title_justify="left",
         box=SIMPLE_HEAD,
-        caption="stamp error: when the stamps say that it happened, less when it did, p50; of a "
-        "light up to a picture's period",
+        caption="stamp error: when the stamps say that it happened, less when it did, p50 of the "
+        "clearest; of a light up to a picture's period",
         caption_justify="left",
     )
     table.add_column("sense")
@@ -228,7 +228,7 @@ def _senses(senses: Mapping[str, Mapping[str, Any] | None]) -> Table:
             str(figures["missed"]),
             *(_ms(figures["latency_ms"].get(key)) for key in ("p50", "p95", "p99", "max")),
             _ms(figures["stamped_latency_ms"].get("p50")),
-            _ms(figures["stamp_error_ms"].get("p50"), signed=True),
+            _ms(figures["judged_error_ms"], signed=True),
             f"{least:+.0f} to {most:+.0f}",
             verdict,
         )
