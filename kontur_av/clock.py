@@ -44,8 +44,8 @@ class MonotonicClock:
             time.time_ns() - time.monotonic_ns() if unix_offset_ns is None else unix_offset_ns
         )
 
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
+    #: The system's own function: a call of Python less for what all loops ask for most.
+    now_ns = staticmethod(time.monotonic_ns)
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
         remaining_ns = deadline_ns - time.monotonic_ns()

@@ -61,7 +61,8 @@ def _run_loop(
     to_gateway = context.sender(gateway_port)
     schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(CYCLE_NS, _PHASE))
     # Looked up once: what follows runs a thousand times a second.
-    receive, clock_ns, sleep_until_ns = context.receive, clock.now_ns, clock.sleep_until_ns
+    take, receive = udp.recv, context.receive
+    clock_ns, sleep_until_ns = clock.now_ns, clock.sleep_until_ns
     handle_wakeup, handle_datagram, handle_cycle = (
         schedule.handle_wakeup,
         end.handle_datagram,
@@ -88,9 +89,13 @@ def _run_loop(
         if lateness_ns < 0:
             continue
         add_lateness(lateness_ns)
+        try:
+            datagram: bytes | None = take(SAMPLE_OCTETS + 1)
+        except OSError:
+            # There is none, or this is the answer to an earlier one of ours.
+            datagram = receive(udp, SAMPLE_OCTETS + 1)
         # There is nearly always one sample, hardly ever a second: to ask for that one costs a
         # third of what it costs to be told by an empty socket that it is empty.
-        datagram = receive(udp, SAMPLE_OCTETS + 1)
         while datagram is not None:
             handle_datagram(datagram, now_ns)
             datagram = receive(udp, SAMPLE_OCTETS + 1) if ask(0) else None
