@@ -19,7 +19,7 @@ from kontur_av.rtp.payload_h264 import (
 )
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.playout import PlayoutBuffer
-from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.rtp.receiver import MAX_MISORDER, RtpReceiver
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.rtp.sender import RtpSender
 from kontur_av.rtp.wire import parse_rtcp, parse_rtp
@@ -105,7 +105,9 @@ def test_small_reordering_and_duplicates_are_repaired(stream, data):
     shuffled = []
     for start in range(0, len(rest), 4):
         shuffled += data.draw(st.permutations(rest[start : start + 4]))
-    copies = data.draw(st.lists(st.sampled_from(stream.packets), max_size=5))
+    # Older ones in a row are a source that began anew (RFC 3550, appendix A.1: MAX_MISORDER).
+    late = stream.packets[-(MAX_MISORDER - 4) :]
+    copies = data.draw(st.lists(st.sampled_from(late), max_size=5))
     received = stream.deliver([*head, *shuffled, *copies])
     assert [unit.data for unit in received] == list(stream.sent.values())
     assert stream.receiver.counts.lost == 0
