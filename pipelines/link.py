@@ -19,8 +19,13 @@ from pipelines.link_ports import bound_ports, port_table
 from pipelines.link_report import LinkView, build_link_report, process_of, summary_lines
 from pipelines.parts.gateway import run_gateway
 from pipelines.process import LOOP_PRIORITY, LOOPBACK, Part, Segment, Stage
-from pipelines.radio_options import add_radio_arguments, port_changes, radio_changes
 from pipelines.report_file import check_writable, write_report
+from pipelines.session_options import (
+    add_radio_arguments,
+    add_setup_argument,
+    port_changes,
+    radio_changes,
+)
 from pipelines.setup import Setup
 from pipelines.setup_file import load_setup
 
@@ -29,9 +34,7 @@ _ANY = "0.0.0.0"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av link`."""
-    parser.add_argument(
-        "--setup", required=True, metavar="NAME", help="spacejustin, taskboard or FILE.toml"
-    )
+    add_setup_argument(parser)
     add_radio_arguments(parser, delay=False)
     parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")

@@ -10,13 +10,14 @@ from typing import Any
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.command import output_that_may_fail, stopped_by_signals
-from pipelines.radio_options import (
+from pipelines.report_file import check_writable, write_report
+from pipelines.session_options import (
     add_deadband_argument,
     add_radio_arguments,
+    add_setup_argument,
     deadband_changes,
     radio_changes,
 )
-from pipelines.report_file import check_writable, write_report
 from pipelines.setup import Setup
 from pipelines.setup_file import load_setup
 from pipelines.sim.costs import CodingCosts
@@ -32,9 +33,7 @@ _STRIDE_NS = 50 * NS_PER_MS
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av simulate`."""
-    parser.add_argument(
-        "--setup", required=True, metavar="NAME", help="spacejustin, taskboard or FILE.toml"
-    )
+    add_setup_argument(parser)
     parser.add_argument("--seconds", type=float, required=True, metavar="S", help="of virtual time")
     add_radio_arguments(parser)
     add_deadband_argument(parser)

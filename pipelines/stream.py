@@ -16,15 +16,16 @@ from pipelines.ground import ground_parts
 from pipelines.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
 from pipelines.live import LiveView
 from pipelines.process import Part, Stage
-from pipelines.radio_options import (
+from pipelines.report import build_report
+from pipelines.report_file import check_writable, write_report
+from pipelines.session_options import (
     add_deadband_argument,
     add_radio_arguments,
+    add_setup_argument,
     deadband_changes,
     port_changes,
     radio_changes,
 )
-from pipelines.report import build_report
-from pipelines.report_file import check_writable, write_report
 from pipelines.sessions import clear_dead_sessions, hold_session
 from pipelines.setup import STEREO, Setup, VideoStream
 from pipelines.setup_file import load_setup
@@ -36,9 +37,7 @@ from telepresence.world import audio_scenes, video_scenes
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
-    parser.add_argument(
-        "--setup", required=True, metavar="NAME", help="spacejustin, taskboard or FILE.toml"
-    )
+    add_setup_argument(parser)
     parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
     parser.add_argument(
         "--source",

@@ -24,6 +24,7 @@ from pipelines.bench.latency_runs import (
 from pipelines.bench.latency_targets import MEANT_FOR, judge
 from pipelines.bench.plot import check_plot
 from pipelines.report_file import check_writable, write_report
+from pipelines.session_options import add_radio_argument, add_setup_argument
 from pipelines.setup import Setup
 from pipelines.setup_file import load_setup
 from pipelines.setups import BUILT_IN
@@ -52,12 +53,7 @@ Report = Mapping[str, Any]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av bench latency`."""
-    parser.add_argument(
-        "--setup",
-        default="spacejustin",
-        metavar="NAME",
-        help="spacejustin, taskboard or FILE.toml (default spacejustin)",
-    )
+    add_setup_argument(parser, default="spacejustin")
     parser.add_argument(
         "--seconds", type=float, default=20.0, metavar="S", help="of virtual time (default 20)"
     )
@@ -66,12 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--live-seconds", type=float, default=20.0, metavar="S", help="of real time (default 20)"
     )
     live.add_argument("--no-live", action="store_true", help="virtual time only")
-    parser.add_argument(
-        "--radio",
-        default="clean",
-        metavar="PROFILE",
-        help="cable, clean, iss-pass, geo or FILE.toml (default clean)",
-    )
+    add_radio_argument(parser, default="clean")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the radio's chances")
     parser.add_argument(
         "--base-port", type=int, default=27_000, metavar="P", help="of the live run"

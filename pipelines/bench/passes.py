@@ -23,6 +23,7 @@ from pipelines.bench.passes_figures import (
 )
 from pipelines.bench.passes_run import Plan, ended_alike, run_sessions
 from pipelines.report_file import check_writable, write_report
+from pipelines.session_options import add_radio_argument, add_setup_argument
 from pipelines.setup import Setup
 from pipelines.setup_file import load_setup
 
@@ -32,12 +33,7 @@ _SESSIONS = 23
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av bench passes`."""
-    parser.add_argument(
-        "--setup",
-        default="spacejustin",
-        metavar="NAME",
-        help="spacejustin, taskboard or FILE.toml (default spacejustin)",
-    )
+    add_setup_argument(parser, default="spacejustin")
     parser.add_argument(
         "--sessions",
         type=int,
@@ -48,12 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, default=480.0, metavar="S", help="of virtual time (default 480)"
     )
-    parser.add_argument(
-        "--radio",
-        default="iss-pass",
-        metavar="PROFILE",
-        help="cable, clean, iss-pass, geo or FILE.toml (default iss-pass)",
-    )
+    add_radio_argument(parser, default="iss-pass")
     parser.add_argument("--first-seed", type=int, default=1, metavar="N", help="(default 1)")
     parser.add_argument(
         "--jobs", type=int, default=2, metavar="N", help="sessions at a time (default 2)"

@@ -1,4 +1,4 @@
-"""The options of the link and of the ports, which several commands share."""
+"""The options of a session that several commands share."""
 
 import argparse
 from typing import Any
@@ -7,11 +7,34 @@ from kontur_av.errors import ConfigError
 from pipelines.setup import NO_RADIO
 
 
+def add_setup_argument(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
+    """`--setup`, which must be given where it has no default."""
+    parser.add_argument(
+        "--setup",
+        required=default is None,
+        default=default,
+        metavar="NAME",
+        help=f"spacejustin, taskboard or FILE.toml{_said(default)}",
+    )
+
+
+def add_radio_argument(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
+    """`--radio`."""
+    parser.add_argument(
+        "--radio",
+        default=default,
+        metavar="PROFILE",
+        help=f"cable, clean, iss-pass, geo or FILE.toml{_said(default)}",
+    )
+
+
+def _said(default: str | None) -> str:
+    return "" if default is None else f" (default {default})"
+
+
 def add_radio_arguments(parser: argparse.ArgumentParser, *, delay: bool = True) -> None:
     """`--radio`, `--seed` and, with `delay`, `--radio-delay-ms`."""
-    parser.add_argument(
-        "--radio", metavar="PROFILE", help="cable, clean, iss-pass, geo or FILE.toml"
-    )
+    add_radio_argument(parser)
     if delay:
         parser.add_argument(
             "--radio-delay-ms", type=float, metavar="D", help="a cable with a delay one way"
