@@ -56,10 +56,41 @@ class HeldJoystick(Joystick):
 
 
 class _Side:
-    """What both sides have: energies and counters for the report."""
+    """What both sides have: the link, the time of a cycle, and the report.
+
+    force_x_n, force_y_n: what the controller exerts now.
+    """
 
     link: HapticLink[Any, Any]
     controller: MasterController | SlaveController
+
+    def __init__(self) -> None:
+        self.force_x_n = self.force_y_n = 0.0
+        self._restarts = 0
+        self._acted = 0
+        # Looked up once: they are called a thousand times a second.
+        self.handle_datagram = self.link.handle_datagram
+        self.poll_transmit = self.link.poll_transmit
+
+    def _cycle(self, heard: Any, dt_ns: int) -> None:
+        """Move on by `dt_ns`, at most 1 ms, with the peer's newest sample or None."""
+        raise NotImplementedError
+
+    def _advance(self, now_ns: int, advance_ns: int) -> bool:
+        """Move on by `advance_ns`, of more than 50 ms only 50 ms; whether the controller acted."""
+        link, controller = self.link, self.controller
+        if link.restarts != self._restarts:
+            self._restarts = link.restarts
+            controller.handle_restart()
+        heard = link.latest(now_ns)
+        if advance_ns > NS_PER_MS:
+            advance_ns = min(advance_ns, _MAX_ADVANCE_NS)
+            while advance_ns > NS_PER_MS:
+                self._cycle(heard, NS_PER_MS)
+                advance_ns -= NS_PER_MS
+        self._cycle(heard, advance_ns)
+        acted, self._acted = controller.acted != self._acted, controller.acted
+        return acted
 
     def report(self) -> dict[str, int]:
         """Energies (µJ) and counters by name; `least_uj` is the least the observer ever said."""
@@ -97,28 +128,12 @@ class MasterSide(_Side):
         self.handle: Handle = handle or HeldJoystick(hand=Hand(hand, script=script))
         self.controller: MasterController = MasterController(model, passive=passive)
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
-        self.force_x_n = self.force_y_n = 0.0
-        self._restarts = 0
-        self._acted = 0
-        # Looked up once: they are called a thousand times a second.
-        self.handle_datagram = self.link.handle_datagram
-        self.poll_transmit = self.link.poll_transmit
+        super().__init__()
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """One cycle, which moves the handle on by `advance_ns`; of more than 50 ms only 50 ms."""
-        link = self.link
-        if link.restarts != self._restarts:
-            self._restarts = link.restarts
-            self.controller.handle_restart()
-        feedback = link.latest(now_ns)
-        if advance_ns > NS_PER_MS:
-            advance_ns = min(advance_ns, _MAX_ADVANCE_NS)
-            while advance_ns > NS_PER_MS:
-                self._cycle(feedback, NS_PER_MS)
-                advance_ns -= NS_PER_MS
-        self._cycle(feedback, advance_ns)
+        acted = self._advance(now_ns, advance_ns)
         handle, controller = self.handle, self.controller
-        acted, self._acted = controller.acted != self._acted, controller.acted
         state = handle.state
         command = (
             handle.x_m,
@@ -130,7 +145,7 @@ class MasterSide(_Side):
             acted,
             state >= STATE_HALTED,
         )
-        link.handle_local(_tuple(Command, command), now_ns)
+        self.link.handle_local(_tuple(Command, command), now_ns)
 
     def _cycle(self, feedback: Feedback | None, dt_ns: int) -> None:
         if dt_ns <= 0:
@@ -166,29 +181,13 @@ class SlaveSide(_Side):
             model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
         )
         self.link: HapticLink[Feedback, Command] = link or robot_link()
-        self.force_x_n = self.force_y_n = 0.0
         self.lit: int | None = None
-        self._restarts = 0
-        self._acted = 0
-        # Looked up once: they are called a thousand times a second.
-        self.handle_datagram = self.link.handle_datagram
-        self.poll_transmit = self.link.poll_transmit
+        super().__init__()
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """One cycle, which moves the robot on by `advance_ns`; of more than 50 ms only 50 ms."""
-        link = self.link
-        if link.restarts != self._restarts:
-            self._restarts = link.restarts
-            self.controller.handle_restart()
-        command = link.latest(now_ns)
-        if advance_ns > NS_PER_MS:
-            advance_ns = min(advance_ns, _MAX_ADVANCE_NS)
-            while advance_ns > NS_PER_MS:
-                self._cycle(command, NS_PER_MS)
-                advance_ns -= NS_PER_MS
-        self._cycle(command, advance_ns)
+        acted = self._advance(now_ns, advance_ns)
         robot, controller = self.robot, self.controller
-        acted, self._acted = controller.acted != self._acted, controller.acted
         contact = robot.contact
         self.lit = lit = led_at(robot.x_m, robot.y_m) if contact else None
         mode = robot.mode
@@ -202,7 +201,7 @@ class SlaveSide(_Side):
             acted,
             mode != MODE_IMPEDANCE,
         )
-        link.handle_local(_tuple(Feedback, feedback), now_ns)
+        self.link.handle_local(_tuple(Feedback, feedback), now_ns)
 
     def _cycle(self, command: Command | None, dt_ns: int) -> None:
         if dt_ns <= 0:

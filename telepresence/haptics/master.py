@@ -98,16 +98,18 @@ class MasterController(PortFigures):
         """The force on the handle (N, N) from now on, `dt_ns` after the step before.
 
         feedback: the newest sample, None if there is no fresh one. x_m, y_m: where the handle is.
+        The first step gives none.
         """
         scale, damping, rate, velocity_s, margin = self._constants
         dt_s = dt_ns / NS_PER_S
         port, last = self.port, self._last
         self._last = (x_m, y_m)
-        dx = dy = 0.0
+        if last is None:
+            # How fast the handle goes is not known yet, so what a force would cost isn't either.
+            return 0.0, 0.0
+        dx, dy = x_m - last[0], y_m - last[1]
         fx, fy = self._fx, self._fy
-        if last is not None:
-            dx, dy = x_m - last[0], y_m - last[1]
-            port.handle_flow(fx * dx + fy * dy)
+        port.handle_flow(fx * dx + fy * dy)
         if feedback is None:
             port.handle_silence(dt_ns)
         else:

@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from itertools import pairwise
+from random import Random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from telepresence.haptics.loop import joystick_link, robot_link
@@ -99,10 +100,19 @@ class Ends:
 
 
 @settings(max_examples=50, deadline=None)
+@example(
+    # A joystick that restarts in the hand's motion: its first force must not meet that unawares.
+    spans=[
+        (3, (0.0, 1.0), (0.0, 0.0), (0.0, 1.0), 0, 0.0),
+        (2, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), 0, 0.0),
+    ],
+    random=Random(1),
+    restart=(1, True),
+)
 @given(
-    st.lists(spans, min_size=1, max_size=8),
-    st.randoms(use_true_random=False),
-    st.none() | st.tuples(st.integers(0, 7), st.booleans()),
+    spans=st.lists(spans, min_size=1, max_size=8),
+    random=st.randoms(use_true_random=False),
+    restart=st.none() | st.tuples(st.integers(0, 7), st.booleans()),
 )
 def test_no_motion_and_no_path_makes_an_observer_negative(spans, random, restart) -> None:
     ends = Ends(random.random)

@@ -179,6 +179,7 @@ def test_the_displayed_force_is_limited_in_size_and_in_rate_and_decays_in_silenc
     model, master = MasterModel(), MasterController(passive=False)
     master.limit_n = 9.0
     push = Feedback(-9.0, 12.0, 0, True)
+    assert master.step(push, 0.0, 0.0, MS) == (0.0, 0.0)
     force = master.step(push, 0.0, 0.0, MS)
     assert force == pytest.approx((-0.6 * model.rate_n_s / 1000, 0.8 * model.rate_n_s / 1000))
     for _ in range(100):
