@@ -40,7 +40,8 @@ class _Effort:
 
     The model holds about one picture's share, so that no picture is much larger than that. Filling
     it faster gives larger pictures, which are later: from 0.97 to 1.02 of the cap 0.3 dB and
-    1.7 ms at the median. The pacer keeps the cap.
+    1.7 ms at the median. Filling it slower than 1/1.1 of it a picture (below 0.97 of the cap at
+    85 kbit/s) lets x264 plan over several pictures, which costs 2 dB. The pacer keeps the cap.
     """
 
     crf: int
@@ -55,7 +56,7 @@ class _Effort:
 #: twentieth of the pictures. x264 counts its buffer in whole kbit: this is 3 at 85 kbit/s.
 _THIN = _Effort(
     crf=10,
-    rate_over_cap=Fraction(1),
+    rate_over_cap=Fraction(97, 100),
     buffer_over_share=Fraction(106, 100),
     coarsest=48,
     parameters=f"{_ALWAYS}:{_BLOCKS}:me=dia:subme=6:trellis=1",
@@ -125,12 +126,17 @@ class H264Settings:
         if blocks_hz <= _THIN_UP_TO:
             effort = _THIN
         coarsest = _PUNCTUAL if self.punctual else effort.coarsest
+        rate = int(self.cap_bps * effort.rate_over_cap)
+        buffer = int(self.cap_bps * effort.buffer_over_share / self.rate)
+        # x264 counts both in whole kbit. Each picture is held to the buffer only if the share that
+        # comes in between two, and a tenth of it, is more than the buffer.
+        least = int(buffer // 1000 * 1000 * self.rate * 10 / 11 / 1000 + 1) * 1000
         return {
             "preset": self.preset,
             "tune": "zerolatency",
             "intra-refresh": "1",
             "crf": str(effort.crf),
-            "maxrate": str(int(self.cap_bps * effort.rate_over_cap)),
-            "bufsize": str(int(self.cap_bps * effort.buffer_over_share / self.rate)),
+            "maxrate": str(max(rate, min(least, self.cap_bps))),
+            "bufsize": str(buffer),
             "x264-params": f"{effort.parameters}:qpmax={coarsest}",
         }
