@@ -82,6 +82,12 @@ def finish(process, seconds: float = 30) -> str:
     return output
 
 
+def finish_or_kill(process, seconds: float = 8) -> None:
+    """For a pipeline with rtpbin: some in ten of them hang when all has been sent."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        finish(process, seconds)
+
+
 def wait_for_line(process, text: str) -> None:
     for line in process.stdout:
         if text in line:
@@ -217,8 +223,8 @@ def receive(tmp_path, port, kind, seconds=20, **description):
 def test_we_play_what_gstreamer_sends(tmp_path, aggregate):
     needs("x264enc", "rtph264pay", "rtpbin")
     port = free_ports()
-    process, report_file = receive(tmp_path, port, "video")
-    # rtpbin sends reports and a goodbye, so that latency and end are known.
+    process, report_file = receive(tmp_path, port, "video", seconds=12)
+    # rtpbin sends reports, so that the latency is known.
     pipeline = (
         "rtpbin name=r videotestsrc is-live=true num-buffers=75 pattern=ball ! "
         f"video/x-raw,width={WIDTH},height={HEIGHT},framerate={FPS}/1 ! "
@@ -230,7 +236,7 @@ def test_we_play_what_gstreamer_sends(tmp_path, aggregate):
     with process as receiver:
         wait_for_line(receiver, "waiting")
         with started("gst-launch-1.0", "-q", *pipeline.split()) as player:
-            finish(player)
+            finish_or_kill(player)
         finish(receiver)
     report = json.loads(report_file.read_text())
     assert report["frames_decoded"] >= 74
