@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from kontur_av.errors import ConfigError
-from pipelines.setup import NO_RADIO
+from pipelines.setup import DEADBANDS, NO_RADIO
 
 
 def add_setup_argument(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
@@ -60,15 +60,17 @@ def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
     """`--deadband`."""
     parser.add_argument(
         "--deadband",
-        action="store_true",
-        help="leave out haptic samples of which nobody would feel the difference, and give the "
-        "uplink video what that saves",
+        nargs="?",
+        const="picture",
+        choices=DEADBANDS,
+        help="leave out haptic samples of which nobody would feel the difference; the uplink "
+        "video gets what that saves: more of it (picture; if nothing is said) or sooner (latency)",
     )
 
 
 def deadband_changes(args: argparse.Namespace) -> dict[str, Any]:
     """What `--deadband` changes in the setup."""
-    return {"deadband": True} if args.deadband else {}
+    return {} if args.deadband is None else {"deadband": args.deadband}
 
 
 def port_changes(args: argparse.Namespace) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
-from typing import Literal
+from typing import Literal, get_args
 
 from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -215,6 +215,12 @@ _PORT_OFFSETS = {
 }
 
 
+#: Whether haptic samples that nobody would feel are left out, and what for: more picture through
+#: a higher cap, or the same picture sooner.
+Deadband = Literal["off", "picture", "latency"]
+DEADBANDS: tuple[Deadband, ...] = get_args(Deadband)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Setup:
     """A telepresence session: who sees, hears and feels what, at which rates, through what.
@@ -225,8 +231,8 @@ class Setup:
     radio: what the radio does to frames: a built-in profile (`cable`, `clean`, `iss-pass`, `geo`)
         or a file NAME.toml (docs/radio.md).
     radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
-    deadband: haptic samples are left out while nobody would feel the difference, and the uplink
-        video gets what that saves (docs/deadband.md).
+    deadband: unless `off`, haptic samples are left out while nobody would feel the difference, and
+        the uplink video gets what that saves: as more of it, or sooner (docs/deadband.md).
     """
 
     name: str
@@ -240,7 +246,7 @@ class Setup:
     downlink: LinkProfile = DOWNLINK
     radio: str = NO_RADIO
     radio_delay_ms: float = 0.0
-    deadband: bool = False
+    deadband: Deadband = "off"
     #: Below the ports that Linux gives to whoever names none (32768 on), ours included.
     base_port: int = 27_000
 
@@ -255,6 +261,8 @@ class Setup:
                 raise ConfigError(
                     f"setup {self.name}: camera {camera} has the name of another input; rename it"
                 )
+        if self.deadband not in DEADBANDS:
+            raise ConfigError(f"deadband {self.deadband!r}: take one of {', '.join(DEADBANDS)}")
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
         if self.radio_delay_ms and self.radio != NO_RADIO:

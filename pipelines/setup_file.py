@@ -71,6 +71,7 @@ def setup_from_table(table: Mapping[str, Any]) -> Setup:
     kinds: dict[str, Any] = {
         "name": str,
         "radio": str,
+        "deadband": str,
         "radio_delay_ms": (int, float),
         "base_port": int,
     }
@@ -78,8 +79,6 @@ def setup_from_table(table: Mapping[str, Any]) -> Setup:
         value = values.get(name)
         if value is not None and (isinstance(value, bool) or not isinstance(value, kind)):
             raise ConfigError(f"{name} must be a {'text' if kind is str else 'number'}")
-    if not isinstance(values.get("deadband", False), bool):
-        raise ConfigError("deadband must be true or false")
     return Setup(**values)
 
 

@@ -24,7 +24,12 @@ from pipelines.bench.latency_runs import (
 from pipelines.bench.latency_targets import MEANT_FOR, judge
 from pipelines.bench.plot import check_plot
 from pipelines.report_file import check_writable, write_report
-from pipelines.session_options import add_radio_argument, add_setup_argument
+from pipelines.session_options import (
+    add_deadband_argument,
+    add_radio_argument,
+    add_setup_argument,
+    deadband_changes,
+)
 from pipelines.setup import Setup
 from pipelines.setup_file import load_setup
 from pipelines.setups import BUILT_IN
@@ -63,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     live.add_argument("--no-live", action="store_true", help="virtual time only")
     add_radio_argument(parser, default="clean")
+    add_deadband_argument(parser)
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the radio's chances")
     parser.add_argument(
         "--base-port", type=int, default=27_000, metavar="P", help="of the live run"
@@ -92,6 +98,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             radio=args.radio,
             base_port=args.base_port,
+            deadband=args.deadband,
         )
     clocks = {"virtual": VIRTUAL_CLOCK} | ({} if live is None else {"live": live_clock(live)})
     runs: dict[str, Report] = {"virtual": virtual} | ({} if live is None else {"live": live})
@@ -132,7 +139,7 @@ def _setups(args: argparse.Namespace) -> list[Setup]:
     """The chosen one, and the built-in ones to compare it with, all with the chosen radio."""
     chosen = load_setup(args.setup)
     others = [setup for name, setup in BUILT_IN.items() if name != chosen.name]
-    changes: dict[str, Any] = {"radio": args.radio, "radio_delay_ms": 0.0}
+    changes = {"radio": args.radio, "radio_delay_ms": 0.0, **deadband_changes(args)}
     # The live run's port, checked before anything is measured.
     first = replace(chosen, base_port=args.base_port, **changes)
     check_virtual_sources(first)
@@ -148,8 +155,10 @@ def _heading(args: argparse.Namespace, setup: Setup) -> str:
     )
     radio = setup.radio_profile
     described = f" ({radio.description})" if radio.description else ""
+    left_out = "" if setup.deadband == "off" else f", deadband for the {setup.deadband}"
     return (
-        f"{setup.name}; radio {radio.name}{described}, seed {args.seed}\nlink: {'; '.join(links)}\n"
+        f"{setup.name}{left_out}; radio {radio.name}{described}, seed {args.seed}\n"
+        f"link: {'; '.join(links)}\n"
     )
 
 

@@ -40,7 +40,13 @@ def virtual_run(setup: Setup, *, seconds: float, seed: int) -> dict[str, Any]:
 
 
 def live_run(
-    setup: str, *, seconds: float, seed: int, radio: str, base_port: int
+    setup: str,
+    *,
+    seconds: float,
+    seed: int,
+    radio: str,
+    base_port: int,
+    deadband: str | None = None,
 ) -> dict[str, Any]:
     """The report of a session of the setup called `setup` on this machine.
 
@@ -51,6 +57,7 @@ def live_run(
         command = [sys.executable, "-m", "pipelines.cli", "stream", "--setup", setup, "-q"]
         command += ["--seconds", f"{seconds:g}", "--seed", str(seed), "--radio", radio]
         command += ["--base-port", str(base_port), "--report", str(report_file)]
+        command += [] if deadband is None else ["--deadband", deadband]
         errors = Path(directory) / "errors"
         with errors.open("wb") as stderr:
             try:

@@ -31,12 +31,13 @@ class CapGain:
 
     Tell it of what slots without a sample leave (`handle_freed`), every few milliseconds; then
     `bps` is by how much. changes: how often it changed. steps: the gains there are, none first,
-    each with what must be free for it, in bit/s.
+    each with what must be free for it, in bit/s. For a setup whose deadband is there for the
+    latency there is none but the first: the channel is faster, and carries what it did.
     """
 
     def __init__(self, setup: Setup, stream: VideoStream) -> None:
         self.steps = [(0, 0)]
-        for gain_bps in _worthwhile_bps(setup, stream):
+        for gain_bps in _worthwhile_bps(setup, stream) if setup.deadband == "picture" else ():
             freed_bps = setup.freed_need_bps(stream, gain_bps) + RESERVE_BPS
             self.steps.append((gain_bps, freed_bps))
         self._step = 0
@@ -97,7 +98,9 @@ class CapGain:
 def gain_of(setup: Setup, stream: VideoStream) -> CapGain | None:
     """The gain of a stream that has one: the picture that goes where the channel, and nothing
     else, bounds the cap, of a setup that leaves samples out."""
-    return CapGain(setup, stream) if setup.deadband and stream == setup.uplink_video else None
+    if setup.deadband == "off" or stream != setup.uplink_video:
+        return None
+    return CapGain(setup, stream)
 
 
 def _worthwhile_bps(setup: Setup, stream: VideoStream) -> list[int]:

@@ -31,7 +31,7 @@ def run_robot(context: Context) -> None:
             stamp = CaptureStamp(state.time_ns, next(numbers), "robot")
             writer.publish_octets(pack_state(state), stamp)
 
-        end = RobotEnd(context.probe, deadband=context.setup.deadband)
+        end = RobotEnd(context.probe, deadband=context.setup.deadband != "off")
         _run_loop(context, end, ports.robot, ports.ground_haptic, publish)
 
 
@@ -41,7 +41,7 @@ def run_joystick(context: Context, spec: str = SIMULATED) -> None:
     device = open_device(spec, hand=Hand())
     try:
         handle = OperatedHandle(device)
-        end = JoystickEnd(context.probe, deadband=context.setup.deadband, handle=handle)
+        end = JoystickEnd(context.probe, deadband=context.setup.deadband != "off", handle=handle)
         _run_loop(context, end, ports.joystick, ports.space_haptic)
     finally:
         device.close()

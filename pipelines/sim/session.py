@@ -84,8 +84,8 @@ class Simulation:
         # When the next frame arrives: asked twice a slot, so without a detour.
         self._up_timeout = self._ground.radio.poll_timeout
         self._down_timeout = self._space.radio.poll_timeout
-        self._robot = RobotEnd(self._probe("robot"), deadband=setup.deadband)
-        self._joystick = JoystickEnd(self._probe("joystick"), deadband=setup.deadband)
+        self._robot = RobotEnd(self._probe("robot"), deadband=setup.deadband != "off")
+        self._joystick = JoystickEnd(self._probe("joystick"), deadband=setup.deadband != "off")
         self._add(self._robot, self._joystick)
         self._choice = CameraChoice(setup, self._probe("selector"), now_ns=_START_NS)
         self._console = Console(

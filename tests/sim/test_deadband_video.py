@@ -18,7 +18,7 @@ from pipelines.simulate import simulate
 from telepresence.link.flows import Level
 from telepresence.link.gateway import Gateway
 
-SETUP = replace(BUILT_IN["spacejustin"], deadband=True)
+SETUP = replace(BUILT_IN["spacejustin"], deadband="picture")
 STREAM = SETUP.uplink_video
 SAMPLE = bytes(12)
 CODING_NS = 6 * NS_PER_MS
@@ -171,7 +171,7 @@ def test_without_a_deadband_nothing_is_gained_whatever_is_free():
 def test_a_whole_session_gains_and_says_so():
     setup = replace(BUILT_IN["taskboard"], radio="clean")
     plain = simulate(setup, seconds=6.0, seed=1)
-    saving = simulate(replace(setup, deadband=True), seconds=6.0, seed=1)
+    saving = simulate(replace(setup, deadband="picture"), seconds=6.0, seed=1)
     assert saving["failures"] == plain["failures"] == []
     video, before = (report["streams"]["uplink_video"] for report in (saving, plain))
     assert video["gained_bps"] > 15_000 and "gained_bps" not in before
@@ -184,3 +184,17 @@ def test_a_whole_session_gains_and_says_so():
     freed_bps = saving["link"]["uplink"]["freed_bps"]
     assert freed_bps == pytest.approx(up["saved_bps"], rel=0.01)
     assert plain["link"]["uplink"]["freed_bps"] < 100
+
+
+def test_what_is_left_out_can_be_spent_on_the_latency_instead():
+    setup = replace(BUILT_IN["taskboard"], radio="clean")
+    reports = (
+        simulate(replace(setup, deadband=deadband), seconds=4.0, seed=1)
+        for deadband in ("off", "picture", "latency")
+    )
+    plain, larger, sooner = (report["streams"]["uplink_video"] for report in reports)
+    assert sooner["gained_bps"] == 0
+    assert sooner["payload_bps_mean"] == pytest.approx(plain["payload_bps_mean"], rel=0.05)
+    # Slots without a sample carry twice as much: a picture takes little more than half the time.
+    assert sooner["latency_ms"]["p50"] < plain["latency_ms"]["p50"] - 8.0
+    assert sooner["latency_ms"]["p99"] < larger["latency_ms"]["p99"] - 2.0

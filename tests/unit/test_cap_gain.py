@@ -10,7 +10,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.cores.gain import LASTED_NS, RESERVE_BPS, STEADY_NS, CapGain, gain_of
 from pipelines.setups import BUILT_IN
 
-SETUP = replace(BUILT_IN["spacejustin"], deadband=True)
+SETUP = replace(BUILT_IN["spacejustin"], deadband="picture")
 STREAM = SETUP.uplink_video
 FIRST_BPS, FIRST_FREED_BPS = CapGain(SETUP, STREAM).steps[1]
 SECOND_BPS, SECOND_FREED_BPS = CapGain(SETUP, STREAM).steps[2]
@@ -29,6 +29,12 @@ def test_only_the_picture_of_a_thin_channel_gains_and_only_with_a_deadband():
     assert gain_of(SETUP, STREAM) is not None
     assert gain_of(SETUP, SETUP.downlink_video) is None
     assert gain_of(BUILT_IN["spacejustin"], STREAM) is None
+
+
+def test_for_the_latency_the_cap_stays_where_it_is():
+    gain = gain_of(replace(SETUP, deadband="latency"), STREAM)
+    assert told(gain, 10 * SECOND_FREED_BPS, 0, 10 * NS_PER_S) == []
+    assert gain.bps == 0
 
 
 def test_it_rises_after_two_steady_seconds():
@@ -102,7 +108,7 @@ def test_what_was_gained_is_summed_up_over_the_time():
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_every_step_fits_into_what_is_freed_for_it(name):
-    setup = replace(BUILT_IN[name], deadband=True)
+    setup = replace(BUILT_IN[name], deadband="picture")
     stream = setup.uplink_video
     steps = CapGain(setup, stream).steps
     assert len(steps) > 1

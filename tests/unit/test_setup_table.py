@@ -19,7 +19,7 @@ name = "wrist"
 cameras = ["wrist", "stereo"]
 radio = "cable"
 radio_delay_ms = 12.5
-deadband = true
+deadband = "latency"
 base_port = 21000
 
 [uplink_video]
@@ -61,7 +61,7 @@ def test_every_field_of_a_file_arrives(tmp_path):
         assert f"{entry.name}" in EVERY_FIELD, f"{entry.name} is not in the file of this test"
     assert (setup.name, setup.cameras) == ("wrist", ("wrist", "stereo"))
     assert (setup.radio, setup.radio_delay_ms, setup.base_port) == ("cable", 12.5, 21_000)
-    assert setup.deadband is True
+    assert setup.deadband == "latency"
     video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
     assert asdict(setup.uplink_video) == video | {"stale_after_ms": 250.5, "coded": (160, 120)}
     down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
