@@ -108,6 +108,21 @@ def test_heat_warns_then_weakens_then_halts_until_it_is_cool():
     assert session.operation.state is State.APPLICATION
 
 
+def test_a_thermometer_that_reads_no_number_is_an_error_and_frees_no_force():
+    session = Session().into_application()
+    joystick = session.device.joystick
+    for wrong_c in (nan, inf, -inf):
+        joystick.temperature_c = wrong_c
+        session.run(0.02, force=(500.0, 0.0))
+        assert session.operation.state is State.RECOVERABLE
+        assert session.operation.reason == "the thermometer reads no number"
+        assert session.handle.force_limit_n == 0.0
+        joystick.temperature_c = 23.0
+        session.run(6)
+        assert session.operation.state is State.APPLICATION
+        assert session.handle.force_limit_n == FACTS.force_limit_n
+
+
 def test_silence_halts_it_and_the_first_sample_brings_it_back():
     limits = Limits(silence_ns=NS_PER_S)
     session = Session(limits=limits).into_application()
@@ -182,7 +197,7 @@ readings = st.builds(
     numbers,
     st.integers(0, 15),
     st.booleans(),
-    st.none() | st.floats(-50, 200),
+    st.none() | st.floats(-50, 200) | st.sampled_from([nan, inf, -inf]),
     st.sampled_from([True] * 9 + [False]),
 )
 

@@ -117,6 +117,7 @@ class Supervisor:
             and -reach_y <= y_m <= reach_y
             and -speed <= vx_m_s <= speed
             and -speed <= vy_m_s <= speed
+            and (temperature_c is None or isfinite(temperature_c))
         ):
             return self._judge_sensors(reading)
         if temperature_c is not None and now_ns >= self._look_ns:
@@ -169,6 +170,8 @@ class Supervisor:
                     f"axis {name} reads {place_m * 1e3:+.0f} mm, the workspace ends at "
                     f"±{half_m * 1e3:.0f} mm",
                 )
+        if reading.temperature_c is not None and not isfinite(reading.temperature_c):
+            return self._say(Verdict.FAULT, "the thermometer reads no number")
         return self._say(Verdict.FAULT, "the handle reads faster than a hand can move it")
 
     def _say(self, verdict: Verdict, reason: str) -> Verdict:
