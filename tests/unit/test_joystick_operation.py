@@ -106,6 +106,12 @@ def test_heat_warns_then_weakens_then_halts_until_it_is_cool():
     joystick.temperature_c = 50.0
     session.run(0.5)
     assert session.operation.state is State.APPLICATION
+    # Each time is a warning, also one that is not as hot as the last.
+    joystick.temperature_c = 65.0
+    session.run(0.1)
+    report = session.handle.report()
+    assert report["temperature_warnings"] == 2
+    assert report["hottest_c"] == 80.5
 
 
 def test_a_thermometer_that_reads_no_number_is_an_error_and_frees_no_force():

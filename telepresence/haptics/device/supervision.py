@@ -137,11 +137,11 @@ class Supervisor:
         return Verdict.WELL
 
     def _handle_temperature(self, temperature_c: float) -> None:
-        limits = self.limits
+        limits, before_c = self.limits, self._temperature_c
         self._temperature_c = temperature_c
+        if temperature_c > limits.warn_c and (before_c is None or before_c <= limits.warn_c):
+            self.warnings += 1
         if self.hottest_c is None or temperature_c > self.hottest_c:
-            if (self.hottest_c or limits.cool_c) <= limits.warn_c < temperature_c:
-                self.warnings += 1
             self.hottest_c = temperature_c
         self.share = limits.share(temperature_c)
         if temperature_c >= limits.halt_c:
