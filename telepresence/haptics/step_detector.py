@@ -15,8 +15,8 @@ from kontur_av.clock import NS_PER_MS
 THRESHOLD_N = 0.2
 #: Less than this is noise: ten counts of a sample.
 _NOISE_N = 0.02
-#: What was there before is followed by this share a sample: 50 ms at 1 kHz.
-_FOLLOW = 0.02
+#: What was there before is followed with this time constant.
+_FOLLOW_NS = 50 * NS_PER_MS
 #: A rise that takes longer is no step.
 _LONGEST_RISE_NS = 100 * NS_PER_MS
 #: After a contact there is none for so long, or the next one is the same: it bounces.
@@ -31,16 +31,17 @@ class Step(NamedTuple):
 
 
 class StepDetector:
-    """Takes every force sample in order; drain `next_event`.
+    """Takes every force sample in order, at any rate from 10 Hz on; drain `next_event`.
 
-    A core of the loop at 1 kHz: a sample without a step costs less than a microsecond.
+    A core of the loop at 1 kHz: a sample without a step costs less than a microsecond. Of the steps
+    that nobody drained it keeps the newest 256.
     """
 
     def __init__(self, *, threshold_n: float = THRESHOLD_N) -> None:
         self._threshold = threshold_n * threshold_n
         self._base_x = 0.0
         self._base_y = 0.0
-        self._begun = False
+        self._last_ns: int | None = None
         self._rising_ns: int | None = None
         #: Until the force has come to rest there is no next step.
         self._armed = True
@@ -51,22 +52,26 @@ class StepDetector:
         self, now_ns: int, fx_n: float, fy_n: float = 0.0, contact: bool | None = None
     ) -> None:
         """The force (N) of a sample at `now_ns`; contact: None where nothing says so."""
-        if not self._begun:
-            self._begun, self._base_x, self._base_y = True, fx_n, fy_n
+        last_ns = self._last_ns
+        if last_ns is None:
+            last_ns, self._base_x, self._base_y = now_ns, fx_n, fy_n
+        self._last_ns = now_ns
+        ahead_ns = now_ns - last_ns
+        share = ahead_ns / _FOLLOW_NS if ahead_ns < _FOLLOW_NS else 1.0
         dx, dy = fx_n - self._base_x, fy_n - self._base_y
         change = dx * dx + dy * dy
         if contact is False or change < _NOISE_N * _NOISE_N:
             self._rising_ns = None
-            # As `_follow`, without the call: this is what nearly all samples come to.
-            self._base_x += dx * _FOLLOW
-            self._base_y += dy * _FOLLOW
+            self._base_x += dx * share
+            self._base_y += dy * share
             if not self._armed:
                 self._rest(now_ns)
             return
         self._calm_ns = None
         if not self._armed:
             # Held as it is: what is pressed longer is no new step.
-            self._follow(dx, dy)
+            self._base_x += dx * share
+            self._base_y += dy * share
             if contact is None and change < self._threshold / 4:
                 self._rest(now_ns)
             return
@@ -87,10 +92,6 @@ class StepDetector:
     def next_event(self) -> Step | None:
         """The next step, oldest first; None when there is none."""
         return self._events.popleft() if self._events else None
-
-    def _follow(self, dx: float, dy: float) -> None:
-        self._base_x += dx * _FOLLOW
-        self._base_y += dy * _FOLLOW
 
     def _rest(self, now_ns: int) -> None:
         if self._calm_ns is None:

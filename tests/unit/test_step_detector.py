@@ -1,9 +1,10 @@
 """Steps of the received force: dated at their begin, and counted once."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.step_detector import StepDetector
 
 
@@ -62,3 +63,13 @@ def test_a_force_that_was_there_before_the_contact_hides_no_step():
 def test_slow_drift_and_rounding_are_no_steps():
     assert steps([(0.0005 * k, 0.0, None) for k in range(4000)]) == []
     assert steps([(0.002 * (k % 2), 0.0, True) for k in range(1000)]) == []
+
+
+@pytest.mark.parametrize("rate_hz", [10, 50, 80, 200, 1000, 4000])
+def test_a_press_is_a_step_at_any_rate_of_samples(rate_hz):
+    detector, period_ns = StepDetector(), NS_PER_S // rate_hz
+    pressed = [number // rate_hz % 2 == 1 for number in range(20 * rate_hz)]
+    for number, there in enumerate(pressed):
+        detector.handle_sample(number * period_ns, 5.0 * there)
+    found = [step.instant_ns for step in iter(detector.next_event, None)]
+    assert found == [second * NS_PER_S for second in range(1, 20, 2)]
