@@ -98,9 +98,9 @@ def steps(path: Path) -> list[Found]:
     rows = list(_rows(path))
     if len(rows) < 2:
         raise ConfigError(f"{path}: it has fewer than 2 rows of time_s,force_n")
-    for (line, before_s, _), (_, after_s, _) in pairwise(rows):
+    for (_, before_s, _), (line, after_s, _) in pairwise(rows):
         if after_s <= before_s:
-            raise ConfigError(f"{path}: line {line + 1}: time does not go on after {before_s:g} s")
+            raise ConfigError(f"{path}: line {line}: time does not go on after {before_s:g} s")
     for _, time_s, force_n in rows:
         detector.handle_sample(round(time_s * NS_PER_S), force_n)
     return [Found(step.instant_ns, step.rise_n) for step in iter(detector.next_event, None)]
@@ -150,7 +150,7 @@ def _decoded(path: Path, kind: str) -> Iterator[tuple[int, av.VideoFrame | av.Au
 def _rows(path: Path) -> Iterator[tuple[int, float, float]]:
     """(line, time in s, force in N) of each row after the heading."""
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             table = csv.reader(file)
             heading = next(table, [])
             if [name.strip() for name in heading[:2]] != ["time_s", "force_n"]:

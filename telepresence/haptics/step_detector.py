@@ -78,7 +78,7 @@ class StepDetector:
         if self._rising_ns is None:
             self._rising_ns = now_ns
         if change >= self._threshold:
-            before = self._base_x**2 + self._base_y**2
+            before = self._base_x * self._base_x + self._base_y * self._base_y
             if contact is None and fx_n * fx_n + fy_n * fy_n < before:
                 # It let go.
                 self._rising_ns, self._base_x, self._base_y = None, fx_n, fy_n

@@ -148,6 +148,7 @@ def test_a_region_leaves_out_the_rest(clips, capsys):
         (steps, "words.csv", b"time_s,force_n\n0,1\n0.1,hard\n", "line 3: give two numbers"),
         (steps, "nan.csv", b"time_s,force_n\n0,1\n0.1,nan\n", "line 3"),
         (steps, "back.csv", b"time_s,force_n\n0.1,1\n0,1\n", "time does not go on after 0.1"),
+        (steps, "gap.csv", b"time_s,force_n\n0.1,1\n\n0,1\n", "line 4: time does not go on"),
         (steps, "short.csv", b"time_s,force_n\n0,1\n", "fewer than 2 rows"),
         (steps, "octets.csv", b"\xff\xfe\x00", "no table of text"),
     ],
@@ -160,6 +161,14 @@ def test_a_file_that_is_none_is_named(tmp_path, read, name, content, words):
         read(path, *((None,) if read is lights else ()))
     assert "\n" not in str(caught.value)
     assert name in str(caught.value)
+
+
+@pytest.mark.parametrize("begin", ["", "\ufeff"])
+def test_a_table_out_of_a_spreadsheet_is_read_whatever_its_numbers(tmp_path, begin):
+    path = tmp_path / "felt.csv"
+    rows = "time_s,force_n\n0,0\n0.1,0\n\n0.2,5\n0.3,1e200\n0.4,-1e200\n1,-1e200\n2,3\n"
+    path.write_text(begin + rows, encoding="utf-8")
+    assert steps(path)[0].instant_ns == 200_000_000
 
 
 def test_a_film_without_sound_and_a_sound_without_film_are_named(clips):
