@@ -166,9 +166,9 @@ def test_a_file_that_is_none_is_named(tmp_path, read, name, content, words):
 @pytest.mark.parametrize("begin", ["", "\ufeff"])
 def test_a_table_out_of_a_spreadsheet_is_read_whatever_its_numbers(tmp_path, begin):
     path = tmp_path / "felt.csv"
-    rows = "time_s,force_n\n0,0\n0.1,0\n\n0.2,5\n0.3,1e200\n0.4,-1e200\n1,-1e200\n2,3\n"
+    rows = "time_s,force_n\n0,1e200\n\n0.1,3\n0.2,3\n0.3,8\n"
     path.write_text(begin + rows, encoding="utf-8")
-    assert steps(path)[0].instant_ns == 200_000_000
+    assert [step.instant_ns for step in steps(path)] == [300_000_000]
 
 
 def test_a_film_without_sound_and_a_sound_without_film_are_named(clips):
