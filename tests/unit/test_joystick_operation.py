@@ -67,6 +67,27 @@ def test_without_a_calibration_there_is_no_place_and_no_force_for_the_controller
     assert places == {(0.0, 0.0, 0.0)}
 
 
+def test_a_hand_in_the_way_of_the_calibration_is_pushed_with_no_more_than_its_five_newton():
+    device = SimulatedDevice()
+    session, joystick, write_force = Session(device), device.joystick, device.write_force
+    asked, been_right = [], False
+
+    def held(x_n, y_n):
+        nonlocal been_right
+        asked.append(hypot(x_n, y_n))
+        been_right = been_right or joystick.x_m > 0.149
+        if been_right and joystick.x_m < 0.13:
+            device.stuck = 0  # on its way back to the middle
+        elif len(asked) == 600:
+            joystick.vx_m_s, joystick.vy_m_s = -1.5, -1.0  # a blow on its way to the right
+        write_force(x_n, y_n)
+
+    device.write_force = held
+    session.run(4.5)
+    assert "does not come back to its middle" in session.operation.reason
+    assert 4.5 < max(asked) <= 5.000001
+
+
 def test_a_released_dead_man_button_takes_the_force_and_its_return_is_slow():
     session = Session().into_application()
     assert session.handle.force_limit_n == FACTS.force_limit_n

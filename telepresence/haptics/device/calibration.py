@@ -71,7 +71,7 @@ def _with_motors(facts: DeviceFacts) -> Script[Calibration]:
         halves.append(half_m)
         to_x = middles[0] if axis == 0 else cycle.reading.x_m
         to_y = middles[1] if axis == 1 else cycle.reading.y_m
-        cycle, there = yield from travel(cycle, to_x, to_y, speed_m_s=_SPEED_M_S)
+        cycle, there = yield from travel(cycle, to_x, to_y, speed_m_s=_SPEED_M_S, force_n=push_n)
         if not there:
             return Calibration(
                 problem=f"axis {name} does not come back to its middle: free the handle, let go of "

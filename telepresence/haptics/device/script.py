@@ -7,7 +7,7 @@ decides what drives it, a loop at 1 kHz or virtual time.
 
 from collections.abc import Generator
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, inf
 from typing import Generic, NamedTuple, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -120,12 +120,13 @@ def travel(
     y_m: float,
     *,
     speed_m_s: float = 0.15,
+    force_n: float = inf,
     patience_ns: int = 3 * NS_PER_S,
 ) -> Script[tuple[Cycle, bool]]:
     """Bring the handle to (x_m, y_m), in encoder counts; whether it got there and stands.
 
     The place it is pulled to moves at `speed_m_s`; what friction holds back at the end is made up
-    for by a force that grows slowly.
+    for by a force that grows slowly. Neither that nor the whole is more than `force_n`.
     """
     to_x, to_y = cycle.reading.x_m, cycle.reading.y_m
     extra_x = extra_y = 0.0
@@ -142,8 +143,11 @@ def travel(
         if way <= step:
             to_x, to_y = x_m, y_m
             if speed < _SLOW_M_S:
-                extra_x += _creep(x_m - reading.x_m, dt_s)
-                extra_y += _creep(y_m - reading.y_m, dt_s)
+                extra_x, extra_y = _at_most(
+                    extra_x + _creep(x_m - reading.x_m, dt_s),
+                    extra_y + _creep(y_m - reading.y_m, dt_s),
+                    force_n,
+                )
         else:
             to_x += (x_m - to_x) * step / way
             to_y += (y_m - to_y) * step / way
@@ -153,7 +157,7 @@ def travel(
         elif cycle.now_ns - still_since_ns >= _REST_NS:
             return cycle, True
         x_n, y_n = SERVO.force(reading, to_x, to_y)
-        cycle = yield Output(x_n + extra_x, y_n + extra_y)
+        cycle = yield Output(*_at_most(x_n + extra_x, y_n + extra_y, force_n))
     return cycle, False
 
 
@@ -167,9 +171,9 @@ def push_to_stop(
 ) -> Script[tuple[Cycle, Reading]]:
     """Push along one axis until the handle stands; the reading there.
 
-    direction: one of (±1, 0), (0, ±1). The push is `force_n` at most and is taken back by a
-    damper, so that the handle does not reach the stop faster than about `speed_m_s`. The other
-    axis is held where it is.
+    direction: one of (±1, 0), (0, ±1). The push is taken back by a damper, so that the handle does
+    not reach the stop faster than about `speed_m_s`. The other axis is held where it is. All
+    together is `force_n` at most, also against a hand.
     """
     start = cycle.reading
     along_x, along_y = direction
@@ -187,8 +191,16 @@ def push_to_stop(
             still_since_ns = max(still_since_ns, cycle.now_ns)
         elif cycle.now_ns - still_since_ns >= _REST_NS:
             break
-        cycle = yield Output(x_n, y_n)
+        cycle = yield Output(*_at_most(x_n, y_n, force_n))
     return cycle, cycle.reading
+
+
+def _at_most(x_n: float, y_n: float, force_n: float) -> tuple[float, float]:
+    """This force (N), its size cut to `force_n`."""
+    size = hypot(x_n, y_n)
+    if size <= force_n:
+        return x_n, y_n
+    return x_n * force_n / size, y_n * force_n / size
 
 
 def _creep(error_m: float, dt_s: float) -> float:
