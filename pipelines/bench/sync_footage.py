@@ -101,9 +101,12 @@ def steps(path: Path) -> list[Found]:
     for (_, before_s, _), (line, after_s, _) in pairwise(rows):
         if after_s <= before_s:
             raise ConfigError(f"{path}: line {line}: time does not go on after {before_s:g} s")
+    found: list[Found] = []
     for _, time_s, force_n in rows:
         detector.handle_sample(round(time_s * NS_PER_S), force_n)
-    return [Found(step.instant_ns, step.rise_n) for step in iter(detector.next_event, None)]
+        while (step := detector.next_event()) is not None:
+            found.append(Found(step.instant_ns, step.rise_n))
+    return found
 
 
 def joined(found: dict[str, list[Found]]) -> list[Event]:

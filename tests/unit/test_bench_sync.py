@@ -171,6 +171,14 @@ def test_a_table_out_of_a_spreadsheet_is_read_whatever_its_numbers(tmp_path, beg
     assert [step.instant_ns for step in steps(path)] == [300_000_000]
 
 
+def test_a_long_table_loses_no_step(tmp_path):
+    path = tmp_path / "felt.csv"
+    rows = (f"{number / 100},{5.0 * (number % 100 >= 50)}" for number in range(30_000))
+    path.write_text("\n".join(("time_s,force_n", *rows)))
+    found = [step.instant_ns for step in steps(path)]
+    assert found == [500_000_000 + second * 1_000_000_000 for second in range(300)]
+
+
 def test_a_film_without_sound_and_a_sound_without_film_are_named(clips):
     with pytest.raises(ConfigError, match="no sound in it"):
         clicks(clips / "see.y4m")
