@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
+from pipelines.pauses import Pauses
 from pipelines.probe import FLUSH_NS, Message
 from pipelines.skew import RECENT_DEPTH, LipSyncShare, Recent, Skew
 from pipelines.sync.figures import PERCEIVED, SyncFigures
@@ -30,10 +31,9 @@ _JOIN_DEPTH = 2000
 #: Of a thousand haptic samples a second, one of these is enough to compare other senses with.
 _FELT_EVERY_NS = 20 * NS_PER_MS
 _FELT_DEPTH = 1024
-#: What shows or feels nothing for longer pauses; so many pauses are remembered of each.
+#: What shows or feels nothing for longer pauses.
 _SHOWN_PAUSE_NS = NS_PER_S
 _FELT_PAUSE_NS = NS_PER_S // 5
-_PAUSES = 1000
 #: A process tells twice a second: this is half a minute.
 _LATELY_BATCHES = 60
 #: Half a turn of the samples' sequence numbers at 1 kHz: beyond that a match would be a guess.
@@ -93,18 +93,21 @@ class StreamFigures:
         self.stages = {stage: Histogram() for stage in STAGES}
         self.recent = Recent()
         self.last_latency_ns: int | None = None
-        #: When a picture or a block of sound was displayed last.
-        self.last_shown_ns: int | None = None
         #: Displayed instants and latencies that were not compared with the other senses yet.
         self.fresh: deque[tuple[int, int]] = deque(maxlen=RECENT_DEPTH)
-        #: From when to when nothing was displayed, once something was.
-        self.pauses_ns: deque[tuple[int, int]] = deque(maxlen=_PAUSES)
+        #: From when to when nothing was displayed.
+        self.pauses = Pauses(_SHOWN_PAUSE_NS)
         #: How far the capture time that travelled by RTCP lies beside the one that was stamped.
         self.stamp_error = Histogram()
         #: Of pictures: what their time is made of.
         self.way = Way()
         self._captured_ns: int | None = None
         self._journeys: OrderedDict[int, _Journey] = OrderedDict()
+
+    @property
+    def last_shown_ns(self) -> int | None:
+        """When a picture or a block of sound was displayed last."""
+        return self.pauses.last_ns
 
     def handle_out(self, rows: NDArray[np.int64]) -> None:
         for instant_ns, octets, cap_bps in rows.tolist():
@@ -146,10 +149,7 @@ class StreamFigures:
             latency_ns = displayed_ns - capture_ns
             self.latency.add(latency_ns)
             self.last_latency_ns = latency_ns
-            before_ns = self.last_shown_ns
-            if before_ns is not None and displayed_ns - before_ns > _SHOWN_PAUSE_NS:
-                self.pauses_ns.append((before_ns, displayed_ns))
-            self.last_shown_ns = displayed_ns
+            self.pauses.add(displayed_ns)
             self.recent.add(displayed_ns, latency_ns)
             self.fresh.append((displayed_ns, latency_ns))
             journey = self._journey(timestamp, now_ns)
@@ -207,9 +207,8 @@ class HapticFigures:
         self.rate = RateMeter(windows_ns=(NS_PER_S,))
         self.latency = Histogram()
         self.recent = Recent()
-        #: When a sample was received last, and from when to when none was.
-        self.last_felt_ns: int | None = None
-        self.pauses_ns: deque[tuple[int, int]] = deque(maxlen=_PAUSES)
+        #: From when to when no sample was received.
+        self.pauses = Pauses(_FELT_PAUSE_NS)
         self._matcher = LatencyMatcher()
         # Beside the matcher, which tells latencies but not when they were felt.
         self._sent_ns = np.full(SEQUENCE_MODULUS, -(1 << 62), np.int64)
@@ -227,7 +226,7 @@ class HapticFigures:
             return
         self._lately.append(rows.copy())
         self._matcher.handle_received([tuple(row) for row in rows.tolist()])
-        self._note_pauses(rows[:, 1])
+        self.pauses.add_all(rows[:, 1])
         latencies = self._matcher.take_latencies_ns(now_ns)
         if latencies:
             self.latency.add(np.array(latencies))
@@ -243,13 +242,6 @@ class HapticFigures:
             at_ns = instant_ns if last_ns is None else max(instant_ns, last_ns)
             self.rate.add(at_ns, samples * SAMPLE_OCTETS)
         self._remember()
-
-    def _note_pauses(self, instants_ns: NDArray[np.int64]) -> None:
-        if self.last_felt_ns is not None:
-            instants_ns = np.concatenate(([self.last_felt_ns], instants_ns))
-        for index in np.flatnonzero(np.diff(instants_ns) > _FELT_PAUSE_NS).tolist():
-            self.pauses_ns.append((int(instants_ns[index]), int(instants_ns[index + 1])))
-        self.last_felt_ns = int(instants_ns[-1])
 
     def sent_ns_at(self, instant_ns: int) -> int | None:
         """When the sample was sent that was the newest at `instant_ns`; None if that is unknown."""

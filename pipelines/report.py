@@ -1,6 +1,6 @@
 """One report for every run: what each stream got, as plain values for JSON."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -9,6 +9,7 @@ from pipelines.ages import spells
 from pipelines.collector import HAPTIC_ENDS, Collector, ProcessFigures, StreamFigures
 from pipelines.cores.haptics import PORT_GAUGES, PORT_TOTALS
 from pipelines.link_figures import gateway_figures, link_figures, summary_us
+from pipelines.pauses import Pauses
 from pipelines.setup import Setup, VideoStream, VoiceStream
 from pipelines.silence import MISSED_NS, missed_ns, signal_ns, silences, stopped_ns
 from pipelines.sync.figures import disagreements
@@ -112,10 +113,14 @@ def _radio_epoch_ns(collector: Collector) -> int:
     return 0
 
 
-def _pauses_s(pauses_ns: Iterable[tuple[int, int]], collector: Collector) -> list[list[float]]:
-    """From when to when, in seconds of the session."""
+def _pauses_s(pauses: Pauses, collector: Collector) -> list[list[float]]:
+    """From when to when, in seconds of the session: from its begin to the last that was told."""
     epoch_ns = _radio_epoch_ns(collector)
-    return [[round((at - epoch_ns) / NS_PER_S, 3) for at in pause] for pause in pauses_ns]
+    end_ns = max((told.told_ns for told in collector.processes.values()), default=epoch_ns)
+    return [
+        [round((at - epoch_ns) / NS_PER_S, 3) for at in pause]
+        for pause in pauses.within(epoch_ns, end_ns)
+    ]
 
 
 def _stream(
@@ -142,7 +147,7 @@ def _stream(
             **spread_ms(figures.latency),
             "stages": {stage: spread_ms(histogram) for stage, histogram in figures.stages.items()},
         },
-        "pauses_s": _pauses_s(figures.pauses_ns, collector),
+        "pauses_s": _pauses_s(figures.pauses, collector),
         "capture_stamp_error_us": round(figures.stamp_error.max / NS_PER_US, 1),
     }
 
@@ -179,7 +184,7 @@ def _haptic(name: str, setup: Setup, collector: Collector, seconds: float) -> di
         "late": receiver.total("late"),
         "garbage": receiver.total("garbage"),
         "latency_ms": spread_ms(collector.haptics[name].latency),
-        "pauses_s": _pauses_s(collector.haptics[name].pauses_ns, collector),
+        "pauses_s": _pauses_s(collector.haptics[name].pauses, collector),
         "lateness_us": summary_us(sender.lateness),
         "slips": sender.total("slips"),
         "port": _port(sender),

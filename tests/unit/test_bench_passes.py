@@ -3,6 +3,7 @@
 import copy
 import json
 from contextlib import closing
+from dataclasses import replace
 
 import pytest
 
@@ -16,6 +17,9 @@ from pipelines.bench.passes_figures import (
 )
 from pipelines.bench.passes_run import Plan, run_sessions
 from pipelines.cli import main
+from pipelines.setups import BUILT_IN
+from pipelines.simulate import simulate
+from telepresence.haptics.loop import HapticLink
 
 S = 1_000_000_000
 
@@ -130,6 +134,22 @@ def test_a_pause_counts_only_while_there_is_a_signal_in_the_usable_window():
     assert pass_figures(found)["longest_pause_s"]["shown"] == 2.9
     found["streams"]["uplink_video"]["pauses_s"] = [[95.1, 100.0]]
     assert pass_figures(found)["longest_pause_s"]["shown"] == 3.9
+
+
+@pytest.mark.parametrize("silent", [(-1, 2), (4, 99), (-1, 99)])
+def test_a_force_that_begins_late_or_stops_for_good_is_stuck(silent, monkeypatch):
+    send = HapticLink.poll_transmit
+
+    def poll_transmit(link, now_ns):
+        sample = send(link, now_ns)
+        return None if silent[0] * S <= now_ns < silent[1] * S else sample
+
+    monkeypatch.setattr(HapticLink, "poll_transmit", poll_transmit)
+    setup = replace(BUILT_IN["spacejustin"], radio="clean")
+    figures = pass_figures(simulate(setup, seconds=6.0, seed=1, media=False))
+    assert "stuck" in faults(figures)
+    longest_s = min(silent[1], 6) - max(silent[0], 0)
+    assert figures["longest_pause_s"]["felt"] == pytest.approx(longest_s, abs=0.2)
 
 
 def test_a_signal_that_was_away_for_a_hundredth_of_the_window_is_not_usable():

@@ -69,10 +69,10 @@ def test_pauses_are_kept_with_their_ends():
     shown = [(number, *ns(at - 40, at)) for number, at in enumerate((100, 1100, 2101, 2140))]
     tell(collector, "space_display", shown__uplink_video=shown[:2])
     tell(collector, "space_display", shown__uplink_video=shown[2:])
-    assert list(collector.streams["uplink_video"].pauses_ns) == [tuple(ns(1100, 2101))]
+    assert list(collector.streams["uplink_video"].pauses.ended_ns) == [tuple(ns(1100, 2101))]
     felt = [(number, *ns(at)) for number, at in enumerate((1, 2, 202, 403, 404, 900))]
     tell(collector, "joystick", haptic_rx=felt[:3])
     tell(collector, "joystick", haptic_rx=felt[3:])
     pauses = [tuple(ns(202, 403)), tuple(ns(404, 900))]
-    assert list(collector.haptics["up"].pauses_ns) == pauses
-    assert not collector.haptics["down"].pauses_ns
+    assert list(collector.haptics["up"].pauses.ended_ns) == pauses
+    assert not collector.haptics["down"].pauses.ended_ns
