@@ -128,7 +128,11 @@ class SyncFigures:
         return apart, bounces
 
     def _sorted(self, sense: str) -> list[Found]:
-        return sorted(self._found[sense], key=lambda one: one.instant_ns)
+        found = list(self._found[sense])
+        if sense == "force":
+            # They were felt, whatever their samples' stamps will be.
+            found += map(Found, self._steps)
+        return sorted(found, key=lambda one: one.instant_ns)
 
     def _sense(self, sense: str, events: Sequence[Event]) -> dict[str, Any]:
         perceived = [
@@ -158,7 +162,7 @@ class SyncFigures:
             else list(map(_ms, verdict.between_ns)),
             "allowed_error_ms": list(map(_ms, verdict.allowed_ns)),
             "agrees": verdict.agrees,
-            "found": len(self._found[sense]),
+            "found": len(self._sorted(sense)),
         }
 
 

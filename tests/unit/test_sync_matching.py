@@ -117,6 +117,18 @@ def test_bounces_and_touches_beside_a_target_are_told_apart():
     assert (report["events"], report["bounces"], report["touches_beside_targets"]) == (10, 1, 1)
 
 
+@pytest.mark.parametrize("late_ms", [1, 11, 200])
+def test_the_last_contact_is_not_missed_because_its_force_has_no_stamp_yet(late_ms):
+    soonest_ns, end_ns = min(late_ms, 10) * MS, 20 * NS_PER_S
+    for before_end_ms in range(900, 1300, 10):
+        sync = SyncFigures()
+        for at_ns in (9 * NS_PER_S, end_ns - before_end_ms * MS):
+            sync.handle_rows("contact", "", [(at_ns, 0)])
+            sync.handle_rows("step", "", [(at_ns + late_ms * MS,)])
+        sync.handle_time(end_ns, lambda instant_ns: instant_ns)
+        assert sync.report(["force"], soonest_ns=soonest_ns)["senses"]["force"]["missed"] == 0
+
+
 def test_a_sense_that_a_setup_lacks_has_no_figures():
     report = figures().report(["light", "force"])
     assert report["senses"]["click"] is None
