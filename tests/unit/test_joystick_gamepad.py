@@ -141,6 +141,11 @@ def test_a_stick_that_is_held_is_not_calibrated():
     run(operation, 500)
     assert operation.state is State.CALIBRATION_ERROR
     assert "does not rest at its middle (+" in operation.reason
+    # It pushes nobody: it is tried until the stick is let go of.
+    now_ns = run(operation, 20_000, 500 * NS_PER_MS)
+    operation.device.stick.handle_event(3, 0, 128)
+    run(operation, 2_000, now_ns)
+    assert operation.state is State.APPLICATION
 
 
 def test_no_controller_is_one_line(tmp_path):

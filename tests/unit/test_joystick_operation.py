@@ -3,6 +3,7 @@
 from copy import deepcopy
 from math import hypot, inf, nan
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -202,6 +203,27 @@ def test_a_handle_beyond_its_workspace_is_an_error_that_a_calibration_mends():
     assert session.operation.state is State.APPLICATION
     joystick = session.device.joystick
     assert abs(session.handle.x_m - joystick.x_m) < 0.002
+
+
+@pytest.mark.parametrize("seconds", [0.001, 0.9, 1.1, 5])
+def test_a_fault_that_is_gone_is_mended_however_long_it_was_and_however_often(seconds):
+    session = Session().into_application()
+    read = session.device.read
+    for _ in range(5):
+        session.device.read = lambda: read()._replace(x_m=nan)
+        session.run(seconds)
+        assert session.operation.state is State.RECOVERABLE
+        session.device.read = read
+        session.run(6)
+        assert session.operation.state is State.APPLICATION
+
+
+def test_motors_that_push_in_vain_give_up_after_three_more_tries():
+    session = Session(SimulatedDevice(FAULTS["stuck-x"]))
+    session.run(30)
+    assert session.operation.state is State.CALIBRATION_ERROR and session.operation.given_up
+    events = [entry["event"] for entry in session.handle.report()["log"]]
+    assert events.count("calibrate") == 4
 
 
 def into_application():

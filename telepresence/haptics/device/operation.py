@@ -17,7 +17,7 @@ from telepresence.haptics.device.supervision import Limits, Supervisor, Verdict
 
 #: A sensor that is read this often without a fault has passed its self-test.
 _SELF_TEST_CYCLES = 20
-#: What goes wrong by itself is tried again after so long, and so often.
+#: What goes wrong by itself is tried again after so long, and, where motors push, so often.
 _RETRY_NS = NS_PER_S
 _RETRIES = 3
 #: After a halt or a release of the dead-man button the force comes back over this time.
@@ -73,6 +73,7 @@ class Operation:
         self._shown: State | None = None
         self._cycles = 0
         self._retries = 0
+        self._tried_ns = now_ns
         self._held_since_ns: int | None = None
         #: The force is back in full since the dead-man button was pressed.
         self._returned = False
@@ -92,7 +93,11 @@ class Operation:
 
     @property
     def given_up(self) -> bool:
-        """Whether it has tried by itself as often as it will: now a person must ask."""
+        """Whether it has tried by itself often enough: a person must do something now.
+
+        With motors it tries no more. A calibration without them pushes nobody: it goes on trying,
+        until the stick is let go of.
+        """
         if self.state in (State.CALIBRATION_ERROR, State.RECOVERABLE):
             return not self._automatic or self._retries >= _RETRIES
         return self.state is State.FATAL
@@ -133,6 +138,8 @@ class Operation:
             self.supervisor.forget_silence()
             self._held_since_ns = None
             self._returned = False
+            # All is well again: what goes wrong next is tried as often as the first time.
+            self._retries = 0
         self.supervisor.expects_peer = not self._hands_off and event is Event.START
         return ""
 
@@ -294,11 +301,13 @@ class Operation:
                 self.handle_request(Event.RESUME, now_ns)
         elif (
             state in (State.CALIBRATION_ERROR, State.RECOVERABLE)
-            and self._retries < _RETRIES
-            and now_ns - self.machine.since_ns >= _RETRY_NS
+            and (self._retries < _RETRIES or not self.facts.has_force)
+            and now_ns - max(self.machine.since_ns, self._tried_ns) >= _RETRY_NS
         ):
-            self._retries += 1
-            self.handle_request(Event.ACKNOWLEDGE, now_ns)
+            self._tried_ns = now_ns
+            # Refused as long as the cause is there: then it was no try.
+            if not self.handle_request(Event.ACKNOWLEDGE, now_ns):
+                self._retries += 1
 
 
 def _rounded(temperature_c: float | None) -> float | None:
