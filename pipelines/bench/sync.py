@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="add MS to every instant of video, audio or haptics; may be given several times",
     )
     footage.add_argument(
-        "--roi", metavar="X,Y,W,H", help="pixels of the picture in which the LED is; default all"
+        "--roi", metavar="X,Y,W,H", help="where the LED is, in pixels of the file; default all"
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the skews as PNG")

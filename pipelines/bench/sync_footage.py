@@ -22,7 +22,8 @@ from pipelines.sync.figures import Event
 from pipelines.sync.matching import LATEST_NS, Found, match
 from telepresence.haptics.step_detector import StepDetector
 
-#: A picture is looked at in no larger width, and in so many cells across: a real LED may be small.
+#: A whole picture is looked at in no larger width, and all in so many cells across: a real LED may
+#: be small.
 _WIDEST = 1280
 _COLUMNS = 160
 #: A light or a click may come so much before the step that it belongs to.
@@ -32,7 +33,7 @@ _JUMP_NS = 5 * NS_PER_MS
 
 
 def lights(path: Path, roi: Roi | None) -> list[Found]:
-    """The lights that come on in a video file. roi: pixels of the picture as it is looked at.
+    """The lights that come on in a video file. roi: pixels of the file's pictures.
 
     ConfigError if it cannot be read.
     """
@@ -41,10 +42,15 @@ def lights(path: Path, roi: Roi | None) -> list[Found]:
     instants: set[int] = set()
     for instant_ns, frame in _decoded(path, "video"):
         assert isinstance(frame, av.VideoFrame)
-        width = max(16, min(_WIDEST, frame.width) // 4 * 4)
+        widest = _WIDEST
+        if roi is not None:
+            if roi.left + roi.width > frame.width or roi.top + roi.height > frame.height:
+                size = f"{frame.width}x{frame.height}"
+                raise ConfigError(f"--roi: the picture of {path} has {size} pixels")
+            # A part of it is looked at as it is.
+            widest = frame.width
+        width = max(16, min(widest, frame.width) // 4 * 4)
         height = max(16, round(frame.height * width / frame.width) // 4 * 4)
-        if roi is not None and (roi.left + roi.width > width or roi.top + roi.height > height):
-            raise ConfigError(f"--roi: the picture of {path} has {width}x{height} pixels")
         picture = frame.reformat(width=width, height=height, format="yuv420p").to_ndarray()
         eye.handle_picture(np.asarray(picture, np.uint8), instant_ns, instant_ns)
         instants.add(instant_ns)

@@ -8,6 +8,7 @@ import av
 import numpy as np
 import pytest
 
+from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
 from pipelines.bench.sync_footage import clicks, lights, steps
 from pipelines.cli import main
@@ -135,6 +136,24 @@ def test_a_region_leaves_out_the_rest(clips, capsys):
     told = capsys.readouterr().err
     assert "no light" in told
     assert "320x240" in told
+
+
+def test_a_region_is_in_pixels_of_the_file_however_wide_it_is(tmp_path):
+    path = tmp_path / "wide.mp4"
+    with av.open(str(path), "w") as file:
+        video = file.add_stream("libx264", rate=FPS, options={"preset": "ultrafast"})
+        video.width, video.height, video.pix_fmt = 1920, 1080, "yuv420p"
+        for number in range(20):
+            picture = np.full((1080, 1920, 3), 40, np.uint8)
+            if number >= 10:
+                picture[1000:1012, 1700:1712] = (255, 40, 40)
+            for packet in video.encode(av.VideoFrame.from_ndarray(picture, "rgb24")):
+                file.mux(packet)
+        for packet in video.encode(None):
+            file.mux(packet)
+    (light,) = lights(path, Roi(1640, 940, 140, 140))
+    assert light.instant_ns == pytest.approx(10 / FPS * 1e9, abs=1e6)
+    assert lights(path, Roi(1040, 580, 140, 140)) == []
 
 
 @pytest.mark.parametrize(
