@@ -2,6 +2,7 @@
 
 import os
 import struct
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -13,7 +14,7 @@ from telepresence.haptics.device.gamepad import feed, find_gamepads, open_gamepa
 from telepresence.haptics.device.operation import FELT_BY_NOBODY_N, Operation
 from telepresence.haptics.device.spec import check_joystick
 from telepresence.haptics.device.states import State
-from telepresence.haptics.device.stick import Axis, RumbleMeter, Stick
+from telepresence.haptics.device.stick import RUMBLE_NS, Axis, RumbleMeter, Stick
 
 KEYS = frozenset({0x130, 0x131, 0x133, 0x134, 0x136})
 AXES = (Axis(128, 0, 255, 15), Axis(0, -32768, 32767, 128))
@@ -94,6 +95,17 @@ def test_it_rumbles_in_steps_and_is_quiet_at_once():
     assert meter.handle_force(8.0, 50 * NS_PER_MS) == 0xFFFF
     assert meter.handle_force(7.9, 50 * NS_PER_MS) is None  # nobody feels that
     assert meter.handle_force(0.0, NS_PER_MS) == 0
+
+
+def test_a_force_that_stays_rumbles_on_and_one_that_nobody_feels_never_begins():
+    meter = RumbleMeter(8.0)
+    set_ms = [ms for ms in range(10_000) if meter.handle_force(6.0, NS_PER_MS) is not None]
+    gaps_ms = [later - earlier for earlier, later in pairwise([*set_ms, 10_000])]
+    assert set_ms[0] == 0
+    assert 400 * NS_PER_MS < max(gaps_ms) * NS_PER_MS < 0.7 * RUMBLE_NS
+    assert meter.handle_force(0.0, NS_PER_MS) == 0
+    assert not any(meter.handle_force(0.0, NS_PER_MS) for _ in range(3000))
+    assert not any(meter.handle_force(0.4, NS_PER_MS) for _ in range(3000))
 
 
 class Pad:

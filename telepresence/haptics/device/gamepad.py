@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from telepresence.haptics.device.device import DeviceFacts, Reading
 from telepresence.haptics.device.states import State
@@ -21,6 +22,7 @@ from telepresence.haptics.device.stick import (
     EV_FF,
     EV_KEY,
     FF_RUMBLE,
+    RUMBLE_NS,
     Axis,
     RumbleMeter,
     Stick,
@@ -28,8 +30,6 @@ from telepresence.haptics.device.stick import (
 
 #: The force at which a rumble is at its strongest (N). Chosen.
 _FULL_RUMBLE_N = 8.0
-#: An effect plays for so long at most: a process that is killed leaves no pad shaking.
-_RUMBLE_MS = 1000
 #: Buttons of gamepads and joysticks lie here: a mouse or a touchscreen has none of them.
 _FIRST_BUTTON, _LAST_BUTTON = 0x120, 0x13F
 
@@ -166,7 +166,7 @@ class GamepadDevice:
             self._effect,
             0,
             ff.Trigger(0, 0),
-            ff.Replay(_RUMBLE_MS, 0),
+            ff.Replay(RUMBLE_NS // NS_PER_MS, 0),
             ff.EffectType(
                 ff_rumble_effect=ff.Rumble(
                     strong_magnitude=magnitude, weak_magnitude=magnitude // 2

@@ -147,25 +147,38 @@ def _share(axis: Axis, raw: int) -> float:
     return min(share, 1.0) if off > 0 else -min(share, 1.0)
 
 
+#: Changes are so far apart at least, and an effect is never older: well below `RUMBLE_NS`.
+_APART_NS = 50 * NS_PER_MS
+_ANEW_NS = 500 * NS_PER_MS
+#: An effect plays for so long at most: a process that is killed leaves no pad shaking.
+RUMBLE_NS = 1000 * NS_PER_MS
+
+
 class RumbleMeter:
     """How strongly to shake for a force: changes of a tenth, and not more often than a pad hears.
 
-    `handle_force` gives the magnitude to set, 0 to 65535, or None when the old one will do.
+    `handle_force` gives the magnitude to set, 0 to 65535, or None when the old one will do. An
+    effect ends by itself: as long as there is one, it is set anew every half second.
     """
 
     def __init__(self, full_n: float) -> None:
         self._full_n = full_n
         self._shown = 0.0
-        self._rest_ns = 0
+        self._age_ns = _ANEW_NS
 
     def handle_force(self, force_n: float, dt_ns: int) -> int | None:
         """`force_n` (N, >= 0) is to be felt; `dt_ns` have passed since the last call."""
-        self._rest_ns -= dt_ns
+        self._age_ns += dt_ns
         share = min(force_n / self._full_n, 1.0)
-        # Off is off at once.
-        changed = share != self._shown if share == 0.0 else abs(share - self._shown) >= 0.1
-        if not changed or (self._rest_ns > 0 and share > 0.0):
-            return None
+        if share == 0.0:
+            # Off is off at once.
+            if self._shown == 0.0:
+                return None
+        else:
+            changed = abs(share - self._shown) >= 0.1
+            ending = self._shown > 0.0 and self._age_ns >= _ANEW_NS
+            if not ending and not (changed and self._age_ns >= _APART_NS):
+                return None
         self._shown = share
-        self._rest_ns = 50 * NS_PER_MS
+        self._age_ns = 0
         return round(share * 0xFFFF)
