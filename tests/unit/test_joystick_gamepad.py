@@ -76,9 +76,9 @@ def test_lost_events_are_asked_for():
 EVENTS = st.tuples(st.integers(0, 31), st.integers(0, 0x2FF), st.integers(-(2**31), 2**31 - 1))
 
 
-@given(st.lists(EVENTS))
-def test_no_event_brings_it_out_of_its_workspace(events):
-    stick = Stick("pad", AXES, KEYS)
+@given(st.lists(EVENTS), st.sampled_from([AXES, (Axis(0, 0, 0), Axis(7, 5, 3, 2))]))
+def test_no_event_brings_it_out_of_its_workspace(events, axes):
+    stick = Stick("pad", axes, KEYS)
     for kind, code, value in events:
         stick.handle_event(kind, code, value)
         stick.advance(NS_PER_MS)

@@ -139,6 +139,9 @@ class Stick:
 def _share(axis: Axis, raw: int) -> float:
     """`raw` as a share of the travel, -1 to 1, without the flat part around the middle."""
     half = (axis.most - axis.least) / 2
+    if half <= 0:
+        # It says no range, as a device of uinput may: it cannot tell where it is.
+        return 0.0
     off = raw - (axis.most + axis.least) / 2
     flat = min(axis.flat, half / 2)
     if abs(off) <= flat:
