@@ -29,7 +29,8 @@ _CLOSE = 5
 #: So much more than the light itself may go on changing close by from the first picture with it to
 #: the second: a small light beside something that moves.
 _MOST_GOING_ON = 600
-#: Of all cells a patch has at most this share, and all that changes in a picture at most that.
+#: Of the whole picture a patch has at most this share, and all that changes at most that: a light
+#: may fill the region that is looked at.
 _LARGEST_PATCH = 0.08
 _LARGEST_CHANGE = 0.30
 #: So many patches of a picture are looked at, the largest first.
@@ -82,6 +83,8 @@ class LightDetector:
     def __init__(self, *, roi: Roi | None = None, columns: int = COLUMNS) -> None:
         self._roi = roi
         self._columns = columns
+        #: How many times the region goes into the whole picture.
+        self._whole = 1.0
         self._seen: deque[_Seen] = deque(maxlen=4)
         self._events: deque[Light] = deque()
 
@@ -102,6 +105,7 @@ class LightDetector:
         every = planes(picture)
         roi = self._roi
         if roi is not None:
+            whole = every[0].size
             every = tuple(  # type: ignore[assignment]
                 plane[
                     roi.top // scale : (roi.top + roi.height) // scale,
@@ -109,6 +113,7 @@ class LightDetector:
                 ]
                 for plane, scale in zip(every, (1, 2, 2), strict=True)
             )
+            self._whole = whole / every[0].size
         height, width = every[0].shape
         columns = min(self._columns, width // 4)
         size = columns, max(4, round(columns * height / width))
@@ -126,14 +131,15 @@ class LightDetector:
         fall = np.minimum(first, second) - np.maximum(third, fourth)
         risen = rise > _RISE
         changed = np.count_nonzero(risen) + np.count_nonzero(fall > _RISE)
-        if changed > _LARGEST_CHANGE * rise.size:
+        whole = self._whole * rise.size
+        if changed > _LARGEST_CHANGE * whole:
             return
         np.maximum(fall, 0, out=fall)
         count, labels, boxes, centres = cv2.connectedComponentsWithStats(risen.astype(np.uint8))
         best, strongest = 0, 0.0
         for label in sorted(range(1, count), key=lambda patch: -boxes[patch][4])[:_PATCHES]:
             left, top, width, height, area = (int(value) for value in boxes[label])
-            if area > _LARGEST_PATCH * rise.size:
+            if area > _LARGEST_PATCH * whole:
                 continue
             box = np.s_[top : top + height, left : left + width]
             inside = rise[box][labels[box] == label]

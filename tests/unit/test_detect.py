@@ -165,6 +165,10 @@ def test_a_region_is_all_that_is_looked_at():
     pictures = [dark] * 3 + [bright] * 3
     assert len(lights(pictures, roi=Roi(80, 80, 64, 64))) == 1
     assert lights(pictures, roi=Roi(180, 80, 64, 64)) == []
+    # However tight it is.
+    assert len(lights(pictures, roi=Roi(98, 98, 16, 16))) == 1
+    filled = [dark] * 3 + [lit(dark, 90, 90, side=32)] * 3
+    assert len(lights(filled, roi=Roi(96, 96, 16, 16))) == 1
 
 
 @pytest.mark.parametrize("view", ["left", "head"])
