@@ -213,6 +213,8 @@ class HapticFigures:
         # Beside the matcher, which tells latencies but not when they were felt.
         self._sent_ns = np.full(SEQUENCE_MODULUS, -(1 << 62), np.int64)
         self._felt: deque[tuple[int, int]] = deque(maxlen=_FELT_DEPTH)
+        #: When the newest sample was sent of those whose latency is remembered.
+        self._remembered_ns = -(1 << 62)
         #: The newest batches of (sequence, instant) of what was received.
         self._lately: deque[NDArray[np.int64]] = deque(maxlen=_LATELY_BATCHES)
 
@@ -256,9 +258,12 @@ class HapticFigures:
         """Remember the latency of each of the chosen samples of which both stamps are there."""
         waiting: list[tuple[int, int]] = []
         for sequence, instant_ns in self._felt:
-            latency_ns = instant_ns - int(self._sent_ns[sequence])
-            if 0 <= latency_ns < _TURN_NS:
+            sent_ns = int(self._sent_ns[sequence])
+            latency_ns = instant_ns - sent_ns
+            # A stamp that is no newer is of the sender's life before.
+            if sent_ns > self._remembered_ns and 0 <= latency_ns < _TURN_NS:
                 self.recent.add(instant_ns, latency_ns)
+                self._remembered_ns = sent_ns
                 # The sender's stamps come in order: those of the samples before are lost.
                 waiting.clear()
             else:

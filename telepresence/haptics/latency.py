@@ -9,6 +9,7 @@ from telepresence.haptics.sample import SEQUENCE_MODULUS
 #: Half a turn of the sequence numbers at 1 kHz: beyond that a match would be a guess.
 _TURN_NS = 30 * NS_PER_S
 
+_NEVER_NS = -(1 << 62)
 _PENDING_DEPTH = 65536
 
 
@@ -18,13 +19,18 @@ class LatencyMatcher:
     The instants are on one clock. `pending` received stamps wait for the sender's batch, at
     most 65536 of them (the oldest goes) and at most `patience_ns`; `unmatched` counts those
     that waited in vain.
+
+    Samples are received in the order in which they were sent. So a sender's stamp that is no newer
+    than the last one matched is none of a later sample's, even if it has the same number: a sender
+    that was started again begins at 0.
     """
 
     def __init__(self, *, patience_ns: int = 5 * NS_PER_S) -> None:
         self.patience_ns = patience_ns
         self.unmatched = 0
-        self._sent_ns: list[int | None] = [None] * SEQUENCE_MODULUS
+        self._sent_ns = [_NEVER_NS] * SEQUENCE_MODULUS
         self._pending: deque[tuple[int, int]] = deque()
+        self._matched_ns = _NEVER_NS
 
     @property
     def pending(self) -> int:
@@ -48,7 +54,8 @@ class LatencyMatcher:
         waiting: deque[tuple[int, int]] = deque()
         for sequence, received_ns in self._pending:
             sent_ns = self._sent_ns[sequence]
-            if sent_ns is not None and 0 <= received_ns - sent_ns < _TURN_NS:
+            if sent_ns > self._matched_ns and 0 <= received_ns - sent_ns < _TURN_NS:
+                self._matched_ns = sent_ns
                 latencies.append(received_ns - sent_ns)
             elif now_ns - received_ns <= self.patience_ns:
                 waiting.append((sequence, received_ns))

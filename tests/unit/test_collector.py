@@ -184,6 +184,25 @@ def test_a_picture_is_compared_with_the_force_of_its_own_instant():
     assert rate.events < 35
 
 
+def test_a_robot_that_was_started_again_has_no_latencies_of_its_life_before():
+    collector = Collector(STREAMS)
+    for begun_ms, told_ms in ((0, 3000), (5000, 5500)):
+        sent = [(k, at) for k, at in enumerate(ms(*range(begun_ms, told_ms)))]
+        # Of the first life every tenth is lost. What was received is told first.
+        felt = [(k, at + 3 * NS_PER_MS) for k, at in sent if begun_ms or k % 10]
+        (now_ns,) = ms(told_ms + 100)
+        tell(collector, "joystick", now_ns, haptic_rx=felt)
+        tell(collector, "robot", now_ns, haptic_tx=sent)
+        show(collector, "uplink_video", told_ms - 10, 40)
+    # With the next message the stamps that waited are matched.
+    feel(collector, 5600, 3)
+    collector.handle_end()
+    force = collector.haptics["up"].latency
+    assert (force.count, force.max) == (2700 + 500 + 1, 3 * NS_PER_MS)
+    skew = collector.skews["video_haptic"].summary_ms()
+    assert [skew[name] for name in ("p50", "max")] == pytest.approx([37, 37], rel=0.01)
+
+
 def test_force_of_which_the_sender_never_told_is_passed_over():
     collector = Collector(STREAMS)
     feel(collector, 100, 2)
