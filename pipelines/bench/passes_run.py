@@ -32,7 +32,7 @@ class Plan:
     def command(self, seed: int, report: Path) -> list[str]:
         """The command of the session of `seed`."""
         words = [sys.executable, "-m", "pipelines.cli", "simulate", "--setup", self.setup, "-q"]
-        words += ["--seconds", f"{self.seconds:g}", "--radio", self.radio, "--seed", str(seed)]
+        words += ["--seconds", f"{self.seconds}", "--radio", self.radio, "--seed", str(seed)]
         return [*words, "--report", str(report), *([] if self.media else ["--no-media"])]
 
 
@@ -41,6 +41,7 @@ class _Session:
 
     def __init__(self, plan: Plan, seed: int, directory: Path) -> None:
         self.seed = seed
+        self._seconds = plan.seconds
         self._report = directory / f"{seed}.json"
         self._errors = directory / f"{seed}.txt"
         self._began_s = time.monotonic()
@@ -66,6 +67,8 @@ class _Session:
             return {"error": line or f"ended with {self._process.returncode}"}
         report: dict[str, Any] = json.loads(self._report.read_text(encoding="utf-8"))
         self._report.unlink()
+        if report["seconds"] < round(self._seconds, 3):
+            return {"error": f"ended early, after {report['seconds']:g} s"}
         report["wall_s"] = round(time.monotonic() - self._began_s, 1)
         return report
 

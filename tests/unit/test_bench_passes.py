@@ -3,7 +3,7 @@
 import copy
 import json
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -231,6 +231,16 @@ def test_sessions_are_ended_with_the_one_who_asked():
     with closing(run_sessions(mixed, [1, 2], jobs=2)) as runs:
         assert next(runs)[0] == 1
     # It would have gone on for a day: `close` has ended it, or would not have come back.
+
+
+def test_a_session_that_was_ended_early_is_none_of_a_whole_pass():
+    class Short(Plan):
+        def command(self, seed, path):
+            return replace(plan, seconds=1.0).command(seed, path)
+
+    plan = Plan(setup="spacejustin", seconds=4.0, radio="clean", media=False)
+    with closing(run_sessions(Short(**asdict(plan)), [1], jobs=1)) as runs:
+        assert next(runs) == (1, {"error": "ended early, after 1 s"})
 
 
 @pytest.mark.parametrize(
