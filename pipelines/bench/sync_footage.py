@@ -19,15 +19,15 @@ from kontur_av.detect import ClickDetector, LightDetector, Roi
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from pipelines.sync.figures import Event
-from pipelines.sync.matching import LATEST_NS, Found, match
+from pipelines.sync.matching import Found, match_around
 from telepresence.haptics.step_detector import StepDetector
 
 #: A whole picture is looked at in no larger width, and all in so many cells across: a real LED may
 #: be small.
 _WIDEST = 1280
 _COLUMNS = 160
-#: A light or a click may come so much before the step that it belongs to.
-_BEFORE_NS = LATEST_NS // 2
+#: A light or a click may come so much before or after the step that it belongs to.
+_AROUND_NS = 750 * NS_PER_MS
 #: What a resampler hands out may lie so far beside what the samples before it say.
 _JUMP_NS = 5 * NS_PER_MS
 
@@ -118,12 +118,15 @@ def steps(path: Path) -> list[Found]:
 def joined(found: dict[str, list[Found]]) -> list[Event]:
     """What belongs together. found: by sense, at least two of light, click and force.
 
-    The force is what the others are joined to; without it the light.
+    The force is what the others are joined to; without it the light. What lies between two of them
+    belongs to the nearer one.
     """
     reference = "force" if "force" in found else "light"
-    instants = [one.instant_ns - _BEFORE_NS for one in found[reference]]
+    instants = [one.instant_ns for one in found[reference]]
     matched = {
-        sense: match(instants, some) if sense != reference else list(some)
+        sense: list(some)
+        if sense == reference
+        else match_around(instants, some, around_ns=_AROUND_NS)
         for sense, some in found.items()
     }
     return [

@@ -7,6 +7,7 @@ click or the light, does not take their place. Stamps have no say in it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -46,14 +47,40 @@ def match(
     found: ascending by instant. soonest_ns: it takes at least so long. Nothing is used twice: what
     comes when the next contact may be perceived already belongs to that one.
     """
+    begins = [contact_ns + soonest_ns for contact_ns in contacts]
+    ends = [begin_ns + LATEST_NS for begin_ns in begins]
+    for index, next_ns in enumerate(begins[1:]):
+        ends[index] = min(ends[index], next_ns)
+    return _chosen(contacts, found, begins, ends)
+
+
+def match_around(
+    contacts: Sequence[int], found: Sequence[Found], *, around_ns: int
+) -> list[Found | None]:
+    """As `match`, of what may as well come before the contact: by no more than `around_ns`.
+
+    Nothing is used twice: what lies between two contacts belongs to the nearer one.
+    """
+    begins = [contact_ns - around_ns for contact_ns in contacts]
+    ends = [contact_ns + around_ns for contact_ns in contacts]
+    for index, (one_ns, next_ns) in enumerate(pairwise(contacts)):
+        halfway_ns = (one_ns + next_ns) // 2
+        ends[index] = min(ends[index], halfway_ns)
+        begins[index + 1] = max(begins[index + 1], halfway_ns)
+    return _chosen(contacts, found, begins, ends)
+
+
+def _chosen(
+    contacts: Sequence[int], found: Sequence[Found], begins: Sequence[int], ends: Sequence[int]
+) -> list[Found | None]:
+    """Of what was found from each contact's begin to before its end the one that belongs to it."""
     instants = np.array([one.instant_ns for one in found], np.int64)
-    candidates: list[list[Found]] = []
-    for index, contact_ns in enumerate(contacts):
-        end_ns = contact_ns + LATEST_NS + soonest_ns
-        if index + 1 < len(contacts):
-            end_ns = min(end_ns, contacts[index + 1] + soonest_ns)
-        first, last = np.searchsorted(instants, (contact_ns + soonest_ns, end_ns))
-        candidates.append(list(found[first:last]))
+    candidates = [
+        found[first:last]
+        for first, last in zip(
+            np.searchsorted(instants, begins), np.searchsorted(instants, ends), strict=True
+        )
+    ]
     usual_ns = _usual(contacts, candidates)
 
     def near(contact_ns: int, one: Found) -> bool:

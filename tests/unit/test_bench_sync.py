@@ -3,15 +3,19 @@
 import json
 import wave
 from fractions import Fraction
+from itertools import accumulate, cycle, islice
 
 import av
 import numpy as np
 import pytest
 
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
-from pipelines.bench.sync_footage import clicks, lights, steps
+from pipelines.bench.sync_footage import clicks, joined, lights, steps
 from pipelines.cli import main
+from pipelines.sync.figures import skews_ns
+from pipelines.sync.matching import Found
 
 FPS, SECONDS = 30, 8.0
 #: Instants of the touches (s); by how much light and sound come later than force.
@@ -196,6 +200,23 @@ def test_a_long_table_loses_no_step(tmp_path):
     path.write_text("\n".join(("time_s,force_n", *rows)))
     found = [step.instant_ns for step in steps(path)]
     assert found == [500_000_000 + second * 1_000_000_000 for second in range(300)]
+
+
+@pytest.mark.parametrize(
+    "gaps_ms", [(400,), (500,), (749,), (760,), (4000,), (600, 1200, 900, 3000)]
+)
+@pytest.mark.parametrize("skew_ms", [20, -60, 190])
+def test_touches_close_to_each_other_keep_their_own_lights(gaps_ms, skew_ms):
+    instants = list(accumulate(islice(cycle(gaps_ms), 20)))
+    force = [Found(at_ms * NS_PER_MS) for at_ms in instants]
+    light = [Found((at_ms + skew_ms) * NS_PER_MS, 100.0) for at_ms in instants]
+    skews = skews_ns("video_haptic", joined({"force": force, "light": light}))
+    assert skews == [skew_ms * NS_PER_MS] * 20
+
+
+def test_what_is_three_quarters_of_a_second_away_is_not_joined():
+    found = {"force": [Found(NS_PER_S)], "light": [Found(249 * NS_PER_MS), Found(1751 * NS_PER_MS)]}
+    assert joined(found)[0].perceived["light"] is None
 
 
 def test_a_film_without_sound_and_a_sound_without_film_are_named(clips):
