@@ -128,6 +128,7 @@ class MasterSide(_Side):
         self.handle: Handle = handle or HeldJoystick(hand=Hand(hand, script=script))
         self.controller: MasterController = MasterController(model, passive=passive)
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
+        self._last_ns = NS_PER_MS
         super().__init__()
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
@@ -152,7 +153,9 @@ class MasterSide(_Side):
             return
         handle, controller = self.handle, self.controller
         controller.limit_n = handle.force_limit_n
-        fx, fy = controller.step(feedback, handle.x_m, handle.y_m, dt_ns)
+        # The handle's way since the last step took as long as that one, not as long as this one.
+        fx, fy = controller.step(feedback, handle.x_m, handle.y_m, self._last_ns)
+        self._last_ns = dt_ns
         self.force_x_n, self.force_y_n = fx, fy
         handle.step(fx, fy, dt_ns)
 

@@ -5,12 +5,19 @@ from math import pi
 
 import pytest
 
+from telepresence.haptics.bilateral import MasterSide
 from telepresence.haptics.board import Board, WallModel, contour_point, led_at
 from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, TAP_TARGETS, Hand, Waypoint
 from telepresence.haptics.joystick import Joystick, JoystickModel
 from telepresence.haptics.master import MasterController, MasterModel
 from telepresence.haptics.robot import Robot, RobotModel
-from telepresence.haptics.sample import STATE_HALTED, Command, Feedback
+from telepresence.haptics.sample import (
+    STATE_APPLICATION,
+    STATE_HALTED,
+    Command,
+    Feedback,
+    pack_feedback,
+)
 from telepresence.haptics.slave import SlaveController
 from telepresence.world.board import contour_m
 
@@ -188,6 +195,31 @@ def test_the_displayed_force_is_limited_in_size_and_in_rate_and_decays_in_silenc
     forces = [master.step(None, 0.0, 0.0, MS)[1] for _ in range(2000)]
     assert all(later <= earlier + 1e-9 for earlier, later in pairwise(forces))
     assert forces[-1] < 0.01
+
+
+class Rail:
+    """A handle that glides with 0.2 m/s along +x, whatever pushes it."""
+
+    x_m = y_m = 0.0
+    force_limit_n, dead_man, buttons, state = 12.0, True, 0, STATE_APPLICATION
+
+    def __init__(self) -> None:
+        self.felt: list[float] = []
+
+    def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
+        self.felt.append(fx_n)
+        self.x_m += 0.2 * dt_ns / 1e9
+
+
+@pytest.mark.parametrize("advances_ns", [[MS], [1_020_000], [980_000, 1_050_000], [MS, MS, 4 * MS]])
+def test_a_cycle_that_is_late_is_not_felt_as_a_jerk(advances_ns: list[int]) -> None:
+    handle, now_ns = Rail(), 0
+    side = MasterSide(handle=handle)
+    for k in range(400):
+        now_ns += advances_ns[k % len(advances_ns)]
+        side.handle_datagram(pack_feedback(k, Feedback(0.0, 0.0, 0, False)), now_ns)
+        side.handle_cycle(now_ns, advances_ns[k % len(advances_ns)])
+    assert handle.felt[100:] == pytest.approx([-0.8] * len(handle.felt[100:]), rel=1e-3)
 
 
 def moving_along(fx_n: float, fy_n: float, credit_j: float) -> tuple[float, float]:
