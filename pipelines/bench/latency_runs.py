@@ -13,6 +13,7 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
+from pipelines.bench.children import end_all, ended_alike
 from pipelines.setup import Setup
 from pipelines.simulate import simulate
 
@@ -52,7 +53,7 @@ def live_run(
 
     ConfigError, in the session's own words, when it could not begin.
     """
-    with TemporaryDirectory() as directory:
+    with ended_alike(), TemporaryDirectory() as directory:
         report_file = Path(directory) / "report.json"
         command = [sys.executable, "-m", "pipelines.cli", "stream", "--setup", setup, "-q"]
         command += ["--seconds", f"{seconds:g}", "--seed", str(seed), "--radio", radio]
@@ -60,19 +61,22 @@ def live_run(
         command += [] if deadband is None else ["--deadband", deadband]
         errors = Path(directory) / "errors"
         with errors.open("wb") as stderr:
+            # Its own session: Ctrl-C is for this process, which ends the other itself.
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=stderr,
+                start_new_session=True,
+            )
             try:
-                ended = subprocess.run(
-                    command,
-                    check=False,
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=stderr,
-                    timeout=seconds + _PATIENCE_S,
-                )
+                returncode = process.wait(seconds + _PATIENCE_S)
             except subprocess.TimeoutExpired:
                 raise RuntimeError(f"the live session has not ended after {seconds:g} s") from None
+            finally:
+                end_all([process])
         told = errors.read_text(encoding="utf-8", errors="replace").strip()
-        if ended.returncode == _USERS_FAULT:
+        if returncode == _USERS_FAULT:
             line = told.rpartition("\n")[2].removeprefix("kontur-av: ")
             raise ConfigError(f"live: {line} (or leave it out with --no-live)")
         if not report_file.exists():

@@ -11,6 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
+from pipelines.bench.children import ended_alike
 from pipelines.bench.console import open_console
 from pipelines.bench.passes_figures import (
     HEADINGS,
@@ -21,7 +22,7 @@ from pipelines.bench.passes_figures import (
     summary,
     table_rows,
 )
-from pipelines.bench.passes_run import Plan, ended_alike, run_sessions
+from pipelines.bench.passes_run import Plan, run_sessions
 from pipelines.report_file import check_writable, write_report
 from pipelines.session_options import add_radio_argument, add_setup_argument
 from pipelines.setup import Setup

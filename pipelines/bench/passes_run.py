@@ -1,22 +1,19 @@
 """Sessions on virtual time, each in a process of its own, a few at once."""
 
 import json
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import FrameType
 from typing import Any
 
 from kontur_av.errors import ConfigError
+from pipelines.bench.children import end_all
 
 _LOOK_EVERY_S = 0.1
-_END_S = 10.0
 _USERS_FAULT = 2
 
 
@@ -47,7 +44,7 @@ class _Session:
         self._began_s = time.monotonic()
         with self._errors.open("wb") as errors:
             # Its own session: Ctrl-C is for this process, which ends the others itself.
-            self._process = subprocess.Popen(
+            self.process = subprocess.Popen(
                 plan.command(seed, self._report),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -57,31 +54,20 @@ class _Session:
 
     def result(self) -> dict[str, Any] | None:
         """Its report with `wall_s`, or `error` if it has none; None while it runs."""
-        if self._process.poll() is None:
+        if self.process.poll() is None:
             return None
         told = self._errors.read_text(encoding="utf-8", errors="replace").strip()
         line = told.rpartition("\n")[2]
-        if self._process.returncode == _USERS_FAULT:
+        if self.process.returncode == _USERS_FAULT:
             raise ConfigError(line.removeprefix("kontur-av: "))
         if not self._report.exists():
-            return {"error": line or f"ended with {self._process.returncode}"}
+            return {"error": line or f"ended with {self.process.returncode}"}
         report: dict[str, Any] = json.loads(self._report.read_text(encoding="utf-8"))
         self._report.unlink()
         if report["seconds"] < round(self._seconds, 3):
             return {"error": f"ended early, after {report['seconds']:g} s"}
         report["wall_s"] = round(time.monotonic() - self._began_s, 1)
         return report
-
-    def end(self) -> None:
-        """End it, whatever it does."""
-        if self._process.poll() is not None:
-            return
-        self._process.terminate()
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(_END_S)
-            return
-        self._process.kill()
-        self._process.wait()
 
 
 def run_sessions(
@@ -105,19 +91,4 @@ def run_sessions(
                         yield session.seed, result
                 time.sleep(_LOOK_EVERY_S)
         finally:
-            for session in running:
-                session.end()
-
-
-@contextmanager
-def ended_alike() -> Iterator[None]:
-    """SIGTERM interrupts as Ctrl-C does."""
-
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+            end_all([session.process for session in running])
