@@ -154,10 +154,11 @@ class SlaveController(PortFigures):
             fx, fy = still_x + gain * dx, still_y + gain * dy
             vx, vy = dx / dt_s, dy / dt_s
         if not (-limit <= fx <= limit and -limit <= fy <= limit):
-            fx = limit if fx > limit else -limit if fx < -limit else fx
-            fy = limit if fy > limit else -limit if fy < -limit else fy
+            fx, fy = _within(fx, limit), _within(fy, limit)
             if self.passive and fx * dx + fy * dy > port.credit_j:
+                # The reference stays, so the force is that of a reference that stays.
                 dx = dy = vx = vy = 0.0
+                fx, fy = _within(still_x, limit), _within(still_y, limit)
         port.handle_flow(fx * dx + fy * dy)
         self._vx, self._vy = vx, vy
         self.reference_x_m, self.reference_y_m = reference_x + dx, reference_y + dy
@@ -185,3 +186,7 @@ class SlaveController(PortFigures):
         share = min(1.0, max(0.0, share))
         lacking = (1.0 - share) * along
         return dx - lacking * along_x, dy - lacking * along_y
+
+
+def _within(force_n: float, limit_n: float) -> float:
+    return limit_n if force_n > limit_n else -limit_n if force_n < -limit_n else force_n

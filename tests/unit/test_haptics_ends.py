@@ -279,6 +279,16 @@ def test_without_a_command_to_follow_the_robot_holds_and_its_press_decays(
     assert slave.observed_uj >= 0.0
 
 
+def test_a_reference_that_may_not_move_pulls_no_more_than_its_spring() -> None:
+    # Of the step the part to the left brings energy and the part upwards costs some. With the force
+    # to the left cut to its limit the one pays no more for the other, and there is no credit.
+    slave = SlaveController()
+    force = slave.step(Command(-0.05, 0.1, 0), -0.05, -0.02, 0.0, 0.0, MS)
+    assert force == pytest.approx((30.0, 20.0))
+    assert (slave.reference_x_m, slave.reference_y_m) == (0.0, 0.0)
+    assert (slave.energy_out_uj, slave.energy_in_uj) == (0, 0)
+
+
 def test_a_command_outside_the_board_is_followed_to_its_edge() -> None:
     slave, robot = SlaveController(), Robot(board=Board(WallModel(stiffness_n_m=0.0)))
     for k in range(4000):
