@@ -129,9 +129,12 @@ def _kept(path: Path | None, plan: Plan) -> dict[int, Figures]:
         kept = json.loads(path.read_text(encoding="utf-8"))
         before, sessions = Plan(**kept["plan"]), kept["sessions"]
         found = {int(seed): figures for seed, figures in sessions.items()}
+        # What cannot be shown is of another version, or none of ours.
+        list(table_rows(found))
+        summary(found)
     except (ValueError, KeyError, TypeError, AttributeError):
         raise ConfigError(
-            f"--report {path}: is no report of `bench passes`; name another file"
+            f"--report {path}: is no report of this version's `bench passes`; name another file"
         ) from None
     if before != plan:
         differ = next(

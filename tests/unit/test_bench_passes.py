@@ -210,10 +210,30 @@ def test_a_report_of_other_sessions_is_not_mixed_up_with_these(ran, capsys):
     kept, command = ran
     assert main([*command, "--seconds", "5"]) == 2
     assert "its sessions have seconds 4.0; name another file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda kept: kept.pop("plan"),
+        lambda kept: kept.update(sessions=[]),
+        lambda kept: kept["sessions"].update({"5": 5}),
+        lambda kept: kept["sessions"].update({"5": {}}),
+        lambda kept: kept["sessions"].update(first={"error": "killed"}),
+        lambda kept: kept["sessions"]["5"].pop("longest_pause_s"),
+        lambda kept: kept["sessions"]["5"]["haptic"]["up"]["latency_ms"].update(max="long"),
+    ],
+)
+def test_a_report_that_is_none_of_these_sessions_is_refused_in_a_line(change, ran, capsys):
+    kept, command = ran
+    strange = json.loads(kept.read_text())
+    change(strange)
     other = kept.parent / "other.json"
-    other.write_text('{"setup": "spacejustin"}')
-    assert main(["bench", "passes", "--report", str(other)]) == 2
-    assert "is no report of `bench passes`" in capsys.readouterr().err
+    other.write_text(json.dumps(strange))
+    assert main([*command, "--sessions", "2", "--first-seed", "5", "--report", str(other)]) == 2
+    error = capsys.readouterr().err
+    assert "is no report of this version's `bench passes`" in error
+    assert error.count("\n") == 1
 
 
 def test_sessions_are_ended_with_the_one_who_asked():
