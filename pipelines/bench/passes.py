@@ -4,6 +4,7 @@ import argparse
 import json
 from contextlib import closing
 from dataclasses import asdict, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run what is missing, and print the table; 1 if a pass was not usable."""
     setup = _checked(args)
-    plan = Plan(setup=args.setup, seconds=args.seconds, radio=args.radio, media=not args.no_media)
+    plan = Plan(
+        setup=args.setup,
+        seconds=args.seconds,
+        radio=args.radio,
+        media=not args.no_media,
+        content=_content(setup),
+    )
     sessions = _kept(args.report, plan)
     seeds = range(args.first_seed, args.first_seed + args.sessions)
     missing = [seed for seed in seeds if seed not in sessions]
@@ -114,6 +121,15 @@ def _checked(args: argparse.Namespace) -> Setup:
     return replace(load_setup(args.setup), radio=args.radio, radio_delay_ms=0.0)
 
 
+def _content(setup: Setup) -> str:
+    """A digest of what the names of a setup and a radio stand for: their files may be changed."""
+    radio = setup.radio_profile
+    digest = sha256(repr((setup, radio)).encode())
+    if radio.contact is not None:
+        digest.update(radio.contact.elements.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 def _figures(report: dict[str, Any], setup: Setup) -> Figures:
     if "error" in report:
         return report
@@ -137,6 +153,11 @@ def _kept(path: Path | None, plan: Plan) -> dict[int, Figures]:
             f"--report {path}: is no report of this version's `bench passes`; name another file"
         ) from None
     if before != plan:
+        if replace(before, content=plan.content) == plan:
+            raise ConfigError(
+                f"--report {path}: its sessions have other values in {plan.setup} or {plan.radio}; "
+                "name another file"
+            )
         differ = next(
             f"{name.replace('media', 'media streams')} {value}"
             for name, value in asdict(before).items()

@@ -19,12 +19,13 @@ _USERS_FAULT = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What all sessions have in common."""
+    """What all sessions have in common. content: a digest of what `setup` and `radio` stand for."""
 
     setup: str
     seconds: float
     radio: str
     media: bool
+    content: str = ""
 
     def command(self, seed: int, report: Path) -> list[str]:
         """The command of the session of `seed`."""

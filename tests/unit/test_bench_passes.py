@@ -207,9 +207,29 @@ def test_sessions_that_are_there_are_not_run_again(ran, capsys):
 
 
 def test_a_report_of_other_sessions_is_not_mixed_up_with_these(ran, capsys):
-    kept, command = ran
+    _, command = ran
     assert main([*command, "--seconds", "5"]) == 2
     assert "its sessions have seconds 4.0; name another file" in capsys.readouterr().err
+
+
+def test_sessions_of_a_file_that_was_changed_are_not_taken_for_these(tmp_path, capsys):
+    radio, kept = tmp_path / "mine.toml", tmp_path / "passes.json"
+    command = ["bench", "passes", "--sessions", "1", "--seconds", "1", "--no-media"]
+    command += ["--radio", str(radio), "--report", str(kept)]
+    radio.write_text("delay_ms = 10.0\n")
+    assert main(command) == 0
+    assert main(command) == 0
+    assert "1 of 1 are in" in capsys.readouterr().out
+    radio.write_text("delay_ms = 50.0\n")
+    assert main(command) == 2
+    error = capsys.readouterr().err
+    assert f"its sessions have other values in spacejustin or {radio}" in error
+    # As it was before there was a digest.
+    older = json.loads(kept.read_text())
+    del older["plan"]["content"]
+    kept.write_text(json.dumps(older))
+    assert main(command) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
