@@ -36,6 +36,8 @@ def pass_figures(report: Mapping[str, Any], *, start_s: float = 0.0) -> Figures:
         "seconds": report["seconds"],
         "predicted_s": None if window is None else round(window[1] - window[0], 3),
         "usable_s": usable_s,
+        "longest_delay_s": report["gateways"]["ground"].get("radio", {}).get("delay_max_ns", 0)
+        / NS_PER_S,
         "signal_s": min((told["contact_ns"] / NS_PER_S for told in ends.values()), default=0.0),
         "contacts": {end: told["counts"]["signals_acquired"] for end, told in ends.items()},
         "frames": {
@@ -184,7 +186,9 @@ def faults(figures: Figures) -> list[str]:
 
 def _acquisition_s(figures: Figures) -> float:
     """What finding each other may take at a session's begin, the light's way included."""
-    return 0.1 if figures["predicted_s"] == figures["seconds"] else 0.0
+    if figures["predicted_s"] != figures["seconds"]:
+        return 0.0
+    return 0.1 + float(figures["longest_delay_s"])
 
 
 #: Of the table of sessions. Lost: of all frames, with those before and after the usable time;

@@ -158,6 +158,14 @@ def test_a_signal_that_was_away_for_a_hundredth_of_the_window_is_not_usable():
     assert faults({"error": "killed"}) == ["crashed"]
 
 
+def test_the_way_to_a_far_orbit_is_no_time_without_a_signal():
+    setup = replace(BUILT_IN["spacejustin"], radio="geo")
+    figures = pass_figures(simulate(setup, seconds=2.0, seed=1, media=False))
+    assert figures["usable_s"] < 1.8
+    assert faults(figures) == []
+    assert faults(figures | {"usable_s": figures["usable_s"] - 0.2}) == ["unusable"]
+
+
 def test_the_table_has_a_cell_for_every_heading():
     whole = report(windows=((20, None),), contact=CONTACT)
     whole["streams"]["uplink_video"] = video(frozen_ms=1500.0, damaged_ms=200.0)
