@@ -233,12 +233,12 @@ def _cells(figures: Figures) -> tuple[str, ...]:
         "none" if usable_s is None else f"{usable_s:.1f} of {figures['predicted_s']:.1f}",
         str(max(figures["contacts"].values(), default=0)),
         " / ".join(lost),
-        f"{figures['haptic']['up']['latency_ms']['p99.9']:.1f}",
-        "" if video is None else "{p50:.1f} / {p99:.1f}".format(**video["latency_ms"]),
+        _latencies(figures["haptic"]["up"], "p99.9"),
+        _latencies(video, "p50", "p99"),
         ""
         if video is None
         else f"{video['frames_displayed'] / max(1e-9, figures['signal_s']):.1f}",
-        "" if voice is None else f"{voice['latency_ms']['p99']:.1f}",
+        _latencies(voice, "p99"),
         "" if skew is None else f"{skew['p95']:.1f}",
         "" if together is None else f"{100 * together['within']:.2f}",
         ""
@@ -248,6 +248,13 @@ def _cells(figures: Figures) -> tuple[str, ...]:
         "" if least_uj is None else f"{least_uj:g}",
         verdict,
     )
+
+
+def _latencies(channel: Mapping[str, Any] | None, *names: str) -> str:
+    """Nothing for a channel that carried nothing: its percentiles are none."""
+    if channel is None or not channel["latency_ms"]["count"]:
+        return ""
+    return " / ".join(f"{channel['latency_ms'][name]:.1f}" for name in names)
 
 
 def markdown(sessions: Mapping[int, Figures], title: str) -> str:
@@ -269,19 +276,19 @@ def summary(sessions: Mapping[int, Figures]) -> str:
         for word in faults(figures):
             words[word] = words.get(word, 0) + 1
     others = "".join(f", {count} {word}" for word, count in words.items())
-    worst = [
-        figures["streams"]["uplink_video"]["latency_ms"]["p99"]
-        for figures in sessions.values()
-        if "uplink_video" in figures.get("streams", {})
-    ]
-    force = [
-        figures["haptic"]["up"]["latency_ms"]["max"]
-        for figures in sessions.values()
-        if "haptic" in figures
-    ]
+    whole = [figures for figures in sessions.values() if "error" not in figures]
+    videos = [figures["streams"].get("uplink_video") for figures in whole]
+    worst = _each("p99", [video for video in videos if video is not None])
+    force = _each("max", [figures["haptic"]["up"] for figures in whole])
     said = f"{usable} of {len(sessions)} sessions usable{others}."
     if force:
         said += f" Force at most {max(force):.1f} ms on its way."
     if worst:
         said += f" Video p99 from {min(worst):.1f} to {max(worst):.1f} ms."
     return said
+
+
+def _each(name: str, channels: Sequence[Mapping[str, Any]]) -> list[float]:
+    """A figure of the latencies of each channel that carried something."""
+    spreads = [channel["latency_ms"] for channel in channels]
+    return [spread[name] for spread in spreads if spread["count"]]

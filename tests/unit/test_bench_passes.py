@@ -44,7 +44,7 @@ def report(seconds=100.0, windows=((10, 90),), contact=None):
         "sent": samples,
         "received": 1000 * heard_s,
         "pauses_s": [[1.0, 20.0]],
-        "latency_ms": {"p50": 11.0, "p99.9": 12.0, "max": 12.5},
+        "latency_ms": {"p50": 11.0, "p99.9": 12.0, "max": 12.5, "count": 80_000},
     }
     link = {"frames": samples, "frames_lost": samples - 1000 * heard_s}
     return {
@@ -74,7 +74,7 @@ def video(**changed):
         "pauses_s": [],
         "stale_ms": 0.0,
         "stale_episodes": 0,
-        "latency_ms": {"p50": 48.0, "p99": 60.0, "stages": {}},
+        "latency_ms": {"p50": 48.0, "p99": 60.0, "count": 2400, "stages": {}},
     } | changed
 
 
@@ -179,6 +179,16 @@ def test_the_table_has_a_cell_for_every_heading():
     assert "| 0.0 / 1.5 / 0.2 | 100.0 |" in rows[2]
     assert rows[3].endswith("| crashed |")
     assert "1 of 2 sessions usable, 1 crashed." in lines[-1]
+
+
+def test_what_carried_nothing_has_no_latencies():
+    silent = report(windows=((20, None),), contact=CONTACT)
+    none = dict.fromkeys(("p50", "p99", "p99.9", "max"), 0.0) | {"count": 0}
+    silent["haptic"]["up"]["latency_ms"] = none
+    silent["streams"]["uplink_video"] = video(frozen_ms=0.0, damaged_ms=0.0, latency_ms=none)
+    lines = markdown({1: pass_figures(silent)}, "one").splitlines()
+    assert "| 20.00 / 20.00 |  |  |" in lines[4]
+    assert lines[-1] == "1 of 1 sessions usable."
 
 
 @pytest.fixture(scope="module")
