@@ -9,25 +9,52 @@ from typing import Any
 
 from kontur_av.errors import ConfigError
 
+#: As many as Linux follows.
+_LINKS = 40
+
 
 def check_writable(path: Path | None) -> None:
     """ConfigError when `path` cannot be written: after the run it would be too late."""
     if path is None:
         return
-    directory = path.parent
-    if path.is_dir() or not directory.is_dir() or not os.access(directory, os.W_OK):
+    whole = _file(path)
+    if whole is None:
+        writable = not path.is_dir() and os.access(path, os.W_OK)
+    else:
+        directory = whole.parent
+        writable = not whole.is_dir() and directory.is_dir() and os.access(directory, os.W_OK)
+    if not writable:
         raise ConfigError(f"--report {path}: cannot be written; name a file in an open directory")
 
 
 def write_report(path: Path, report: Mapping[str, Any]) -> None:
-    """Write `report` whole or not at all; into a device, a FIFO or a link as it is.
+    """Write `report` whole or not at all; into a device or a FIFO as it is.
 
     To put a file in the place of `/dev/null` would take it from every program of the machine.
     """
     text = json.dumps(report, indent=2) + "\n"
-    if path.is_symlink() or (path.exists() and not path.is_file()):
+    whole = _file(path)
+    if whole is None:
         path.write_text(text, encoding="utf-8")
         return
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    partial = whole.with_name(f".{whole.name}.{secrets.token_hex(4)}")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(whole)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def _file(path: Path) -> Path | None:
+    """The file that `path` leads to through its links; None if it must be written as it is."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        return None
+    # /dev/stdout leads to what this process has open, though that may be a file: it goes on there.
+    for _ in range(_LINKS):
+        if not path.is_symlink():
+            break
+        if path.parent.resolve().is_relative_to("/proc"):
+            return None
+        path = path.parent / path.readlink()
+    return path
