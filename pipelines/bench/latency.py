@@ -21,7 +21,7 @@ from pipelines.bench.latency_runs import (
     radio_delay_ms,
     virtual_run,
 )
-from pipelines.bench.latency_targets import MEANT_FOR, judge
+from pipelines.bench.latency_targets import MEANT_FOR, Verdict, judge
 from pipelines.bench.plot import check_plot
 from pipelines.report_file import check_writable, write_report
 from pipelines.session_options import (
@@ -104,7 +104,8 @@ def run(args: argparse.Namespace) -> int:
     runs: dict[str, Report] = {"virtual": virtual} | ({} if live is None else {"live": live})
     console.print(_latencies(runs))
     console.print(_clocks(runs, clocks), markup=False, highlight=False)
-    console.print(_targets(setup, args.radio, virtual, live))
+    verdicts = judge(virtual)
+    console.print(_targets(setup, args.radio, verdicts, live))
     leads = {f"{setup.name}, virtual": virtual["video_lead"]}
     if live is not None:
         leads[f"{setup.name}, live"] = live["video_lead"]
@@ -114,8 +115,13 @@ def run(args: argparse.Namespace) -> int:
         leads[f"{other.name}, virtual"] = others[other.name]["video_lead"]
     console.print(_leads(leads))
     console.print(_LEAD_NOTE, markup=False, highlight=False)
-    for failure in (live or {}).get("failures", ()):
-        console.print(f"live session failed: {failure}", markup=False)
+    failures = [
+        f"{name} session failed: {failure}"
+        for name, report in runs.items()
+        for failure in report["failures"]
+    ]
+    for failure in failures:
+        console.print(failure, markup=False)
     if args.plot is not None:
         shown = {label: lead["lead_ms"] for label, lead in leads.items() if lead is not None}
         plot_leads(args.plot, shown, {f"noticed from {_NOTICED_MS:g} ms on": _NOTICED_MS})
@@ -125,14 +131,15 @@ def run(args: argparse.Namespace) -> int:
             "radio": setup.radio_profile.name,
             "seed": args.seed,
             "clocks": {name: asdict(clock) for name, clock in clocks.items()},
-            "targets": [asdict(verdict) for verdict in judge(virtual)],
+            "targets": [asdict(verdict) for verdict in verdicts],
             "leads": leads,
             "virtual": virtual,
             "live": live,
             "other_setups": others,
         }
         write_report(args.report, figures)
-    return 0
+    missed = (setup.name, args.radio) == MEANT_FOR and not all(of.met for of in verdicts)
+    return 1 if missed or failures else 0
 
 
 def _setups(args: argparse.Namespace) -> list[Setup]:
@@ -240,7 +247,7 @@ def _rows(
                 yield words, skews
 
 
-def _targets(setup: Setup, radio: str, virtual: Report, live: Report | None) -> Table:
+def _targets(setup: Setup, radio: str, verdicts: Sequence[Verdict], live: Report | None) -> Table:
     table = Table(
         title=f"targets of {MEANT_FOR[0]} on {MEANT_FOR[1]}, virtual time",
         title_justify="left",
@@ -252,7 +259,7 @@ def _targets(setup: Setup, radio: str, virtual: Report, live: Report | None) -> 
     if live is not None:
         table.add_column("live, for information")
     beside = {} if live is None else {verdict.what: verdict.found for verdict in judge(live)}
-    for verdict in judge(virtual):
+    for verdict in verdicts:
         cells = [verdict.what, verdict.bound, verdict.found, "met" if verdict.met else "MISSED"]
         table.add_row(*cells, *([] if live is None else [beside.get(verdict.what, "")]))
     if (setup.name, radio) != MEANT_FOR:

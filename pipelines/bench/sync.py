@@ -87,7 +87,9 @@ def run(args: argparse.Namespace) -> int:
 def _run_session(args: argparse.Namespace, console: Console) -> int:
     if args.offset_ms or args.roi:
         raise ConfigError("--offset-ms and --roi are of recordings: give --video FILE, too")
-    seconds = args.seconds or (30.0 if args.live else 60.0)
+    seconds = args.seconds
+    if seconds is None:
+        seconds = 30.0 if args.live else 60.0
     if not 5 <= seconds <= 36_000:
         raise ConfigError(f"--seconds {seconds:g}: give 5 to 36000")
     name, radio = args.setup or "spacejustin", args.radio or "clean"
@@ -129,7 +131,7 @@ def _run_session(args: argparse.Namespace, console: Console) -> int:
     disagrees = any(
         sense is not None and sense["agrees"] is False for sense in sync["senses"].values()
     )
-    return 1 if disagrees else 0
+    return 1 if disagrees or report["failures"] else 0
 
 
 def _run_footage(args: argparse.Namespace, recordings: Mapping[str, Path], console: Console) -> int:

@@ -17,7 +17,7 @@ from pipelines.sync.matching import Found
 TOLERANCE_NS = 2 * NS_PER_MS
 #: From so many on there is a verdict.
 LEAST_VERDICT = 4
-#: The stronger half is judged, but so many if there are.
+#: The stronger half is judged, but so many if there are; all, if none is stronger.
 _LEAST_CLEAR = 6
 #: One in so many: how unlikely it is that the median lies below the interval, or above.
 _ONE_IN = 40
@@ -48,6 +48,9 @@ def judge(perceived: Sequence[tuple[int, Found]]) -> Verdict:
     ]
     stamped.sort(key=lambda one: -one[0])
     clearest = stamped[: max(_LEAST_CLEAR, (len(stamped) + 1) // 2)]
+    if stamped and stamped[0][0] == stamped[-1][0]:
+        # None is clearer, as with steps of the force: half of them would be the earlier half.
+        clearest = stamped
     if not clearest:
         return Verdict(0, None, None, (-TOLERANCE_NS, TOLERANCE_NS), None)
     errors = sorted(error_ns for _, error_ns, _ in clearest)

@@ -5,7 +5,8 @@ goes in it. Both are known exactly one cycle later, so the observer is true in s
 the next cycle may give out is bounded beforehand: the handle goes on as it went, give or take what
 its greatest acceleration makes of that in one cycle. If that could be more than the credit, the
 part of the force along the motion is scaled down (a passivity controller of the impedance type).
-Nothing is ever added or turned round, so there is no gain that could grow at low speed.
+Nothing is ever added, so there is no gain that could grow at low speed. What was cut comes back
+slowly, and only along the force that is wanted by then.
 
 The robot's force and the damping that the hand always feels are bounded one after the other. Were
 only their sum bounded, a hand on its way back from a wall would pay with its damping for the force
@@ -88,6 +89,11 @@ class MasterController(PortFigures):
             model.acceleration_m_s2 * _CYCLE_S * _CYCLE_S,
         )
 
+    @property
+    def robot_force_n(self) -> tuple[float, float]:
+        """Of the force that is exerted now, the robot's; the rest is damping."""
+        return self._gx, self._gy
+
     def handle_restart(self) -> None:
         """The peer began anew."""
         self.port.handle_restart()
@@ -132,13 +138,15 @@ class MasterController(PortFigures):
         change = sqrt(change_x * change_x + change_y * change_y)
         most = rate * dt_s
         if self._regaining:
-            most = self.model.regain_n_s * dt_s
-            self._regaining = change > most
-        if change > most:
-            change_x *= most / change
-            change_y *= most / change
-        gx += change_x
-        gy += change_y
+            slow = self.model.regain_n_s * dt_s
+            self._regaining = change > slow
+            gx, gy = self._regained(gx, gy, most, slow)
+        else:
+            if change > most:
+                change_x *= most / change
+                change_y *= most / change
+            gx += change_x
+            gy += change_y
         bx, by = -damping * vx, -damping * vy
         fx, fy = gx + bx, gy + by
         force = sqrt(fx * fx + fy * fy)
@@ -171,6 +179,28 @@ class MasterController(PortFigures):
         self._gx, self._gy = gx, gy
         self._fx, self._fy = gx + bx, gy + by
         return self._fx, self._fy
+
+    def _regained(self, gx: float, gy: float, most: float, slow: float) -> tuple[float, float]:
+        """(gx, gy) on its way back to the goal: along that by at most `slow`, and what it has
+        across it or beyond it less by at most `most`.
+
+        Without the second a cut would turn the force instead of taking from it: the rest, across
+        the motion, would stay while the goal changes, and grow into the wall in the end.
+        """
+        goal_x, goal_y = self._goal_x, self._goal_y
+        size = goal_x * goal_x + goal_y * goal_y
+        share = (gx * goal_x + gy * goal_y) / size if size > 0.0 else 0.0
+        share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
+        near_x, near_y = share * goal_x, share * goal_y
+        off_x, off_y = near_x - gx, near_y - gy
+        off = sqrt(off_x * off_x + off_y * off_y)
+        less = most / off if off > most else 1.0
+        lacking = (1.0 - share) * sqrt(size)
+        more = slow / lacking if lacking > slow else 1.0
+        return (
+            gx + off_x * less + (goal_x - near_x) * more,
+            gy + off_y * less + (goal_y - near_y) * more,
+        )
 
     def _cut(
         self, gx: float, gy: float, dx: float, dy: float, left_j: float, spend_j: float

@@ -6,7 +6,7 @@ All numbers are big-endian (network order), signed ones in two's complement.
 |---|---|---|---|
 | 0..1 | sequence number, unsigned, wraps after 65536 samples | 1 | 0..65535 |
 | 2 | flags, see below | | |
-| 3, low 4 bits | command: state of the joystick; feedback: mode of the robot | | 0..15 |
+| 3, low 4 bits | command: state of the joystick; feedback: mode of the robot | | 0..7; 0..3 |
 | 3, high 4 bits | command: buttons, a bit each; feedback: lit LED + 1, 0 for none | | 0..15 |
 | 4..5 | command: position x, signed; feedback: force x | 20 µm; 2 mN | ±0.65534 m; ±65.534 N |
 | 6..7 | command: position y; feedback: force y, signed | 20 µm; 2 mN | as above |

@@ -2,7 +2,9 @@
 
 import os
 import struct
+from collections import deque
 from itertools import pairwise
+from math import hypot
 
 import pytest
 from hypothesis import given
@@ -10,14 +12,36 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
+from telepresence.haptics.bilateral import MasterSide, SlaveSide
 from telepresence.haptics.device.gamepad import feed, find_gamepads, open_gamepad
+from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import FELT_BY_NOBODY_N, Operation
 from telepresence.haptics.device.spec import check_joystick
 from telepresence.haptics.device.states import State
 from telepresence.haptics.device.stick import RUMBLE_NS, Axis, RumbleMeter, Stick
+from telepresence.haptics.master import MasterModel
 
 KEYS = frozenset({0x130, 0x131, 0x133, 0x134, 0x136})
 AXES = (Axis(128, 0, 255, 15), Axis(0, -32768, 32767, 128))
+
+
+class Pad:
+    """A device around a `Stick`, without the kernel's."""
+
+    def __init__(self):
+        self.stick = Stick("pad", AXES, KEYS)
+        self.facts = self.stick.facts
+        self.read, self.set_zero = self.stick.reading, self.stick.handle_zero
+        self.advance = self.stick.advance
+
+    def write_force(self, x_n, y_n):
+        self.force = (x_n, y_n)
+
+    def write_leds(self, mask):
+        pass
+
+    def show_state(self, state):
+        pass
 
 
 def settled(stick):
@@ -39,17 +63,51 @@ def test_full_travel_is_the_workspace_and_the_flat_middle_is_nothing():
     assert settled(stick).x_m == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_jump_of_the_stick_is_no_jump_of_the_handle():
+@given(st.lists(st.tuples(st.integers(0, 255), st.integers(1, 120)), min_size=1, max_size=12))
+def test_a_jump_of_the_stick_is_no_jump_of_the_handle(jumps):
     stick = Stick("pad", AXES, KEYS)
+    before = (0.0, 0.0, 0.0, 0.0)
+    for value, cycles in jumps:
+        stick.handle_event(3, 0, value)
+        stick.handle_event(3, 1, -257 * value + 32767)
+        for _ in range(cycles):
+            stick.advance(NS_PER_MS)
+            x, y, vx, vy = stick.reading()[:4]
+            assert hypot(vx - before[2], vy - before[3]) <= MasterModel().acceleration_m_s2 * 1e-3
+            assert hypot(vx, vy) < 3.0
+            assert (x - before[0], y - before[1]) == pytest.approx((vx * 1e-3, vy * 1e-3))
+            # It does not swing beyond where the stick has ever been.
+            assert abs(x) < 0.1005 and abs(y) < 0.0805
+            before = (x, y, vx, vy)
     stick.handle_event(3, 0, 255)
-    before, steps = 0.0, []
-    for _ in range(100):
-        stick.advance(NS_PER_MS)
-        reading = stick.reading()
-        steps.append(reading.x_m - before)
-        assert reading.vx_m_s == pytest.approx(steps[-1] * 1000)
-        before = reading.x_m
-    assert max(steps) < 0.007 and before > 0.0995
+    assert settled(stick).x_m == pytest.approx(0.1, abs=1e-5)
+
+
+@pytest.mark.parametrize("release_ms", [0, 16, 64])
+def test_a_stick_that_is_let_go_of_at_a_wall_takes_no_energy_that_is_not_there(release_ms):
+    device = Pad()
+    space, ground = MasterSide(handle=OperatedHandle(device)), SlaveSide()
+    device.stick.handle_event(1, 0x136, 1)
+    down, up = deque(), deque()
+    for cycle in range(3700):
+        now_ns = cycle * NS_PER_MS
+        since = (cycle - 700) % 1500
+        share = min(since / 400, 1.0) if since < 1000 else 1 - (since - 1000) / max(release_ms, 1)
+        if cycle >= 700:
+            device.stick.handle_event(3, 0, round(127.5 + 127.5 * max(share, 0.0)))
+        while down and down[0][0] <= now_ns:
+            ground.handle_datagram(down.popleft()[1], now_ns)
+        while up and up[0][0] <= now_ns:
+            space.handle_datagram(up.popleft()[1], now_ns)
+        ground.handle_cycle(now_ns, NS_PER_MS)
+        space.handle_cycle(now_ns, NS_PER_MS)
+        for side, way in ((space, down), (ground, up)):
+            sample = side.poll_transmit(now_ns)
+            assert sample is not None
+            way.append((now_ns + 10 * NS_PER_MS, sample))
+    assert ground.controller.energy_out_uj > 10_000
+    assert space.report()["least_uj"] >= -1 and ground.report()["least_uj"] >= -1
+    assert space.handle.operation.state is State.APPLICATION
 
 
 def test_the_dead_man_button_is_the_left_shoulder_or_the_trigger_or_always():
@@ -106,25 +164,6 @@ def test_a_force_that_stays_rumbles_on_and_one_that_nobody_feels_never_begins():
     assert meter.handle_force(0.0, NS_PER_MS) == 0
     assert not any(meter.handle_force(0.0, NS_PER_MS) for _ in range(3000))
     assert not any(meter.handle_force(0.4, NS_PER_MS) for _ in range(3000))
-
-
-class Pad:
-    """A device around a `Stick`, without the kernel's."""
-
-    def __init__(self):
-        self.stick = Stick("pad", AXES, KEYS)
-        self.facts = self.stick.facts
-        self.read, self.set_zero = self.stick.reading, self.stick.handle_zero
-        self.advance = self.stick.advance
-
-    def write_force(self, x_n, y_n):
-        self.force = (x_n, y_n)
-
-    def write_leds(self, mask):
-        pass
-
-    def show_state(self, state):
-        pass
 
 
 def run(operation, milliseconds, now_ns=0):

@@ -76,3 +76,8 @@ def test_the_interval_misses_the_true_median_once_in_twenty_at_most(count):
         low, high = median_interval(sorted(rng.randrange(-1000, 1001) for _ in range(count)))
         missed += not low <= 0 <= high
     assert missed < 0.06 * 2000
+
+
+def test_where_none_is_clearer_the_later_ones_are_judged_too():
+    verdict = judge(perceived([0.0] * 10 + [50.0] * 30, [1.0] * 40))
+    assert (verdict.judged, verdict.agrees) == (40, False)

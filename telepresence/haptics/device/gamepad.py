@@ -209,7 +209,7 @@ def _library() -> ModuleType:
         import evdev
     except ImportError:
         raise ConfigError(
-            "a game controller needs the library evdev: pip install 'kontur-av[joystick]'"
+            "a game controller needs the library evdev: pip install -e '.[joystick]'"
         ) from None
     library: ModuleType = evdev
     return library

@@ -2,11 +2,12 @@
 
 Codes and their meaning: the kernel's `linux/input-event-codes.h` and "Linux Gamepad
 Specification" (Documentation/input/gamepad.rst). A stick gives numbers of 8 to 16 bits at 125 to
-1000 Hz: a step of 1 mm in a millisecond would be a blow to the robot, so a low-pass filter of first
-order follows it, and its slope is the velocity.
+1000 Hz, and springs back within a few milliseconds when it is let go: that would be a blow to the
+robot, and more than the bilateral controller's bound of the next cycle allows for. So a handle with
+a hand's speed and acceleration follows the stick.
 """
 
-from math import exp
+from math import sqrt
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -24,8 +25,15 @@ _STICK_DEAD_MAN = 0x120  # BTN_TRIGGER
 
 #: What the full travel of a stick becomes: the simulated joystick's workspace.
 HALF_WIDTH_M, HALF_HEIGHT_M = 0.1, 0.08
-#: Of the filter. Chosen: shorter than anybody notices, longer than between two reports of a pad.
-TAU_NS = 15 * NS_PER_MS
+#: The last part of the way is gone with this time constant. Chosen: shorter than anybody notices,
+#: longer than between two reports of a pad.
+TAU_S = 0.015
+#: On each axis; on both together still below what `MasterModel.acceleration_m_s2` allows for.
+ACCELERATION_M_S2 = 100.0
+SPEED_M_S = 2.0
+#: It brakes a little sooner than it has to: a cycle's rounding must not make it overshoot.
+_BRAKING_M_S2 = 0.8 * ACCELERATION_M_S2
+_CYCLE_S = NS_PER_MS / NS_PER_S
 
 
 class Axis(NamedTuple):
@@ -123,17 +131,31 @@ class Stick:
         """`dt_ns` pass."""
         if dt_ns <= 0:
             return
-        share = 1.0 - exp(-dt_ns / TAU_NS)
-        dx, dy = (self._to_x - self._x) * share, (self._to_y - self._y) * share
-        self._x += dx
-        self._y += dy
-        dt_s = dt_ns / NS_PER_S
-        self._vx, self._vy = dx / dt_s, dy / dt_s
+        left_s = dt_ns / NS_PER_S
+        while left_s > 0.0:
+            dt_s = min(left_s, _CYCLE_S)
+            self._vx = _velocity(self._vx, self._to_x - self._x, dt_s)
+            self._vy = _velocity(self._vy, self._to_y - self._y, dt_s)
+            self._x += self._vx * dt_s
+            self._y += self._vy * dt_s
+            left_s -= dt_s
 
     def _places(self) -> tuple[float, float]:
         x, y = (_share(axis, raw) for axis, raw in zip(self._axes, self._raw, strict=True))
         # Down is positive in the kernel, up in the workspace.
         return x * HALF_WIDTH_M, -y * HALF_HEIGHT_M
+
+
+def _velocity(velocity: float, way: float, dt_s: float) -> float:
+    """The velocity (m/s) after `dt_s` of what still has `way` (m) to go, and moves so fast now."""
+    # Below this the time constant brakes less than the limit allows, beyond it the limit does.
+    near = _BRAKING_M_S2 * TAU_S * TAU_S
+    size = abs(way)
+    wanted = size / TAU_S if size <= near else sqrt(_BRAKING_M_S2 * (2.0 * size - near))
+    wanted = min(wanted, SPEED_M_S)
+    change = (wanted if way > 0.0 else -wanted) - velocity
+    most = ACCELERATION_M_S2 * dt_s
+    return velocity + max(-most, min(most, change))
 
 
 def _share(axis: Axis, raw: int) -> float:
