@@ -55,12 +55,17 @@ class Worker:
         self._process = context.Process(
             target=_work, args=(make, theirs, list(others)), daemon=True
         )
+        # OpenCV's threads are not there in the new process, which would wait for them for ever: end
+        # them before. They come back when they are wanted.
+        threads = cv2.getNumThreads()
+        cv2.setNumThreads(1)
         # Amid a fork Python loses an interrupt here, and the new process does not ignore it yet.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
         try:
             self._process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            cv2.setNumThreads(threads)
         theirs.close()
         self._open: deque[Job] = deque()
 

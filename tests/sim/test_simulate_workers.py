@@ -1,0 +1,23 @@
+"""A simulation forks its coders off a process that may have done anything before."""
+
+import subprocess
+import sys
+
+USED_BEFORE = """
+import cv2, numpy
+cv2.setNumThreads(4)
+noise = numpy.random.default_rng(1).integers(0, 2, (960, 1280), numpy.uint8)
+for _ in range(20):
+    cv2.connectedComponentsWithStats(noise)
+    cv2.resize(noise, (640, 480), interpolation=cv2.INTER_AREA)
+from pipelines.setups import BUILT_IN
+from pipelines.simulate import simulate
+print(simulate(BUILT_IN["taskboard"], seconds=0.5, seed=1)["seconds"])
+"""
+
+
+def test_opencvs_threads_of_before_hold_nobody_up():
+    ended = subprocess.run(
+        [sys.executable, "-c", USED_BEFORE], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (ended.returncode, ended.stdout.strip()) == (0, "0.5"), ended.stderr
