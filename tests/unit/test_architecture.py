@@ -38,6 +38,7 @@ SHELLS = {
     "kontur_av/sources/camera.py": "a device",
     "kontur_av/sources/microphone.py": "a device",
     "kontur_av/sources/pipe.py": "a FIFO",
+    "pipelines/bench/children.py": "ends processes",
     "pipelines/bench/fanout_gstreamer.py": "a library that starts threads, and files",
     "pipelines/bench/fanout_run.py": "processes",
     "pipelines/bench/fanout_ways.py": "asks for the process's number",
