@@ -1,14 +1,11 @@
 """The force at the handle never pulls into the wall that it comes from."""
 
-from collections import deque
-
 import pytest
+from haptic_pair import MS, each_cycle
 
 from telepresence.haptics.bilateral import HeldJoystick, MasterSide, SlaveSide
 from telepresence.haptics.board import Board, WallModel
 from telepresence.haptics.hand import Hand, Waypoint
-
-MS = 1_000_000
 
 
 def waypoint(x_m: float, y_m: float, move_ms: int, stay_ms: int) -> Waypoint:
@@ -30,18 +27,9 @@ TOUCHES = (
 def test_a_force_that_was_cut_is_not_turned_into_the_wall(wall_n_m, delay_ms):
     space = MasterSide(handle=HeldJoystick(hand=Hand(script=TOUCHES)))
     ground = SlaveSide(board=Board(WallModel(stiffness_n_m=wall_n_m)))
-    down, up = deque(), deque()
     cut = 0
-    for cycle in range(5000):
-        now_ns = cycle * MS
-        while down and down[0][0] <= now_ns:
-            ground.handle_datagram(down.popleft()[1], now_ns)
-        while up and up[0][0] <= now_ns:
-            space.handle_datagram(up.popleft()[1], now_ns)
-        ground.handle_cycle(now_ns, MS)
-        space.handle_cycle(now_ns, MS)
-        for side, way in ((space, down), (ground, up)):
-            way.append((now_ns + delay_ms * MS, side.poll_transmit(now_ns)))
+    for cycle in each_cycle(space, ground, count=5000, delay_ms=delay_ms):
+        now_ns = (cycle - 1) * MS
         feedback = space.link.latest(now_ns)
         if feedback is not None and feedback[0] < -1.0:
             x_n, y_n = space.controller.robot_force_n

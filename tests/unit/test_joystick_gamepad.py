@@ -2,11 +2,11 @@
 
 import os
 import struct
-from collections import deque
 from itertools import pairwise
 from math import hypot
 
 import pytest
+from haptic_pair import each_cycle
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -88,23 +88,11 @@ def test_a_stick_that_is_let_go_of_at_a_wall_takes_no_energy_that_is_not_there(r
     device = Pad()
     space, ground = MasterSide(handle=OperatedHandle(device)), SlaveSide()
     device.stick.handle_event(1, 0x136, 1)
-    down, up = deque(), deque()
-    for cycle in range(3700):
-        now_ns = cycle * NS_PER_MS
+    for cycle in each_cycle(space, ground, count=3700, delay_ms=10):
         since = (cycle - 700) % 1500
         share = min(since / 400, 1.0) if since < 1000 else 1 - (since - 1000) / max(release_ms, 1)
         if cycle >= 700:
             device.stick.handle_event(3, 0, round(127.5 + 127.5 * max(share, 0.0)))
-        while down and down[0][0] <= now_ns:
-            ground.handle_datagram(down.popleft()[1], now_ns)
-        while up and up[0][0] <= now_ns:
-            space.handle_datagram(up.popleft()[1], now_ns)
-        ground.handle_cycle(now_ns, NS_PER_MS)
-        space.handle_cycle(now_ns, NS_PER_MS)
-        for side, way in ((space, down), (ground, up)):
-            sample = side.poll_transmit(now_ns)
-            assert sample is not None
-            way.append((now_ns + 10 * NS_PER_MS, sample))
     assert ground.controller.energy_out_uj > 10_000
     assert space.report()["least_uj"] >= -1 and ground.report()["least_uj"] >= -1
     assert space.handle.operation.state is State.APPLICATION
