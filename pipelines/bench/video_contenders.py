@@ -15,6 +15,7 @@ from typing import Any
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.rtp.sdp import parse_sdp, write_sdp
+from pipelines.bench.ports import open_udp_ports
 
 OURS, DEFAULT, TUNED = "kontur-av", "gst-default", "gst-tuned"
 CONTENDERS = (OURS, DEFAULT, TUNED)
@@ -230,18 +231,8 @@ def _gst(role: str, pipeline: str, course: Course, fd: int) -> Process:
 
 def _wait_for_port(port: int, receiver: Process) -> None:
     give_up_ns = time.monotonic_ns() + round(_START_S * NS_PER_S)
-    while not _is_bound(port):
+    while port not in open_udp_ports():
         receiver.check()
         if time.monotonic_ns() > give_up_ns:
             raise ContenderError(f"{receiver.name} did not open UDP port {port}")
         time.sleep(0.02)
-
-
-def _is_bound(port: int) -> bool:
-    lines = [
-        line
-        for table in ("/proc/net/udp", "/proc/net/udp6")
-        if Path(table).exists()
-        for line in Path(table).read_text().splitlines()[1:]
-    ]
-    return any(int(line.split()[1].rpartition(":")[2], 16) == port for line in lines)

@@ -17,6 +17,7 @@ from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
 from kontur_av.opus import bitrate_under_cap
 from kontur_av.rtp.wire import signed_32
 from kontur_av.sources.source import BLOCK_NS
+from pipelines.bench.ports import open_udp_ports
 from pipelines.bench.voice_network import Network
 from pipelines.bench.voice_speech import LEAD_IN_BLOCKS, Track, lags
 from pipelines.bench.voice_virtual import Heard
@@ -26,8 +27,10 @@ _HEADER_OCTETS = 12
 _PAYLOAD_TYPE = 97
 #: So large that a block of plain sound is one packet.
 _MTU = 4000
-#: What the pipelines take to start, before the first block is said.
+#: What the pipelines take to start, before the first block is said, when their ports are open.
 _START_NS = 1500 * NS_PER_MS
+#: So long they have to open their ports; then it begins without the ones that are late.
+_PATIENCE_NS = 20 * NS_PER_S
 #: After the last block, so that it is heard.
 _END_NS = 700 * NS_PER_MS
 #: The `alignment-threshold` of GstAudioBaseSink.
@@ -79,6 +82,7 @@ def listen_live(track: Track, cap_bps: int, peers: Sequence[Peer]) -> list[Heard
         relay.setblocking(False)
         receivers = [_start_receiver(stack, peer, track.blocks) for peer in peers]
         mouth = _start_sender(stack, cap_bps, relay.getsockname()[1])
+        _wait_for_ports({receiver.port for receiver in receivers})
         run = _Run(relay, mouth, receivers)
         run.run(track)
     return [_heard(track, receiver, run) for receiver in receivers]
@@ -122,6 +126,14 @@ def _start_sender(stack: ExitStack, cap_bps: int, port: int) -> int:
     )
     os.close(read_end)
     return write_end
+
+
+def _wait_for_ports(ports: set[int]) -> None:
+    """Until all are open: what is sent to a receiver earlier is lost, however slow the machine."""
+    clock = MonotonicClock()
+    deadline_ns = clock.now_ns() + _PATIENCE_NS
+    while not ports <= open_udp_ports() and clock.now_ns() < deadline_ns:
+        clock.sleep_until_ns(clock.now_ns() + 50 * NS_PER_MS)
 
 
 def _launch(stack: ExitStack, pipeline: str, pass_fds: tuple[int, ...] = ()) -> None:
@@ -211,7 +223,7 @@ def _heard(track: Track, receiver: _Receiver, run: _Run) -> Heard:
     heard.lost = len(receiver.lost)
     if not receiver.arrivals:
         return heard
-    heard.samples, places = _laid_out(receiver)
+    heard.samples, places = laid_out(receiver.arrivals)
     lag_of_second = lags(track, heard.samples)
     heard.lag_samples = sorted(lag_of_second)[len(lag_of_second) // 2]
     for instant_ns, at in places:
@@ -223,14 +235,17 @@ def _heard(track: Track, receiver: _Receiver, run: _Run) -> Heard:
     return heard
 
 
-def _laid_out(receiver: _Receiver) -> tuple[Pcm, list[tuple[int, int]]]:
+def laid_out(arrivals: Sequence[tuple[int, int, Pcm]]) -> tuple[Pcm, list[tuple[int, int]]]:
     """The sound as GStreamer's sinks for sound cards play it, and what came when, as (instant,
     place of its first sample): each packet after the one before, except where its timestamp is
-    farther away than `_ALIGNMENT_NS`; silence where nothing came."""
-    first = receiver.arrivals[0][1]
+    farther away than `_ALIGNMENT_NS`; silence where nothing came.
+
+    arrivals: when sound came, in nanoseconds, its RTP timestamp, its samples; at least one.
+    """
+    first = arrivals[0][1]
     line = np.zeros(0, np.int16)
     places, pieces, at = [], [line], 0
-    for instant_ns, timestamp, sound in receiver.arrivals:
+    for instant_ns, timestamp, sound in arrivals:
         missing = signed_32(timestamp - first) - at
         if missing > _ALIGNMENT_NS * AUDIO_CLOCK_HZ // NS_PER_S:
             pieces.append(np.zeros(missing, np.int16))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pipelines.bench import voice
+from pipelines.bench.voice_gstreamer import laid_out
 from pipelines.bench.voice_network import BURST_PACKETS, Network
 from pipelines.bench.voice_speech import LEAD_IN_BLOCKS, lags, speech_track
 from pipelines.bench.voice_virtual import listen, speak
@@ -54,6 +55,27 @@ def test_a_delay_is_found_although_the_speakers_repeat_themselves():
         heard = np.roll(track.samples, late) // 2
         heard[len(heard) // 2 :] *= 2
         assert set(lags(track, heard)[2:-2]) == {late}
+
+
+def test_a_peers_sound_is_laid_out_as_its_sound_card_plays_it():
+    """Packets follow each other although their timestamps wobble; a hole of more than 40 ms is one.
+
+    GstAudioBaseSink, `alignment-threshold`: 40 ms.
+    """
+    first = 2**32 - 500  # the timestamps go round
+    block = np.arange(1, 961, dtype=np.int16)
+
+    def arrivals(*timestamps):
+        return [
+            (10 * i, (first + timestamp) % 2**32, block) for i, timestamp in enumerate(timestamps)
+        ]
+
+    sound, places = laid_out(arrivals(0, 960 + 1900, 1920 - 900))
+    assert np.array_equal(sound, np.tile(block, 3))
+    assert places == [(0, 0), (10, 960), (20, 1920)]
+    sound, places = laid_out(arrivals(0, 960 + 1921, 1920 + 1921))
+    assert np.array_equal(sound, np.concatenate([block, np.zeros(1921, np.int16), block, block]))
+    assert places == [(0, 0), (10, 2881), (20, 3841)]
 
 
 def test_a_lossy_run_repeats_and_is_heard_to_the_end(track):

@@ -1,7 +1,7 @@
 """However a process of a session ends, its siblings go on, and the report says how it ended."""
 
 import json
-import os
+import signal
 import subprocess
 import sys
 
@@ -56,17 +56,19 @@ print(json.dumps({child.part.name: [child.restarts, child.last_error]
 """
 
 
-def ends(bad, seconds=0.5, gone="", **options):
+def ends(bad, seconds=0.5, gone="", hangup=signal.SIG_DFL):
     """What a launcher says of `bad` and of its sibling: [restarts, last error] of each.
 
-    gone: what its figures cannot be shown to, "disk" or "reader".
+    gone: what its figures cannot be shown to, "disk" or "reader". hangup: what it finds to be
+    done on a SIGHUP.
     """
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, bad, str(seconds), gone],
         capture_output=True,
         text=True,
         timeout=60,
-        **options,
+        # These tests may run under nohup themselves.
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, hangup),
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
@@ -96,12 +98,7 @@ def test_a_closed_terminal_ends_the_session_by_its_launcher_alone():
 
 
 def test_under_nohup_a_closed_terminal_ends_nothing():
-    def nohup():
-        import signal
-
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
-
-    figures = ends("closes_the_terminal", 0.5, preexec_fn=nohup, env=dict(os.environ))
+    figures = ends("closes_the_terminal", 0.5, hangup=signal.SIG_IGN)
     assert figures == {"good": [0, ""], "bad": [0, ""]}
 
 
