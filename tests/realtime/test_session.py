@@ -7,7 +7,7 @@ must hold on the slowest one.
 import cv2
 import numpy as np
 import pytest
-from running_session import assert_sound
+from running_session import assert_sound, eventually
 
 pytestmark = pytest.mark.realtime
 
@@ -44,12 +44,28 @@ def assert_has_every_key(report):
     assert all({"cpu_s", "restarts"} <= set(entry) for entry in report["processes"].values())
 
 
+def assert_nothing_lost_in_contact(report):
+    """A host that stands still for 50 ms is a loss of signal: what waits then is dropped on
+    purpose, and what is under way in part. Nothing else is lost."""
+    gateways = report["gateways"].values()
+    contacts_lost = sum(end["supervision"]["counts"]["signals_lost"] for end in gateways)
+    for direction, link in report["link"].items():
+        waiting = sum(queue["drops"]["signal_lost"] for queue in link["queue"].values())
+        in_part = link["packets_dropped"].get("incomplete", 0)
+        assert set(link["packets_dropped"]) <= {"incomplete"}, direction
+        assert contacts_lost or waiting == in_part == 0, direction
+        streams = [s for name, s in report["streams"].items() if name.startswith(direction)]
+        assert len(streams) == 2
+        assert sum(stream["rtp_lost"] for stream in streams) <= waiting + in_part, direction
+
+
 def assert_all_six_flowed(report):
     assert set(report["streams"]) == {
         "uplink_video", "uplink_voice", "downlink_video", "downlink_voice"
     }  # fmt: skip
+    assert_nothing_lost_in_contact(report)
     for name, stream in report["streams"].items():
-        assert stream["rtp_lost"] == stream["garbage"] == 0, name
+        assert stream["garbage"] == 0, name
         assert stream["rtp_packets"] > 0, name
         counts = [stream[key] for key in WAY]
         assert all(count > 0 for count in counts), (name, counts)
@@ -69,7 +85,6 @@ def assert_all_six_flowed(report):
         assert link["octets"]["voice"] > 0, direction
         assert link["octets"]["video"] > 0, direction
         assert set(link["refused"].values()) == {0}, direction
-        assert link["packets_dropped"] == {}, direction
     assert report["link"]["uplink"]["packets"]["telemetry"] > 0
     assert sum(entry["restarts"] for entry in report["processes"].values()) == 0
     assert all(entry["cpu_s"] > 0 for entry in report["processes"].values())
@@ -91,7 +106,7 @@ def test_every_stream_flows_through_one_link(start, tmp_path):
     session.wait_for_flow()
     session.wait_for_snapshot("shots/ground-stereo", more_than=0)
     code, report = session.interrupt()
-    assert code == 0, session.errors()
+    assert code == 0, (session.errors(), report["failures"])
     assert session.errors() == ""
     session.assert_nothing_left()
 
@@ -109,7 +124,7 @@ def test_a_session_ends_by_itself_when_its_time_is_over(start):
     session = start("taskboard", "--seconds", "3")
     session.pids()
     code, report = session.end()
-    assert code == 0, session.errors()
+    assert code == 0, (session.errors(), report["failures"])
     assert report["seconds"] >= 3
     assert {"up", "down"} == set(report["haptic"])
     session.assert_nothing_left()
@@ -145,29 +160,40 @@ def test_real_footage_and_real_speech(start, footage, speech, tmp_path):
     session.pids()
     session.wait_for_flow()
     assert session.select("head").returncode == 0
-    seen = len(list(tmp_path.glob("space-*.png")))
-    # A film's cuts come into the encoder; its picture goes on through all of them.
+    # A film's cuts come into the encoder; its picture goes on through all of them. One picture may
+    # be marked as stale, or be of another film yet.
     session.wait_for_flow()
-    session.wait_for_snapshot("space-uplink_video", more_than=seen)
+    film, looked_at = thumbnails(footage("bikes.mp4")), set()
+
+    def shown():
+        # The last one may not be written to its end.
+        new = sorted(set(tmp_path.glob("space-uplink_video-*.png")) - looked_at)[:-1]
+        looked_at.update(new)
+        return any(looks_like(path, film) for path in new)
+
+    eventually(shown, "a picture like one of the film")
     code, report = session.interrupt()
-    assert code == 0, session.errors()
+    assert code == 0, (session.errors(), report["failures"])
     session.assert_nothing_left()
     assert_sound(report)
     assert_all_six_flowed(report)
-    last = cv2.imread(str(max(tmp_path.glob("space-uplink_video-*.png"))))
-    assert looks_like(last, footage("bikes.mp4"))
 
 
-def looks_like(picture, clip):
-    """Whether a picture of the clip, fitted as the source fits it, is much like `picture`."""
-    seen = cv2.resize(picture, (64, 48), interpolation=cv2.INTER_AREA).astype(float)
-    film, best = cv2.VideoCapture(str(clip)), 0.0
+def looks_like(path, film):
+    """Whether the picture of a file is much like one of `film`."""
+    seen = cv2.resize(cv2.imread(str(path)), (64, 48), interpolation=cv2.INTER_AREA).astype(float)
+    return max(np.corrcoef(seen.ravel(), picture.ravel())[0, 1] for picture in film) > 0.9
+
+
+def thumbnails(clip):
+    """The pictures of a clip in 64x48, fitted as the source fits them."""
+    film, pictures = cv2.VideoCapture(str(clip)), []
     while True:
         more, frame = film.read()
         if not more:
-            return best > 0.9
+            return pictures
         height = round(64 * frame.shape[0] / frame.shape[1])
         fitted = np.zeros((48, 64, 3))
         top = (48 - height) // 2
         fitted[top : top + height] = cv2.resize(frame, (64, height), interpolation=cv2.INTER_AREA)
-        best = max(best, np.corrcoef(seen.ravel(), fitted.ravel())[0, 1])
+        pictures.append(fitted)
