@@ -152,10 +152,14 @@ class H264Encoder:
 
             self._settle(self._cuts.handle_picture(thumbnail(data), key=force_keyframe))
         if self._small is not None:
-            from kontur_av.scaling import shrink
+            from kontur_av.scaling import shrink, soften
 
             shrink(data, self._small)
             data = self._small
+            if (self._given == 0 or force_keyframe) and not self._settings.punctual:
+                # Nothing can be seen until it is there. The built-in scene's has a third fewer
+                # octets, and is there 30 ms sooner; it is 2 dB coarser, and 1 dB after 0.3 s.
+                soften(data)
         if self._given == 0:
             # x264 guesses the size of a picture from those before it. Without any it spends a
             # fifth of what it may: so the first one is coded twice, and goes out the second time.

@@ -88,11 +88,13 @@ class RtpReceiver:
     In-order packets come out of `next_event` at once. Behind a gap, packets wait until the
     missing one comes or until `poll_timeout`, at which the caller calls `handle_timeout`.
 
-    A source is believed after two packets in sequence (probation, RFC 3550 appendix A.1); then
-    both come out. A new SSRC takes over if two of its packets follow each other after the old
-    source has been silent for `takeover_silence_ns` or has said goodbye: a stray or hostile packet
-    cannot take a living stream away. The default is longer than the gaps between the pictures of a
-    stream under a low cap, and shorter than the rest before a killed sender's restart.
+    A source is believed after two packets in sequence (probation, RFC 3550 appendix A.1), and then
+    both come out; or after one packet and a sender report, whichever of them comes first: under a
+    low cap the second packet is the second picture, and the first would wait for it. A new SSRC
+    takes over like that after the old source has been silent for `takeover_silence_ns` or has said
+    goodbye: no stray or hostile packet can take a living stream away. The default is longer than
+    the gaps between the pictures of a stream under a low cap, and shorter than the rest before a
+    killed sender's restart.
 
     payload_type: of the stream, 0..127; other packets are garbage.
     clock_rate_hz: of the RTP timestamps.
@@ -259,27 +261,43 @@ class RtpReceiver:
         self._drain()
 
     def _try_candidate(self, packet: RtpPacket, now_ns: int) -> None:
-        """Probation: believe a new source, or a jump of this one, after two in sequence."""
+        """Probation: believe a jump of this source after two in sequence; see the class for a new
+        one."""
         before = self._candidate
         follows = (
             before is not None
             and before.packet.ssrc == packet.ssrc
             and (before.packet.sequence_number + 1) & 0xFFFF == packet.sequence_number
         )
-        free = (
-            self.ssrc is None
-            or self.ended
-            or packet.ssrc == self.ssrc
-            or now_ns - self._last_heard_ns >= self._takeover_silence_ns
-        )
-        if before is None or not follows or not free:
+        if before is None or not follows or not self._is_free(packet.ssrc, now_ns):
             self._drop_candidate()
             self._candidate = _Waiting(packet, now_ns)
+            self._try_vouched(now_ns)
             return
         self._candidate = None
         self._start_source(before.packet)
         self._take(before.packet, before.packet.sequence_number, before.received_ns)
         self._take(packet, before.packet.sequence_number + 1, now_ns)
+
+    def _try_vouched(self, now_ns: int) -> None:
+        """Believe the candidate if a sender report speaks for it (RFC 3550 section 6.4.1)."""
+        first = self._candidate
+        # A jump of the present source is none of its reports' business.
+        if first is None or first.packet.ssrc == self.ssrc:
+            return
+        if first.packet.ssrc in self._reports and self._is_free(first.packet.ssrc, now_ns):
+            self._candidate = None
+            self._start_source(first.packet)
+            self._take(first.packet, first.packet.sequence_number, first.received_ns)
+
+    def _is_free(self, ssrc: int, now_ns: int) -> bool:
+        """Whether a source of this SSRC may take over now."""
+        return (
+            self.ssrc is None
+            or self.ended
+            or ssrc == self.ssrc
+            or now_ns - self._last_heard_ns >= self._takeover_silence_ns
+        )
 
     def _drop_candidate(self) -> None:
         if self._candidate is not None:
@@ -311,7 +329,8 @@ class RtpReceiver:
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:
         """Take a datagram from the RTCP port. Garbage and foreign reports are counted.
 
-        True if it holds a sender report of the present source, or came before there is one.
+        True if it holds a sender report of the present source, or came before there is one. Drain
+        `next_event` afterwards: a report may speak for a packet that has waited for it.
         """
         try:
             packets = parse_rtcp(datagram)
@@ -322,6 +341,8 @@ class RtpReceiver:
         for packet in packets:
             if isinstance(packet, RtcpSrPacket):
                 dates |= self._take_report(packet)
+                self._try_vouched(now_ns)
+                dates |= packet.ssrc == self.ssrc
             elif isinstance(packet, RtcpByePacket):
                 if self.ssrc in packet.sources:
                     self.ended = known = True

@@ -29,7 +29,10 @@ class _Receiving:
         self._undated = 0
 
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:
-        """A datagram of the RTCP port; True if it says how old pictures or sounds are."""
+        """A datagram of the RTCP port; True if it says how old pictures or sounds are.
+
+        Drain `next_event` afterwards.
+        """
         return self._receiver.handle_report(datagram, now_ns)
 
     def capture_ns(self, timestamp: int) -> int | None:
@@ -187,6 +190,18 @@ class VoiceReceiving(_Receiving):
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
         """A datagram of the RTP port. Drain `next_event` afterwards."""
         self._receiver.handle_packet(datagram, now_ns)
+        self._take_packets(now_ns)
+
+    def handle_report(self, datagram: bytes, now_ns: int) -> bool:
+        """A datagram of the RTCP port; True if it says how old sounds are.
+
+        Drain `next_event` afterwards.
+        """
+        dates = super().handle_report(datagram, now_ns)
+        self._take_packets(now_ns)
+        return dates
+
+    def _take_packets(self, now_ns: int) -> None:
         while (packet := self._receiver.next_event()) is not None:
             self._probe.row("rx", packet.timestamp, packet.received_ns)
             self._playout.handle_packet(packet)

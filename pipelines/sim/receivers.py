@@ -45,11 +45,15 @@ class VideoReceiver:
         self._timer = Timer(agenda, self._expire)
         self._counts = (0, 0, 0)
         self._recall = Recall()
-        self.handle_report: Callable[[bytes, int], bool] = receiving.handle_report
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
         """An RTP packet comes out of the link."""
         self._receiving.handle_packet(datagram, now_ns)
+        self._drain(now_ns)
+
+    def handle_report(self, datagram: bytes, now_ns: int) -> None:
+        """An RTCP packet comes out of the link."""
+        self._receiving.handle_report(datagram, now_ns)
         self._drain(now_ns)
 
     def _expire(self, now_ns: int) -> None:
@@ -117,13 +121,17 @@ class VoiceReceiver:
         self._decoding: deque[tuple[int, PlayoutBlock, int | None]] = deque()
         self._recall = Recall()
         self._timer = Timer(agenda, self._expire)
-        self.handle_report: Callable[[bytes, int], bool] = receiving.handle_report
         self.handle_picture_shown = receiving.handle_picture_shown
         self.tell = receiving.tell
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
         """An RTP packet comes out of the link."""
         self._receiving.handle_packet(datagram, now_ns)
+        self._expire(now_ns)
+
+    def handle_report(self, datagram: bytes, now_ns: int) -> None:
+        """An RTCP packet comes out of the link."""
+        self._receiving.handle_report(datagram, now_ns)
         self._expire(now_ns)
 
     def _expire(self, now_ns: int) -> None:

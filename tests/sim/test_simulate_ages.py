@@ -31,8 +31,8 @@ def test_the_operator_hears_within_60_ms_and_sound_and_picture_are_together(usua
         assert 30 < stream["latency_ms"]["p50"] < 50
         assert stream["latency_ms"]["p99"] <= 60
         assert (stream["frames_concealed"], stream["stale_ms"]) == (0, 0)
-    # The very first sounds may be early.
-    assert report["lip_sync"]["within"] > 0.99
+    # From the very first picture on, though that one says everything.
+    assert report["lip_sync"]["within"] == 1
     assert report["skew_ms"]["audio_video"]["p50"] > -45
 
 

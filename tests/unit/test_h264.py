@@ -104,6 +104,23 @@ def test_access_units_are_of_one_size_key_pictures_too(pictures):
     assert nal_type(split_annex_b(units[45].data)[-1]) == 5
 
 
+def test_a_picture_that_is_waited_for_is_softened_where_it_is_coded_small(pictures, monkeypatch):
+    """At the start, and on demand; at full size it has all its detail."""
+    originals = list(pictures("bigbuckbunny.mp4", 40))
+
+    def sizes(**options):
+        units = encode(originals, size=(640, 480), keyframes=(30,), **options)
+        assert [i for i, unit in enumerate(units) if unit.keyframe] == [0, 30]
+        return [len(unit.data) for unit in units]
+
+    small, large = sizes(coded_size=None, refresh_s=20.0), sizes(cap_bps=512_000, refresh_s=20.0)
+    monkeypatch.setattr("kontur_av.scaling.soften", lambda picture: None)
+    sharp = sizes(coded_size=None, refresh_s=20.0)
+    assert small[0] < 0.9 * sharp[0]
+    assert small[30] < sharp[30]
+    assert large == sizes(cap_bps=512_000, refresh_s=20.0)
+
+
 def test_a_thin_stream_is_coded_small_and_scaled_up_for_its_reader(pictures):
     originals = list(pictures("bikes.mp4", 45))
     units = encode(originals, size=(640, 480), coded_size=None)

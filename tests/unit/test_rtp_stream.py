@@ -314,6 +314,60 @@ def test_only_a_sender_report_of_the_source_dates_its_pictures():
     assert (receiver.counts.reports, receiver.ended) == (1, False)
 
 
+def reported(ssrc=1):
+    """The packet of one picture, and the sender report that goes with it."""
+    rtp = make_sender(ssrc=ssrc)
+    (packet,) = rtp.video_packets(picture(0))
+    return packet, rtp.poll_report(0, ManualClock().ntp)
+
+
+@pytest.mark.parametrize("report_first", [False, True])
+def test_a_first_packet_waits_for_no_second_one_if_a_report_speaks_for_it(report_first):
+    """Under a low cap the second packet is the second picture, a period later."""
+    packet, report = reported()
+    receiver = make_receiver()
+    if report_first:
+        assert receiver.handle_report(report, 5)
+        receiver.handle_packet(packet, 6)
+    else:
+        receiver.handle_packet(packet, 5)
+        assert receiver.handle_report(reported(ssrc=9)[1], 5)
+        assert drain(receiver) == []
+        assert receiver.handle_report(report, 6)
+    (event,) = drain(receiver)
+    assert (event.received_ns, event.restart) == (6 if report_first else 5, True)
+    assert (receiver.counts.sources, receiver.counts.reports, receiver.counts.garbage) == (1, 1, 0)
+    for number, later in enumerate(singles(4)[1:], 1):
+        receiver.handle_packet(later, 10 + number)
+    assert numbers(drain(receiver)) == [1, 2, 3]
+    assert (receiver.counts.received, receiver.counts.lost) == (4, 0)
+
+
+def test_a_report_takes_no_living_stream_away_and_lets_a_successor_in_after_silence():
+    packet, report = reported(ssrc=2)
+    receiver = make_receiver()
+    for index, own in enumerate(singles(3)):
+        receiver.handle_packet(own, index)
+    receiver.handle_packet(packet, 100 * NS_PER_MS)
+    assert not receiver.handle_report(report, 100 * NS_PER_MS)
+    assert (receiver.ssrc, numbers(drain(receiver))) == (1, [0, 1, 2])
+    receiver.handle_packet(packet, 600 * NS_PER_MS)
+    (event,) = drain(receiver)
+    assert (receiver.ssrc, event.restart) == (2, True)
+    assert receiver.capture_ns(event.timestamp) is not None
+
+
+def test_a_report_does_not_speak_for_a_jump_of_its_source():
+    receiver = make_receiver()
+    packet, report = reported()
+    receiver.handle_report(report, 0)
+    receiver.handle_packet(packet, 0)
+    (jump,) = make_sender(first_sequence=30_000).video_packets(picture(1))
+    receiver.handle_packet(jump, 1)
+    receiver.handle_report(report, 1)
+    assert numbers(drain(receiver)) == [0]
+
+
 def test_goodbye_lets_a_successor_in_at_once():
     rtp, receiver, clock = make_sender(), make_receiver(), ManualClock()
     for number in range(3):
