@@ -46,7 +46,8 @@ def assert_has_every_key(report):
 
 def assert_nothing_lost_in_contact(report):
     """A host that stands still for 50 ms is a loss of signal: what waits then is dropped on
-    purpose, and what is under way in part. Nothing else is lost."""
+    purpose, what is under way is lost in part, or whole where one frame holds it. Nothing else is
+    lost."""
     gateways = report["gateways"].values()
     contacts_lost = sum(end["supervision"]["counts"]["signals_lost"] for end in gateways)
     for direction, link in report["link"].items():
@@ -56,7 +57,7 @@ def assert_nothing_lost_in_contact(report):
         assert contacts_lost or waiting == in_part == 0, direction
         streams = [s for name, s in report["streams"].items() if name.startswith(direction)]
         assert len(streams) == 2
-        assert sum(stream["rtp_lost"] for stream in streams) <= waiting + in_part, direction
+        assert sum(stream["rtp_lost"] for stream in streams) <= waiting + in_part + contacts_lost
 
 
 def assert_all_six_flowed(report):
