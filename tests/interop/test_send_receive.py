@@ -265,7 +265,7 @@ def test_we_play_the_opus_that_gstreamer_sends(tmp_path):
     assert report["rtp_lost"] == 0
     assert report["frames_decoded"] + report["frames_late"] >= 99
     with av.open(str(tmp_path / "r.mkv")) as saved:
-        # All 2 s of it, unless the machine stood still: what comes too late to be heard is left out.
+        # All 2 s, unless the machine stood still: what comes too late to be heard is left out.
         assert sum(frame.samples for frame in saved.decode(audio=0)) >= 50 * 960
 
 
