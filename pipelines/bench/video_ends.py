@@ -91,6 +91,8 @@ def _become(
     others.close()
     # Ctrl-C is the bench's: it ends its children itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     gc.collect()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
+from pipelines.bench.children import ended_alike
 from pipelines.bench.video_clips import Clip, shared_array
 from pipelines.bench.video_contenders import Course, started
 from pipelines.bench.video_ends import Carried, Filmed, Watched, carry, film_to, watch
@@ -51,7 +52,7 @@ def measure(name: str, clip: Clip, terms: Terms) -> tuple[Figures, list[float]]:
     height = rows * 2 // 3
     lumas = shared_array(len(clip.order), height, width)
     meter = _Machine()
-    with ExitStack() as stack:
+    with ended_alike(), ExitStack() as stack:
         directory = Path(stack.enter_context(TemporaryDirectory(prefix="kontur-av-bench-")))
         entrance, exit_port = free_ports(), free_ports()
         course = Course(

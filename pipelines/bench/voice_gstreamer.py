@@ -17,6 +17,7 @@ from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
 from kontur_av.opus import bitrate_under_cap
 from kontur_av.rtp.wire import signed_32
 from kontur_av.sources.source import BLOCK_NS
+from pipelines.bench.children import ended_alike
 from pipelines.bench.ports import open_udp_ports
 from pipelines.bench.voice_network import Network
 from pipelines.bench.voice_speech import LEAD_IN_BLOCKS, Track, lags
@@ -76,7 +77,7 @@ def listen_live(track: Track, cap_bps: int, peers: Sequence[Peer]) -> list[Heard
     with its clock (`sync=true`), as to a sound card, but as plain RTP: the arrival of a packet is
     when it is heard, its timestamp says where in the sound it belongs.
     """
-    with ExitStack() as stack:
+    with ended_alike(), ExitStack() as stack:
         relay = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         relay.bind((_LOOPBACK, 0))
         relay.setblocking(False)
