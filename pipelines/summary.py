@@ -100,8 +100,8 @@ def _print_content(console: Console, sync: Mapping[str, Any] | None) -> None:
         if skew is not None
     ]
     console.print(
-        f"by content, ms after each of {sync['events']} contacts: {', '.join(senses)}; "
-        f"skew: {', '.join(skews)}"
+        f"by content, ms after each of {sync['events']} contacts: {', '.join(senses)}"
+        + (f"; skew: {', '.join(skews)}" if skews else "")
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Any
 
@@ -98,9 +98,16 @@ class SyncFigures:
     def report(self, senses: Sequence[str], *, soonest_ns: int = 0) -> dict[str, Any] | None:
         """The section `sync` of a report; None if nothing was touched.
 
-        senses: those that the operator has. soonest_ns: the radio's delay at least.
+        senses: those that contacts reach; what was found for another one is left out.
+        soonest_ns: the radio's delay at least.
         """
-        events = self.events(soonest_ns)
+        events = [
+            replace(
+                event,
+                perceived={s: event.perceived[s] if s in senses else None for s in SENSES},
+            )
+            for event in self.events(soonest_ns)
+        ]
         if not events:
             return None
         contacts, bounces = self._apart()

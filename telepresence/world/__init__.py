@@ -4,7 +4,14 @@
 which scene each input of a setup shows when the user names nothing else.
 """
 
-from telepresence.world.scenes import DEFAULT_SCENES, VIEWS, audio_scenes, render, video_scenes
+from telepresence.world.scenes import (
+    CONTACT_SCENES,
+    DEFAULT_SCENES,
+    VIEWS,
+    audio_scenes,
+    render,
+    video_scenes,
+)
 from telepresence.world.state import (
     BOARD_HEIGHT_M,
     BOARD_WIDTH_M,
@@ -19,6 +26,7 @@ from telepresence.world.state import (
 __all__ = [
     "BOARD_HEIGHT_M",
     "BOARD_WIDTH_M",
+    "CONTACT_SCENES",
     "DEFAULT_SCENES",
     "LEDS_M",
     "LED_REACH_M",

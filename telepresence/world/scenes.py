@@ -39,6 +39,11 @@ DEFAULT_SCENES: dict[str, str] = {
     "iss_mic": "scene:cabin_voice",
 }
 
+#: Where the stylus's contact with a target is to be seen or heard.
+CONTACT_SCENES = frozenset(
+    {"scene:left", "scene:right", "scene:static", "scene:head", "scene:ground_voice"}
+)
+
 
 @lru_cache(maxsize=16)
 def _view(view: str, width: int, height: int) -> GroundView | CabinView:

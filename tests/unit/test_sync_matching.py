@@ -1,13 +1,17 @@
 """Which of what was found belongs to which contact, and what follows from it."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.setups import BUILT_IN
 from pipelines.sync.figures import SyncFigures, disagreements, rank, skew_summary
 from pipelines.sync.limits import LIMITS
 from pipelines.sync.matching import Found, match
+from pipelines.sync.section import sync_section
 
 MS = NS_PER_MS
 
@@ -132,7 +136,29 @@ def test_the_last_contact_is_not_missed_because_its_force_has_no_stamp_yet(late_
 def test_a_sense_that_a_setup_lacks_has_no_figures():
     report = figures().report(["light", "force"])
     assert report["senses"]["click"] is None
+    assert [name for name, skew in report["skew_ms"].items() if skew] == ["video_haptic"]
     assert SyncFigures().report(["light"]) is None
+
+
+@pytest.mark.parametrize(
+    ("sources", "senses"),
+    [
+        ({}, ["light", "click", "force"]),
+        ({"ground_mic": "alsa:default"}, ["light", "force"]),
+        ({"ground_mic": "scene:cabin_voice"}, ["light", "force"]),
+        ({"head": "film.mp4"}, ["click", "force"]),
+        (
+            {"iss_mic": "alsa:default", "iss_camera": "v4l2:/dev/video0"},
+            ["light", "click", "force"],
+        ),
+    ],
+)
+def test_what_flashes_in_a_film_or_clicks_before_a_microphone_is_no_contact(sources, senses):
+    setup = replace(BUILT_IN["spacejustin"], sources=sources)
+    # As if each had been there 40 ms too late.
+    section = sync_section(setup, figures(40), media=True)
+    assert [sense for sense, found in section["senses"].items() if found] == senses
+    assert len(disagreements(section)) == len(senses) - 1
 
 
 def test_limits_are_those_of_the_sources():
