@@ -156,7 +156,7 @@ class H264Encoder:
 
             shrink(data, self._small)
             data = self._small
-            if (self._given == 0 or force_keyframe) and not self._settings.punctual:
+            if (self.encoded == 0 or force_keyframe) and not self._settings.punctual:
                 # Nothing can be seen until it is there. The built-in scene's has a quarter fewer
                 # octets, and is there 25 ms sooner; it is up to 2 dB coarser, 1 dB after 0.3 s.
                 soften(data)

@@ -24,6 +24,9 @@ MAX_DROPOUT = 3000  # RFC 3550 appendix A.1
 MAX_MISORDER = 100
 #: How many packets may wait behind a gap; then the gap is given up at once.
 MAX_WAITING = 512
+#: A report that comes later than this speaks no more for a packet that has waited for it: what was
+#: sent in between is gone, and nobody wants to see or hear the first of it now.
+_REPORT_WITHIN_NS = 200 * NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +92,9 @@ class RtpReceiver:
     missing one comes or until `poll_timeout`, at which the caller calls `handle_timeout`.
 
     A source is believed after two packets in sequence (probation, RFC 3550 appendix A.1), and then
-    both come out; or after one packet and a sender report, whichever of them comes first: under a
-    low cap the second packet is the second picture, and the first would wait for it. A new SSRC
+    both come out; or after one packet and a sender report, whichever of them comes first, but the
+    report within 200 ms: under a low cap the second packet is the second picture, and the first
+    would wait for it. A new SSRC
     takes over like that after the old source has been silent for `takeover_silence_ns` or has said
     goodbye: no stray or hostile packet can take a living stream away. The default is longer than
     the gaps between the pictures of a stream under a low cap, and shorter than the rest before a
@@ -280,10 +284,13 @@ class RtpReceiver:
         self._take(packet, before.packet.sequence_number + 1, now_ns)
 
     def _try_vouched(self, now_ns: int) -> None:
-        """Believe the candidate if a sender report speaks for it (RFC 3550 section 6.4.1)."""
+        """Believe the candidate if a sender report speaks for it (RFC 3550 section 6.2.1; that its
+        CNAME is there, too, is not asked for)."""
         first = self._candidate
         # A jump of the present source is none of its reports' business.
         if first is None or first.packet.ssrc == self.ssrc:
+            return
+        if now_ns - first.received_ns > _REPORT_WITHIN_NS:
             return
         if first.packet.ssrc in self._reports and self._is_free(first.packet.ssrc, now_ns):
             self._candidate = None
@@ -344,13 +351,23 @@ class RtpReceiver:
                 self._try_vouched(now_ns)
                 dates |= packet.ssrc == self.ssrc
             elif isinstance(packet, RtcpByePacket):
-                if self.ssrc in packet.sources:
-                    self.ended = known = True
+                for ssrc in packet.sources:
+                    if ssrc == self.ssrc:
+                        self.ended = known = True
+                    else:
+                        self._forget(ssrc)
+                self._try_vouched(now_ns)
             elif isinstance(packet, RtcpRrPacket):
                 known = True  # of a peer that sends no media for a while (section 6.4)
         if not (dates or known):
             self.counts.garbage += 1
         return dates
+
+    def _forget(self, ssrc: int) -> None:
+        """Another source has said goodbye: nothing of it may begin a stream any more."""
+        self._reports.pop(ssrc, None)
+        if self._candidate is not None and self._candidate.packet.ssrc == ssrc:
+            self._drop_candidate()
 
     def _take_report(self, report: RtcpSrPacket) -> bool:
         mine = self.ssrc is None or report.ssrc == self.ssrc

@@ -148,18 +148,20 @@ def test_every_parser_refuses_or_accepts_any_octets(octets):
         assert unit
 
 
+SOURCE = st.sampled_from([b"\0\0\0\x07", b"\0\0\0\x07", b"\0\0\0\x08"])
 # Octets that look right at the beginning get further into the parsers.
 RTP = st.builds(
-    lambda first, number, stamp, payload: (
+    lambda first, number, stamp, source, payload: (
         bytes((first, 0x60 | 0x80 * (number & 1)))
         + number.to_bytes(2, "big")
         + stamp.to_bytes(4, "big")
-        + b"\x00\x00\x00\x07"
+        + source
         + payload
     ),
     st.sampled_from([0x80, 0x80, 0x80, 0x90, 0xA0, 0x81, 0xB3]),
     st.one_of(st.integers(0, 40), st.integers(0, 65_535)),
     st.one_of(st.integers(0, 9), st.integers(0, 2**32 - 1)),
+    SOURCE,
     st.one_of(
         st.binary(max_size=40),
         st.binary(max_size=40).map(lambda rest: b"\x7c" + rest),
@@ -174,17 +176,28 @@ RTCP = st.builds(
     st.integers(0, 3),
     st.binary(max_size=60),
 )
+SENDER_REPORT = st.builds(
+    lambda source, figures: b"\x80\xc8\x00\x06" + source + figures,
+    SOURCE,
+    st.binary(min_size=20, max_size=20),
+)
+GOODBYE = SOURCE.map(lambda source: b"\x81\xcb\x00\x01" + source)
+REPORTS = st.one_of(RTCP, SENDER_REPORT, GOODBYE, st.tuples(SENDER_REPORT, GOODBYE).map(b"".join))
 
 
-@settings(max_examples=150, deadline=None)
-@given(st.lists(st.one_of(RTP, st.binary(max_size=30)), max_size=40), st.lists(RTCP, max_size=5))
-def test_a_whole_receiver_survives_any_datagrams(datagrams, reports):
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(st.one_of(RTP, st.binary(max_size=30)), max_size=40),
+    st.lists(st.one_of(st.none(), REPORTS), max_size=20),
+    st.sampled_from([3, 40, 700]),
+)
+def test_a_whole_receiver_survives_any_datagrams(datagrams, reports, apart_ms):
     receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000, from_ntp=ManualClock().from_ntp)
     depacketizer, playout = H264Depacketizer(), PlayoutBuffer()
     for index, datagram in enumerate(datagrams):
-        now_ns = index * 3 * NS_PER_MS
+        now_ns = index * apart_ms * NS_PER_MS
         receiver.handle_packet(datagram, now_ns)
-        if index < len(reports):
+        if index < len(reports) and reports[index] is not None:
             receiver.handle_report(reports[index], now_ns)
         while (event := receiver.next_event()) is not None:
             receiver.capture_ns(event.timestamp)

@@ -121,6 +121,18 @@ def test_a_picture_that_is_waited_for_is_softened_where_it_is_coded_small(pictur
     assert large == sizes(cap_bps=512_000, refresh_s=20.0)
 
 
+def test_a_new_cap_softens_nothing(pictures, monkeypatch):
+    softened = []
+    monkeypatch.setattr("kontur_av.scaling.soften", softened.append)
+    encoder = H264Encoder(width=640, height=480, fps=30, cap_bps=85_000)
+    for number, picture in enumerate(pictures("bigbuckbunny.mp4", 4)):
+        if number == 2:
+            encoder.follow(cap_bps=113_000)
+        unit = encoder.encode(VideoFrame(picture, CaptureStamp(number, number, "test")), lambda: 0)
+        assert unit.keyframe == (number in (0, 2))
+    assert len(softened) == 1
+
+
 def test_a_thin_stream_is_coded_small_and_scaled_up_for_its_reader(pictures):
     originals = list(pictures("bikes.mp4", 45))
     units = encode(originals, size=(640, 480), coded_size=None)

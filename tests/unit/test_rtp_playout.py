@@ -86,7 +86,7 @@ def test_a_steady_voice_is_played_at_a_steady_pace_across_wrap_around():
     assert heard(blocks)[:100] == list(range(100))
     times = [block.play_ns for block in blocks]
     assert {b - a for a, b in itertools.pairwise(times)} == {BLOCK_NS}
-    # The first block waits for the second (probation), and then for the least delay.
+    # Without a report the first block waits for the second (probation), then for the least delay.
     assert line.buffer.delay_ns <= 30 * NS_PER_MS
     assert line.buffer.counts.late == 0
 

@@ -357,6 +357,40 @@ def test_a_report_takes_no_living_stream_away_and_lets_a_successor_in_after_sile
     assert receiver.capture_ns(event.timestamp) is not None
 
 
+def test_a_report_does_not_speak_for_what_is_long_past():
+    """One packet, then no signal for seconds, then a report and all that follows."""
+    packets = singles(5)
+    receiver = make_receiver()
+    receiver.handle_packet(packets[0], 0)
+    receiver.handle_report(reported()[1], 5 * NS_PER_S)
+    assert drain(receiver) == []
+    for index, packet in enumerate(packets[2:]):
+        receiver.handle_packet(packet, 5 * NS_PER_S + index)
+    events = drain(receiver)
+    assert numbers(events) == [2, 3, 4]
+    assert min(event.received_ns for event in events) == 5 * NS_PER_S
+    assert (receiver.counts.lost, receiver.counts.garbage) == (0, 1)
+
+
+def test_a_goodbye_takes_back_what_a_report_has_said():
+    rtp, receiver, clock = make_sender(), make_receiver(), ManualClock()
+    first, late = (rtp.video_packets(picture(number))[0] for number in range(2))
+    receiver.handle_packet(first, 0)
+    packet, report = reported(ssrc=2)
+    # A report speaks, and a goodbye goes with it: the first packet of that one is its last.
+    receiver.handle_report(rtp.goodbye(clock.ntp), 1)
+    assert numbers(drain(receiver)) == [0]
+    assert receiver.ended
+    other = make_receiver()
+    other.handle_report(rtp.goodbye(clock.ntp), 1)
+    for one in (receiver, other):
+        if one is other:
+            one.handle_packet(late, 2)
+        one.handle_packet(packet, 3)
+        one.handle_report(report, 3)
+        assert one.ssrc == 2
+
+
 def test_a_report_does_not_speak_for_a_jump_of_its_source():
     receiver = make_receiver()
     packet, report = reported()
