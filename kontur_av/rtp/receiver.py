@@ -94,11 +94,10 @@ class RtpReceiver:
     A source is believed after two packets in sequence (probation, RFC 3550 appendix A.1), and then
     both come out; or after one packet and a sender report, whichever of them comes first, but the
     report within 200 ms: under a low cap the second packet is the second picture, and the first
-    would wait for it. A new SSRC
-    takes over like that after the old source has been silent for `takeover_silence_ns` or has said
-    goodbye: no stray or hostile packet can take a living stream away. The default is longer than
-    the gaps between the pictures of a stream under a low cap, and shorter than the rest before a
-    killed sender's restart.
+    would wait for it. A new SSRC takes over like that after the old source has been silent for
+    `takeover_silence_ns` or has said goodbye: no stray or hostile packet can take a living stream
+    away. The default is longer than the gaps between the pictures of a stream under a low cap, and
+    shorter than the rest before a killed sender's restart.
 
     payload_type: of the stream, 0..127; other packets are garbage.
     clock_rate_hz: of the RTP timestamps.
@@ -347,9 +346,9 @@ class RtpReceiver:
         dates = known = False
         for packet in packets:
             if isinstance(packet, RtcpSrPacket):
-                dates |= self._take_report(packet)
+                self._take_report(packet)
                 self._try_vouched(now_ns)
-                dates |= packet.ssrc == self.ssrc
+                dates |= self.ssrc in (None, packet.ssrc)
             elif isinstance(packet, RtcpByePacket):
                 for ssrc in packet.sources:
                     if ssrc == self.ssrc:
@@ -369,8 +368,7 @@ class RtpReceiver:
         if self._candidate is not None and self._candidate.packet.ssrc == ssrc:
             self._drop_candidate()
 
-    def _take_report(self, report: RtcpSrPacket) -> bool:
-        mine = self.ssrc is None or report.ssrc == self.ssrc
+    def _take_report(self, report: RtcpSrPacket) -> None:
         if report.ssrc == self.ssrc:
             self.counts.reports += 1
         elif self.ssrc is not None:
@@ -381,7 +379,6 @@ class RtpReceiver:
         elif len(self._reports) >= 2:
             self._reports.clear()
         self._reports[report.ssrc] = report.sender_info
-        return mine
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up the gaps whose time has come (`poll_timeout`)."""
