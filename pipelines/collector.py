@@ -23,14 +23,13 @@ from pipelines.skew import RECENT_DEPTH, LipSyncShare, Recent, Skew
 from pipelines.sync.figures import PERCEIVED, SyncFigures
 from pipelines.terms import LONGEST_GAP_NS, Way
 from telepresence.haptics.latency import LatencyMatcher
-from telepresence.haptics.sample import SAMPLE_OCTETS, SEQUENCE_MODULUS
+from telepresence.haptics.sample import SAMPLE_OCTETS
 
 #: How long an access unit waits for what its other end has to say about it.
 _JOIN_NS = 10 * NS_PER_S
 _JOIN_DEPTH = 2000
 #: Of a thousand haptic samples a second, one of these is enough to compare other senses with.
 _FELT_EVERY_NS = 20 * NS_PER_MS
-_FELT_DEPTH = 1024
 #: What shows or feels nothing for longer pauses.
 _SHOWN_PAUSE_NS = NS_PER_S
 _FELT_PAUSE_NS = NS_PER_S // 5
@@ -210,18 +209,12 @@ class HapticFigures:
         #: From when to when no sample was received.
         self.pauses = Pauses(_FELT_PAUSE_NS)
         self._matcher = LatencyMatcher()
-        # Beside the matcher, which tells latencies but not when they were felt.
-        self._sent_ns = np.full(SEQUENCE_MODULUS, -(1 << 62), np.int64)
-        self._felt: deque[tuple[int, int]] = deque(maxlen=_FELT_DEPTH)
-        #: When the newest sample was sent of those whose latency is remembered.
-        self._remembered_ns = -(1 << 62)
         #: The newest batches of (sequence, instant) of what was received.
         self._lately: deque[NDArray[np.int64]] = deque(maxlen=_LATELY_BATCHES)
 
-    def handle_sent(self, rows: NDArray[np.int64]) -> None:
+    def handle_sent(self, rows: NDArray[np.int64], now_ns: int) -> None:
         self._matcher.handle_sent(tuple(row) for row in rows.tolist())
-        self._sent_ns[rows[:, 0]] = rows[:, 1]
-        self._remember()
+        self._match(now_ns)
 
     def handle_received(self, rows: NDArray[np.int64], now_ns: int) -> None:
         if not len(rows):
@@ -229,46 +222,35 @@ class HapticFigures:
         self._lately.append(rows.copy())
         self._matcher.handle_received([tuple(row) for row in rows.tolist()])
         self.pauses.add_all(rows[:, 1])
-        latencies = self._matcher.take_latencies_ns(now_ns)
-        if latencies:
-            self.latency.add(np.array(latencies))
         _, first, counts = np.unique(
             rows[:, 1] // _FELT_EVERY_NS, return_index=True, return_counts=True
         )
-        for (sequence, instant_ns), samples in zip(
-            rows[first].tolist(), counts.tolist(), strict=True
-        ):
-            self._felt.append((sequence, instant_ns))
+        for instant_ns, samples in zip(rows[first, 1].tolist(), counts.tolist(), strict=True):
             last_ns = self.rate.last_ns
             # A restarted end's first report may overtake its predecessor's last.
             at_ns = instant_ns if last_ns is None else max(instant_ns, last_ns)
             self.rate.add(at_ns, samples * SAMPLE_OCTETS)
-        self._remember()
+        self._match(now_ns)
 
     def sent_ns_at(self, instant_ns: int) -> int | None:
         """When the sample was sent that was the newest at `instant_ns`; None if that is unknown."""
         for rows in reversed(self._lately):
             if rows[0, 1] <= instant_ns:
                 index = int(np.searchsorted(rows[:, 1], instant_ns, "right")) - 1
-                sent_ns = int(self._sent_ns[rows[index, 0]])
-                return sent_ns if abs(instant_ns - sent_ns) < _TURN_NS else None
+                sent_ns = self._matcher.sent_ns(int(rows[index, 0]))
+                known = sent_ns is not None and abs(instant_ns - sent_ns) < _TURN_NS
+                return sent_ns if known else None
         return None
 
-    def _remember(self) -> None:
-        """Remember the latency of each of the chosen samples of which both stamps are there."""
-        waiting: list[tuple[int, int]] = []
-        for sequence, instant_ns in self._felt:
-            sent_ns = int(self._sent_ns[sequence])
-            latency_ns = instant_ns - sent_ns
-            # A stamp that is no newer is of the sender's life before.
-            if sent_ns > self._remembered_ns and 0 <= latency_ns < _TURN_NS:
-                self.recent.add(instant_ns, latency_ns)
-                self._remembered_ns = sent_ns
-                # The sender's stamps come in order: those of the samples before are lost.
-                waiting.clear()
-            else:
-                waiting.append((sequence, instant_ns))
-        self._felt = deque(waiting, maxlen=_FELT_DEPTH)
+    def _match(self, now_ns: int) -> None:
+        """Take the latency of each sample of which both stamps are there by now."""
+        matches = np.array(self._matcher.take_matches_ns(now_ns), np.int64).reshape(-1, 2)
+        if not len(matches):
+            return
+        self.latency.add(matches[:, 1])
+        _, first = np.unique(matches[:, 0] // _FELT_EVERY_NS, return_index=True)
+        for instant_ns, latency_ns in matches[first].tolist():
+            self.recent.add(instant_ns, latency_ns)
 
 
 @dataclass
@@ -395,7 +377,7 @@ class Collector:
         elif kind in ("haptic_tx", "haptic_rx"):
             for name, (sender, receiver) in HAPTIC_ENDS.items():
                 if kind == "haptic_tx" and process == sender:
-                    self.haptics[name].handle_sent(rows)
+                    self.haptics[name].handle_sent(rows, now_ns)
                 elif kind == "haptic_rx" and process == receiver:
                     self.haptics[name].handle_received(rows, now_ns)
         elif kind == "shown":

@@ -48,18 +48,23 @@ class LatencyMatcher:
             self._pending.popleft()
             self.unmatched += 1
 
-    def take_latencies_ns(self, now_ns: int) -> list[int]:
-        """The delays (ns) of the samples that have both their stamps by now."""
-        latencies: list[int] = []
+    def sent_ns(self, sequence: int) -> int | None:
+        """When the newest sample of this number was sent, as far as its sender has told."""
+        sent_ns = self._sent_ns[sequence]
+        return None if sent_ns == _NEVER_NS else sent_ns
+
+    def take_matches_ns(self, now_ns: int) -> list[tuple[int, int]]:
+        """(instant of reception, delay) in ns of the samples that have both their stamps by now."""
+        matches: list[tuple[int, int]] = []
         waiting: deque[tuple[int, int]] = deque()
         for sequence, received_ns in self._pending:
             sent_ns = self._sent_ns[sequence]
             if sent_ns > self._matched_ns and 0 <= received_ns - sent_ns < _TURN_NS:
                 self._matched_ns = sent_ns
-                latencies.append(received_ns - sent_ns)
+                matches.append((received_ns, received_ns - sent_ns))
             elif now_ns - received_ns <= self.patience_ns:
                 waiting.append((sequence, received_ns))
             else:
                 self.unmatched += 1
         self._pending = waiting
-        return latencies
+        return matches

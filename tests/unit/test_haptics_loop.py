@@ -152,15 +152,15 @@ def test_deadlines_do_not_drift() -> None:
 def test_latencies_match_across_a_wrap_and_in_any_order_of_batches() -> None:
     matcher = LatencyMatcher()
     matcher.handle_received([(65535, 7 * MS), (0, 9 * MS)])
-    assert matcher.take_latencies_ns(9 * MS) == []
+    assert [ns for _, ns in matcher.take_matches_ns(9 * MS)] == []
     matcher.handle_sent([(65535, 2 * MS), (0, 3 * MS)])
-    assert matcher.take_latencies_ns(10 * MS) == [5 * MS, 6 * MS]
+    assert [ns for _, ns in matcher.take_matches_ns(10 * MS)] == [5 * MS, 6 * MS]
 
     a_turn_later = 65_536 * MS
     matcher.handle_received([(0, a_turn_later + 9 * MS)])
-    assert matcher.take_latencies_ns(a_turn_later + 9 * MS) == []
+    assert [ns for _, ns in matcher.take_matches_ns(a_turn_later + 9 * MS)] == []
     matcher.handle_sent([(0, a_turn_later + 3 * MS)])
-    assert matcher.take_latencies_ns(a_turn_later + 10 * MS) == [6 * MS]
+    assert [ns for _, ns in matcher.take_matches_ns(a_turn_later + 10 * MS)] == [6 * MS]
     matcher.handle_received([(5, a_turn_later)])
-    assert matcher.take_latencies_ns(a_turn_later + 6_000 * MS) == []
+    assert [ns for _, ns in matcher.take_matches_ns(a_turn_later + 6_000 * MS)] == []
     assert (matcher.unmatched, matcher.pending) == (1, 0)
