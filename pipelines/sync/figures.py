@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil
 from typing import Any
 
@@ -82,12 +82,16 @@ class SyncFigures:
             instant_ns = steps.popleft()
             self._found["force"].append(Found(instant_ns, stamp_ns=sent_ns_at(instant_ns)))
 
-    def events(self, soonest_ns: int = 0) -> list[Event]:
+    def _events(self, senses: Sequence[str], soonest_ns: int) -> list[Event]:
         """Every contact with a target, by its instant; bounces are none of their own."""
         contacts, _ = self._apart()
         instants = [instant_ns for instant_ns, _ in contacts]
+        nothing: list[Found | None] = [None] * len(instants)
         matched = {
-            sense: match(instants, self._sorted(sense), soonest_ns=soonest_ns) for sense in SENSES
+            sense: match(instants, self._sorted(sense), soonest_ns=soonest_ns)
+            if sense in senses
+            else nothing
+            for sense in SENSES
         }
         return [
             Event(instant_ns, led, {sense: matched[sense][index] for sense in SENSES})
@@ -101,13 +105,7 @@ class SyncFigures:
         senses: those that contacts reach; what was found for another one is left out.
         soonest_ns: the radio's delay at least.
         """
-        events = [
-            replace(
-                event,
-                perceived={s: event.perceived[s] if s in senses else None for s in SENSES},
-            )
-            for event in self.events(soonest_ns)
-        ]
+        events = self._events(senses, soonest_ns)
         if not events:
             return None
         contacts, bounces = self._apart()
