@@ -41,14 +41,16 @@ class Skew:
         (self._later if skew_ns >= 0 else self._earlier).add(abs(skew_ns))
 
     def summary_ms(self) -> dict[str, float]:
-        """p50, p95 and max of the signed skew; max is the one farthest from zero."""
+        """p50, p95, p99 and max of the signed skew, and `count`; max is the farthest from zero."""
         farthest = self._later.max
         if self._earlier.max > farthest:
             farthest = -self._earlier.max
         return {
             "p50": self._percentile(50) / 1e6,
             "p95": self._percentile(95) / 1e6,
+            "p99": self._percentile(99) / 1e6,
             "max": farthest / 1e6,
+            "count": self.count,
         }
 
     @property

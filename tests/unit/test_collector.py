@@ -121,7 +121,8 @@ def test_percentiles_of_a_signed_skew_are_those_of_its_values(values):
         skew.add(value)
     summary = skew.summary_ms()
     ordered = np.sort(values)
-    for p in (50, 95):
+    assert summary["count"] == len(values)
+    for p in (50, 95, 99):
         rank = len(values) * p / 100
         around = ordered[[max(int(rank) - 2, 0), min(int(rank) + 1, len(values) - 1)]] / 1e6
         slack = 0.005 * np.abs(around).max() + 1e-9
