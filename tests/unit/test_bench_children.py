@@ -10,7 +10,8 @@ from types import SimpleNamespace
 import pytest
 
 from pipelines.bench import latency_runs
-from pipelines.bench.children import end_all
+from pipelines.bench.children import end_all, ended_alike
+from pipelines.bench.video_ends import End
 
 
 def test_a_second_interrupt_ends_all_at_once():
@@ -53,3 +54,15 @@ def test_a_live_session_ends_with_the_bench_that_is_terminated(tmp_path, monkeyp
         signal.signal(signal.SIGTERM, before)
     with pytest.raises(ProcessLookupError):
         os.kill(int(begun.read_text()), 0)
+
+
+@pytest.mark.parametrize("nohup", [False, True])
+def test_a_closed_terminal_ends_the_ends_of_a_channel_but_not_under_nohup(nohup):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if nohup else signal.SIG_DFL)
+    try:
+        with ended_alike():
+            end = End("end", 1, lambda link: signal.getsignal(signal.SIGHUP))
+            assert end.result(30) is (signal.SIG_IGN if nohup else signal.SIG_DFL)
+            end.close()
+    finally:
+        signal.signal(signal.SIGHUP, before)
