@@ -1,5 +1,6 @@
 """The values that travel: pictures, sound and coded pictures, each with its CaptureStamp."""
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,3 +99,13 @@ def check_size(width: int, height: int) -> None:
             f"size {width}x{height}: the width must be even, the height a multiple of 4, "
             "both from 16 to 4096"
         )
+
+
+def parse_size(text: str, name: str = "--size") -> tuple[int, int]:
+    """Width and height in WxH; ConfigError, which says `name`, if they are none."""
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if match is None:
+        raise ConfigError(f"{name} {text!r}: write WIDTHxHEIGHT, as in 640x480")
+    width, height = int(match[1]), int(match[2])
+    check_size(width, height)
+    return width, height

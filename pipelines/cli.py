@@ -21,8 +21,8 @@ class _Parser(argparse.ArgumentParser):
         raise ConfigError(f"{message}; see `{self.prog} --help`")
 
 
-#: Commands with a module of their own, which has `add_arguments` and `run`.
-_MODULES = {
+#: Each is a module of `pipelines.commands`, or `pipelines.bench`: `add_arguments` and `run`.
+_COMMANDS = {
     "stream": "run a whole telepresence session on this machine",
     "link": "run the radio link alone, for any programs",
     "simulate": "run a session on virtual time: the same seed, the same report",
@@ -30,6 +30,9 @@ _MODULES = {
     "bench": "measure figures that anybody can measure again",
     "send": "send one stream as plain RTP, under a hard cap",
     "receive": "receive one stream of plain RTP",
+    "select": "switch the camera of a running session",
+    "doctor": "check what this machine can do",
+    "devices": "list cameras, microphones and scenes",
 }
 
 
@@ -41,47 +44,15 @@ def _parser(only: str | None = None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"kontur-av {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, text in _MODULES.items():
+    for name, text in _COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text)
         if only in (None, name):
             # Codecs take most of a second to load: `select` shall not wait for them.
-            module = import_module(f"pipelines.{name}")
+            room = "pipelines" if name == "bench" else "pipelines.commands"
+            module = import_module(f"{room}.{name}")
             module.add_arguments(command)
             command.set_defaults(run=module.run)
-    select = commands.add_parser("select", help="switch the camera of a running session")
-    select.add_argument("camera", metavar="CAMERA", help="for example stereo, static or head")
-    select.add_argument("--session", metavar="NAME", help="where several sessions are running")
-    select.set_defaults(run=_select)
-    doctor = commands.add_parser("doctor", help="check what this machine can do")
-    doctor.set_defaults(run=_doctor)
-    devices = commands.add_parser("devices", help="list cameras, microphones and scenes")
-    devices.set_defaults(run=_devices)
     return parser
-
-
-def _select(args: argparse.Namespace) -> int:
-    from pipelines.control import ask
-
-    answer = ask({"select": args.camera}, args.session)
-    if answer.get("mistake"):
-        raise ConfigError(str(answer["error"]))
-    if not answer.get("ok"):
-        print(f"kontur-av: {answer.get('error', 'refused on the ground')}", file=sys.stderr)
-        return FAILED
-    print(f"{answer['camera']} is selected; acknowledged after {answer['round_trip_ms']:.1f} ms")
-    return WELL
-
-
-def _doctor(args: argparse.Namespace) -> int:
-    from pipelines.doctor import doctor
-
-    return doctor()
-
-
-def _devices(args: argparse.Namespace) -> int:
-    from pipelines.devices import devices
-
-    return devices()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

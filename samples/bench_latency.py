@@ -12,16 +12,16 @@ import secrets
 import socket
 from multiprocessing.connection import Connection
 
-from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_S, MonotonicClock
+from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.errors import ConfigError
-from kontur_av.h264 import H264Decoder, H264Encoder
 from kontur_av.media import VIDEO_CLOCK_HZ, VideoFrame, empty_picture
 from kontur_av.meters import Histogram
 from kontur_av.rtp.payload_h264 import H264Depacketizer
 from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from kontur_av.sources import check_spec, open_video
+from kontur_av.streams.budget import Pacer
 from telepresence.world import video_scenes
 
 PAYLOAD_TYPE = 96

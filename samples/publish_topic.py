@@ -16,8 +16,8 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.media import CaptureStamp
-from kontur_av.session_files import remove_session
-from kontur_av.topics import TopicBus
+from kontur_av.topics.bus import TopicBus
+from kontur_av.topics.session_files import remove_session
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 OCTETS = WIDTH * HEIGHT * 3 // 2

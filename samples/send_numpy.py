@@ -14,12 +14,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_S, MonotonicClock
-from kontur_av.h264 import H264Encoder
+from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import VIDEO_CLOCK_HZ, CaptureStamp, VideoFrame
 from kontur_av.rtp.sdp import VIDEO_PAYLOAD_TYPE, StreamDescription, write_sdp
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
+from kontur_av.streams.budget import Pacer
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 

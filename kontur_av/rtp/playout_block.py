@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class PlayoutBlock:
-    """One block of sound whose time has come. `kontur_av.voice.VoicePlayer` makes it sound.
+    """One block of sound whose time has come. A `VoicePlayer` makes it sound.
 
     payload: an Opus packet, or None: the decoder conceals `samples` samples.
     timestamp: its 32-bit RTP timestamp.  play_ns: when its first sample is due.

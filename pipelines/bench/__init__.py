@@ -24,10 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     benches = parser.add_subparsers(dest="bench", required=True, metavar="BENCH")
     for name, text in BENCHES.items():
         command = benches.add_parser(name, help=text, description=text)
-        import_module(f"pipelines.bench.{name}").add_arguments(command)
+        import_module(f"pipelines.bench.{name}.command").add_arguments(command)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the chosen bench."""
-    result: int = import_module(f"pipelines.bench.{args.bench}").run(args)
+    result: int = import_module(f"pipelines.bench.{args.bench}.command").run(args)
     return result

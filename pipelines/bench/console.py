@@ -4,7 +4,7 @@ import argparse
 
 from rich.console import Console
 
-from pipelines.command import discard_output
+from pipelines.commands.common import discard_output
 
 #: Where no terminal says how wide it is.
 _WIDTH = 118

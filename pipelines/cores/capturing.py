@@ -1,7 +1,7 @@
 """What an input tells of itself."""
 
 from kontur_av.media import CaptureStamp
-from pipelines.probe import Probe
+from pipelines.runtime.probe import Probe
 
 
 class Capturing:

@@ -5,10 +5,10 @@ from itertools import count
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
-from kontur_av.selector import Selector
-from pipelines.names import HOUSEKEEPING_INTERVAL_NS, STEREO_TOPIC, input_topic
-from pipelines.probe import Probe
-from pipelines.setup import STEREO, Setup
+from kontur_av.sources.selector import Selector
+from pipelines.runtime.probe import Probe
+from pipelines.setup.names import HOUSEKEEPING_INTERVAL_NS, STEREO_TOPIC, input_topic
+from pipelines.setup.table import STEREO, Setup
 from telepresence.tmtc import (
     Housekeeping,
     SelectDone,

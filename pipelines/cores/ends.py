@@ -1,9 +1,9 @@
 """The two ends of a setup's link, live and simulated."""
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.setup import Setup
+from pipelines.setup.table import Setup
 from telepresence.link.gateway import Gateway
-from telepresence.link.supervision_configuration import SupervisionTiming
+from telepresence.link.supervision.configuration import SupervisionTiming
 
 #: What an answer takes besides the way there and back.
 _TURNAROUND_NS = 200 * NS_PER_MS

@@ -7,9 +7,9 @@ be spent, so it is lowered at once. docs/deadband.md has what that is worth.
 from fractions import Fraction
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.h264 import SLOW_REFRESH_S
-from kontur_av.h264_settings import H264Settings
-from pipelines.setup import Setup, VideoStream
+from kontur_av.codecs.h264 import SLOW_REFRESH_S
+from kontur_av.codecs.h264_settings import H264Settings
+from pipelines.setup.table import Setup, VideoStream
 
 #: So long a higher step must have been there, all the time.
 STEADY_NS = 2 * NS_PER_S

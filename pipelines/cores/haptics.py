@@ -4,7 +4,7 @@ from itertools import chain
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.probe import Probe
+from pipelines.runtime.probe import Probe
 from telepresence.haptics.bilateral import Handle, MasterSide, SlaveSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.loop import joystick_link, robot_link

@@ -4,17 +4,17 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.healing import Healing
-from kontur_av.lipsync import LipSync
+from kontur_av.codecs.healing import Healing
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, CaptureStamp
 from kontur_av.rtp.feedback import PictureLossReporter
 from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.sources.source import BLOCK_NS
-from pipelines.names import CONCEALED, DAMAGED, VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE
-from pipelines.probe import Probe
-from pipelines.setup import Setup, VideoStream, VoiceStream
+from kontur_av.streams.lipsync import LipSync
+from pipelines.runtime.probe import Probe
+from pipelines.setup.names import CONCEALED, DAMAGED, VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE
+from pipelines.setup.table import Setup, VideoStream, VoiceStream
 
 #: So many damaged units may wait in a decoder.
 _REMEMBERED = 256

@@ -4,21 +4,21 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from kontur_av.budget import Pacer
 from kontur_av.clock import NS_PER_S
-from kontur_av.h264 import REFRESH_S, SLOW_REFRESH_S
-from kontur_av.link_clock import LinkClock
+from kontur_av.codecs.h264 import REFRESH_S, SLOW_REFRESH_S
+from kontur_av.codecs.opus import heard_stamp
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp
-from kontur_av.opus import heard_stamp
 from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
 from kontur_av.sources.source import BLOCK_NS
-from pipelines.cores.coding import Coding
+from kontur_av.streams.budget import Pacer
+from kontur_av.streams.coding import Coding
+from kontur_av.streams.encode_scheduler import EncodeScheduler
 from pipelines.cores.gain import CapGain
-from pipelines.names import REPORT_INTERVAL_NS, VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE, cname
-from pipelines.probe import Probe
-from pipelines.setup import VIDEO_PAYLOAD_OCTETS, VideoStream, VoiceStream
+from pipelines.runtime.probe import Probe
+from pipelines.setup.names import REPORT_INTERVAL_NS, VIDEO_PAYLOAD_TYPE, VOICE_PAYLOAD_TYPE, cname
+from pipelines.setup.table import VIDEO_PAYLOAD_OCTETS, VideoStream, VoiceStream
 from telepresence.link.profile import LinkProfile
 
 #: A block this old is no voice any more; it would only push the following ones back.
@@ -134,7 +134,7 @@ class VideoSending(_Sending):
         largest = min(VIDEO_PAYLOAD_OCTETS, pacer.max_payload_octets)
         rtp = _rtp_sender(stream, identity, VIDEO_PAYLOAD_TYPE, VIDEO_CLOCK_HZ, largest)
         super().__init__(pacer, rtp, probe)
-        self._clock = LinkClock(pacer, fps=stream.fps)
+        self._clock = EncodeScheduler(pacer, fps=stream.fps)
         self._media_bps = profile.media_bps
         self._cap_bps = stream.cap_bps
         self._gain = gain

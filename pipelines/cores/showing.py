@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
 from kontur_av.sources.source import BLOCK_NS
-from pipelines.cores.staleness import FROZEN_PERIODS, Staleness
-from pipelines.names import CONCEALED, DAMAGED
-from pipelines.probe import Probe
-from pipelines.setup import Setup, VideoStream, VoiceStream
+from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
+from pipelines.runtime.probe import Probe
+from pipelines.setup.names import CONCEALED, DAMAGED
+from pipelines.setup.table import Setup, VideoStream, VoiceStream
 
 
 class Showing:

@@ -3,10 +3,10 @@
 from kontur_av.sources import open_audio, open_video
 from kontur_av.sources.source import BLOCK_SAMPLES
 from pipelines.cores.capturing import Capturing
-from pipelines.names import input_topic
 from pipelines.parts.robot_state import newest_state
-from pipelines.process import PATIENCE_NS, Context
-from pipelines.setup import VideoStream
+from pipelines.runtime.process import PATIENCE_NS, Context
+from pipelines.setup.names import input_topic
+from pipelines.setup.table import VideoStream
 from telepresence.world import audio_scenes, video_scenes
 
 

@@ -9,11 +9,11 @@ from contextlib import suppress
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.session_files import make_session_root
-from pipelines.control import MAX_LINE_OCTETS, console_path
+from kontur_av.topics.session_files import make_session_root
 from pipelines.cores.choosing import Console
-from pipelines.process import LOOPBACK, PATIENCE_NS, Context
-from pipelines.setup import TELECOMMAND, TELEMETRY
+from pipelines.runtime.control import MAX_LINE_OCTETS, console_path
+from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
+from pipelines.setup.table import TELECOMMAND, TELEMETRY
 from telepresence.tmtc import SelectDone
 
 #: How many terminals may ask at once; a further one is turned away.

@@ -10,15 +10,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.topics import Lease, TopicBus
+from kontur_av.streams.staleness import Staleness
+from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.cores.showing import Showing
-from pipelines.cores.staleness import Staleness
-from pipelines.marking import mark_stale
-from pipelines.names import CONCEALED as CONCEALED
-from pipelines.names import LAG, displayed_topic, lag_topic, received_topic
-from pipelines.process import PATIENCE_NS, Context
-from pipelines.setup import VideoStream, VoiceStream
-from pipelines.sync.watching import OPERATORS, Watching
+from pipelines.parts.marking import mark_stale
+from pipelines.report.sync.watching import OPERATORS, Watching
+from pipelines.runtime.process import PATIENCE_NS, Context
+from pipelines.setup.names import CONCEALED as CONCEALED
+from pipelines.setup.names import LAG, displayed_topic, lag_topic, received_topic
+from pipelines.setup.table import VideoStream, VoiceStream
 
 #: How often the age on a stale picture is drawn anew.
 _REDRAW_NS = 100 * NS_PER_MS

@@ -13,11 +13,11 @@ from contextlib import ExitStack
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp
 from pipelines.cores.ends import make_gateway
-from pipelines.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
-from pipelines.margin import Margin
-from pipelines.names import BACKLOG, backlog_topic
-from pipelines.process import LOOPBACK, PATIENCE_NS, Context, Segment
-from pipelines.setup import Setup
+from pipelines.runtime.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
+from pipelines.runtime.margin import Margin
+from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context, Segment
+from pipelines.setup.names import BACKLOG, backlog_topic
+from pipelines.setup.table import Setup
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.link.flows import Level
 from telepresence.link.frame import MAX_PACKET_OCTETS

@@ -6,9 +6,9 @@ from itertools import count
 
 from kontur_av.media import CaptureStamp
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
-from pipelines.names import ROBOT_TOPIC
 from pipelines.parts.robot_state import STATE_OCTETS, pack_state
-from pipelines.process import PATIENCE_NS, Context
+from pipelines.runtime.process import PATIENCE_NS, Context
+from pipelines.setup.names import ROBOT_TOPIC
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.spec import SIMULATED, open_device
 from telepresence.haptics.hand import Hand

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Protocol
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.session_files import session_root
-from pipelines.process import PATIENCE_NS, Context
-from pipelines.setup import VideoStream, VoiceStream
+from kontur_av.topics.session_files import session_root
+from pipelines.runtime.process import PATIENCE_NS, Context
+from pipelines.setup.table import VideoStream, VoiceStream
 
 
 class Receiving(Protocol):

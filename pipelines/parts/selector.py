@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from kontur_av.session_files import session_root
+from kontur_av.topics.session_files import session_root
 from pipelines.cores.choosing import CameraChoice
-from pipelines.names import SELECTED_TOPIC
 from pipelines.parts.reception import replace_file
 from pipelines.parts.robot_state import newest_state
-from pipelines.process import LOOPBACK, PATIENCE_NS, Context
-from pipelines.setup import TELECOMMAND, TELEMETRY
+from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
+from pipelines.setup.names import SELECTED_TOPIC
+from pipelines.setup.table import TELECOMMAND, TELEMETRY
 
 
 def run_selector(context: Context) -> None:

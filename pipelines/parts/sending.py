@@ -3,8 +3,8 @@
 import secrets
 
 from pipelines.cores.sending import RtpIdentity, VideoSending, VoiceSending
-from pipelines.process import Context
-from pipelines.setup import VideoStream, VoiceStream
+from pipelines.runtime.process import Context
+from pipelines.setup.table import VideoStream, VoiceStream
 
 
 class Outgoing:

@@ -6,9 +6,9 @@ import cv2
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
-from pipelines.names import STEREO_TOPIC, displayed_topic
-from pipelines.process import PATIENCE_NS, Context, Segment
-from pipelines.setup import STEREO
+from pipelines.runtime.process import PATIENCE_NS, Context, Segment
+from pipelines.setup.names import STEREO_TOPIC, displayed_topic
+from pipelines.setup.table import STEREO
 
 _FIRST_NS = NS_PER_S
 _SHORTEST_INTERVAL_NS = 3 * NS_PER_S

@@ -1,11 +1,11 @@
 """The process that merges the pictures of the robot's two cameras into one."""
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.stereo import StereoPairer, merge
-from kontur_av.topics import Lease
-from pipelines.names import STEREO_TOPIC, input_topic
-from pipelines.process import PATIENCE_NS, Context
-from pipelines.setup import STEREO_INPUTS
+from kontur_av.sources.stereo import StereoPairer, merge
+from kontur_av.topics.bus import Lease
+from pipelines.runtime.process import PATIENCE_NS, Context
+from pipelines.setup.names import STEREO_TOPIC, input_topic
+from pipelines.setup.table import STEREO_INPUTS
 
 
 def run_stereo(context: Context) -> None:

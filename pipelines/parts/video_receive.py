@@ -2,12 +2,12 @@
 
 import secrets
 
-from kontur_av.h264 import H264Decoder
+from kontur_av.codecs.h264 import H264Decoder
 from pipelines.cores.receiving import VideoReceiving
-from pipelines.names import received_topic
 from pipelines.parts.reception import Incoming
-from pipelines.process import Context
-from pipelines.setup import VideoStream, feedback_flow
+from pipelines.runtime.process import Context
+from pipelines.setup.names import received_topic
+from pipelines.setup.table import VideoStream, feedback_flow
 
 
 def run_video_receive(context: Context, *, stream: VideoStream) -> None:

@@ -1,14 +1,14 @@
 """A video stream's sending process: topic -> encoder -> pacer -> RTP to the gateway."""
 
-from kontur_av.h264 import H264Encoder
-from kontur_av.topics import Lease
+from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.streams.encoding_thread import EncodingThread
+from kontur_av.topics.bus import Lease
 from pipelines.cores.gain import gain_of
 from pipelines.cores.sending import VideoSending
-from pipelines.encoding import EncodingThread
-from pipelines.names import BACKLOG, backlog_topic
 from pipelines.parts.sending import Outgoing, random_identity
-from pipelines.process import PATIENCE_NS, Context
-from pipelines.setup import VideoStream, feedback_flow
+from pipelines.runtime.process import PATIENCE_NS, Context
+from pipelines.setup.names import BACKLOG, backlog_topic
+from pipelines.setup.table import VideoStream, feedback_flow
 
 
 def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None:

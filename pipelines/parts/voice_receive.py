@@ -1,13 +1,13 @@
 """A voice stream's receiving process: RTP from the gateway -> playout -> Opus -> topic."""
 
+from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AudioFrame
-from kontur_av.opus import MAX_PACKET_SAMPLES
-from kontur_av.voice import VoicePlayer
+from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.cores.receiving import VoiceReceiving
-from pipelines.names import LAG, lag_topic, received_topic
 from pipelines.parts.reception import Incoming
-from pipelines.process import Context
-from pipelines.setup import VoiceStream
+from pipelines.runtime.process import Context
+from pipelines.setup.names import LAG, lag_topic, received_topic
+from pipelines.setup.table import VoiceStream
 
 
 def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:

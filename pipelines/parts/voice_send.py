@@ -1,10 +1,10 @@
 """A voice stream's sending process: topic -> Opus -> RTP to the gateway."""
 
-from kontur_av.opus import OpusEncoder, bitrate_under_cap
+from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
 from pipelines.cores.sending import VoiceSending
 from pipelines.parts.sending import Outgoing, random_identity
-from pipelines.process import PATIENCE_NS, Context
-from pipelines.setup import VoiceStream
+from pipelines.runtime.process import PATIENCE_NS, Context
+from pipelines.setup.table import VoiceStream
 
 
 def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None:

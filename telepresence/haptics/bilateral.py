@@ -11,11 +11,11 @@ from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.board import Board, led_at
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
 from telepresence.haptics.joystick import Joystick, JoystickModel
+from telepresence.haptics.joystick_controller import MasterController, MasterModel
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
-from telepresence.haptics.master import MasterController, MasterModel
 from telepresence.haptics.robot import Robot
+from telepresence.haptics.robot_controller import SlaveController, SlaveModel
 from telepresence.haptics.sample import MODE_IMPEDANCE, STATE_HALTED, Command, Feedback
-from telepresence.haptics.slave import SlaveController, SlaveModel
 
 #: Of a time that was missed (the process stood still) so much is made up for.
 _MAX_ADVANCE_NS = 50 * NS_PER_MS

@@ -14,17 +14,17 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from telepresence.link.compression import FLEETING_REFRESH_NS
-from telepresence.link.flows import Level
-from telepresence.link.frame import length_octets
-from telepresence.link.profile import LinkProfile
-from telepresence.link.rtp_forms import (
+from telepresence.link.compression.header_compression import FLEETING_REFRESH_NS
+from telepresence.link.compression.rtp_forms import (
     CONTEXT_OCTETS,
     KIND_BARE,
     KIND_LONG,
     RTP_HEADER_OCTETS,
     residue_octets,
 )
+from telepresence.link.flows import Level
+from telepresence.link.frame import length_octets
+from telepresence.link.profile import LinkProfile
 
 TAG_OCTETS = 1
 RESUME_OCTETS = 1

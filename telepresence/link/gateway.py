@@ -31,9 +31,8 @@ from telepresence.link.receiver import (
     SupervisionReceived,
 )
 from telepresence.link.sender import LinkSender
-from telepresence.link.supervision import Supervisor
-from telepresence.link.supervision_configuration import Configuration, SupervisionTiming
-from telepresence.link.supervision_events import (
+from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
+from telepresence.link.supervision.events import (
     ApplicationReset,
     ContextsHeld,
     PeerDeaf,
@@ -42,6 +41,7 @@ from telepresence.link.supervision_events import (
     SignalAcquired,
     SignalLost,
 )
+from telepresence.link.supervision.supervisor import Supervisor
 
 #: The longest that a packet waits while the peer may not hear it: what comes out after a loss of
 #: signal was put in after it, or just before its end. Long enough for a large picture's last

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_S
-from telepresence.link.compression import RtpDecompressor
+from telepresence.link.compression.header_compression import RtpDecompressor
+from telepresence.link.compression.rtp_forms import KIND_CONTEXT, KIND_RAW
 from telepresence.link.flows import MAX_FLOWS, Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
@@ -23,7 +24,6 @@ from telepresence.link.frame import (
     Pointers,
 )
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
-from telepresence.link.rtp_forms import KIND_CONTEXT, KIND_RAW
 
 #: A frame that is so little behind is late or repeated; one further behind is of a new life.
 _LATE_FRAMES = 32

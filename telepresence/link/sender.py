@@ -3,7 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from telepresence.link.compression import RtpCompressor
+from telepresence.link.compression.header_compression import RtpCompressor
+from telepresence.link.compression.rtp_forms import KIND_RAW
 from telepresence.link.flows import Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
@@ -24,7 +25,6 @@ from telepresence.link.profile import (
     LinkProfile,
 )
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
-from telepresence.link.rtp_forms import KIND_RAW
 from telepresence.tmtc.packets import is_ours
 
 

@@ -13,7 +13,12 @@ from hypothesis import strategies as st
 
 from telepresence.link.flows import tmtc_flow, video_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision import Configuration, LinkState, StateChanged, Supervisor
+from telepresence.link.supervision.supervisor import (
+    Configuration,
+    LinkState,
+    StateChanged,
+    Supervisor,
+)
 
 MS = 1_000_000
 GROUND = Configuration(

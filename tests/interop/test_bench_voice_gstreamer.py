@@ -8,9 +8,9 @@ have to be whole.
 import numpy as np
 import pytest
 
-from pipelines.bench.voice_gstreamer import Peer, listen_live, missing
-from pipelines.bench.voice_network import Network
-from pipelines.bench.voice_speech import LEAD_IN_BLOCKS, lags, speech_track
+from pipelines.bench.voice.gstreamer import Peer, listen_live, missing
+from pipelines.bench.voice.network import Network
+from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
 
 pytestmark = pytest.mark.interop
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from running_link import RunningLink, assert_books_are_right, came, eventually
 
-from pipelines.setups import BUILT_IN
+from pipelines.setup.built_in import BUILT_IN
 
 pytestmark = pytest.mark.interop
 

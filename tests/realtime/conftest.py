@@ -1,5 +1,7 @@
 """Sessions for the tests that need one."""
 
+from pathlib import Path
+
 import pytest
 
 pytest.register_assert_rewrite("running_session")
@@ -19,3 +21,10 @@ def start(tmp_path):
     yield start_session
     for session in started:
         session.__exit__()
+
+
+def pytest_collection_modifyitems(items):
+    """Whatever lies here starts processes, or sleeps."""
+    for item in items:
+        if item.path.is_relative_to(Path(__file__).parent):
+            item.add_marker(pytest.mark.realtime)

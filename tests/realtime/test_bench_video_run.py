@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from pipelines.bench.video_contenders import DEFAULT, OURS, missing
+from pipelines.bench.video.contenders import DEFAULT, OURS, missing
 from pipelines.cli import main
 
 pytestmark = pytest.mark.realtime

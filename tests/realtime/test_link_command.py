@@ -14,7 +14,7 @@ from running_link import (
     listening,
 )
 
-from pipelines.setups import BUILT_IN
+from pipelines.setup.built_in import BUILT_IN
 
 pytestmark = pytest.mark.realtime
 

@@ -11,8 +11,8 @@ import time
 import pytest
 from running_session import assert_sound, eventually
 
-from pipelines.names import input_topic
-from pipelines.setup import PORTS
+from pipelines.setup.names import input_topic
+from pipelines.setup.table import PORTS
 
 pytestmark = pytest.mark.realtime
 

@@ -10,7 +10,13 @@ import pytest
 from running_session import alive, assert_sound, eventually
 
 from kontur_av.clock import MonotonicClock
-from pipelines.names import ROBOT_TOPIC, SELECTED_TOPIC, STEREO_TOPIC, input_topic, received_topic
+from pipelines.setup.names import (
+    ROBOT_TOPIC,
+    SELECTED_TOPIC,
+    STEREO_TOPIC,
+    input_topic,
+    received_topic,
+)
 
 pytestmark = pytest.mark.realtime
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from kontur_av.budget import Pacer
-from kontur_av.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.opus import OpusDecoder, OpusEncoder, bitrate_under_cap
 from kontur_av.media import VIDEO_CLOCK_HZ, CaptureStamp, VideoFrame, empty_picture
-from kontur_av.opus import OpusDecoder, OpusEncoder, bitrate_under_cap
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
+from kontur_av.streams.budget import Pacer
 
 NS_PER_S = 1_000_000_000
 MS = 1_000_000

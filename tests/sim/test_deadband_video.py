@@ -10,11 +10,11 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS
+from pipelines.commands.simulate import simulate
 from pipelines.cores.gain import STEADY_NS, gain_of
 from pipelines.cores.sending import RtpIdentity, VideoSending
-from pipelines.probe import Probe
-from pipelines.setups import BUILT_IN
-from pipelines.simulate import simulate
+from pipelines.runtime.probe import Probe
+from pipelines.setup.built_in import BUILT_IN
 from telepresence.link.flows import Level
 from telepresence.link.gateway import Gateway
 

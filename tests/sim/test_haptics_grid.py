@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from pipelines.bench.haptics_cell import Cell
-from pipelines.bench.haptics_claims import claims, needed
-from pipelines.bench.haptics_figures import Figures
-from pipelines.bench.haptics_plan import plan
-from pipelines.bench.haptics_run import run_cell
-from telepresence.haptics.master import MasterController
+from pipelines.bench.haptics.cell import Cell
+from pipelines.bench.haptics.claims import claims, needed
+from pipelines.bench.haptics.figures import Figures
+from pipelines.bench.haptics.plan import plan
+from pipelines.bench.haptics.run import run_cell
+from telepresence.haptics.joystick_controller import MasterController
 from telepresence.haptics.passivity import Port
 from telepresence.haptics.sample import Feedback
 

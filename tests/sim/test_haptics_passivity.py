@@ -8,11 +8,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from telepresence.haptics.joystick_controller import MasterController, MasterModel
 from telepresence.haptics.loop import joystick_link, robot_link
-from telepresence.haptics.master import MasterController, MasterModel
 from telepresence.haptics.passivity import Port
+from telepresence.haptics.robot_controller import SlaveController
 from telepresence.haptics.sample import Command, Feedback
-from telepresence.haptics.slave import SlaveController
 
 MS = 1_000_000
 DT = 1e-3

@@ -3,7 +3,7 @@
 import pytest
 from link_supervision_pair import CONNECTED, MS, Pair, S, connected
 
-from telepresence.link.supervision import (
+from telepresence.link.supervision.supervisor import (
     ApplicationReset,
     ContextsHeld,
     LinkState,

@@ -3,7 +3,7 @@
 import pytest
 from link_supervision_pair import CONNECTED, GROUND, MS, SPACE, Pair, S, connected
 
-from telepresence.link.supervision import (
+from telepresence.link.supervision.supervisor import (
     ApplicationReset,
     StateChanged,
     Supervisor,

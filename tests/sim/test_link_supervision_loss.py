@@ -5,7 +5,7 @@ from random import Random
 import pytest
 from link_supervision_pair import CONNECTED, MS, Pair, S, connected
 
-from telepresence.link.supervision import (
+from telepresence.link.supervision.supervisor import (
     ApplicationReset,
     ContextsHeld,
     LinkState,

@@ -4,7 +4,7 @@ import pytest
 from link_supervision_pair import CONNECTED, DOWN, MS, SPACE, UP, Pair, S, connected
 
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision import (
+from telepresence.link.supervision.supervisor import (
     Configuration,
     LinkState,
     StateChanged,

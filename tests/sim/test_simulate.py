@@ -14,10 +14,10 @@ import pytest
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
-from pipelines.setup_file import load_setup
-from pipelines.sim.costs import CodingCosts
-from pipelines.sim.session import Selection
-from pipelines.simulate import simulate
+from pipelines.commands.simulate import simulate
+from pipelines.setup.setup_file import load_setup
+from pipelines.simulation.costs import CodingCosts
+from pipelines.simulation.session import Selection
 
 SECONDS = 4.0
 #: One way, of the radio that does nothing else.

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from pipelines.setup_file import load_setup
-from pipelines.sim.costs import CodingCosts
-from pipelines.simulate import simulate
+from pipelines.commands.simulate import simulate
+from pipelines.setup.setup_file import load_setup
+from pipelines.simulation.costs import CodingCosts
 
 DELAY_MS = 2.0
 

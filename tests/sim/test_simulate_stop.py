@@ -8,10 +8,10 @@ import time
 from itertools import count
 
 from kontur_av.clock import NS_PER_S
-from pipelines.setup_file import load_setup
-from pipelines.sim.session import Simulation
-from pipelines.sim.workers import Workers
-from pipelines.simulate import simulate
+from pipelines.commands.simulate import simulate
+from pipelines.setup.setup_file import load_setup
+from pipelines.simulation.session import Simulation
+from pipelines.simulation.workers import Workers
 
 
 def test_a_simulation_that_is_stopped_reports_the_time_until_then():

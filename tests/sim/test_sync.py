@@ -6,10 +6,10 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
+from pipelines.commands.simulate import simulate
 from pipelines.cores import sending
 from pipelines.cores.receiving import VideoReceiving
-from pipelines.setup import Setup, VideoStream, VoiceStream
-from pipelines.simulate import simulate
+from pipelines.setup.table import Setup, VideoStream, VoiceStream
 from telepresence.haptics.loop import HapticLink
 
 SECONDS = 12.0

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
-from kontur_av.h264 import H264Encoder
+from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame
-from pipelines.cores.coding import encode
+from kontur_av.streams.coding import encode
 from pipelines.cores.sending import RtpIdentity, VideoSending
-from pipelines.probe import Probe
-from pipelines.setup import VideoStream
-from pipelines.sim.agenda import Agenda
-from pipelines.sim.costs import CodingCosts
-from pipelines.sim.senders import VideoSender
-from pipelines.sim.workers import Job
+from pipelines.runtime.probe import Probe
+from pipelines.setup.table import VideoStream
+from pipelines.simulation.agenda import Agenda
+from pipelines.simulation.costs import CodingCosts
+from pipelines.simulation.senders import VideoSender
+from pipelines.simulation.workers import Job
 
 STREAM = VideoStream(name="video", cap_bps=512_000)
 CHANNEL_BPS = 530_000

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.commands.simulate import simulate
 from pipelines.cores.choosing import CameraChoice
 from pipelines.cores.showing import Showing
-from pipelines.names import DAMAGED
-from pipelines.setup_file import load_setup
-from pipelines.sim.session import Selection
-from pipelines.simulate import simulate
+from pipelines.setup.names import DAMAGED
+from pipelines.setup.setup_file import load_setup
+from pipelines.simulation.session import Selection
 
 DELAY_MS = 2.0
 

@@ -4,9 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telepresence.link.compression import RtpDecompressor
-from telepresence.link.flows import video_flow, voice_flow
-from telepresence.link.rtp_forms import (
+from telepresence.link.compression.header_compression import RtpDecompressor
+from telepresence.link.compression.rtp_forms import (
     CONTEXT_OCTETS,
     KIND_CONTEXT,
     Context,
@@ -14,6 +13,7 @@ from telepresence.link.rtp_forms import (
     parse_context,
     residue_octets,
 )
+from telepresence.link.flows import video_flow, voice_flow
 
 VIDEO = video_flow("video")
 

@@ -6,14 +6,14 @@ from hypothesis import strategies as st
 
 from telepresence.link.flows import Level, packet_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision import Configuration, LinkState, Supervisor
-from telepresence.link.supervision_message import (
+from telepresence.link.supervision.message import (
     MessageKind,
     SupervisionMessage,
     message_version,
     pack_message,
     parse_message,
 )
+from telepresence.link.supervision.supervisor import Configuration, LinkState, Supervisor
 
 ALIVE = SupervisionMessage(
     version=1,

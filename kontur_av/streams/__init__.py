@@ -1,0 +1,1 @@
+"""One coded stream, from end to end: when to encode, what may leave, what is shown."""

@@ -1,0 +1,141 @@
+"""When to encode: the channel asks for pictures, not the camera.
+
+A picture that is encoded while the channel is still busy waits behind the one before it, and is
+shown that much later. So the newest one is encoded when the channel will have run dry by the time
+that the coding is done: the channel takes the one picture while the next one is encoded. Where the
+newest one is old by then, the next one is waited for: so
+encoding locks to the camera's own instants while pictures are small enough, and where they are not
+one is left out. Without that, one large picture is enough to make all that follow late, for as long
+as pictures fill the channel.
+"""
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.streams.budget import Pacer
+
+#: Taken for the coding time before any was measured.
+_CODING_NS = 3 * NS_PER_MS
+#: Of each new measurement so much is believed: one part in eight.
+_SMOOTHING = 8
+#: So old may a picture be when it is encoded, in parts of the time to the next one: 7 ms of 33.
+#: Measured: the 99th percentile 10 ms and more lower than with no such limit, at 29.5 pictures a
+#: second.
+_OLDEST = (22, 100)
+#: A picture that was waited for is given up this much later, in parts of a period.
+_GRACE_PARTS = 8
+#: When to look again whether a channel that is behind has caught up.
+_LOOK_AGAIN_NS = 2 * NS_PER_MS
+#: The rate of the pictures that come is counted over so many; that they come faster than the
+#: encoder was told is noticed sooner, because then each is too large.
+_COUNTED = 45
+_COUNTED_FASTER = 15
+#: So many times faster or slower is another rate.
+_OTHER_RATE = 1.08
+
+
+class EncodeScheduler:
+    """Decides about each picture of one stream. A core: it is told the time.
+
+    pacer: of the stream. fps: the rate of pictures that the encoder was told.
+
+    Tell it of each picture that comes (`handle_picture`), ask `poll_encode` then and at
+    `poll_timeout`, and tell it when the coding is done (`handle_encoded`): until then it has
+    no other picture encoded.
+    """
+
+    def __init__(self, pacer: Pacer, *, fps: float) -> None:
+        self._pacer = pacer
+        self._fps = fps
+        self._told_hz = fps
+        self._period_ns = round(NS_PER_S / fps)
+        self._coding_ns = _CODING_NS
+        #: When the newest picture came, and whether it still waits for a decision.
+        self._came_ns = 0
+        self._waits = False
+        #: When the one that is being encoded was begun.
+        self._begun_ns: int | None = None
+        self._waiting_octets = self._channel_free_ns = 0
+        self._now_ns = 0
+        self._counted_since_ns: int | None = None
+        self._last_ns: int | None = None
+        self._counted = self._longest_ns = 0
+        self._new_hz: float | None = None
+        #: Pictures that came, and those of them that will never be encoded.
+        self.captured = self.refused = 0
+
+    def handle_channel(self, octets: int, rate_bps: int, told_ns: int) -> None:
+        """At `told_ns` so much waited behind the pacer, in a channel of this rate."""
+        self._waiting_octets = octets
+        self._channel_free_ns = told_ns + octets * 8 * NS_PER_S // rate_bps
+
+    def handle_picture(self, capture_ns: int, now_ns: int, *, skipped: int = 0) -> None:
+        """A picture is there, the newest one.
+
+        skipped: pictures that came before it and were never looked at.
+        """
+        self.captured += 1 + skipped
+        self.refused += skipped + self._waits
+        self._came_ns, self._waits = now_ns, True
+        self._now_ns = now_ns
+        self._count(capture_ns, 1 + skipped)
+
+    def poll_encode(self, now_ns: int) -> bool:
+        """Whether to encode the newest picture now."""
+        self._now_ns = now_ns
+        due_ns = self._due_ns()
+        if due_ns is None or due_ns > now_ns:
+            return False
+        self._waits = False
+        self._begun_ns = now_ns
+        return True
+
+    def poll_timeout(self) -> int | None:
+        """When `poll_encode` is worth the next call; None while no picture waits, or while one is
+        being encoded."""
+        return self._due_ns()
+
+    def handle_encoded(self, now_ns: int) -> None:
+        """The picture that was to be encoded is."""
+        if self._begun_ns is None:
+            raise ValueError("no picture was to be encoded")
+        self._coding_ns += (now_ns - self._begun_ns - self._coding_ns) // _SMOOTHING
+        self._begun_ns = None
+
+    def next_rate_hz(self) -> float | None:
+        """The rate at which pictures really come, once whenever the encoder should follow it."""
+        hz, self._new_hz = self._new_hz, None
+        return hz
+
+    def _due_ns(self) -> int | None:
+        if not self._waits or self._begun_ns is not None:
+            return None
+        free_ns = max(self._pacer.start_ns(self._now_ns), self._channel_free_ns)
+        due_ns = max(free_ns - self._coding_ns, self._came_ns)
+        if self._waiting_octets > self._pacer.picture_octets:
+            # It may carry less than its rate: what it has is to be seen, not to be reckoned.
+            due_ns = max(due_ns, self._now_ns + _LOOK_AGAIN_NS)
+        next_ns = self._came_ns + self._period_ns
+        give_up_ns = next_ns + self._period_ns // _GRACE_PARTS
+        parts, of = _OLDEST
+        if (due_ns - self._came_ns) * of > self._period_ns * parts:
+            return max(due_ns, give_up_ns)
+        return due_ns
+
+    def _count(self, capture_ns: int, pictures: int) -> None:
+        since_ns, last_ns = self._counted_since_ns, self._last_ns
+        self._last_ns = capture_ns
+        if since_ns is None or last_ns is None or capture_ns <= last_ns:
+            self._counted_since_ns, self._counted, self._longest_ns = capture_ns, 0, 0
+            return
+        self._counted += pictures
+        self._longest_ns = max(self._longest_ns, capture_ns - last_ns)
+        mean_ns = (capture_ns - since_ns) // self._counted
+        hz = min(NS_PER_S / mean_ns, self._fps)
+        faster = hz > self._told_hz * _OTHER_RATE
+        if self._counted < (_COUNTED_FASTER if faster else _COUNTED):
+            return
+        # A slow camera is regular; a machine that has too much to do is not.
+        slower = hz * _OTHER_RATE < self._told_hz and self._longest_ns < 3 * mean_ns // 2
+        self._counted_since_ns, self._counted, self._longest_ns = capture_ns, 0, 0
+        if faster or slower:
+            self._told_hz = self._new_hz = round(hz, 1)
+            self._period_ns = round(NS_PER_S / self._told_hz)

@@ -1,0 +1,1 @@
+"""Shared memory: publish once, for any number of readers."""

@@ -1,0 +1,73 @@
+"""What is claimed of the bilateral controller, held against figures."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pipelines.bench.haptics.figures import SWING_N, Figures
+
+#: Of a total, which is sent in whole µJ, rounded down.
+ROUNDING_UJ = 1.0
+#: How fast the master lets the received force grow, and what its damping may add.
+RISE_N_MS = 1.1
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A sentence, what was found, and whether it holds."""
+
+    text: str
+    found: str
+    holds: bool
+
+
+def claims(with_: Sequence[Figures]) -> list[Claim]:
+    """What is claimed of the passivity controllers, each on the worst of these runs with them."""
+    least = min(with_, key=_least_uj)
+    given = max(with_, key=lambda f: f.given_uj)
+    contact = max(with_, key=lambda f: f.contact_peak_n / f.contact_bound_n)
+    rise = max(with_, key=lambda f: f.rise_n_ms)
+    swing = max(with_, key=lambda f: f.swing_n)
+    swings = [f for f in with_ if f.unstable]
+    return [
+        Claim(
+            f"observed energy at either port is never below -{ROUNDING_UJ:g} µJ",
+            f"{_least_uj(least):.2f} µJ: {least.cell.name}",
+            _least_uj(least) >= -ROUNDING_UJ,
+        ),
+        Claim(
+            "in all, the network never gives out more energy than it got",
+            f"{given.given_uj:.2f} µJ: {given.cell.name}",
+            given.given_uj <= ROUNDING_UJ,
+        ),
+        Claim(
+            "the wall is never pressed harder than a tip that only follows the hand can press it",
+            f"{contact.contact_peak_n:.1f} N, bound {contact.contact_bound_n:.1f} N: "
+            f"{contact.cell.name}",
+            contact.contact_peak_n <= contact.contact_bound_n,
+        ),
+        Claim(
+            f"on a still hand no force swings on by more than {SWING_N:g} N",
+            f"{len(swings)} of {len(with_)}; most {swing.swing_n:.2f} N: {swing.cell.name}",
+            not swings,
+        ),
+        Claim(
+            f"the force on the hand never grows by more than {RISE_N_MS:g} N in 1 ms",
+            f"{rise.rise_n_ms:.2f} N: {rise.cell.name}",
+            rise.rise_n_ms <= RISE_N_MS,
+        ),
+    ]
+
+
+def needed(without: Sequence[Figures]) -> Claim:
+    """That the controllers are needed: what these runs without them come to."""
+    swung = sum(f.unstable for f in without)
+    made = sum(f.given_uj > ROUNDING_UJ for f in without)
+    return Claim(
+        "without the controllers the network makes energy, and forces swing on",
+        f"it makes energy in {made}, swings on in {swung} of {len(without)}",
+        made > 0 and swung > 0,
+    )
+
+
+def _least_uj(figures: Figures) -> float:
+    return min(figures.least_master_uj, figures.least_slave_uj)

@@ -1,0 +1,209 @@
+"""`kontur-av bench haptics`: is the hand stable and passive, whatever the radio does?"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from kontur_av.errors import ConfigError
+from pipelines.bench.console import open_console
+from pipelines.bench.haptics.cell import Cell, full_grid, read_cell, small_grid
+from pipelines.bench.haptics.claims import Claim, claims, needed
+from pipelines.bench.haptics.figures import Figures
+from pipelines.bench.haptics.grid import processors, run_grid
+from pipelines.bench.haptics.map import StabilityMap
+from pipelines.bench.haptics.plan import plan
+from pipelines.bench.haptics.plot import plot
+from pipelines.bench.haptics.run import run_cell
+from pipelines.bench.plot import check_plot
+from pipelines.report.report_file import check_writable, write_report
+
+_GRIDS = {"small": small_grid, "full": full_grid}
+#: What is drawn when no cell is asked for: a contact that the delay alone makes unstable, and
+#: the worst that the radio does.
+_DRAWN = (
+    Cell(delay=100.0, wall=5000.0),
+    Cell(delay=250.0, jitter=50.0, loss=30.0, burst=10.0, blackout=5.0, wall=5000.0),
+)
+_WITHOUT, _WITH = "without the passivity controllers", "with the passivity controllers"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av bench haptics`."""
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help="of each run, more where delay and blackouts need it (default 10)",
+    )
+    parser.add_argument(
+        "--grid", choices=sorted(_GRIDS), default="small", help="of 36 or 648 cells"
+    )
+    parser.add_argument(
+        "--cell",
+        action="append",
+        metavar="NAME=NUMBER,...",
+        help="this cell instead of a grid, and again: of delay (ms, round trip), jitter (ms), "
+        "loss (%%), burst (samples), blackout (s), wall (N/m)",
+    )
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of losses and jitter")
+    parser.add_argument(
+        "--jobs", type=int, metavar="N", help="processes (default: one for each processor)"
+    )
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw position, force and energy, and the map"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure; 1 when a claim does not hold."""
+    if not 4 <= args.seconds <= 600:
+        raise ConfigError(f"--seconds {args.seconds:g}: give 4 to 600")
+    jobs = processors() if args.jobs is None else args.jobs
+    if not 1 <= jobs <= 256:
+        raise ConfigError(f"--jobs {jobs}: give 1 to 256")
+    check_writable(args.report)
+    check_plot(args.plot)
+    chosen = [read_cell(text) for text in args.cell or ()]
+    cells = chosen or list(_GRIDS[args.grid]())
+    console = open_console(args)
+    without, with_ = [], []
+    for pair in run_grid(cells, seconds=args.seconds, seed=args.seed, jobs=jobs):
+        without.append(pair[0])
+        with_.append(pair[1])
+    if chosen:
+        console.print(_cell_table(without, with_))
+    else:
+        console.print(_map_table(_WITHOUT, StabilityMap(without)))
+        console.print(_map_table(_WITH, StabilityMap(with_)))
+        console.print(_channel_table(with_))
+    found = claims(with_)
+    if not chosen:
+        found.append(needed(without))
+    console.print(_claim_table(found))
+    if args.report is not None:
+        write_report(args.report, _report(args, without, with_, found))
+    if args.plot is not None:
+        _plot(args, chosen, without, with_)
+    return 0 if all(claim.holds for claim in found) else 1
+
+
+def _plot(
+    args: argparse.Namespace,
+    chosen: Sequence[Cell],
+    without: Sequence[Figures],
+    with_: Sequence[Figures],
+) -> None:
+    courses = []
+    for cell in chosen or _DRAWN:
+        traces = [
+            run_cell(cell, seconds=args.seconds, seed=args.seed, passive=passive)[1]
+            for passive in (False, True)
+        ]
+        courses.append((cell, plan(cell, args.seconds), traces[0], traces[1]))
+    maps = [] if chosen else [(_WITHOUT, StabilityMap(without)), (_WITH, StabilityMap(with_))]
+    plot(args.plot, courses, maps)
+
+
+def _report(
+    args: argparse.Namespace,
+    without: Sequence[Figures],
+    with_: Sequence[Figures],
+    found: Sequence[Claim],
+) -> dict[str, Any]:
+    def rows(figures: Sequence[Figures]) -> list[dict[str, Any]]:
+        return [asdict(one) | {"unstable": one.unstable} for one in figures]
+
+    return {
+        "seconds": args.seconds,
+        "seed": args.seed,
+        "cells": len(without),
+        "claims": [asdict(claim) for claim in found],
+        "without": rows(without),
+        "with": rows(with_),
+    }
+
+
+def _map_table(title: str, found: StabilityMap) -> Table:
+    table = Table(
+        title=f"{title}: cells that swing on, of all; largest contact force (N)",
+        title_justify="left",
+    )
+    table.add_column("wall")
+    for delay in found.delays:
+        table.add_column(f"{delay:g} ms", justify="right")
+    for wall in found.walls:
+        texts = []
+        for delay in found.delays:
+            unstable, cells = found.unstable(wall, delay)
+            texts.append(f"{unstable} of {cells}; {found.peak_n(wall, delay):.1f}")
+        table.add_row(f"{wall / 1000:g} kN/m", *texts)
+    return table
+
+
+_HEADINGS = (
+    *("least energy µJ", "given µJ", "contact N", "handle N"),
+    *("swing N", "felt %", "rise N/ms", "drift mm", "touches"),
+)
+
+
+def _channel_table(with_: Sequence[Figures]) -> Table:
+    """The worst of each channel, whatever the delay and the wall."""
+    table = _figure_table(f"{_WITH}, by channel: the worst of all delays and walls", "channel")
+    for channel in dict.fromkeys(figures.cell.channel for figures in with_):
+        rows = [figures for figures in with_ if figures.cell.channel == channel]
+        table.add_row(
+            channel,
+            f"{min(min(f.least_master_uj, f.least_slave_uj) for f in rows):.1f}",
+            f"{max(f.given_uj for f in rows):.1f}",
+            f"{max(f.contact_peak_n for f in rows):.1f}",
+            f"{max(f.displayed_peak_n for f in rows):.1f}",
+            f"{max(f.swing_n for f in rows):.2f}",
+            f"{100 * min(f.felt for f in rows):.0f}",
+            f"{max(f.rise_n_ms for f in rows):.2f}",
+            f"{max(f.drift_mm for f in rows):.1f}",
+            str(min(f.touches for f in rows)),
+        )
+    return table
+
+
+def _cell_table(without: Sequence[Figures], with_: Sequence[Figures]) -> Table:
+    table = _figure_table("each cell without and with the passivity controllers", "cell")
+    for pair in zip(without, with_, strict=True):
+        for figures in pair:
+            name = f"{figures.cell.name}, {'with' if figures.passive else 'without'}"
+            table.add_row(
+                f"{name}{': UNSTABLE' if figures.unstable else ''}",
+                f"{min(figures.least_master_uj, figures.least_slave_uj):.1f}",
+                f"{figures.given_uj:.1f}",
+                f"{figures.contact_peak_n:.1f}",
+                f"{figures.displayed_peak_n:.1f}",
+                f"{figures.swing_n:.2f}",
+                f"{100 * figures.felt:.0f}",
+                f"{figures.rise_n_ms:.2f}",
+                f"{figures.drift_mm:.1f}",
+                str(figures.touches),
+            )
+    return table
+
+
+def _figure_table(title: str, first: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    table.add_column(first)
+    for heading in _HEADINGS:
+        table.add_column(heading, justify="right")
+    return table
+
+
+def _claim_table(found: Sequence[Claim]) -> Table:
+    table = Table(title="claims", title_justify="left")
+    for heading in ("claim", "found", "holds"):
+        table.add_column(heading)
+    for claim in found:
+        table.add_row(claim.text, claim.found, "yes" if claim.holds else "NO")
+    return table

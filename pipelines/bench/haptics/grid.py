@@ -1,0 +1,38 @@
+"""Many cells at once, a process for each processor."""
+
+import multiprocessing
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+
+from pipelines.bench.haptics.cell import Cell
+from pipelines.bench.haptics.figures import Figures
+from pipelines.bench.haptics.run import run_cell
+
+
+def processors() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def run_grid(
+    cells: Sequence[Cell], *, seconds: float, seed: int, jobs: int
+) -> Iterator[tuple[Figures, Figures]]:
+    """(without, with) the controllers for each of `cells`, in order, as soon as it is known.
+
+    The figures are the same for every number of `jobs`: a cell's chance depends on `seed` and
+    on the cell alone.
+    """
+    both = partial(_both, seconds=seconds, seed=seed)
+    if jobs == 1:
+        yield from map(both, cells)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("fork")) as pool:
+        yield from pool.map(both, cells)
+
+
+def _both(cell: Cell, *, seconds: float, seed: int) -> tuple[Figures, Figures]:
+    without, _ = run_cell(cell, seconds=seconds, seed=seed, passive=False)
+    with_, _ = run_cell(cell, seconds=seconds, seed=seed, passive=True)
+    return without, with_

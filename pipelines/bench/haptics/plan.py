@@ -1,0 +1,92 @@
+"""What happens in a run of a cell: where the hand means to be, and when the radio is dark.
+
+First the three targets are touched in turn (`touch`), then the first one is pressed and held
+(`hold`), then the hand lets go and goes back to the middle (`release`). Blackouts: of both ways
+while the targets are touched, then, while the hand presses, of the commands alone and of the
+feedback alone; `hold` begins after the last of them, with time to recover.
+"""
+
+from dataclasses import dataclass
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.bench.haptics.cell import Cell
+from telepresence.haptics.board import WALL_X_M
+from telepresence.haptics.hand import Waypoint
+
+_TARGETS_Y_M = (-0.05, 0.0, 0.05)
+#: The hand means to be so far behind the wall, as one presses a button.
+DEPTH_M = 0.025
+_AWAY_M = 0.04
+#: An oscillation of the delayed loop takes 2 to 4 round trips: three thirds of 4 round trips.
+_HOLD_ROUND_TRIPS = 12.0
+_RECOVERY_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """script: of the hand. down_dark, up_dark: (begin, end) in ns, of commands and feedback.
+
+    hold_ns: (begin, end) in which a stable loop comes to rest. end_ns: of the run.
+    """
+
+    script: tuple[Waypoint, ...]
+    down_dark: tuple[tuple[int, int], ...]
+    up_dark: tuple[tuple[int, int], ...]
+    hold_ns: tuple[int, int]
+    end_ns: int
+
+
+def plan(cell: Cell, seconds: float) -> Plan:
+    """Half of `seconds` to touch and half to hold; more where delay and blackouts need it."""
+    round_trip_s = (cell.delay + cell.jitter) / 1000.0
+    recovery_s = _RECOVERY_S + 2.0 * round_trip_s
+    touch_s = seconds / 2.0
+    if cell.blackout:
+        touch_s += cell.blackout + recovery_s
+    script: list[Waypoint] = []
+    while _duration_s(script) < touch_s:
+        y_m = _TARGETS_Y_M[len(script) // 2 % 3]
+        script += _touch(y_m)
+    touched_s = _duration_s(script)
+
+    press_s = touched_s + 1.0 + recovery_s
+    dark: list[tuple[float, float]] = []
+    if cell.blackout:
+        # In the middle of a press of the second target.
+        dark.append((2.7, 2.7 + cell.blackout))
+        dark.append((press_s, press_s + cell.blackout))
+        press_s += cell.blackout + recovery_s
+        dark.append((press_s, press_s + cell.blackout))
+        press_s += cell.blackout + recovery_s
+    hold_end_s = press_s + max(seconds / 2.0, _HOLD_ROUND_TRIPS * round_trip_s)
+    script.append(_waypoint(WALL_X_M + DEPTH_M, _TARGETS_Y_M[0], 1.0, hold_end_s - touched_s - 1))
+    script.append(_waypoint(0.0, 0.0, 1.0, 10.0 + recovery_s))
+    end_s = hold_end_s + 1.0 + recovery_s
+    spans = [(_ns(begin), _ns(end)) for begin, end in dark]
+    return Plan(
+        script=tuple(script),
+        down_dark=tuple(spans[:2]),
+        up_dark=tuple(spans[::2]),
+        hold_ns=(_ns(press_s), _ns(hold_end_s)),
+        end_ns=_ns(end_s),
+    )
+
+
+def _touch(y_m: float) -> list[Waypoint]:
+    return [
+        _waypoint(WALL_X_M + DEPTH_M, y_m, 0.6, 0.5),
+        _waypoint(WALL_X_M - _AWAY_M, y_m, 0.5, 0.2),
+    ]
+
+
+def _waypoint(x_m: float, y_m: float, move_s: float, stay_s: float) -> Waypoint:
+    return Waypoint(x_m, y_m, _ns(move_s), _ns(stay_s))
+
+
+def _duration_s(script: list[Waypoint]) -> float:
+    return sum(point.move_ns + point.stay_ns for point in script) / NS_PER_S
+
+
+def _ns(seconds: float) -> int:
+    """On the grid of the cycles."""
+    return round(seconds * 1000) * NS_PER_MS

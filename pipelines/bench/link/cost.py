@@ -1,0 +1,54 @@
+"""What a slot costs this machine: building a frame at one end, reading it at the other."""
+
+from dataclasses import dataclass
+
+from kontur_av.clock import NS_PER_MS, MonotonicClock
+from kontur_av.meters import Histogram
+from pipelines.bench.link.virtual import FILE, FLOWS, VIDEO, VOICE, Talker
+from telepresence.link.flows import Level
+from telepresence.link.profile import LinkProfile
+from telepresence.link.receiver import LinkReceiver
+from telepresence.link.sender import LinkSender
+
+#: The first slots fill caches.
+_WARM_UP_SLOTS = 500
+
+
+@dataclass(frozen=True)
+class SlotCost:
+    """Time spent in `LinkSender.poll_transmit` and in `LinkReceiver.handle_frame`, a slot."""
+
+    send: Histogram
+    receive: Histogram
+
+
+def slot_cost(profile: LinkProfile, *, slots: int, busy: bool) -> SlotCost:
+    """Measure `slots` slots on the real clock, each with a sample.
+
+    busy: voice every 20 slots, video and a file that never cease; else nothing but samples.
+    """
+    clock_ns = MonotonicClock().now_ns
+    sender, receiver = LinkSender(profile, FLOWS), LinkReceiver(profile, FLOWS)
+    voice, video = Talker(VOICE, 19), Talker(VIDEO, 354)
+    cost = SlotCost(Histogram(), Histogram())
+    for slot in range(_WARM_UP_SLOTS + slots):
+        now_ns = slot * NS_PER_MS
+        if busy:
+            if slot % 20 == 0:
+                sender.handle_packet(VOICE, voice.packet(now_ns), now_ns)
+            while sender.waiting_octets(Level.VIDEO) < 1024:
+                sender.handle_packet(VIDEO, video.packet(now_ns), now_ns)
+            while sender.waiting_octets(Level.MAINTENANCE) < 1024:
+                sender.handle_packet(FILE, bytes(200), now_ns)
+        sender.handle_haptic(bytes(12), now_ns)
+        begun_ns = clock_ns()
+        frame = sender.poll_transmit(now_ns)
+        sent_ns = clock_ns()
+        receiver.handle_frame(frame, now_ns)
+        while receiver.next_event() is not None:
+            pass
+        read_ns = clock_ns()
+        if slot >= _WARM_UP_SLOTS:
+            cost.send.add(sent_ns - begun_ns)
+            cost.receive.add(read_ns - sent_ns)
+    return cost

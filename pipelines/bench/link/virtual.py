@@ -1,0 +1,288 @@
+"""What the link does to its traffic, exactly: on virtual time, the same gateways as live."""
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from random import Random
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import BLOCK_SAMPLES, VIDEO_CLOCK_HZ
+from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_flow
+from telepresence.link.gateway import Gateway
+from telepresence.link.profile import LinkProfile
+from telepresence.link.radio import RadioPath
+from telepresence.link.receiver import HapticReceived, PacketReceived
+from telepresence.link.virtual import VirtualLink
+
+COMMANDS, VOICE, VIDEO, FILE = "commands", "voice", "video", "file"
+
+#: One flow a level. Commands are carried as they are, so that they may have any length.
+FLOWS: tuple[Flow, ...] = (
+    packet_flow(COMMANDS, Level.TMTC),
+    voice_flow(VOICE),
+    video_flow(VIDEO),
+    packet_flow(FILE, Level.MAINTENANCE),
+)
+
+_RTP = struct.Struct(">BBHII")
+#: What waits in a queue that shall never be empty, in octets.
+_ENOUGH = 2048
+#: After this the two ends have agreed, and supervision is as seldom as it will stay.
+_LEAD_IN_NS = 3 * NS_PER_S
+
+
+@dataclass
+class Talker:
+    """RTP packets of one voice or one video, as a program would send them."""
+
+    flow: str
+    payload_octets: int
+    ssrc: int = 0x6B6F6E74
+    sequence: int = 0xFFF0
+
+    def packet(self, now_ns: int, *, last: bool = True) -> bytes:
+        """The next packet: voice counts its samples, video tells the instant of capture.
+
+        last: whether it ends its picture, which the marker tells (RFC 6184).
+        """
+        if self.flow == VOICE:
+            timestamp = self.sequence * BLOCK_SAMPLES
+            second = 97
+        else:
+            timestamp = now_ns * VIDEO_CLOCK_HZ // NS_PER_S
+            second = last << 7 | 96
+        header = _RTP.pack(0x80, second, self.sequence & 0xFFFF, timestamp & 0xFFFF_FFFF, self.ssrc)
+        self.sequence += 1
+        return header + bytes(self.payload_octets)
+
+
+def _saturate(gateway: Gateway, talkers: Sequence[Talker], now_ns: int) -> None:
+    """Let every level have more to say than fits."""
+    sender = gateway.sender
+    for flow in FLOWS:
+        while sender.waiting_octets(flow.level) < _ENOUGH:
+            talker = next((talker for talker in talkers if talker.flow == flow.name), None)
+            data = bytes(200) if talker is None else talker.packet(now_ns)
+            if not gateway.handle_datagram(flow.name, data, now_ns):
+                break
+
+
+def haptic_delays(seconds: float, *, saturated: bool, radio: Sequence[RadioPath]) -> list[int]:
+    """One-way delay (ns) of every sample of both directions, in the order of handing over.
+
+    radio: the path up and the path down. A sample is handed over at the instant of its slot.
+    """
+    link = VirtualLink(uplink_flows=FLOWS, downlink_flows=FLOWS, up=radio[0], down=radio[1])
+    talkers = (Talker(VOICE, 19), Talker(VIDEO, 354))
+    slots = round(seconds * NS_PER_S / link.slot_ns)
+    delays = [-1] * (2 * slots)
+    for slot in range(slots):
+        now_ns = link.now_ns
+        for side, gateway in enumerate((link.ground, link.space)):
+            gateway.handle_haptic(struct.pack(">IQ", 2 * slot + side, now_ns), now_ns)
+            if saturated:
+                _saturate(gateway, talkers, now_ns)
+        for _, event in link.step():
+            if isinstance(event, HapticReceived):
+                index, sent_ns = struct.unpack(">IQ", event.sample)
+                delays[index] = event.now_ns - sent_ns
+    return delays
+
+
+@dataclass(frozen=True)
+class HapticDifference:
+    """The same samples, alone and beside media that fill every slot.
+
+    samples: compared. largest_slots: the largest difference between the two delays of a sample,
+    in slots. delay_ms: of the samples alone, least and most.
+    """
+
+    samples: int
+    largest_slots: float
+    delay_ms: tuple[float, float]
+
+
+def haptic_difference(seconds: float, *, delay_ns: int) -> HapticDifference:
+    """Compare every sample that arrived in both runs."""
+    alone, beside = (
+        haptic_delays(
+            seconds,
+            saturated=saturated,
+            radio=[RadioPath(delay_ns=delay_ns), RadioPath(delay_ns=delay_ns)],
+        )
+        for saturated in (False, True)
+    )
+    pairs = [pair for pair in zip(alone, beside, strict=True) if min(pair) >= 0]
+    arrived = [first for first, _ in pairs]
+    return HapticDifference(
+        len(pairs),
+        max(abs(first - second) for first, second in pairs) / NS_PER_MS,
+        (min(arrived) / NS_PER_MS, max(arrived) / NS_PER_MS),
+    )
+
+
+def voice_waits(seconds: float, profile: LinkProfile, *, seed: int = 1) -> list[int]:
+    """How long (ns) each voice packet waited for its first slot, video and files never ceasing.
+
+    The packets come every 20 ms and up to 5 ms later, at any instant between two slots.
+    """
+    random = Random(seed)
+    link = VirtualLink(uplink_flows=FLOWS, downlink_flows=FLOWS, uplink=profile, downlink=profile)
+    gateway, voice, video = link.ground, Talker(VOICE, 19), Talker(VIDEO, 354)
+    waits: list[int] = []
+    next_ns, came_ns = random.randrange(20 * NS_PER_MS), None
+    count = 0
+    end_ns = round(seconds * NS_PER_S)
+    while link.now_ns < end_ns:
+        now_ns = link.now_ns
+        gateway.handle_haptic(bytes(12), now_ns)
+        while gateway.sender.waiting_octets(Level.VIDEO) < _ENOUGH:
+            gateway.handle_datagram(VIDEO, video.packet(now_ns), now_ns)
+        while gateway.sender.waiting_octets(Level.MAINTENANCE) < _ENOUGH:
+            gateway.handle_datagram(FILE, bytes(200), now_ns)
+        if came_ns is None and next_ns <= now_ns:
+            came_ns = next_ns
+            gateway.handle_datagram(VOICE, voice.packet(came_ns), came_ns)
+            count += 1
+            next_ns = count * 20 * NS_PER_MS + random.randrange(5 * NS_PER_MS)
+        for _ in link.step():
+            pass
+        if came_ns is not None and not gateway.sender.waiting_octets(Level.VOICE):
+            waits.append(now_ns - came_ns)
+            came_ns = None
+    return waits
+
+
+@dataclass(frozen=True)
+class Goodput:
+    """What arrives of one kind of traffic that never ceases.
+
+    zone_bps: what the frames leave to the levels below haptics. payload_bps: of the UDP payloads
+    that came out, for RTP with its 12 octets of header, which hardly take a place on the link.
+    packets, framing, supervision, idle: shares of the zone; the first with tags and headers.
+    """
+
+    zone_bps: int
+    payload_bps: int
+    packets: float
+    framing: float
+    supervision: float
+    idle: float
+
+    def shares(self) -> tuple[float, float, float, float]:
+        """They sum to 1."""
+        return self.packets, self.framing, self.supervision, self.idle
+
+
+def goodput(
+    seconds: float, profile: LinkProfile, *, flow: str, payload_octets: int, haptics: bool
+) -> Goodput:
+    """Saturate `flow` with packets of `payload_octets` for `seconds`."""
+    link = VirtualLink(uplink_flows=FLOWS, downlink_flows=FLOWS, uplink=profile, downlink=profile)
+    gateway = link.ground
+    talker = Talker(flow, payload_octets)
+    level = next(known.level for known in FLOWS if known.name == flow)
+    received = 0
+    before: dict[str, int] = {}
+    end_ns = _LEAD_IN_NS + round(seconds * NS_PER_S)
+    while link.now_ns < end_ns:
+        now_ns = link.now_ns
+        link.space.handle_haptic(bytes(12), now_ns)
+        if haptics:
+            gateway.handle_haptic(bytes(12), now_ns)
+        if now_ns >= _LEAD_IN_NS and not before:
+            before, received = gateway.sender.octets(), 0
+        while gateway.sender.waiting_octets(level) < _ENOUGH:
+            data = talker.packet(now_ns) if flow in (VOICE, VIDEO) else bytes(payload_octets)
+            gateway.handle_datagram(flow, data, now_ns)
+        for receiver, event in link.step():
+            if receiver is link.space and isinstance(event, PacketReceived):
+                received += len(event.data)
+    octets = {kind: count - before[kind] for kind, count in gateway.sender.octets().items()}
+    zone = sum(octets.values()) - octets["header"] - octets["fecf"] - octets["haptic"]
+    carried = octets[level.name.lower()] + octets["packet_headers"]
+    others = (octets[kind] / zone for kind in ("framing", "supervision", "idle"))
+    return Goodput(
+        round(zone * 8 / seconds), round(received * 8 / seconds), carried / zone, *others
+    )
+
+
+@dataclass(frozen=True)
+class HeaderOctets:
+    """What the headers of a flow took on the link, tags included.
+
+    packets, whole: how many there were, and how many of them had their whole header along.
+    mean: of all. most_compressed: of those that were compressed, in octets.
+    """
+
+    packets: int
+    whole: int
+    mean: float
+    most_compressed: int
+
+
+def header_octets(seconds: float, *, seed: int = 1) -> dict[str, HeaderOctets]:
+    """Headers of the streams of `spacejustin`, each offered with the jitter of a real program.
+
+    Pictures are captured 30 times a second, at most 1 ms late, and are encoded for 3 to 12 ms;
+    voice is handed over 0 to 3 ms late. On the uplink a picture is one packet, on the downlink
+    three of one instant.
+    """
+    link = VirtualLink(uplink_flows=FLOWS, downlink_flows=FLOWS)
+    random = Random(seed)
+    sides = (("uplink", link.ground, 1, 345), ("downlink", link.space, 3, 710))
+    due: list[tuple[int, Gateway, str, bytes]] = []
+    for _, gateway, packets, octets in sides:
+        due += _picture_packets(gateway, packets, octets, seconds, random)
+        due += _voice_packets(gateway, seconds, random)
+    due.sort(key=lambda entry: entry[0], reverse=True)
+    while due:
+        now_ns = link.now_ns
+        while due and due[-1][0] <= now_ns:
+            _, gateway, flow, data = due.pop()
+            gateway.handle_datagram(flow, data, now_ns)
+        for gateway in (link.ground, link.space):
+            gateway.handle_haptic(bytes(12), now_ns)
+        for _ in link.step():
+            pass
+    return {
+        f"{name} {flow}": _counted(gateway.report(link.now_ns)["transmit"]["headers"][flow])
+        for name, gateway, _, _ in sides
+        for flow in (VIDEO, VOICE)
+    }
+
+
+def _picture_packets(
+    gateway: Gateway, packets: int, octets: int, seconds: float, random: Random
+) -> Iterator[tuple[int, Gateway, str, bytes]]:
+    talker = Talker(VIDEO, octets, ssrc=random.getrandbits(32), sequence=random.getrandbits(16))
+    for picture in range(round(30 * seconds)):
+        captured_ns = picture * NS_PER_S // 30 + random.randrange(NS_PER_MS)
+        encoded_ns = captured_ns + random.randrange(3 * NS_PER_MS, 12 * NS_PER_MS)
+        for number in range(1, packets + 1):
+            data = talker.packet(captured_ns, last=number == packets)
+            yield encoded_ns, gateway, VIDEO, data
+
+
+def _voice_packets(
+    gateway: Gateway, seconds: float, random: Random
+) -> Iterator[tuple[int, Gateway, str, bytes]]:
+    talker = Talker(VOICE, 19, ssrc=random.getrandbits(32), sequence=random.getrandbits(16))
+    for block in range(round(50 * seconds)):
+        handed_ns = block * 20 * NS_PER_MS + random.randrange(3 * NS_PER_MS)
+        yield handed_ns, gateway, VOICE, talker.packet(handed_ns)
+
+
+#: Octets with the tag, of each way that a header may go (`rtp_forms`).
+_COMPRESSED = {"bare": 1, "short": 2, "near": 2, "long": 3}
+
+
+def _counted(counts: Mapping[str, int]) -> HeaderOctets:
+    packets = counts["packets"]
+    compressed = {kind: octets for kind, octets in _COMPRESSED.items() if counts[kind]}
+    return HeaderOctets(
+        packets,
+        packets - sum(counts[kind] for kind in compressed),
+        counts["header_octets"] / max(packets, 1),
+        max(compressed.values(), default=0),
+    )

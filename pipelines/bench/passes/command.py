@@ -1,0 +1,191 @@
+"""`kontur-av bench passes`: many sessions of a whole pass, and whether every one was usable."""
+
+import argparse
+import json
+from contextlib import closing
+from dataclasses import asdict, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from kontur_av.errors import ConfigError
+from pipelines.bench.children import ended_alike
+from pipelines.bench.console import open_console
+from pipelines.bench.passes.figures import (
+    HEADINGS,
+    Figures,
+    faults,
+    markdown,
+    pass_figures,
+    summary,
+    table_rows,
+)
+from pipelines.bench.passes.run import Plan, run_sessions
+from pipelines.commands.session_options import add_radio_argument, add_setup_argument
+from pipelines.report.report_file import check_writable, write_report
+from pipelines.setup.setup_file import load_setup
+from pipelines.setup.table import Setup
+
+#: So many missions were flown (Kontur-2, 2015 and 2016).
+_SESSIONS = 23
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av bench passes`."""
+    add_setup_argument(parser, default="spacejustin")
+    parser.add_argument(
+        "--sessions",
+        type=int,
+        default=_SESSIONS,
+        metavar="N",
+        help=f"how many, each with a seed of its own (default {_SESSIONS})",
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=480.0, metavar="S", help="of virtual time (default 480)"
+    )
+    add_radio_argument(parser, default="iss-pass")
+    parser.add_argument("--first-seed", type=int, default=1, metavar="N", help="(default 1)")
+    parser.add_argument(
+        "--jobs", type=int, default=2, metavar="N", help="sessions at a time (default 2)"
+    )
+    parser.add_argument(
+        "--no-media", action="store_true", help="haptics and telecommands alone: much faster"
+    )
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FILE",
+        help="keep the figures as JSON, after each session; sessions that are in it are not run",
+    )
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run what is missing, and print the table; 1 if a pass was not usable."""
+    setup = _checked(args)
+    plan = Plan(
+        setup=args.setup,
+        seconds=args.seconds,
+        radio=args.radio,
+        media=not args.no_media,
+        content=_content(setup),
+    )
+    sessions = _kept(args.report, plan)
+    seeds = range(args.first_seed, args.first_seed + args.sessions)
+    missing = [seed for seed in seeds if seed not in sessions]
+    console = open_console(args, width=150)
+    if len(missing) < len(seeds):
+        console.print(f"{len(seeds) - len(missing)} of {len(seeds)} are in {args.report}")
+    ended_early = False
+    try:
+        with ended_alike(), closing(run_sessions(plan, missing, jobs=args.jobs)) as runs:
+            for seed, report in runs:
+                sessions[seed] = _figures(report, setup)
+                _keep(args.report, plan, sessions)
+                said = ", ".join(faults(sessions[seed])) or "usable"
+                took = f" after {report['wall_s']:.0f} s" if "wall_s" in report else ""
+                console.print(f"seed {seed}: {said}{took}", highlight=False)
+    except KeyboardInterrupt:
+        ended_early = True
+    wanted = {seed: sessions[seed] for seed in seeds if seed in sessions}
+    if not wanted:
+        console.print("ended before the first session was over")
+        return 1
+    title = _title(args, ended_early, len(wanted))
+    console.print(_table(title, wanted))
+    console.print(summary(wanted), highlight=False)
+    for seed, figures in wanted.items():
+        for failure in [*figures.get("failures", ()), *filter(None, [figures.get("error")])]:
+            console.print(f"seed {seed}: {failure}", markup=False, highlight=False)
+    if args.markdown is not None:
+        args.markdown.write_text(markdown(wanted, title), encoding="utf-8")
+    return 1 if ended_early or any(map(faults, wanted.values())) else 0
+
+
+def _checked(args: argparse.Namespace) -> Setup:
+    if not 1 <= args.sessions <= 1000:
+        raise ConfigError(f"--sessions {args.sessions}: give 1 to 1000")
+    if not 1 <= args.seconds <= 100_000:
+        raise ConfigError(f"--seconds {args.seconds:g}: give 1 to 100000")
+    if not 1 <= args.jobs <= 64:
+        raise ConfigError(f"--jobs {args.jobs}: give 1 to 64")
+    check_writable(args.report)
+    if args.markdown is not None:
+        try:
+            check_writable(args.markdown)
+        except ConfigError as error:
+            raise ConfigError(str(error).replace("--report", "--markdown", 1)) from None
+    return replace(load_setup(args.setup), radio=args.radio, radio_delay_ms=0.0)
+
+
+def _content(setup: Setup) -> str:
+    """A digest of what the names of a setup and a radio stand for: their files may be changed."""
+    radio = setup.radio_profile
+    digest = sha256(repr((setup, radio)).encode())
+    if radio.contact is not None:
+        digest.update(radio.contact.elements.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _figures(report: dict[str, Any], setup: Setup) -> Figures:
+    if "error" in report:
+        return report
+    figures = pass_figures(report, start_s=setup.radio_profile.start_s)
+    return {**figures, "wall_s": report["wall_s"]}
+
+
+def _kept(path: Path | None, plan: Plan) -> dict[int, Figures]:
+    """The sessions that an earlier run has left; those that crashed are run again."""
+    if path is None or not path.is_file() or not path.stat().st_size:
+        return {}
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        before, sessions = Plan(**kept["plan"]), kept["sessions"]
+        found = {int(seed): figures for seed, figures in sessions.items()}
+        # What cannot be shown is of another version, or none of ours.
+        list(table_rows(found))
+        summary(found)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise ConfigError(
+            f"--report {path}: is no report of this version's `bench passes`; name another file"
+        ) from None
+    if before != plan:
+        if replace(before, content=plan.content) == plan:
+            raise ConfigError(
+                f"--report {path}: its sessions have other values in {plan.setup} or {plan.radio}; "
+                "name another file"
+            )
+        differ = next(
+            f"{name.replace('media', 'media streams')} {value}"
+            for name, value in asdict(before).items()
+            if value != getattr(plan, name)
+        )
+        raise ConfigError(f"--report {path}: its sessions have {differ}; name another file")
+    return {seed: figures for seed, figures in found.items() if "error" not in figures}
+
+
+def _keep(path: Path | None, plan: Plan, sessions: dict[int, Figures]) -> None:
+    if path is not None:
+        ordered = {str(seed): sessions[seed] for seed in sorted(sessions)}
+        write_report(path, {"plan": asdict(plan), "sessions": ordered})
+
+
+def _title(args: argparse.Namespace, ended_early: bool, count: int) -> str:
+    media = " without media" if args.no_media else ""
+    early = f", ended early after {count} of {args.sessions}" if ended_early else ""
+    return (
+        f"{count} sessions of {args.setup}{media}, {args.seconds:g} s each, radio {args.radio}, "
+        f"on virtual time{early}; latencies in ms"
+    )
+
+
+def _table(title: str, sessions: dict[int, Figures]) -> Table:
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for heading in HEADINGS:
+        table.add_column(heading, justify="left" if heading == "verdict" else "right")
+    for row in table_rows(sessions):
+        table.add_row(*row)
+    return table

@@ -1,0 +1,257 @@
+"""`kontur-av bench video`: pictures through a thin channel, beside GStreamer's.
+
+Each contender is two commands as a user types them, sender and receiver, with real sockets. One
+process films: it writes the clip's pictures into a FIFO, each at its exact instant with its
+number drawn into it. One is the channel: a FIFO of a fixed rate, in which RTP headers and RTCP
+count, and which drops nothing; what a receiver answers goes back at once. One watches: it takes
+full-size pictures out of a second FIFO and reads their numbers. So a latency runs from the instant
+of capture, through the pipe to the sender, coding, channel, decoding and scaling, to the last octet
+of the picture in the watching process. Both pipes are the same for all. PSNR and SSIM are of the
+luma, against the captured picture of the same number, without the 16 rows that hold the numbers.
+The first second does not count, except against the cap.
+"""
+
+import argparse
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+from rich.table import Table
+
+from kontur_av.errors import ConfigError
+from kontur_av.media import parse_size
+from pipelines.bench.console import open_console
+from pipelines.bench.plot import check_plot, plot_distributions
+from pipelines.bench.video.clips import FOOTAGE, SCENE, Clip, clips
+from pipelines.bench.video.contenders import CONTENDERS, ContenderError, missing
+from pipelines.bench.video.figures import Figures
+from pipelines.bench.video.marks import NUMBERS, check_width
+from pipelines.bench.video.run import Terms, measure
+from pipelines.bench.video.targets import NARROW, WIDE, Verdict, judge
+from pipelines.report.report_file import check_writable, write_report
+
+_WIDE_KBPS = (512.0, 530.0)
+_FPS = 30
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av bench video`."""
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, metavar="S", help="of each run (default 20)"
+    )
+    parser.add_argument(
+        "--cap-kbps", type=float, default=85.0, metavar="K", help="default 85", dest="cap_kbps"
+    )
+    parser.add_argument("--channel-kbps", type=float, default=88.0, metavar="C", help="default 88")
+    parser.add_argument("--wide", action="store_true", help="then the same at 512 in 530 kbit/s")
+    parser.add_argument(
+        "--clip", type=Path, action="append", default=[], metavar="FILE", help="film this, too"
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help=f"of a clip ({', '.join((*FOOTAGE, SCENE))}, a file's) or of a contender "
+        f"({', '.join(CONTENDERS)}); may be given several times",
+    )
+    parser.add_argument("--size", default="640x480", metavar="WxH", help="default 640x480")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the latencies as a PNG")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure, and print each table as soon as it is known; 1 if somebody could not be measured."""
+    width, height, terms = _checked(args)
+    # Its threads would not survive the forks, and one is enough.
+    cv2.setNumThreads(1)
+    console = open_console(args)
+
+    def say(line: str) -> None:
+        """A line as it is, however long."""
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+    count = round((args.seconds + terms[0].settle_s) * _FPS)
+    names = set(args.only)
+    contenders = _contenders(names & set(CONTENDERS), say)
+    chosen = names - set(CONTENDERS)
+    figures: dict[str, Any] = {}
+    panels: dict[str, dict[str, list[float]]] = {}
+    failed = False
+    found = [
+        (name, make)
+        for name, make in clips(args.clip, width, height, _FPS, count, say)
+        if not chosen or name in chosen
+    ]
+    for name, make in found:
+        clip = make()
+        for these in terms:
+            measured = _measured(contenders, clip, these, say)
+            failed |= len(measured) < len(contenders)
+            told = {who: result for who, (result, _) in measured.items()}
+            rate = f"{these.cap_kbps:g} kbit/s through {these.channel_kbps:g}"
+            console.print(_table(f"{name}, {rate}", told))
+            for who, result in told.items():
+                for note in _notes(who, result):
+                    say(note)
+            verdicts = judge(told, WIDE if these is not terms[0] else NARROW, these.cap_kbps)
+            if verdicts:
+                console.print(_verdicts(f"{name}, {rate}: kontur-av against its targets", verdicts))
+            figures.setdefault(rate, {})[name] = {
+                who: asdict(result) | {"latencies_ms": latencies}
+                for who, (result, latencies) in measured.items()
+            } | {"targets": [asdict(verdict) for verdict in verdicts]}
+            if args.report is not None:
+                # Each time, because a run is long and may be ended early.
+                write_report(args.report, _plain(figures))
+            panels[f"{name}, {rate}: capture to displayed"] = {
+                who: latencies for who, (_, latencies) in measured.items()
+            }
+            if args.plot is not None:
+                plot_distributions(args.plot, panels, unit="ms")
+    return 1 if failed else 0
+
+
+def _checked(args: argparse.Namespace) -> tuple[int, int, list[Terms]]:
+    width, height = parse_size(args.size)
+    if not check_width(width):
+        raise ConfigError(f"--size {args.size}: too narrow for the number drawn into each picture")
+    most_s = NUMBERS // _FPS - 1
+    if not 1 <= args.seconds <= most_s:
+        raise ConfigError(f"--seconds {args.seconds:g}: give 1 to {most_s}")
+    if not 10 <= args.cap_kbps <= 10_000:
+        raise ConfigError(f"--cap-kbps {args.cap_kbps:g}: give 10 to 10000")
+    if not args.cap_kbps <= args.channel_kbps <= 20_000:
+        raise ConfigError(
+            f"--channel-kbps {args.channel_kbps:g}: give the cap of {args.cap_kbps:g} or more"
+        )
+    for path in args.clip:
+        if not path.is_file():
+            raise ConfigError(f"--clip {path}: there is no such file")
+    known = {*CONTENDERS, *FOOTAGE, SCENE, *(path.stem for path in args.clip)}
+    for name in args.only:
+        if name not in known:
+            raise ConfigError(f"--only {name}: choose of {', '.join(sorted(known))}")
+    check_writable(args.report)
+    check_plot(args.plot)
+    terms = [Terms(fps=_FPS, cap_kbps=args.cap_kbps, channel_kbps=args.channel_kbps)]
+    if args.wide:
+        terms.append(Terms(fps=_FPS, cap_kbps=_WIDE_KBPS[0], channel_kbps=_WIDE_KBPS[1]))
+    return width, height, terms
+
+
+def _contenders(chosen: set[str], say: Callable[[str], None]) -> list[str]:
+    here = []
+    for name in CONTENDERS:
+        if chosen and name not in chosen:
+            continue
+        reason = missing(name)
+        if reason is None:
+            here.append(name)
+        else:
+            say(f"{name}: skipped; {reason}")
+    return here
+
+
+def _measured(
+    contenders: Sequence[str], clip: Clip, terms: Terms, say: Callable[[str], None]
+) -> dict[str, tuple[Figures, list[float]]]:
+    """Those that could be measured, in turn."""
+    found = {}
+    for name in contenders:
+        try:
+            found[name] = measure(name, clip, terms)
+        except ContenderError as error:
+            say(f"{name} on {clip.name}: {error}")
+    return found
+
+
+#: What a row is about, and its words from the figures.
+_ROWS: tuple[tuple[str, Callable[[Figures], str]], ...] = (
+    *(
+        (f"capture to displayed, {key}, ms", lambda found, key=key: f"{found.latency_ms[key]:.1f}")
+        for key in ("p50", "p95", "p99", "max")
+    ),
+    ("PSNR, mean, dB", lambda found: f"{found.psnr_db.mean:.2f}"),
+    ("PSNR, worst 5 %, dB", lambda found: f"{found.psnr_db.worst:.2f}"),
+    ("SSIM, mean", lambda found: f"{found.ssim.mean:.3f}"),
+    ("SSIM, worst 5 %", lambda found: f"{found.ssim.worst:.3f}"),
+    ("displayed pictures a second", lambda found: f"{found.per_second:.1f}"),
+    ("longest gap, ms", lambda found: f"{found.longest_gap_ms:.0f}"),
+    ("largest 1 s of payload, kbit/s", lambda found: _kbps(found.payload_1s_bps)),
+    ("largest 1 s with RTP headers", lambda found: _kbps(found.rtp_1s_bps)),
+    ("largest 0.1 s of payload", lambda found: _kbps(found.payload_100ms_bps)),
+    ("largest 0.1 s with RTP headers", lambda found: _kbps(found.rtp_100ms_bps)),
+    ("CPU of the sender, s", lambda found: f"{found.sender_cpu_s:.2f}"),
+    ("CPU of the receiver, s", lambda found: f"{found.receiver_cpu_s:.2f}"),
+)
+
+
+def _kbps(rate_bps: float) -> str:
+    return f"{rate_bps / 1000:.1f}"
+
+
+def _table(title: str, measured: Mapping[str, Figures]) -> Table:
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for name in measured:
+        table.add_column(name, justify="right")
+    for heading, value in _ROWS:
+        table.add_row(heading, *(value(found) for found in measured.values()))
+    return table
+
+
+def _notes(name: str, found: Figures) -> list[str]:
+    """What the figures of this run have to be taken with."""
+    notes = []
+    if found.guessed or found.unreadable:
+        notes.append(
+            f"{name}: {found.guessed} numbers known by their neighbours only, "
+            f"{found.unreadable} not at all"
+        )
+    if found.left_out_by_camera:
+        notes.append(
+            f"{name}: {found.left_out_by_camera} pictures left out by the camera, "
+            "because the sender had not taken those before"
+        )
+    if found.others_cores > 0.1:
+        notes.append(
+            f"{name}: other programs took {found.others_cores:.1f} cores meanwhile: "
+            "latencies and rates of a machine without them are better"
+        )
+    if not found.realtime or found.camera_latest_us > 1000 or found.channel_late_us["p99"] > 500:
+        notes.append(
+            f"{name}: this machine was busy: camera up to {found.camera_latest_us / 1000:.1f} ms "
+            f"late, channel {found.channel_late_us['p99'] / 1000:.2f} ms at p99"
+            + ("" if found.realtime else ", without real-time priority")
+        )
+    return notes
+
+
+def _verdicts(title: str, verdicts: Sequence[Verdict]) -> Table:
+    table = Table(title=title, title_justify="left")
+    for heading in ("", "target", "found", "against", ""):
+        table.add_column(heading, justify="left" if not heading else "right")
+    for verdict in verdicts:
+        table.add_row(
+            verdict.what,
+            verdict.target,
+            verdict.found,
+            verdict.against,
+            "met" if verdict.met else "[red]missed[/red]",
+        )
+    return table
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no NaN and no infinity."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return round(value, 4) if math.isfinite(value) else None
+    return value

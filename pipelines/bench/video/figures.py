@@ -1,0 +1,110 @@
+"""From what was seen and carried to figures. A core."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.meters import RateMeter
+from pipelines.bench.video.quality import Quality
+
+_WINDOWS_NS = (NS_PER_S, 100 * NS_PER_MS)
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What the screen showed of the numbers that count.
+
+    latency_ms: of each picture shown, in the order of their coming: capture to shown.
+    per_second: pictures shown, over the time of those captured.
+    longest_gap_ms: the longest time without a new picture.
+    """
+
+    latency_ms: list[float]
+    per_second: float
+    longest_gap_ms: float
+
+
+def shown(
+    captured_ns: NDArray[np.int64], shown_ns: Mapping[int, int], *, first: int, fps: int
+) -> Shown:
+    """The figures of the numbers from `first` on.
+
+    captured_ns: by number, 0 for none. shown_ns: by number, for those that were shown.
+    """
+    counted = {number: at for number, at in shown_ns.items() if number >= first}
+    latency_ms = [(at - int(captured_ns[number])) / NS_PER_MS for number, at in counted.items()]
+    # From the picture before the first that counts, to the end of the last one's time.
+    before = [at for number, at in shown_ns.items() if number < first]
+    begin_ns = max(before) if before else int(captured_ns[first:].max(initial=0))
+    instants = sorted([*counted.values(), begin_ns, int(captured_ns.max()) + NS_PER_S // fps])
+    longest_ns = max(b - a for a, b in pairwise(instants))
+    return Shown(
+        latency_ms,
+        len(counted) * fps / (len(captured_ns) - first),
+        longest_ns / NS_PER_MS if counted else math.inf,
+    )
+
+
+def percentiles(values: Sequence[float]) -> dict[str, float]:
+    """p50, p95, p99 and max, exact ones by nearest rank; NaN without values."""
+    ordered = sorted(values)
+    if not ordered:
+        return dict.fromkeys(("p50", "p95", "p99", "max"), math.nan)
+    rank = {f"p{p}": -(-len(ordered) * p // 100) - 1 for p in (50, 95, 99)}
+    return {**{name: ordered[at] for name, at in rank.items()}, "max": ordered[-1]}
+
+
+def largest_bps(came_ns: Sequence[int], octets: Sequence[int]) -> tuple[float, float]:
+    """The largest rate over any window of 1 s and of 100 ms."""
+    meter = RateMeter(_WINDOWS_NS)
+    latest_ns = 0
+    for instant_ns, size in zip(came_ns, octets, strict=True):
+        latest_ns = max(latest_ns, instant_ns)
+        meter.add(latest_ns, size)
+    return meter.max_bps(_WINDOWS_NS[0]), meter.max_bps(_WINDOWS_NS[1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figures:
+    """Of one contender on one clip. Rates in bit/s, as they came to the channel.
+
+    payload_*: RTP payload, rtp_*: with RTP headers: the largest windows of 1 s and of 100 ms.
+    rtcp_octets: of the sender's reports. answers: the receiver's datagrams to the sender.
+    *_cpu_s: of the whole life of the process, its start included.
+    guessed: pictures whose number stood between those of its neighbours, but could not be read by
+    itself; unreadable: that got no number at all.
+    camera_latest_us, channel_late_us: how late the bench itself was. realtime: whether all its
+    own processes had real-time priority. others_cores: what the rest of the machine took.
+    """
+
+    latency_ms: dict[str, float]
+    psnr_db: Quality
+    ssim: Quality
+    per_second: float
+    longest_gap_ms: float
+    payload_1s_bps: float
+    payload_100ms_bps: float
+    rtp_1s_bps: float
+    rtp_100ms_bps: float
+    rtcp_octets: int
+    answers: int
+    sender_cpu_s: float
+    receiver_cpu_s: float
+    guessed: int
+    unreadable: int
+    left_out_by_camera: int
+    camera_latest_us: float
+    channel_late_us: dict[str, float]
+    channel_longest_wait_ms: float
+    realtime: bool
+    others_cores: float
+
+    @property
+    def cpu_s(self) -> float:
+        """Of sender and receiver together."""
+        return self.sender_cpu_s + self.receiver_cpu_s

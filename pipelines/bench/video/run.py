@@ -1,0 +1,182 @@
+"""One contender on one clip: start all, film, watch, stop all, and look at what came out."""
+
+import os
+import resource
+import socket
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from kontur_av.errors import ConfigError
+from pipelines.bench.children import ended_alike
+from pipelines.bench.video.clips import Clip, shared_array
+from pipelines.bench.video.contenders import Course, started
+from pipelines.bench.video.ends import Carried, Filmed, Watched, carry, film_to, watch
+from pipelines.bench.video.figures import (
+    Figures,
+    largest_bps,
+    percentiles,
+    shown,
+)
+from pipelines.bench.video.marks import MARK_ROWS, read_all, read_number
+from pipelines.bench.video.quality import psnr_db, ssim, summarise
+
+_START_S = 30.0
+#: What is still on its way when the camera has ended gets this long to arrive.
+_REST_S = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Terms:
+    """The same for all. settle_s: so much of the beginning is filmed and does not count, except
+    against the cap."""
+
+    fps: int = 30
+    cap_kbps: float
+    channel_kbps: float
+    settle_s: int = 1
+
+
+def measure(name: str, clip: Clip, terms: Terms) -> tuple[Figures, list[float]]:
+    """The figures of contender `name`, and each latency in ms.
+
+    Raises ContenderFailed when it does not run, EndFailed when the bench itself does not.
+    """
+    _, rows, width = clip.pictures.shape
+    height = rows * 2 // 3
+    lumas = shared_array(len(clip.order), height, width)
+    meter = _Machine()
+    with ended_alike(), ExitStack() as stack:
+        directory = Path(stack.enter_context(TemporaryDirectory(prefix="kontur-av-bench-")))
+        entrance, exit_port = free_ports(), free_ports()
+        course = Course(
+            width=width,
+            height=height,
+            fps=terms.fps,
+            cap_kbps=terms.cap_kbps,
+            channel_kbps=terms.channel_kbps,
+            entrance=entrance,
+            exit=exit_port,
+            directory=directory,
+        )
+        channel = carry(course, round(terms.channel_kbps * 1000))
+        stack.callback(channel.close)
+        screen = watch(str(course.screen), lumas)
+        stack.callback(screen.close)
+        sender, receiver = stack.enter_context(started(name, course))
+        camera = film_to(clip, str(course.film), terms.fps, _START_S)
+        stack.callback(camera.close)
+        filmed: Filmed = camera.result(_START_S + 2 * len(clip.order) / terms.fps + 10)
+        time.sleep(_REST_S)
+        sender_cpu_s = sender.stop(0)
+        receiver_cpu_s = receiver.stop(0)
+        screen.end()
+        channel.end()
+        watched: Watched = screen.result(10)
+        carried: Carried = channel.result(10)
+    return _figures(
+        clip, terms, lumas, filmed, watched, carried, (sender_cpu_s, receiver_cpu_s), meter.others()
+    )
+
+
+def _figures(
+    clip: Clip,
+    terms: Terms,
+    lumas: NDArray[np.uint8],
+    filmed: Filmed,
+    watched: Watched,
+    carried: Carried,
+    cpu_s: tuple[float, float],
+    others_cores: float,
+) -> tuple[Figures, list[float]]:
+    first = terms.settle_s * terms.fps
+    numbers = _numbers(filmed, watched)
+    shown_ns = {
+        number: at
+        for number, at in zip(numbers, watched.shown_ns, strict=True)
+        if number is not None
+    }
+    seen = shown(filmed.captured_ns, shown_ns, first=first, fps=terms.fps)
+    compared = [
+        (lumas[index, MARK_ROWS:], clip.luma(number)[MARK_ROWS:])
+        for index, number in enumerate(numbers)
+        if number is not None and number >= first
+    ]
+    unreadable = sum(number is None for number in numbers)
+    payload_1s_bps, payload_100ms_bps = largest_bps(carried.came_ns, carried.payload_octets)
+    rtp_1s_bps, rtp_100ms_bps = largest_bps(carried.came_ns, carried.octets)
+    figures = Figures(
+        latency_ms=percentiles(seen.latency_ms),
+        psnr_db=summarise([psnr_db(*pair) for pair in compared]),
+        ssim=summarise([ssim(*pair) for pair in compared]),
+        per_second=seen.per_second,
+        longest_gap_ms=seen.longest_gap_ms,
+        payload_1s_bps=payload_1s_bps,
+        payload_100ms_bps=payload_100ms_bps,
+        rtp_1s_bps=rtp_1s_bps,
+        rtp_100ms_bps=rtp_100ms_bps,
+        rtcp_octets=carried.control_octets,
+        answers=carried.returned,
+        sender_cpu_s=cpu_s[0],
+        receiver_cpu_s=cpu_s[1],
+        guessed=sum(read_number(squares) is None for squares in watched.squares) - unreadable,
+        unreadable=unreadable,
+        left_out_by_camera=int((filmed.captured_ns == 0).sum()),
+        camera_latest_us=filmed.latest_ns / NS_PER_US,
+        channel_late_us=percentiles([late / NS_PER_US for late in carried.late_ns]),
+        channel_longest_wait_ms=carried.longest_wait_ns / NS_PER_MS,
+        realtime=filmed.realtime and watched.realtime and carried.realtime,
+        others_cores=others_cores,
+    )
+    return figures, seen.latency_ms
+
+
+def _numbers(filmed: Filmed, watched: Watched) -> list[int | None]:
+    """The number of each picture that came to the screen."""
+    captured = np.flatnonzero(filmed.captured_ns)
+    counts = np.searchsorted(filmed.captured_ns[captured], watched.shown_ns)
+    numbers = captured.tolist()
+    return read_all(watched.squares, [numbers[:count] for count in counts])
+
+
+class _Machine:
+    """What all other programs take of the machine's cores, since this was made."""
+
+    def __init__(self) -> None:
+        self._start = self._read()
+
+    def others(self) -> float:
+        """In cores; when all of this process's children have been waited for."""
+        start_ns, start_s = self._start
+        now_ns, now_s = self._read()
+        return max(now_s - start_s, 0.0) * NS_PER_S / (now_ns - start_ns)
+
+    @staticmethod
+    def _read() -> tuple[int, float]:
+        # proc(5): user, nice, system, idle, iowait, irq, softirq, steal, in ticks.
+        words = Path("/proc/stat").read_text().split(maxsplit=9)
+        user, nice, system, _, _, irq, soft, steal = (int(word) for word in words[1:9])
+        busy_s = (user + nice + system + irq + soft + steal) / os.sysconf("SC_CLK_TCK")
+        used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+        return time.monotonic_ns(), busy_s - sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def free_ports() -> int:
+    """A UDP port of the loopback that is free, as is the next one."""
+    for _ in range(100):
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as first,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second,
+        ):
+            first.bind(("127.0.0.1", 0))
+            port: int = first.getsockname()[1]
+            with suppress(OSError, OverflowError):
+                second.bind(("127.0.0.1", port + 1))
+                return port
+    raise ConfigError("no two neighbouring UDP ports of the loopback are free: end what uses them")

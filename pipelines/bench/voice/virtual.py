@@ -1,0 +1,149 @@
+"""This project's voice over a network that loses packets, on virtual time: it repeats exactly."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kontur_av.clock import NS_PER_S, ManualClock
+from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
+from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, CaptureStamp, Pcm
+from kontur_av.sources.source import BLOCK_NS
+from kontur_av.streams.voice_player import VoicePlayer
+from pipelines.bench.voice.network import Network
+from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track
+from pipelines.cores.receiving import VoiceReceiving
+from pipelines.cores.sending import RtpIdentity, VoiceSending
+from pipelines.runtime.probe import Probe
+from pipelines.setup.table import Setup, VoiceStream
+from pipelines.simulation.costs import CodingCosts
+
+
+@dataclass
+class Heard:
+    """What came out at the ear.
+
+    samples: int16 at 48 kHz, silence where nothing was given. lag_samples: by how much they lie
+    behind the track. mouth_to_ear_ns: of each block that was decoded. made_up_ns: what was
+    concealed or inserted; None: not known. payload_octets: of all packets sent.
+    """
+
+    samples: Pcm
+    lag_samples: int
+    mouth_to_ear_ns: list[int] = field(default_factory=list)
+    made_up_ns: int | None = None
+    packets: int = 0
+    payload_octets: int = 0
+    lost: int = 0
+
+
+#: Of a packet: (instant of sending, the RTP packet, a sender report or None).
+Sent = tuple[int, bytes, bytes | None]
+
+
+def speak(
+    setup: Setup, stream: VoiceStream, track: Track, costs: CodingCosts | None = None
+) -> list[Sent]:
+    """The packets of the track, from the session's own cores."""
+    costs = costs or CodingCosts()
+    sent: list[Sent] = []
+    encoder = OpusEncoder(bitrate_bps=bitrate_under_cap(stream.cap_bps))
+    identity = RtpIdentity(ssrc=0x6B6F6E74, first_sequence=65_000, timestamp_offset=1 << 31)
+    sending = VoiceSending(stream, setup.profile_of(stream), identity, Probe(None))
+    ntp = ManualClock().ntp
+    for number in range(track.blocks):
+        samples = track.samples[number * BLOCK_SAMPLES : (number + 1) * BLOCK_SAMPLES]
+        stamp = CaptureStamp(number * BLOCK_NS, number, "bench")
+        complete_ns = stamp.capture_ns + BLOCK_NS
+        if not sending.handle_block(stamp, complete_ns):
+            continue
+        encoded_ns = complete_ns + costs.ns("voice_encode")
+        sending.handle_packet(encoder.encode(samples), stamp, encoded_ns)
+        # The pacer of a voice holds nothing back that comes in step.
+        while (packet := sending.poll_transmit(encoded_ns)) is not None:
+            sent.append((encoded_ns, packet, sending.poll_report(encoded_ns, ntp)))
+    return sent
+
+
+def listen(
+    setup: Setup,
+    stream: VoiceStream,
+    sent: Sequence[Sent],
+    network: Network,
+    costs: CodingCosts | None = None,
+) -> Heard:
+    """What is heard of `sent` behind the network, with the session's own cores."""
+    costs = costs or CodingCosts()
+    receiving = VoiceReceiving(setup, stream, ManualClock().from_ntp, Probe(None))
+    ear = _Ear(receiving, costs.ns("voice_decode"))
+    lost = network.lost(len(sent), spared=LEAD_IN_BLOCKS)
+    delays_ns = network.delays_ns(len(sent))
+    heard = Heard(np.zeros(0, np.int16), 0, lost=len(lost))
+    arrivals: list[Sent] = []
+    for number, (sent_ns, packet, report) in enumerate(sent):
+        heard.packets += 1
+        heard.payload_octets += len(packet) - 12
+        if number not in lost:
+            arrivals.append((sent_ns + delays_ns[number], packet, report))
+    arrivals.sort(key=lambda arrival: arrival[0])
+    for arrival_ns, packet, report in arrivals:
+        ear.handle_time(arrival_ns)
+        if report is not None:
+            receiving.handle_report(report, arrival_ns)
+        receiving.handle_packet(packet, arrival_ns)
+        ear.handle_time(arrival_ns)
+    ear.handle_time(arrivals[-1][0] + NS_PER_S)
+    ear.fill(heard)
+    return heard
+
+
+class _Ear:
+    """Plays what is due, and keeps what was heard and when."""
+
+    def __init__(self, receiving: VoiceReceiving, cost_ns: int) -> None:
+        self._receiving = receiving
+        self._cost_ns = cost_ns
+        self._player = VoicePlayer()
+        self._pieces: list[tuple[int, Pcm]] = []
+        self._mouth_to_ear_ns: list[int] = []
+        self._made_up = 0
+
+    def handle_time(self, now_ns: int) -> None:
+        receiving = self._receiving
+        while (due_ns := receiving.poll_timeout()) is not None and due_ns <= now_ns:
+            receiving.handle_timeout(due_ns)
+            self._drain()
+        self._drain()
+
+    def _drain(self) -> None:
+        while (block := self._receiving.next_event()) is not None:
+            samples, decoded = self._player.play(block)
+            heard_ns = block.play_ns + self._cost_ns
+            self._pieces.append((heard_ns, samples))
+            capture_ns = self._receiving.capture_ns(block.timestamp)
+            if not decoded:
+                self._made_up += len(samples)
+            elif capture_ns is not None:
+                self._mouth_to_ear_ns.append(heard_ns - capture_ns)
+
+    def fill(self, heard: Heard) -> None:
+        """Lay what was heard on one line of time, which begins with the track."""
+        length = _samples(self._pieces[-1][0]) + len(self._pieces[-1][1])
+        line = np.zeros(length, np.int16)
+        at = 0
+        for instant_ns, samples in self._pieces:
+            # Gapless to the sample, whatever the instants were rounded to.
+            if abs(_samples(instant_ns) - at) > 2:
+                at = _samples(instant_ns)
+            part = samples[: length - at]
+            line[at : at + len(part)] = part
+            at += len(part)
+        heard.samples = line
+        heard.mouth_to_ear_ns = self._mouth_to_ear_ns
+        heard.made_up_ns = self._made_up * NS_PER_S // AUDIO_CLOCK_HZ
+        middle = sorted(heard.mouth_to_ear_ns)[len(heard.mouth_to_ear_ns) // 2]
+        heard.lag_samples = _samples(middle)
+
+
+def _samples(duration_ns: int) -> int:
+    return duration_ns * AUDIO_CLOCK_HZ // NS_PER_S

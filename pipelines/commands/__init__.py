@@ -1,0 +1,1 @@
+"""The subcommands of kontur-av, one module each."""

@@ -1,0 +1,218 @@
+"""`kontur-av link`: the radio link alone, for any programs; both ends of it, or one."""
+
+import argparse
+import ipaddress
+import shutil
+import socket
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from kontur_av.clock import MonotonicClock
+from kontur_av.errors import ConfigError
+from pipelines.commands.common import output_that_may_fail, parse_address, resolve
+from pipelines.commands.link_ports import bound_ports, port_table
+from pipelines.commands.session_options import (
+    add_radio_arguments,
+    add_setup_argument,
+    port_changes,
+    radio_changes,
+)
+from pipelines.parts.gateway import run_gateway
+from pipelines.report.link_report import LinkView, build_link_report, process_of, summary_lines
+from pipelines.report.report_file import check_writable, write_report
+from pipelines.runtime.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
+from pipelines.runtime.launcher import Launcher, hold_port, launcher_cpu_s
+from pipelines.runtime.process import LOOP_PRIORITY, LOOPBACK, Part, Segment, Stage
+from pipelines.setup.setup_file import load_setup
+from pipelines.setup.table import Setup
+
+_ANY = "0.0.0.0"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av link`."""
+    add_setup_argument(parser)
+    add_radio_arguments(parser, delay=False)
+    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
+    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
+    parser.add_argument(
+        "--end", choices=[segment.value for segment in Segment], help="run this end alone"
+    )
+    parser.add_argument("--peer", metavar="HOST:PORT", help="with --end: the other's radio port")
+    parser.add_argument("--bind", metavar="ADDRESS", help="with --end: where the radio port is")
+    parser.add_argument("--apps", metavar="HOST", help="where the programs run, if not here")
+    parser.add_argument(
+        "--apps-bind", metavar="ADDRESS", help="this machine's address that they send to"
+    )
+    parser.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the link until it is told to end; 1 if its report names a failure."""
+    setup = replace(load_setup(args.setup), **radio_changes(args), **port_changes(args))
+    if args.seconds is not None and not 0 < args.seconds < 1e9:
+        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    ends = list(Segment) if args.end is None else [Segment(args.end)]
+    addresses = chosen_addresses(args, setup)
+    check_writable(args.report)
+    held = [hold_link_ports(setup, end, addresses) for end in ends]
+    screen = _Screen(LinkView(setup, ends), quiet=args.quiet)
+    screen.show_lines(port_table(setup, ends, addresses))
+    launcher = Launcher(
+        session="link",
+        setup=setup,
+        parts=link_parts(ends, addresses),
+        clock=MonotonicClock(),
+        seed=args.seed,
+        show=screen.show,
+    )
+    launcher.run(args.seconds)
+    for udp in held:
+        udp.close()
+    report = build_link_report(
+        setup,
+        launcher.collector,
+        ends,
+        seconds=launcher.seconds,
+        seed=args.seed,
+        cpu_s=launcher.cpu_s(),
+        restarts={child.part.name: child.restarts for child in launcher.children},
+        launcher_cpu_s=launcher_cpu_s(),
+    )
+    if args.report is not None:
+        write_report(args.report, report)
+    screen.show_lines(summary_lines(report))
+    return 1 if report["failures"] else 0
+
+
+def link_parts(ends: Sequence[Segment], addresses: EndAddresses) -> list[Part]:
+    """The processes of the link: a gateway an end, and nothing else."""
+    return [
+        Part(
+            process_of(end),
+            Stage.LINK,
+            partial(run_gateway, segment=end, addresses=addresses, tell_backlog=False),
+            LOOP_PRIORITY,
+        )
+        for end in ends
+    ]
+
+
+def chosen_addresses(args: argparse.Namespace, setup: Setup) -> EndAddresses:
+    """Where the ends stand, as the options say; ConfigError if that cannot work."""
+    apps, apps_bind = _apps(args)
+    if args.end is None:
+        for option in ("peer", "bind"):
+            if getattr(args, option) is not None:
+                raise ConfigError(
+                    f"--{option} is for one end alone: add --end ground or --end space"
+                )
+        return EndAddresses(apps=apps, apps_bind=apps_bind)
+    ground = args.end == Segment.GROUND.value
+    radio, other = setup.ports.ground_radio, setup.ports.space_radio
+    if not ground:
+        radio, other = other, radio
+    if args.peer is None:
+        raise ConfigError(
+            f"--end {args.end} needs --peer HOST:PORT, the other end's radio port "
+            f"({other} if it has the same base port)"
+        )
+    peer = parse_address(args.peer, "--peer", socket.AF_INET)
+    bind = _bound_address("--bind", args.bind, peer, "--peer", args.peer)
+    own = bind == peer[0] or (bind == _ANY and reaches(peer) == peer[0])
+    if own and peer[1] == radio:
+        raise ConfigError(f"--peer {args.peer} is this end itself: the other has port {other}")
+    return EndAddresses(bind=bind, peer=peer, apps=apps, apps_bind=apps_bind)
+
+
+def _apps(args: argparse.Namespace) -> tuple[str, str]:
+    if args.apps is None:
+        if args.apps_bind is not None:
+            raise ConfigError("--apps-bind goes with --apps HOST, the machine of the programs")
+        return LOOPBACK, LOOPBACK
+    apps = resolve(args.apps, args.apps, "--apps", socket.AF_INET)
+    return apps, _bound_address("--apps-bind", args.apps_bind, (apps, 9), "--apps", args.apps)
+
+
+def _bound_address(
+    option: str, given: str | None, other: Address, other_option: str, text: str
+) -> str:
+    """The local address in `option`; where it is missing, loopback if that reaches `other`.
+
+    other, other_option, text: the address to be reached from there, and how the user gave it.
+    """
+    host = ipaddress.IPv4Address(other[0])
+    if host.is_unspecified or host.is_multicast:
+        raise ConfigError(f"{other_option} {text}: give the address of one machine")
+    if given is not None:
+        try:
+            bind = str(ipaddress.IPv4Address(given))
+        except ValueError:
+            raise ConfigError(
+                f"{option} {given!r}: write an IPv4 address of this machine, or 0.0.0.0 for all"
+            ) from None
+        why = obstacle(bind, other)
+        if why is not None:
+            own = reaches(other)
+            mend = "" if own is None else f"; use {option} {own}"
+            raise ConfigError(
+                f"{other_option} {text} cannot be reached from {option} {bind}: {why}{mend}"
+            )
+        return bind
+    if is_loopback(other[0]):
+        return LOOPBACK
+    own = reaches(other)
+    if own is None:
+        raise ConfigError(f"{text} cannot be reached from here: check address and network")
+    raise ConfigError(
+        f"{text} is another machine, and {option} is missing: "
+        f"add {option} {own}, the address by which this one is reached from there"
+    )
+
+
+def hold_link_ports(setup: Setup, end: Segment, addresses: EndAddresses) -> socket.socket:
+    """ConfigError when a port that the end needs is taken.
+
+    One port is held as long as the socket is: of two that are started at the same moment, only
+    one gets it.
+    """
+    ports = setup.ports
+    held = hold_port(ports.launcher + (end is Segment.SPACE), addresses.bind)
+    radio = {ports.ground_radio, ports.space_radio}
+    for port in bound_ports(setup, end):
+        hold_port(port, addresses.bind if port in radio else addresses.apps_bind).close()
+    return held
+
+
+class _Screen:
+    """Standard output: on a terminal the lines of figures stay where they are."""
+
+    def __init__(self, view: LinkView, *, quiet: bool) -> None:
+        self._view = view
+        self._quiet = quiet
+        self._terminal = sys.stdout.isatty()
+        self._shown = 0
+
+    def show(self, launcher: Launcher) -> None:
+        """The present figures."""
+        if self._quiet:
+            return
+        lines = self._view.lines(launcher.collector, launcher.seconds)
+        if not self._terminal:
+            print("  ".join(lines), flush=True)
+            return
+        width = shutil.get_terminal_size().columns - 1
+        up = f"\x1b[{self._shown}A" if self._shown else ""
+        print(up + "".join(f"\x1b[K{line[:width]}\n" for line in lines), end="", flush=True)
+        self._shown = len(lines)
+
+    def show_lines(self, lines: Sequence[str]) -> None:
+        """Lines that stay."""
+        if self._quiet:
+            return
+        with output_that_may_fail():
+            print("\n".join(lines))

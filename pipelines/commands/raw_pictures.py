@@ -1,0 +1,140 @@
+"""Received pictures for any other program: YUV4MPEG2 into a file or a FIFO, as they come."""
+
+import errno
+import fcntl
+import os
+import stat
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from kontur_av.codecs.h264 import DecodedPicture
+from kontur_av.errors import ConfigError
+from kontur_av.sources.pipe import PIPE_OCTETS
+from kontur_av.sources.y4m import FRAME
+
+_FRAME_LINE = FRAME + b"\n"
+
+
+class RawPictures:
+    """Writes each picture as soon as it is decoded; a FIFO's reader never holds anything up.
+
+    path: a file, which is begun anew, or a FIFO. A FIFO may be without a reader and get one
+        at any time: each reader begins with a header and a whole picture. While one picture is
+        still being taken the newest one waits, and replaces what waited before.
+    size: width and height of what is written; the first picture's where it is None. Pictures
+        that were coded in another size are scaled to it.
+
+    Raises ConfigError when the file cannot be written.
+    """
+
+    def __init__(self, path: str, size: tuple[int, int] | None = None) -> None:
+        self.written = 0
+        #: Pictures that nobody took, or for which the reader was too slow.
+        self.dropped = 0
+        self.readers_gone = 0
+        #: Why no more can be written to the file, or nothing.
+        self.fault = ""
+        self._path = path
+        self._size = size
+        self._fd = -1
+        self._header_due = True
+        self._rest = memoryview(b"")
+        self._waiting: bytearray | None = None
+        try:
+            self._is_fifo = Path(path).exists() and stat.S_ISFIFO(Path(path).stat().st_mode)
+            if self._is_fifo:
+                if not os.access(path, os.W_OK):
+                    raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            else:
+                flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
+                self._fd = os.open(path, flags, 0o666)
+        except OSError as error:
+            raise ConfigError(f"--raw {path!r} cannot be written: {error.strerror}") from None
+
+    def handle_picture(self, picture: DecodedPicture) -> None:
+        """Write this picture, or as much of it as the reader takes at once."""
+        if self.fault or not self._ready():
+            self.dropped += 1
+            return
+        octets = self._octets(picture)
+        if self._rest:
+            self.dropped += self._waiting is not None
+            self._waiting = octets
+        else:
+            self._begin(octets)
+
+    def pending(self) -> int | None:
+        """The file descriptor that `handle_writable` waits for, None while nothing is begun."""
+        return self._fd if self._rest and self._is_fifo else None
+
+    def handle_writable(self) -> None:
+        """The reader takes more of what is begun."""
+        try:
+            # A file that has no room takes a part, and says why only when asked for more.
+            while self._rest:
+                self._rest = self._rest[os.write(self._fd, self._rest) :]
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self.dropped += 1 + (self._waiting is not None)
+            self._forget()
+            if self._is_fifo:
+                self.readers_gone += 1
+            else:
+                self.fault = f"--raw {self._path!r}: {error.strerror}"
+            return
+        self.written += 1
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            self._begin(waiting)
+
+    def close(self) -> None:
+        """Finish: what a reader has not taken by now is lost to it."""
+        self.dropped += bool(self._rest) + (self._waiting is not None)
+        self._forget()
+
+    def report(self) -> dict[str, int | str]:
+        """What became of the pictures."""
+        return {
+            "file": self._path,
+            "pictures": self.written,
+            "dropped": self.dropped,
+            "readers_gone": self.readers_gone,
+        }
+
+    def _forget(self) -> None:
+        self._rest, self._waiting, self._header_due = memoryview(b""), None, True
+        if self._fd >= 0:
+            os.close(self._fd)
+        self._fd = -1
+
+    def _ready(self) -> bool:
+        """Whether anybody is there to write to."""
+        if self._fd < 0:
+            # Without a reader the FIFO does not open (fifo(7)).
+            with suppress(OSError):
+                self._fd = os.open(self._path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+                # Where it is above the user's limit, the default only costs more wake-ups.
+                fcntl.fcntl(self._fd, fcntl.F_SETPIPE_SZ, PIPE_OCTETS)
+        return self._fd >= 0
+
+    def _begin(self, octets: bytearray) -> None:
+        self._rest = memoryview(octets)
+        self.handle_writable()
+
+    def _octets(self, picture: DecodedPicture) -> bytearray:
+        if self._size is None:
+            self._size = (picture.width, picture.height)
+        width, height = self._size
+        head = _FRAME_LINE
+        if self._header_due:
+            # Pictures come at no fixed rate: F0:0 says that it is unknown (yuv4mpeg(5)).
+            head = b"YUV4MPEG2 W%d H%d F0:0 Ip A1:1 C420mpeg2\n" % (width, height) + head
+            self._header_due = False
+        octets = bytearray(len(head) + width * height * 3 // 2)
+        octets[: len(head)] = head
+        into = np.frombuffer(octets, np.uint8, offset=len(head)).reshape(height * 3 // 2, width)
+        picture.scale_into(into)
+        return octets

@@ -1,0 +1,299 @@
+"""`kontur-av receive`: take one stream that an SDP describes, decode it, count, perhaps save."""
+
+import argparse
+import contextlib
+import ipaddress
+import json
+import selectors
+import socket
+import struct
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.errors import ConfigError
+from kontur_av.media import parse_size
+from kontur_av.meters import RateMeter
+from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.rtp.sdp import StreamDescription, parse_sdp
+from pipelines.commands.common import check_options, stopped_by_signals, write_text
+from pipelines.commands.raw_pictures import RawPictures
+from pipelines.commands.remux import MatroskaWriter
+from pipelines.commands.sinks import AudioSink, VideoSink
+
+_SILENCE_NS = 5 * NS_PER_S
+_SILENCE_AFTER_GOODBYE_NS = NS_PER_S
+_LONGEST_WAIT_NS = 200 * NS_PER_MS
+_RECEIVE_BUFFER_OCTETS = 1 << 20
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av receive`."""
+    parser.add_argument("--sdp", metavar="FILE", required=True, help="describes the stream")
+    parser.add_argument("--save", metavar="FILE.mkv", help="write the stream as it comes")
+    parser.add_argument(
+        "--raw",
+        metavar="PATH",
+        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
+    )
+    parser.add_argument(
+        "--size", metavar="WxH", help="of the pictures of --raw (default: that of the first one)"
+    )
+    parser.add_argument("--report", metavar="FILE", help="write a JSON report")
+    parser.add_argument(
+        "--seconds",
+        metavar="S",
+        type=float,
+        help="default: until Ctrl-C, or until a stream that had begun is silent for 5 s",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Receive until the time is over, the stream has ended or Ctrl-C. Exit code 0 or 1.
+
+    Raises ConfigError for what cannot work.
+    """
+    check_options(args)
+    stream = parse_sdp(_read_text(args.sdp))
+    with ExitStack() as stack:
+        sockets = stack.enter_context(open_sockets(stream))
+        if args.report:
+            write_text(args.report, "", "--report")
+        writer: MatroskaWriter | None = None
+        if args.save:
+            writer = MatroskaWriter(args.save)
+            stack.callback(writer.close)
+        raw = _open_raw(args, stream)
+        if raw is not None:
+            stack.callback(raw.close)
+        clock = MonotonicClock()
+        sink = VideoSink(stream, writer, raw) if stream.kind == "video" else AudioSink(writer)
+        report = _Shell(stream, sink, sockets, clock, raw).run(args.seconds)
+    if args.save:
+        report["saved"] = {"file": args.save, "packets": 0 if writer is None else writer.written}
+    if raw is not None:
+        report["raw"] = raw.report()
+        report["failed"] += [raw.fault] if raw.fault else []
+    if args.report:
+        write_text(args.report, json.dumps(report, indent=2) + "\n", "--report")
+    for failure in report["failed"]:
+        print(f"failed: {failure}", file=sys.stderr)
+    return 1 if report["failed"] else 0
+
+
+def _open_raw(args: argparse.Namespace, stream: StreamDescription) -> RawPictures | None:
+    size = None if args.size is None else parse_size(args.size)
+    if args.raw is None:
+        if size is not None:
+            raise ConfigError("--size is that of the pictures of --raw: give --raw PATH, too")
+        return None
+    if stream.kind != "video":
+        raise ConfigError("--raw writes pictures, but the SDP describes sound: leave it out")
+    return RawPictures(args.raw, size)
+
+
+def _read_text(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise ConfigError(f"--sdp {path!r} cannot be read: {error.strerror}") from None
+
+
+@contextmanager
+def open_sockets(stream: StreamDescription) -> Iterator[tuple[socket.socket, socket.socket]]:
+    """The bound UDP sockets for RTP and RTCP. ConfigError if a port is taken."""
+    with ExitStack() as stack:
+        rtp, rtcp = (
+            stack.enter_context(_bound(stream.host, port))
+            for port in (stream.port, stream.control_port)
+        )
+        yield rtp, rtcp
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    address = ipaddress.ip_address(host)
+    family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
+    udp = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_OCTETS)
+        udp.setblocking(False)
+        # The SDP may name another host's view of us: only a loopback address narrows the port.
+        udp.bind((host if address.is_loopback else "", port))
+        if address.is_multicast:
+            _join(udp, address)
+    except OSError as error:
+        udp.close()
+        raise ConfigError(
+            f"UDP port {port} cannot be opened ({error.strerror}): end the program that uses it, "
+            "or choose another port in the SDP"
+        ) from None
+    return udp
+
+
+def _join(udp: socket.socket, group: ipaddress.IPv4Address | ipaddress.IPv6Address) -> None:
+    if group.version == 4:
+        membership = group.packed + socket.inet_aton("0.0.0.0")
+        udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+    else:
+        membership = group.packed + struct.pack("@I", 0)
+        udp.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, membership)
+
+
+class _Shell:
+    """Drives sockets, receiver and sink in real time."""
+
+    def __init__(
+        self,
+        stream: StreamDescription,
+        sink: VideoSink | AudioSink,
+        sockets: tuple[socket.socket, socket.socket],
+        clock: MonotonicClock,
+        raw: RawPictures | None,
+    ) -> None:
+        self._raw = raw
+        self._watched: int | None = None
+        #: Where the stream's sender reports come from, and feedback goes to.
+        self._sender: Any = None
+        self._stream = stream
+        self._clock = clock
+        self._sink = sink
+        self._sockets = sockets
+        self._rate = RateMeter()
+        self._last_packet_ns: int | None = None
+        self._receiver = sink.receiver = RtpReceiver(
+            payload_type=stream.payload_type,
+            clock_rate_hz=stream.clock_rate_hz,
+            ordered=stream.kind == "video",
+            from_ntp=clock.from_ntp,
+        )
+
+    def run(self, seconds: float | None) -> dict[str, Any]:
+        """Receive until the end; the report."""
+        start_ns = self._clock.now_ns()
+        end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
+        next_line_ns = start_ns + NS_PER_S
+        print(f"waiting for {self._stream.kind} on UDP port {self._stream.port}", flush=True)
+        with stopped_by_signals() as stopped, selectors.DefaultSelector() as selector:
+            for udp in self._sockets:
+                selector.register(udp, selectors.EVENT_READ)
+            while not stopped():
+                now_ns = self._clock.now_ns()
+                if (end_ns is not None and now_ns >= end_ns) or self._has_ended(now_ns):
+                    break
+                if now_ns >= next_line_ns:
+                    next_line_ns += NS_PER_S
+                    self._line(now_ns - start_ns)
+                due = [self._receiver.poll_timeout(), self._sink.poll_timeout(), end_ns]
+                until_ns = min([next_line_ns, *(d for d in due if d is not None)])
+                wait_ns = min(max(until_ns - now_ns, 0), _LONGEST_WAIT_NS)
+                if self._raw is not None:
+                    self._watch(selector, self._raw.pending())
+                selector.select(wait_ns / NS_PER_S)
+                self._take_datagrams()
+                if self._raw is not None and self._raw.pending() is not None:
+                    self._raw.handle_writable()
+        return self._report(start_ns)
+
+    def _watch(self, selector: selectors.BaseSelector, wanted: int | None) -> None:
+        """Wake when the reader of raw pictures takes more of one that it has in part."""
+        if self._watched is not None:
+            # The descriptor may have been closed, or another one of its number opened.
+            with contextlib.suppress(KeyError, ValueError):
+                selector.unregister(self._watched)
+        if wanted is not None:
+            selector.register(wanted, selectors.EVENT_WRITE)
+        self._watched = wanted
+
+    def _has_ended(self, now_ns: int) -> bool:
+        if self._last_packet_ns is None:
+            return False
+        ended = self._receiver.ended
+        patience_ns = _SILENCE_AFTER_GOODBYE_NS if ended else _SILENCE_NS
+        return now_ns - self._last_packet_ns > patience_ns
+
+    def _take_datagrams(self) -> None:
+        rtp, rtcp = self._sockets
+        receiver = self._receiver
+        for datagram, source in _datagrams(rtcp):
+            if receiver.handle_report(datagram, self._clock.now_ns()):
+                self._sender = source
+        for datagram, _ in _datagrams(rtp):
+            receiver.handle_packet(datagram, self._clock.now_ns())
+            self._pass_on()
+        now_ns = self._clock.now_ns()
+        receiver.handle_timeout(now_ns)
+        self._pass_on()
+        self._sink.handle_timeout(now_ns)
+        feedback = self._sink.poll_feedback(now_ns)
+        if feedback is not None and self._sender is not None:
+            with contextlib.suppress(OSError):
+                rtcp.sendto(feedback, self._sender)
+
+    def _pass_on(self) -> None:
+        while (packet := self._receiver.next_event()) is not None:
+            # In the order of their sequence, packets may have come the other way round.
+            self._last_packet_ns = max(packet.received_ns, self._last_packet_ns or 0)
+            self._rate.add(self._last_packet_ns, len(packet.payload))
+            self._sink.handle_packet(packet, self._clock)
+
+    def _line(self, passed_ns: int) -> None:
+        counts = self._receiver.counts
+        latency = self._sink.decoded_ns
+        print(
+            f"{passed_ns / NS_PER_S:6.0f} s  {counts.received} packets, {counts.lost} lost, "
+            f"{self._sink.decoded} decoded, {self._rate.mean_bps() / 1000:.1f} kbit/s"
+            + (
+                f", latency {latency.percentile(95) / NS_PER_MS:.1f} ms (95 %)"
+                if latency.count
+                else ""
+            ),
+            flush=True,
+        )
+
+    def _report(self, start_ns: int) -> dict[str, Any]:
+        counts, rate, sink = self._receiver.counts, self._rate, self._sink
+        report: dict[str, Any] = {
+            "stream": self._stream.kind,
+            "seconds": (self._clock.now_ns() - start_ns) / NS_PER_S,
+            "seconds_of_stream": ((rate.last_ns or 0) - (rate.first_ns or 0)) / NS_PER_S,
+            "payload_bps_mean": rate.mean_bps(),
+            "payload_bps_max_1s": rate.max_bps(NS_PER_S),
+            "payload_bps_max_100ms": rate.max_bps(100 * NS_PER_MS),
+            "rtp_packets": counts.received,
+            "rtp_lost": counts.lost,
+            "rtp_reordered": counts.reordered,
+            "rtp_duplicates": counts.duplicates,
+            "rtp_late": counts.late,
+            "rtp_garbage": counts.garbage,
+            "rtp_restarts": max(counts.sources - 1, 0),
+            "rtcp_reports": counts.reports,
+            "jitter_ms": self._receiver.jitter_ns / NS_PER_MS,
+            **sink.report(),
+            "latency_ms": None,
+            "cpu_s": time.process_time(),
+        }
+        if sink.decoded_ns.count:
+            report["latency_ms"] = {
+                **sink.decoded_ns.summary_ms(),
+                "stages": {"capture_to_received": sink.received_ns.summary_ms()},
+                "clock": "the wall clocks of both hosts",
+            }
+        failed = []
+        if not counts.received:
+            failed.append(f"no packet came to UDP port {self._stream.port}: is the sender running?")
+        elif not sink.decoded:
+            failed.append(f"{counts.received} packets came, but nothing could be decoded")
+        report["failed"] = failed
+        return report
+
+
+def _datagrams(udp: socket.socket) -> Iterator[tuple[bytes, Any]]:
+    """What lies in the socket now and where it came from, at most 256 datagrams, so that time is
+    looked at again."""
+    with contextlib.suppress(BlockingIOError):
+        for _ in range(256):
+            yield udp.recvfrom(65_536)

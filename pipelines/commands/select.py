@@ -1,0 +1,25 @@
+"""`kontur-av select`: switch the camera of a running session."""
+
+import argparse
+import sys
+
+from kontur_av.errors import ConfigError
+from pipelines.runtime.control import ask
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The camera, and the session where several run."""
+    parser.add_argument("camera", metavar="CAMERA", help="for example stereo, static or head")
+    parser.add_argument("--session", metavar="NAME", help="where several sessions are running")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once the ground has acknowledged the camera; 1 if it refused, or no answer came."""
+    answer = ask({"select": args.camera}, args.session)
+    if answer.get("mistake"):
+        raise ConfigError(str(answer["error"]))
+    if not answer.get("ok"):
+        print(f"kontur-av: {answer.get('error', 'refused on the ground')}", file=sys.stderr)
+        return 1
+    print(f"{answer['camera']} is selected; acknowledged after {answer['round_trip_ms']:.1f} ms")
+    return 0

@@ -1,0 +1,78 @@
+"""The options of a session that several commands share."""
+
+import argparse
+from typing import Any
+
+from kontur_av.errors import ConfigError
+from pipelines.setup.table import DEADBANDS, NO_RADIO
+
+
+def add_setup_argument(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
+    """`--setup`, which must be given where it has no default."""
+    parser.add_argument(
+        "--setup",
+        required=default is None,
+        default=default,
+        metavar="NAME",
+        help=f"spacejustin, taskboard or FILE.toml{_said(default)}",
+    )
+
+
+def add_radio_argument(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
+    """`--radio`."""
+    parser.add_argument(
+        "--radio",
+        default=default,
+        metavar="PROFILE",
+        help=f"cable, clean, iss-pass, geo or FILE.toml{_said(default)}",
+    )
+
+
+def _said(default: str | None) -> str:
+    return "" if default is None else f" (default {default})"
+
+
+def add_radio_arguments(parser: argparse.ArgumentParser, *, delay: bool = True) -> None:
+    """`--radio`, `--seed` and, with `delay`, `--radio-delay-ms`."""
+    add_radio_argument(parser)
+    if delay:
+        parser.add_argument(
+            "--radio-delay-ms", type=float, metavar="D", help="a cable with a delay one way"
+        )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="what the radio's chances derive from"
+    )
+
+
+def radio_changes(args: argparse.Namespace) -> dict[str, Any]:
+    """What the options change in the setup: they win over its radio, whichever it has."""
+    delay_ms = getattr(args, "radio_delay_ms", None)
+    if args.radio is not None and delay_ms is not None:
+        raise ConfigError("--radio and --radio-delay-ms: give one of them")
+    if args.radio is not None:
+        return {"radio": args.radio, "radio_delay_ms": 0.0}
+    if delay_ms is not None:
+        return {"radio": NO_RADIO, "radio_delay_ms": delay_ms}
+    return {}
+
+
+def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
+    """`--deadband`."""
+    parser.add_argument(
+        "--deadband",
+        nargs="?",
+        const="picture",
+        choices=DEADBANDS,
+        help="leave out haptic samples of which nobody would feel the difference; the uplink "
+        "video gets what that saves: more of it (picture; if nothing is said) or sooner (latency)",
+    )
+
+
+def deadband_changes(args: argparse.Namespace) -> dict[str, Any]:
+    """What `--deadband` changes in the setup."""
+    return {} if args.deadband is None else {"deadband": args.deadband}
+
+
+def port_changes(args: argparse.Namespace) -> dict[str, Any]:
+    """What `--base-port` changes in the setup."""
+    return {} if args.base_port is None else {"base_port": args.base_port}

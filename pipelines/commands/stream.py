@@ -1,0 +1,229 @@
+"""`kontur-av stream`: a whole telepresence session on this machine, and its report."""
+
+import argparse
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+
+from kontur_av.clock import MonotonicClock
+from kontur_av.errors import ConfigError
+from kontur_av.sources import check_spec
+from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.doctor import NEEDED_SHM_OCTETS, check_shared_memory
+from pipelines.commands.session_options import (
+    add_deadband_argument,
+    add_radio_arguments,
+    add_setup_argument,
+    deadband_changes,
+    port_changes,
+    radio_changes,
+)
+from pipelines.parts.ground import ground_parts
+from pipelines.parts.space import space_parts
+from pipelines.report.live import LiveView
+from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.session_report import build_report
+from pipelines.report.summary import print_summary
+from pipelines.runtime.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
+from pipelines.runtime.process import Part, Stage
+from pipelines.runtime.sessions import clear_dead_sessions, hold_session
+from pipelines.setup.setup_file import load_setup
+from pipelines.setup.table import STEREO, Setup, VideoStream
+from telepresence.haptics.device.spec import SIMULATED, check_joystick
+from telepresence.world import audio_scenes, video_scenes
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av stream`."""
+    add_setup_argument(parser)
+    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+    parser.add_argument(
+        "--source",
+        action="append",
+        default=[],
+        metavar="NAME=SPEC",
+        help="what an input captures: a media file, pipe:PATH, v4l2:DEVICE, alsa:DEVICE or "
+        "scene:NAME; may be given several times",
+    )
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
+    parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
+    add_radio_arguments(parser)
+    add_deadband_argument(parser)
+    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
+    parser.add_argument(
+        "--joystick",
+        default=SIMULATED,
+        metavar="SPEC",
+        help="sim, evdev or evdev:/dev/input/eventN (default: sim); see `kontur-av joystick list`",
+    )
+    loudness = parser.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the session; 1 if its report names a failure."""
+    setup = chosen_setup(args)
+    if args.seconds is not None and not 0 < args.seconds < 1e9:
+        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    check_sources(setup)
+    check_joystick(args.joystick)
+    snapshots = _made_directory(args.snapshots)
+    check_writable(args.report)
+    clear_dead_sessions()
+    check_room(setup)
+    held = hold_ports(setup)
+    load_libraries()
+    clock = MonotonicClock()
+    draw_backgrounds(setup, clock)
+    parts = session_parts(setup, snapshots=snapshots is not None, joystick=args.joystick)
+    with (
+        hold_session(setup.name) as session,
+        _live_view(quiet=args.quiet, verbose=args.verbose) as view,
+    ):
+        launcher = Launcher(
+            session=session,
+            setup=setup,
+            parts=parts,
+            clock=clock,
+            snapshots=snapshots,
+            seed=args.seed,
+            show=view.show,
+        )
+        launcher.run(args.seconds)
+    held.close()
+    launcher.collector.handle_end()
+    report = build_report(
+        setup,
+        launcher.collector,
+        seconds=launcher.seconds,
+        cpu_s=launcher.cpu_s(),
+        restarts={child.part.name: child.restarts for child in launcher.children},
+        launcher_cpu_s=launcher_cpu_s(),
+    )
+    if args.report is not None:
+        write_report(args.report, report)
+    if not args.quiet:
+        with output_that_may_fail():
+            print_summary(report)
+    return 1 if report["failures"] else 0
+
+
+@contextmanager
+def _live_view(*, quiet: bool, verbose: bool) -> Iterator[LiveView]:
+    view = LiveView(quiet=quiet, verbose=verbose)
+    view.__enter__()
+    try:
+        yield view
+    finally:
+        # A terminal that was closed takes no last picture; the report is still to be written.
+        with suppress(OSError):
+            view.__exit__(None, None, None)
+
+
+def session_parts(
+    setup: Setup, *, snapshots: bool = False, joystick: str = SIMULATED
+) -> list[Part]:
+    """The processes of a session, in the order in which they are started."""
+    both = [*ground_parts(setup), *space_parts(setup, joystick=joystick)]
+    parts = sorted(both, key=lambda part: part.stage)
+    if snapshots:
+        from pipelines.parts.snapshots import run_snapshots
+
+        parts.append(Part("snapshots", Stage.SINK, run_snapshots))
+    return parts
+
+
+def chosen_setup(args: argparse.Namespace) -> Setup:
+    """The setup that the options name, with what they change; ConfigError if it cannot work."""
+    setup = load_setup(args.setup)
+    sources = {**setup.sources, **parse_sources(args.source)}
+    changes = {**radio_changes(args), **port_changes(args), **deadband_changes(args)}
+    return replace(setup, sources=sources, **changes)
+
+
+def parse_sources(options: Sequence[str]) -> Mapping[str, str]:
+    """NAME=SPEC options as a table; the last of a name wins."""
+    sources = {}
+    for option in options:
+        name, equals, spec = option.partition("=")
+        if not (name and equals and spec):
+            raise ConfigError(f"--source {option}: write NAME=SPEC, like head=clip.mp4")
+        sources[name] = spec
+    return sources
+
+
+def check_sources(setup: Setup) -> None:
+    """ConfigError for the first source that cannot be opened, before anything has started."""
+    scenes: dict[str, Iterable[str]] = {"video": video_scenes(), "audio": audio_scenes()}
+    _check_shared(setup)
+    for name in setup.inputs:
+        kind = setup.kind_of(name)
+        try:
+            check_spec(setup.source(name), kind, scenes[kind])
+        except ConfigError as error:
+            raise ConfigError(f"input {name}: {error}") from None
+
+
+def _check_shared(setup: Setup) -> None:
+    # A camera serves one program only, and two readers of one FIFO tear its pictures apart.
+    taken: dict[Path, str] = {}
+    for name in setup.inputs:
+        family, _, place = setup.source(name).partition(":")
+        if family not in ("v4l2", "pipe"):
+            continue
+        other = taken.setdefault(Path(place).resolve(), name)
+        if other != name:
+            raise ConfigError(
+                f"input {name}: {family}:{place} is that of input {other}: give each its own"
+            )
+
+
+def check_room(setup: Setup) -> None:
+    """ConfigError when shared memory has no room for the session's pictures.
+
+    A topic of pictures was seen to hold two or three; five leave room for the successor of a
+    process that was killed.
+    """
+    cameras = [setup.stream_of(name) for name in setup.inputs if setup.kind_of(name) == "video"]
+    # The stereo merge and the selected camera are of the uplink's size, as what is received; and
+    # what is received is also displayed.
+    relays = [setup.uplink_video] * (2 if STEREO in setup.cameras else 1)
+    received = [stream for stream in setup.streams if isinstance(stream, VideoStream)]
+    pictures = sum(
+        stream.width * stream.height * 3 // 2
+        for stream in (*cameras, *relays, *received, *received)
+    )
+    needed = max(NEEDED_SHM_OCTETS, NEEDED_SHM_OCTETS // 2 + 5 * pictures)
+    verdict = check_shared_memory(needed_octets=needed)
+    if verdict.state == "missing":
+        raise ConfigError(f"{verdict.found}: {verdict.mend}")
+
+
+def draw_backgrounds(setup: Setup, clock: MonotonicClock) -> None:
+    """Make ready what the built-in scenes share, so that every fork of a camera has it."""
+    pictures, sounds = video_scenes(), audio_scenes()
+    for name in setup.inputs:
+        kind, _, scene = setup.source(name).partition(":")
+        if kind != "scene":
+            continue
+        if setup.kind_of(name) == "audio":
+            sounds[scene](name, clock).close()
+        else:
+            stream = setup.stream_of(name)
+            source = pictures[scene](name, stream.width, stream.height, stream.fps, clock)
+            source.close()
+
+
+def _made_directory(path: Path | None) -> Path | None:
+    if path is None:
+        return None
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--snapshots {path}: {error.strerror or error}") from None
+    if not os.access(path, os.W_OK):
+        raise ConfigError(f"--snapshots {path}: cannot be written to; choose another directory")
+    return path.absolute()

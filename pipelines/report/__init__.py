@@ -1,0 +1,1 @@
+"""From what processes report to one JSON report, a summary and a live table."""

@@ -1,0 +1,36 @@
+"""How old what the displays show is, as they have told."""
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.streams.staleness import State
+from pipelines.report.collector import Collector
+from pipelines.runtime.probe import FLUSH_NS
+from pipelines.setup.table import Setup, VideoStream, VoiceStream
+
+#: What a display counts of a stream; the last two of pictures only.
+_SPELLS = ("stale", "frozen", "damaged")
+#: A display that has told nothing for longer shows what it showed last.
+_TOLD_AFTER_NS = 2 * FLUSH_NS
+
+
+def spells(stream: VideoStream | VoiceStream, collector: Collector) -> dict[str, float]:
+    """For how long (ms), and how often, what was shown was stale, frozen or damaged."""
+    found: dict[str, float] = {}
+    for name in _SPELLS if isinstance(stream, VideoStream) else _SPELLS[:1]:
+        found[f"{name}_ms"] = round(collector.total(f"{stream.name}.{name}_ns") / NS_PER_MS, 3)
+        found[f"{name}_episodes"] = collector.total(f"{stream.name}.{name}_episodes")
+    return found
+
+
+def shown_now(
+    stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, now_ns: int
+) -> tuple[State, int]:
+    """The state of what is shown of `stream`, and its age in ns (0 if nothing was shown yet)."""
+    told = [of for of in collector.processes.values() if f"{stream.name}.age_ns" in of.gauges]
+    if not told:
+        return State.NOTHING, 0
+    figures = max(told, key=lambda of: of.told_ns)
+    age_ns = figures.gauges[f"{stream.name}.age_ns"]
+    age_ns += max(0, now_ns - figures.told_ns - _TOLD_AFTER_NS)
+    if age_ns >= setup.stale_after_ns(stream):
+        return State.STALE, age_ns
+    return State(figures.gauges[f"{stream.name}.state"]), age_ns

@@ -1,0 +1,414 @@
+"""Puts together what the processes of a session tell: the one source of its report.
+
+A core: it is told the time. Stamps of one session are of one clock, so a latency is a difference;
+the two ends of a stream are joined by the RTP timestamp, those of the haptics by their sequence.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections import OrderedDict, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.meters import Histogram, RateMeter
+from pipelines.report.pauses import Pauses
+from pipelines.report.skew import RECENT_DEPTH, LipSyncShare, Recent, Skew
+from pipelines.report.sync.figures import PERCEIVED, SyncFigures
+from pipelines.report.terms import LONGEST_GAP_NS, Way
+from pipelines.runtime.probe import FLUSH_NS, Message
+from telepresence.haptics.latency import LatencyMatcher
+from telepresence.haptics.sample import SAMPLE_OCTETS
+
+#: How long an access unit waits for what its other end has to say about it.
+_JOIN_NS = 10 * NS_PER_S
+_JOIN_DEPTH = 2000
+#: Of a thousand haptic samples a second, one of these is enough to compare other senses with.
+_FELT_EVERY_NS = 20 * NS_PER_MS
+#: What shows or feels nothing for longer pauses.
+_SHOWN_PAUSE_NS = NS_PER_S
+_FELT_PAUSE_NS = NS_PER_S // 5
+#: A process tells twice a second: this is half a minute.
+_LATELY_BATCHES = 60
+#: Half a turn of the samples' sequence numbers at 1 kHz: beyond that a match would be a guess.
+_TURN_NS = 30 * NS_PER_S
+
+STAGES = ("capture_to_encoded", "encoded_to_sent", "sent_to_received", "received_to_displayed")
+
+#: An input that tells twice a second has paused if its captures lie this far apart.
+_PAUSE_NS = 3 * FLUSH_NS
+
+#: Series of rows and their widths.
+_WIDTHS = {
+    "out": 3,
+    "tx": 4,
+    "coding": 5,
+    "rx": 2,
+    "decoded": 2,
+    "shown": 3,
+    "haptic_tx": 2,
+    "haptic_rx": 2,
+    "lateness": 1,
+    "sending": 1,
+    "contact": 2,
+    "light": 4,
+    "click": 4,
+    "step": 1,
+}
+
+
+@dataclass(slots=True)
+class _Journey:
+    """What is known so far of one access unit or block of sound."""
+
+    seen_ns: int
+    capture_ns: int | None = None
+    encoded_ns: int = 0
+    sent_ns: int = 0
+    received_ns: int | None = None
+    displayed_ns: int | None = None
+    #: Of pictures: at the encoder, encoding begun, decoded; the capture of the one before it that
+    #: was displayed lies `gap_ns` back; octets and packets.
+    came_ns: int = 0
+    begun_ns: int | None = None
+    decoded_ns: int | None = None
+    gap_ns: int = 0
+    size: tuple[int, int] = (0, 0)
+
+
+class StreamFigures:
+    """One media stream, from capture to display."""
+
+    def __init__(self) -> None:
+        self.rate = RateMeter()
+        #: The largest rate over a sliding second, less the cap that held at its end; and that rate.
+        self.above_cap_bps = 0.0, 0.0
+        self.latency = Histogram()
+        self.stages = {stage: Histogram() for stage in STAGES}
+        self.recent = Recent()
+        self.last_latency_ns: int | None = None
+        #: Displayed instants and latencies that were not compared with the other senses yet.
+        self.fresh: deque[tuple[int, int]] = deque(maxlen=RECENT_DEPTH)
+        #: From when to when nothing was displayed.
+        self.pauses = Pauses(_SHOWN_PAUSE_NS)
+        #: How far the capture time that travelled by RTCP lies beside the one that was stamped.
+        self.stamp_error = Histogram()
+        #: Of pictures: what their time is made of.
+        self.way = Way()
+        self._captured_ns: int | None = None
+        self._journeys: OrderedDict[int, _Journey] = OrderedDict()
+
+    @property
+    def last_shown_ns(self) -> int | None:
+        """When a picture or a block of sound was displayed last."""
+        return self.pauses.last_ns
+
+    def handle_out(self, rows: NDArray[np.int64]) -> None:
+        for instant_ns, octets, cap_bps in rows.tolist():
+            # A restarted sender's first report may overtake its predecessor's last.
+            last_ns = self.rate.last_ns
+            at_ns = instant_ns if last_ns is None else max(instant_ns, last_ns)
+            self.rate.add(at_ns, octets)
+            bps = self.rate.last_bps(at_ns)
+            if bps - cap_bps > self.above_cap_bps[0]:
+                self.above_cap_bps = bps - cap_bps, bps
+
+    def handle_tx(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        for timestamp, capture_ns, encoded_ns, sent_ns in rows.tolist():
+            journey = self._journey(timestamp, now_ns)
+            journey.capture_ns, journey.encoded_ns = capture_ns, encoded_ns
+            journey.sent_ns = sent_ns
+            self._finish(timestamp, journey)
+
+    def handle_coding(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        """Of a picture: when it came to the encoder and when encoding began, octets, packets."""
+        for timestamp, came_ns, begun_ns, octets, packets in rows.tolist():
+            journey = self._journey(timestamp, now_ns)
+            journey.came_ns, journey.begun_ns = came_ns, begun_ns
+            journey.size = octets, packets
+
+    def handle_decoded(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        """When a picture was decoded; without it, that is when it was displayed."""
+        for timestamp, decoded_ns in rows.tolist():
+            self._journey(timestamp, now_ns).decoded_ns = decoded_ns
+
+    def handle_rx(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        for timestamp, received_ns in rows.tolist():
+            journey = self._journey(timestamp, now_ns)
+            journey.received_ns = received_ns
+            self._finish(timestamp, journey)
+
+    def handle_shown(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        for timestamp, capture_ns, displayed_ns in rows.tolist():
+            latency_ns = displayed_ns - capture_ns
+            self.latency.add(latency_ns)
+            self.last_latency_ns = latency_ns
+            self.pauses.add(displayed_ns)
+            self.recent.add(displayed_ns, latency_ns)
+            self.fresh.append((displayed_ns, latency_ns))
+            journey = self._journey(timestamp, now_ns)
+            journey.displayed_ns = displayed_ns
+            if self._captured_ns is not None:
+                journey.gap_ns = capture_ns - self._captured_ns
+            self._captured_ns = capture_ns
+            if journey.capture_ns is not None:
+                self.stamp_error.add(abs(journey.capture_ns - capture_ns))
+            self._finish(timestamp, journey)
+
+    def _journey(self, timestamp: int, now_ns: int) -> _Journey:
+        journey = self._journeys.get(timestamp)
+        if journey is None:
+            journey = self._journeys[timestamp] = _Journey(now_ns)
+            while len(self._journeys) > _JOIN_DEPTH or (
+                now_ns - next(iter(self._journeys.values())).seen_ns > _JOIN_NS
+            ):
+                self._journeys.popitem(last=False)
+        return journey
+
+    def _finish(self, timestamp: int, journey: _Journey) -> None:
+        if journey.capture_ns is None or journey.received_ns is None:
+            return
+        if journey.displayed_ns is None:
+            return
+        instants = (
+            journey.capture_ns,
+            journey.encoded_ns,
+            journey.sent_ns,
+            journey.received_ns,
+            journey.displayed_ns,
+        )
+        for stage, begin_ns, end_ns in zip(STAGES, instants, instants[1:], strict=False):
+            self.stages[stage].add(end_ns - begin_ns)
+        if journey.begun_ns is not None and 0 < journey.gap_ns <= LONGEST_GAP_NS:
+            decoded_ns = journey.decoded_ns
+            if decoded_ns is None:
+                decoded_ns = journey.displayed_ns
+            captured, encoded, _, received, displayed = instants
+            way = captured, journey.came_ns, journey.begun_ns, encoded, received, decoded_ns
+            self.way.add((*way, displayed), journey.gap_ns, journey.size)
+        del self._journeys[timestamp]
+
+    def negative(self) -> dict[str, int]:
+        """How many latencies came out below 0, by stage: a stamp must have been wrong."""
+        every = {"capture_to_displayed": self.latency, **self.stages}
+        return {name: histogram.negative for name, histogram in every.items() if histogram.negative}
+
+
+class HapticFigures:
+    """One direction of the haptic samples."""
+
+    def __init__(self) -> None:
+        self.rate = RateMeter(windows_ns=(NS_PER_S,))
+        self.latency = Histogram()
+        self.recent = Recent()
+        #: From when to when no sample was received.
+        self.pauses = Pauses(_FELT_PAUSE_NS)
+        self._matcher = LatencyMatcher()
+        #: The newest batches of (sequence, instant) of what was received.
+        self._lately: deque[NDArray[np.int64]] = deque(maxlen=_LATELY_BATCHES)
+
+    def handle_sent(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        self._matcher.handle_sent(tuple(row) for row in rows.tolist())
+        self._match(now_ns)
+
+    def handle_received(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        if not len(rows):
+            return
+        self._lately.append(rows.copy())
+        self._matcher.handle_received([tuple(row) for row in rows.tolist()])
+        self.pauses.add_all(rows[:, 1])
+        _, first, counts = np.unique(
+            rows[:, 1] // _FELT_EVERY_NS, return_index=True, return_counts=True
+        )
+        for instant_ns, samples in zip(rows[first, 1].tolist(), counts.tolist(), strict=True):
+            last_ns = self.rate.last_ns
+            # A restarted end's first report may overtake its predecessor's last.
+            at_ns = instant_ns if last_ns is None else max(instant_ns, last_ns)
+            self.rate.add(at_ns, samples * SAMPLE_OCTETS)
+        self._match(now_ns)
+
+    def sent_ns_at(self, instant_ns: int) -> int | None:
+        """When the sample was sent that was the newest at `instant_ns`; None if that is unknown."""
+        for rows in reversed(self._lately):
+            if rows[0, 1] <= instant_ns:
+                index = int(np.searchsorted(rows[:, 1], instant_ns, "right")) - 1
+                sent_ns = self._matcher.sent_ns(int(rows[index, 0]))
+                known = sent_ns is not None and abs(instant_ns - sent_ns) < _TURN_NS
+                return sent_ns if known else None
+        return None
+
+    def _match(self, now_ns: int) -> None:
+        """Take the latency of each sample of which both stamps are there by now."""
+        matches = np.array(self._matcher.take_matches_ns(now_ns), np.int64).reshape(-1, 2)
+        if not len(matches):
+            return
+        self.latency.add(matches[:, 1])
+        _, first = np.unique(matches[:, 0] // _FELT_EVERY_NS, return_index=True)
+        for instant_ns, latency_ns in matches[first].tolist():
+            self.recent.add(instant_ns, latency_ns)
+
+
+@dataclass
+class ProcessFigures:
+    """What one process of the session has told, over all its lives."""
+
+    totals: dict[str, int] = field(default_factory=dict)
+    gauges: dict[str, Any] = field(default_factory=dict)
+    lateness: Histogram = field(default_factory=Histogram)
+    #: From a slot's deadline to the instant at which its frame had been sent; of a gateway.
+    sending: Histogram = field(default_factory=Histogram)
+    #: Snapshots of nested counters (`link`) of the lives that have ended.
+    ended_links: list[dict[str, Any]] = field(default_factory=list)
+    #: When it told something for the first and for the last time.
+    began_ns: int | None = None
+    told_ns: int = 0
+    #: Since when the camera is selected that is; of the selector.
+    selected_ns: int = 0
+    #: Since when there was no pause in what it captures; of an input.
+    gives_since_ns: int = 0
+    _ended_totals: dict[str, int] = field(default_factory=dict)
+
+    def handle_message(self, message: Message, now_ns: int) -> None:
+        """Take what it tells of itself."""
+        self.told_ns = now_ns
+        if self.began_ns is None:
+            self.began_ns = now_ns
+        captured_ns, selected = self.captured_ns, self.gauges.get("selected")
+        self.totals.update(message.totals)
+        self.gauges.update(message.gauges)
+        if self.gauges.get("selected") != selected:
+            self.selected_ns = now_ns
+        newest_ns = self.captured_ns
+        if newest_ns is not None and (captured_ns is None or newest_ns - captured_ns > _PAUSE_NS):
+            self.gives_since_ns = newest_ns
+
+    @property
+    def captured_ns(self) -> int | None:
+        """When an input captured last; None if it never did, or is none."""
+        return self.gauges.get("captured_ns")
+
+    def silent_ns(self, now_ns: int | None = None) -> int:
+        """How long an input has given nothing by `now_ns`, or by when it told something last."""
+        since_ns = self.began_ns if self.captured_ns is None else self.captured_ns
+        if since_ns is None:
+            return 0
+        return max(0, (self.told_ns if now_ns is None else now_ns) - since_ns)
+
+    def total(self, name: str) -> int:
+        """A counter, over all lives."""
+        return self._ended_totals.get(name, 0) + self.totals.get(name, 0)
+
+    def names(self) -> list[str]:
+        return sorted({*self._ended_totals, *self.totals})
+
+    def handle_end(self) -> None:
+        """The process has ended: what it counted is kept, the next one begins at 0."""
+        for name, value in self.totals.items():
+            self._ended_totals[name] = self._ended_totals.get(name, 0) + value
+        self.totals = {}
+        if "link" in self.gauges:
+            self.ended_links.append(self.gauges.pop("link"))
+
+    def links(self) -> Iterator[dict[str, Any]]:
+        """The link's counters of each life."""
+        yield from self.ended_links
+        if "link" in self.gauges:
+            yield self.gauges["link"]
+
+
+#: Which process sends the samples of a haptic direction, and which receives them.
+HAPTIC_ENDS = {"up": ("robot", "joystick"), "down": ("joystick", "robot")}
+
+
+class Collector:
+    """Takes every process' messages. `streams` are the names of the setup's media streams."""
+
+    def __init__(self, streams: list[str]) -> None:
+        self.streams = {name: StreamFigures() for name in streams}
+        self.haptics = {name: HapticFigures() for name in HAPTIC_ENDS}
+        self.processes: dict[str, ProcessFigures] = {}
+        self.skews = {name: Skew() for name in ("video_haptic", "audio_haptic", "audio_video")}
+        self.lip_sync = LipSyncShare()
+        #: The same out of content: contacts, and what was seen, heard and felt of them.
+        self.sync = SyncFigures()
+
+    def process(self, name: str) -> ProcessFigures:
+        """The figures of the process `name`."""
+        figures = self.processes.get(name)
+        if figures is None:
+            figures = self.processes[name] = ProcessFigures()
+        return figures
+
+    def total(self, name: str) -> int:
+        """A counter, over all processes."""
+        return sum(figures.total(name) for figures in self.processes.values())
+
+    def handle_message(self, process: str, message: Message, now_ns: int) -> None:
+        """A process has told something."""
+        figures = self.process(process)
+        figures.handle_message(message, now_ns)
+        for series, values in message.series.items():
+            self._handle_series(process, figures, series, values, now_ns)
+        # By then the other senses' messages about that instant have come.
+        self._compare(now_ns - NS_PER_S)
+        self.sync.handle_time(now_ns, self.haptics["up"].sent_ns_at)
+
+    def handle_end(self) -> None:
+        """The session is over: compare what still waits."""
+        self._compare(None)
+
+    def _handle_series(
+        self, process: str, figures: ProcessFigures, series: str, values: array[int], now_ns: int
+    ) -> None:
+        kind, _, stream = series.partition(".")
+        rows = np.frombuffer(values, np.int64).reshape(-1, _WIDTHS[kind])
+        if kind in PERCEIVED:
+            self.sync.handle_rows(kind, stream, rows.tolist())
+            return
+        if kind == "lateness":
+            figures.lateness.add(rows)
+        elif kind == "sending":
+            figures.sending.add(rows)
+        elif kind in ("haptic_tx", "haptic_rx"):
+            for name, (sender, receiver) in HAPTIC_ENDS.items():
+                if kind == "haptic_tx" and process == sender:
+                    self.haptics[name].handle_sent(rows, now_ns)
+                elif kind == "haptic_rx" and process == receiver:
+                    self.haptics[name].handle_received(rows, now_ns)
+        elif kind == "shown":
+            self.streams[stream].handle_shown(rows, now_ns)
+        else:
+            name = process.removesuffix("_send").removesuffix("_receive")
+            if kind == "out":
+                self.streams[name].handle_out(rows)
+            elif kind == "tx":
+                self.streams[name].handle_tx(rows, now_ns)
+            elif kind == "coding":
+                self.streams[name].handle_coding(rows, now_ns)
+            elif kind == "decoded":
+                self.streams[name].handle_decoded(rows, now_ns)
+            else:
+                self.streams[name].handle_rx(rows, now_ns)
+
+    def _compare(self, until_ns: int | None) -> None:
+        """The skews at the operator in space: who sees, hears and feels the ground."""
+        force = self.haptics["up"].recent
+        video, audio = self.streams.get("uplink_video"), self.streams.get("uplink_voice")
+        for figures, name in ((video, "video_haptic"), (audio, "audio_haptic")):
+            if figures is None:
+                continue
+            while figures.fresh and (until_ns is None or figures.fresh[0][0] <= until_ns):
+                displayed_ns, latency_ns = figures.fresh.popleft()
+                felt_ns = force.at(displayed_ns)
+                if felt_ns is not None:
+                    self.skews[name].add(latency_ns - felt_ns)
+                if figures is video and audio is not None:
+                    heard_ns = audio.recent.at(displayed_ns)
+                    if heard_ns is not None:
+                        self.skews["audio_video"].add(heard_ns - latency_ns)
+                        self.lip_sync.add(displayed_ns, heard_ns - latency_ns)

@@ -1,0 +1,212 @@
+"""What `kontur-av link` tells of its link: the report, a line a second, and the summary."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from kontur_av.clock import NS_PER_S
+from pipelines.report.collector import Collector
+from pipelines.report.link_figures import gateway_figures, link_figures
+from pipelines.runtime.process import Segment
+from pipelines.setup.table import Setup
+from telepresence.link.profile import LinkProfile
+
+#: Of the ledger's keys those whose rate is worth a place in a line.
+_LEVELS = ("haptic", "tmtc", "voice", "video", "maintenance")
+
+
+def process_of(end: Segment) -> str:
+    """The gateway process of an end."""
+    return f"{end.value}_gateway"
+
+
+def build_link_report(
+    setup: Setup,
+    collector: Collector,
+    ends: Sequence[Segment],
+    *,
+    seconds: float,
+    seed: int,
+    cpu_s: Mapping[str, float],
+    restarts: Mapping[str, int],
+    launcher_cpu_s: float,
+) -> dict[str, Any]:
+    """The whole report. With one end alone each direction lacks what the other end would count.
+
+    seconds: how long the link ran. cpu_s, restarts: of each process, over all its lives.
+    """
+    return {
+        "setup": setup.name,
+        "seconds": round(seconds, 3),
+        "ends": [end.value for end in ends],
+        "radio": {"profile": setup.radio_profile.name, "seed": seed},
+        "link": {
+            direction: link_figures(setup, collector, direction)
+            for direction in ("uplink", "downlink")
+        },
+        "gateways": {end.value: gateway_figures(collector, end.value) for end in ends},
+        "cpu": {
+            "total_s": round(sum(cpu_s.values()) + launcher_cpu_s, 2),
+            "launcher_s": round(launcher_cpu_s, 2),
+            "cores_used": round((sum(cpu_s.values()) + launcher_cpu_s) / max(seconds, 1e-9), 3),
+        },
+        "processes": {
+            name: {
+                "cpu_s": round(cpu_s[name], 3),
+                "restarts": restarts[name],
+                **{
+                    gauge: collector.process(name).gauges[gauge]
+                    for gauge in ("scheduler", "last_error")
+                    if gauge in collector.process(name).gauges
+                },
+            }
+            for name in cpu_s
+        },
+        "failures": _failures(collector, ends, restarts),
+    }
+
+
+def _failures(
+    collector: Collector, ends: Sequence[Segment], restarts: Mapping[str, int]
+) -> list[str]:
+    """What went wrong by the link's own measure: that nobody was heard is the radio's affair."""
+    found = []
+    for end in ends:
+        name = process_of(end)
+        if restarts[name]:
+            why = collector.process(name).gauges.get("last_error", "")
+            found.append(f"{name}: started again {restarts[name]} times ({why})")
+    return found
+
+
+@dataclass
+class _Seen:
+    """What an end's last line was made of."""
+
+    frames: int = 0
+    octets: dict[str, int] = field(default_factory=dict)
+
+
+class LinkView:
+    """The figures of now: for each end its state, what it sends by level, and what it lost."""
+
+    def __init__(self, setup: Setup, ends: Sequence[Segment]) -> None:
+        self._setup = setup
+        self._ends = ends
+        self._seen = {end: _Seen() for end in ends}
+
+    def lines(self, collector: Collector, seconds: float) -> list[str]:
+        """A line for each end; rates are those since the lines before."""
+        lines = [self._end(collector, end) for end in self._ends]
+        lines[0] = f"{seconds:6.1f} s  {lines[0]}"
+        lines[1:] = [f"{'':8}  {line}" for line in lines[1:]]
+        return lines
+
+    def _end(self, collector: Collector, end: Segment) -> str:
+        figures = collector.process(process_of(end))
+        link = figures.gauges.get("link")
+        if link is None:
+            return f"{end.value}: starting"
+        up = end is Segment.GROUND
+        profile = self._setup.uplink if up else self._setup.downlink
+        sent, received = link["transmit"], link["receive"]
+        seen = self._seen[end]
+        rates = _rates_kbps(sent, seen, profile)
+        self._seen[end] = _Seen(sent["frames"], dict(sent["octets"]))
+        state = _state(link["supervision"])
+        levels = " ".join(f"{name} {rates[name]:.1f}" for name in _LEVELS)
+        strangers = sum(
+            figures.total(name) for name in figures.names() if name.startswith("strangers_")
+        )
+        parts = [
+            f"{end.value} {state}:",
+            f"sends kbit/s {levels},",
+            f"heard {received['frames']} frames, {received['frames_lost']} lost,",
+            f"{figures.total('slips')} slips",
+        ]
+        if strangers:
+            parts[-1] += f", {strangers} strangers"
+        return " ".join(parts)
+
+
+def _rates_kbps(sent: Mapping[str, Any], seen: _Seen, profile: LinkProfile) -> dict[str, float]:
+    # By the link's own time, in slots: exact, however late the figures came. A gateway that was
+    # started again counts from 0.
+    begun_anew = sent["frames"] < seen.frames
+    frames = sent["frames"] - (0 if begun_anew else seen.frames)
+    seconds = max(1, frames) * profile.slot_ns / NS_PER_S
+    return {
+        name: 8
+        * (sent["octets"].get(name, 0) - (0 if begun_anew else seen.octets.get(name, 0)))
+        / (1000 * seconds)
+        for name in _LEVELS
+    }
+
+
+def summary_lines(report: Mapping[str, Any]) -> list[str]:
+    """The end of a run for people: each direction, its ledger, each end, the cost."""
+    lines = [f"{report['setup']}, {report['seconds']:.1f} s, radio {report['radio']['profile']}"]
+    for direction, link in report["link"].items():
+        lines += _direction(direction, link)
+    for end, told in report["gateways"].items():
+        lines.append(end_line(end, told))
+    cpu = report["cpu"]
+    lines.append(f"CPU: {cpu['total_s']:.1f} s, {cpu['cores_used']:.2f} of a core")
+    lines += [f"failed: {failure}" for failure in report["failures"]]
+    return lines
+
+
+def _direction(direction: str, link: Mapping[str, Any]) -> list[str]:
+    lines = []
+    if link["frames"]:
+        late, sent = link["lateness_us"], link["sent_after_us"]
+        lines.append(
+            f"{direction}: {link['frames']} frames sent, {link['slips']} slips; slots late by "
+            f"{late['p50']:.0f} µs (p50), {late['p99']:.0f} (p99), {late['p99.9']:.0f} (p99.9), "
+            f"{late['max']:.0f} at most; sent after {sent['p50']:.0f} (p50), {sent['p99']:.0f} "
+            "(p99)"
+        )
+        lines.append(f"  {ledger_line(link)}")
+        drops = {
+            f"{level}, {reason}": count
+            for level, queue in link["queue"].items()
+            for reason, count in queue["drops"].items()
+            if count
+        } | {f"refused, {reason}": count for reason, count in link["refused"].items() if count}
+        if drops:
+            lines.append("  not sent: " + ", ".join(f"{n} ({why})" for why, n in drops.items()))
+    if link["packets"]:
+        came = ", ".join(f"{name} {count}" for name, count in link["packets"].items() if count)
+        frames = f"{link['frames_lost']} frames lost"
+        lines.append(f"{direction} received: {frames}; packets {came or 'none'}")
+        dropped = {**link["frames_dropped"], **link["packets_dropped"]}
+        if dropped:
+            lines.append("  dropped: " + ", ".join(f"{n} {why}" for why, n in dropped.items()))
+    return lines
+
+
+def _state(supervision: Mapping[str, Any]) -> str:
+    """The state of now; of one that somebody has to mend the reason, too."""
+    state: str = supervision["state"]
+    return f"{state} ({supervision['why']})" if state in ("check", "refused") else state
+
+
+def ledger_line(link: Mapping[str, Any]) -> str:
+    """Where a direction's octets went; 100 % in all."""
+    shares = link["octets_percent"].items()
+    used = ", ".join(f"{kind} {share:.2f}" for kind, share in shares)
+    return f"of {sum(link['octets'].values())} octets, in %: {used}"
+
+
+def end_line(end: str, told: Mapping[str, Any]) -> str:
+    supervision = told.get("supervision", {})
+    contacts = len(supervision.get("contacts", ()))
+    contact_s = supervision.get("contact_ns", 0) / NS_PER_S
+    state = _state(supervision) if supervision else "never ran"
+    line = f"{end}: {state}, {contact_s:.1f} s of signal in {contacts} contacts"
+    if told["strangers"]:
+        counts = ", ".join(f"{name} {count}" for name, count in told["strangers"].items())
+        line += f"; from strangers: {counts}"
+    if told["unsent"]:
+        line += f"; {told['unsent']} frames not sent"
+    return line

@@ -1,0 +1,192 @@
+"""What a running session shows: a live table on a terminal, else one line a second."""
+
+import sys
+from types import TracebackType
+from typing import Self
+
+from rich.columns import Columns
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.meters import RateMeter
+from kontur_av.streams.staleness import State
+from pipelines.parts.marking import age_words
+from pipelines.report.ages import shown_now
+from pipelines.report.collector import HAPTIC_ENDS
+from pipelines.report.session_report import displayed_frames, haptic_cap_bps, latency_ms
+from pipelines.report.silence import input_process, silences
+from pipelines.runtime.launcher import Launcher
+from pipelines.runtime.probe import FLUSH_NS
+from pipelines.setup.table import VideoStream, VoiceStream
+
+#: Figures are at most this old: a process tells twice a second, and may be late.
+_TOLD_AFTER_NS = 2 * FLUSH_NS
+
+
+_COLOURS = {
+    State.FRESH: "green",
+    State.DAMAGED: "yellow",
+    State.FROZEN: "yellow",
+    State.STALE: "bold white on red",
+}
+
+
+class LiveView:
+    """Shows a launcher's session; use it as a context around the run, and give `show` to it."""
+
+    def __init__(self, *, quiet: bool = False, verbose: bool = False) -> None:
+        self._console = Console(file=sys.stdout)
+        self._quiet = quiet
+        self._verbose = verbose
+        # No thread of rich's: the launcher forks.
+        self._live = (
+            Live(console=self._console, auto_refresh=False)
+            if self._console.is_terminal and not quiet
+            else None
+        )
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def show(self, launcher: Launcher) -> None:
+        """Draw the present state."""
+        if self._live is not None:
+            self._live.update(
+                Group(
+                    _streams(launcher),
+                    *_inputs(launcher),
+                    _processes(launcher, verbose=self._verbose),
+                ),
+                refresh=True,
+            )
+        elif not self._quiet:
+            print(_line(launcher), flush=True)
+
+
+def _streams(launcher: Launcher) -> Table:
+    collector = launcher.collector
+    selector = collector.process("selector").gauges.get("selected", "-")
+    table = Table(
+        title=f"{launcher.setup.name}   {launcher.seconds:.0f} s   camera {selector}",
+        title_justify="left",
+    )
+    headings = ("stream", "kbit/s", "max 1 s", "cap", "shown", "lost", "latency ms", "p99 ms")
+    for heading in (*headings, "age"):
+        table.add_column(heading, justify="left" if heading == "stream" else "right")
+    for stream in launcher.setup.streams:
+        figures = collector.streams[stream.name]
+        newest = latency_ms(figures)
+        largest = figures.rate.max_bps(NS_PER_S)
+        table.add_row(
+            stream.name,
+            f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
+            Text(f"{largest / 1000:.1f}", "bold red" if figures.above_cap_bps[0] > 0 else "green"),
+            f"{stream.cap_bps / 1000:g}",
+            str(displayed_frames(collector, stream.name)),
+            str(collector.process(f"{stream.name}_receive").total("rtp_lost")),
+            "-" if newest is None else f"{newest:.1f}",
+            f"{figures.latency.percentile(99) / 1e6:.1f}",
+            _age(launcher, stream),
+        )
+    for name, (_, receiver) in HAPTIC_ENDS.items():
+        histogram = collector.haptics[name].latency
+        figures_of_end = collector.process(receiver)
+        samples = figures_of_end.total("received")
+        profile = launcher.setup.uplink if name == "up" else launcher.setup.downlink
+        newest_bps = _last_bps(launcher, collector.haptics[name].rate)
+        table.add_row(
+            f"haptic_{name}",
+            f"{newest_bps / 1000:.1f}",
+            "",
+            f"{haptic_cap_bps(profile) / 1000:g}",
+            str(samples),
+            str(figures_of_end.total("lost")),
+            f"{histogram.percentile(50) / 1e6:.1f}",
+            f"{histogram.percentile(99) / 1e6:.1f}",
+        )
+    return table
+
+
+def _age(launcher: Launcher, stream: VideoStream | VoiceStream) -> Text:
+    """How old what is shown is, with a word and a colour."""
+    now_ns = launcher.clock.now_ns()
+    state, age_ns = shown_now(stream, launcher.setup, launcher.collector, now_ns)
+    if state is State.NOTHING:
+        return Text("-")
+    return Text(f"{age_words(age_ns)} {state.value}", _COLOURS[state])
+
+
+def _inputs(launcher: Launcher) -> list[Text]:
+    """The inputs that give nothing, and those with a fault that they have survived."""
+    setup, collector = launcher.setup, launcher.collector
+    silent = silences(setup, collector, launcher.clock.now_ns())
+    lines = [Text(str(silence), "bold red") for silence in silent]
+    for name in setup.inputs:
+        process = input_process(setup, name)
+        fault = collector.process(process).gauges.get("source_fault")
+        if fault and all(silence.process != process for silence in silent):
+            lines.append(Text(f"{process}: {fault}", "yellow"))
+    return lines
+
+
+def _last_bps(launcher: Launcher, rate: RateMeter) -> float:
+    """The rate of the last second that the processes have told of."""
+    return rate.last_bps(launcher.clock.now_ns() - _TOLD_AFTER_NS)
+
+
+def _processes(launcher: Launcher, *, verbose: bool) -> Columns:
+    texts = []
+    seconds = max(launcher.seconds, 1e-9)
+    for child in launcher.children:
+        text = Text("● ", "green" if child.pid is not None else "bold red")
+        text.append(child.part.name, "default")
+        if verbose or child.restarts:
+            text.append(f" {100 * child.cpu_s() / seconds:.0f} %", "dim")
+        if child.restarts:
+            text.append(f" ({child.restarts} restarts: {child.last_error})", "yellow")
+        texts.append(text)
+    return Columns(texts, padding=(0, 2))
+
+
+def _line(launcher: Launcher) -> str:
+    collector = launcher.collector
+    parts = [f"{launcher.seconds:6.1f} s"]
+    for stream in launcher.setup.streams:
+        figures = collector.streams[stream.name]
+        newest = latency_ms(figures)
+        parts.append(
+            f"{stream.name} {_last_bps(launcher, figures.rate) / 1000:.1f}"
+            f"/{stream.cap_bps / 1000:g} kbit/s "
+            f"{displayed_frames(collector, stream.name)} shown "
+            f"{collector.process(f'{stream.name}_receive').total('rtp_lost')} lost "
+            f"{'-' if newest is None else f'{newest:.0f}'} ms"
+        )
+        now_ns = launcher.clock.now_ns()
+        state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
+        if state is State.STALE:
+            parts[-1] += f" STALE {age_words(age_ns)}"
+    for name, (_, receiver) in HAPTIC_ENDS.items():
+        received = collector.process(receiver)
+        parts.append(
+            f"haptic_{name} {received.total('received')} received {received.total('lost')} lost "
+            f"{collector.haptics[name].latency.percentile(50) / 1e6:.1f} ms"
+        )
+    parts += map(str, silences(launcher.setup, collector, launcher.clock.now_ns()))
+    down = [child.part.name for child in launcher.children if child.pid is None]
+    if down:
+        parts.append("down: " + ", ".join(down))
+    return "  ".join(parts)

@@ -1,0 +1,110 @@
+"""Inputs that give nothing, and streams that show nothing though their input does."""
+
+from dataclasses import dataclass
+
+from kontur_av.clock import NS_PER_S
+from pipelines.report.collector import Collector
+from pipelines.setup.table import (
+    GROUND_MIC,
+    ISS_CAMERA,
+    ISS_MIC,
+    STEREO,
+    STEREO_INPUTS,
+    VOICE_PACKETS_PER_S,
+    Setup,
+    VideoStream,
+    VoiceStream,
+)
+
+#: What the streams beside the uplink's video carry; that one carries the selected camera.
+_INPUTS = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
+
+#: A picture or a sound that stays out for this long, and for this many periods, is missed.
+MISSED_NS = 2 * NS_PER_S
+_MISSED_PERIODS = 4
+_FOR_EVER_NS = 1 << 62
+#: A radio that loses more of the frames than this lets hardly a picture through whole.
+_SPOILED = 0.05
+
+
+@dataclass(frozen=True)
+class Silence:
+    """An input that gives nothing. process: that of the input. fault: its source's last one."""
+
+    process: str
+    sense: str
+    silent_ns: int
+    fault: str
+
+    def __str__(self) -> str:
+        line = f"{self.process}: no {self.sense} for {self.silent_ns / NS_PER_S:.0f} s"
+        return f"{line} ({self.fault})" if self.fault else line
+
+
+def silences(setup: Setup, collector: Collector, now_ns: int | None = None) -> list[Silence]:
+    """The inputs that have given nothing for too long by `now_ns`, or by what they told last."""
+    found = []
+    for name in setup.inputs:
+        process = input_process(setup, name)
+        figures = collector.process(process)
+        silent_ns = figures.silent_ns(now_ns)
+        video = setup.kind_of(name) == "video"
+        if silent_ns >= _missed_ns(setup.stream_of(name).fps if video else VOICE_PACKETS_PER_S):
+            fault = str(figures.gauges.get("source_fault", ""))
+            found.append(Silence(process, "picture" if video else "sound", silent_ns, fault))
+    return found
+
+
+def input_process(setup: Setup, name: str) -> str:
+    """The process that captures the input `name`."""
+    return f"camera_{name}" if name in setup.camera_inputs else name
+
+
+def missed_ns(stream: VideoStream | VoiceStream) -> int:
+    """When a picture or a sound of `stream` that stays out is missed."""
+    return _missed_ns(stream.fps if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S)
+
+
+def _missed_ns(fps: int) -> int:
+    return max(MISSED_NS, _MISSED_PERIODS * NS_PER_S // fps)
+
+
+def signal_ns(segment: str, collector: Collector) -> int:
+    """How long the gateway of `segment` had heard the other one without a pause when it told last.
+
+    Without end where no gateway has told of its contacts; 0 where the radio has lost so many frames
+    that hardly a picture can have come whole.
+    """
+    figures = collector.process(f"{segment}_gateway")
+    link = figures.gauges.get("link", {})
+    supervision = link.get("supervision")
+    if supervision is None:
+        return _FOR_EVER_NS
+    heard = link.get("receive", {})
+    received, lost = heard.get("frames", 0), heard.get("frames_lost", 0)
+    if not supervision["signal"] or lost > _SPOILED * (received + lost):
+        return 0
+    acquired_ns: int = supervision["begun_ns"] + supervision["contacts"][-1]["acquired_ns"]
+    return figures.told_ns - acquired_ns
+
+
+def stopped_ns(stream: VideoStream | VoiceStream, setup: Setup, collector: Collector) -> int:
+    """How long a stream has shown nothing while its input gave, in ns; 0 if it never showed."""
+    shown_ns = collector.streams[stream.name].last_shown_ns
+    if shown_ns is None:
+        return 0
+    inputs: tuple[str, ...]
+    if stream.name == "uplink_video":
+        selector = collector.process("selector")
+        camera = selector.gauges.get("selected", setup.cameras[0])
+        inputs = STEREO_INPUTS if camera == STEREO else (camera,)
+        shown_ns = max(shown_ns, selector.selected_ns)
+    else:
+        inputs = (_INPUTS[stream.name],)
+    longest_ns = 0
+    for name in inputs:
+        figures = collector.process(input_process(setup, name))
+        if figures.captured_ns is not None:
+            given_ns = figures.captured_ns - max(shown_ns, figures.gives_since_ns)
+            longest_ns = max(longest_ns, given_ns)
+    return longest_ns

@@ -1,0 +1,240 @@
+"""From contacts and what was perceived of them to latencies, skews and a verdict on the stamps."""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.report.sync.limits import LIMITS
+from pipelines.report.sync.matching import Found, match
+from pipelines.report.sync.verdict import judge
+
+#: The senses, and what carries them to the operator.
+SENSES = {"light": "uplink_video", "click": "uplink_voice", "force": "haptic_up"}
+#: The rows that processes tell of contacts and of what they perceived.
+PERCEIVED = frozenset({"contact", "light", "click", "step"})
+#: The pairs of the report: how much later the first comes than the second.
+PAIRS = {
+    "video_haptic": ("light", "force"),
+    "audio_haptic": ("click", "force"),
+    "audio_video": ("click", "light"),
+}
+
+#: A contact so soon after another is a bounce of it.
+_BOUNCE_NS = 300 * NS_PER_MS
+#: So long before the end of what is known a contact may not have been perceived yet.
+_PATIENCE_NS = NS_PER_S
+#: Hours of contacts and clicks; then the oldest go.
+_DEPTH = 65_536
+#: So many contacts are listed one by one.
+_LISTED = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A contact with a target: its instant, its LED, and what was perceived of it by sense."""
+
+    instant_ns: int
+    led: int
+    perceived: dict[str, Found | None]
+
+    def latency_ns(self, sense: str) -> int | None:
+        """From the contact to its perception; None if it was missed."""
+        found = self.perceived[sense]
+        return None if found is None else found.instant_ns - self.instant_ns
+
+
+class SyncFigures:
+    """Takes contacts and what detectors found, in any order; `report` joins them."""
+
+    def __init__(self) -> None:
+        self._contacts: deque[tuple[int, int]] = deque(maxlen=_DEPTH)
+        self._found: dict[str, deque[Found]] = {sense: deque(maxlen=_DEPTH) for sense in SENSES}
+        #: Steps of the force whose samples' stamps are not known yet.
+        self._steps: deque[int] = deque(maxlen=_DEPTH)
+        #: Until when everything is known.
+        self._now_ns = -(1 << 62)
+
+    def handle_rows(self, kind: str, stream: str, rows: Sequence[Sequence[int]]) -> None:
+        """Rows of one of `PERCEIVED`, as a process tells them.
+
+        contact: (instant, index of the LED or -1). step: (instant). light and click, of `stream`:
+        see `pipelines.report.sync.watching`.
+        """
+        if kind == "contact":
+            self._contacts.extend((instant_ns, led) for instant_ns, led in rows)
+        elif kind == "step":
+            self._steps.extend(instant_ns for (instant_ns,) in rows)
+        elif SENSES[kind] == stream:
+            self._found[kind].extend(
+                Found(instant_ns, float(strength), stamp_ns, slack_ns)
+                for instant_ns, stamp_ns, slack_ns, strength in rows
+            )
+
+    def handle_time(self, now_ns: int, sent_ns_at: Callable[[int], int | None]) -> None:
+        """It is `now_ns`. sent_ns_at: when the force that was felt at an instant was sent."""
+        self._now_ns = max(self._now_ns, now_ns)
+        steps = self._steps
+        # By then both ends of the samples have told their stamps.
+        while steps and steps[0] <= now_ns - _PATIENCE_NS:
+            instant_ns = steps.popleft()
+            self._found["force"].append(Found(instant_ns, stamp_ns=sent_ns_at(instant_ns)))
+
+    def _events(self, senses: Sequence[str], soonest_ns: int) -> list[Event]:
+        """Every contact with a target, by its instant; bounces are none of their own."""
+        contacts, _ = self._apart()
+        instants = [instant_ns for instant_ns, _ in contacts]
+        nothing: list[Found | None] = [None] * len(instants)
+        matched = {
+            sense: match(instants, self._sorted(sense), soonest_ns=soonest_ns)
+            if sense in senses
+            else nothing
+            for sense in SENSES
+        }
+        return [
+            Event(instant_ns, led, {sense: matched[sense][index] for sense in SENSES})
+            for index, (instant_ns, led) in enumerate(contacts)
+            if led >= 0 and instant_ns <= self._now_ns - soonest_ns - _PATIENCE_NS
+        ]
+
+    def report(self, senses: Sequence[str], *, soonest_ns: int = 0) -> dict[str, Any] | None:
+        """The section `sync` of a report; None if nothing was touched.
+
+        senses: those that contacts reach; what was found for another one is left out.
+        soonest_ns: the radio's delay at least.
+        """
+        events = self._events(senses, soonest_ns)
+        if not events:
+            return None
+        contacts, bounces = self._apart()
+        start_ns = events[0].instant_ns
+        return {
+            "events": len(events),
+            "touches_beside_targets": sum(led < 0 for _, led in contacts),
+            "bounces": bounces,
+            "senses": {
+                sense: self._sense(sense, events) if sense in senses else None for sense in SENSES
+            },
+            "skew_ms": {name: skew_summary(name, skews_ns(name, events)) for name in PAIRS},
+            "listed": [_listed(event, start_ns) for event in events[-_LISTED:]],
+        }
+
+    def _apart(self) -> tuple[list[tuple[int, int]], int]:
+        apart: list[tuple[int, int]] = []
+        bounces, last_ns = 0, -(1 << 62)
+        for instant_ns, led in sorted(self._contacts):
+            if instant_ns - last_ns < _BOUNCE_NS:
+                bounces += 1
+            else:
+                apart.append((instant_ns, led))
+            last_ns = instant_ns
+        return apart, bounces
+
+    def _sorted(self, sense: str) -> list[Found]:
+        found = list(self._found[sense])
+        if sense == "force":
+            # They were felt, whatever their samples' stamps will be.
+            found += map(Found, self._steps)
+        return sorted(found, key=lambda one: one.instant_ns)
+
+    def _sense(self, sense: str, events: Sequence[Event]) -> dict[str, Any]:
+        perceived = [
+            (event.instant_ns, found)
+            for event in events
+            if (found := event.perceived[sense]) is not None
+        ]
+        stamped = [
+            (instant_ns, found, found.stamp_ns)
+            for instant_ns, found in perceived
+            if found.stamp_ns is not None
+        ]
+        verdict = judge(perceived)
+        return {
+            "stream": SENSES[sense],
+            "perceived": len(perceived),
+            "missed": len(events) - len(perceived),
+            "latency_ms": summary_ms([found.instant_ns - at for at, found in perceived]),
+            "stamped_latency_ms": summary_ms(
+                [found.instant_ns - stamp_ns for _, found, stamp_ns in stamped]
+            ),
+            "stamp_error_ms": summary_ms([stamp_ns - at for at, _, stamp_ns in stamped]),
+            "judged": verdict.judged,
+            "judged_error_ms": _ms(verdict.median_ns),
+            "confident_ms": None
+            if verdict.between_ns is None
+            else list(map(_ms, verdict.between_ns)),
+            "allowed_error_ms": list(map(_ms, verdict.allowed_ns)),
+            "agrees": verdict.agrees,
+            "found": len(self._sorted(sense)),
+        }
+
+
+def disagreements(report: dict[str, Any] | None) -> list[str]:
+    """A line for each sense whose stamps say something else than what it shows."""
+    lines = []
+    for sense, figures in (report or {"senses": {}})["senses"].items():
+        if figures is not None and figures["agrees"] is False:
+            least, most = figures["allowed_error_ms"]
+            low, high = figures["confident_ms"]
+            lines.append(
+                f"{figures['stream']}: stamps and content disagree: by its stamps a {sense} was "
+                f"captured {figures['judged_error_ms']:+.1f} ms after the contact that made it "
+                f"({least:+.1f} to {most:+.1f} are explained; {figures['judged']} say so, "
+                f"{low:+.1f} to {high:+.1f} with 95 % confidence)"
+            )
+    return lines
+
+
+def skews_ns(pair: str, events: Sequence[Event]) -> list[int]:
+    """By how much the pair's first sense came later than its second, of events that have both."""
+    first, second = PAIRS[pair]
+    both = ((event.latency_ns(first), event.latency_ns(second)) for event in events)
+    return [a - b for a, b in both if a is not None and b is not None]
+
+
+def skew_summary(pair: str, values_ns: Sequence[int]) -> dict[str, Any] | None:
+    """Percentiles of a pair's skews, and the share that goes unnoticed; None without any."""
+    if not values_ns:
+        return None
+    limit = LIMITS[pair]
+    within = sum(map(limit.holds, values_ns))
+    return {
+        "events": len(values_ns),
+        **summary_ms(values_ns),
+        "within": round(within / len(values_ns), 4),
+        "limits_ms": [limit.least_ns / NS_PER_MS, limit.most_ns / NS_PER_MS],
+        "source": limit.source,
+    }
+
+
+def summary_ms(values_ns: Sequence[int]) -> dict[str, float]:
+    """p50, p95, p99 of signed values by nearest rank, and the one farthest from zero, in ms."""
+    if not values_ns:
+        return {}
+    ordered = sorted(values_ns)
+    figures = {f"p{p}": rank(ordered, p) for p in (50, 95, 99)}
+    figures["max"] = max(ordered, key=abs)
+    return {name: round(value / NS_PER_MS, 3) for name, value in figures.items()}
+
+
+def rank(ordered: Sequence[int], p: float) -> int:
+    """The smallest of the ascending values that at least `p` percent do not exceed."""
+    return ordered[max(0, ceil(len(ordered) * p / 100) - 1)]
+
+
+def _ms(value_ns: int | None) -> float | None:
+    return None if value_ns is None else round(value_ns / NS_PER_MS, 3)
+
+
+def _listed(event: Event, start_ns: int) -> dict[str, Any]:
+    latencies = {sense: event.latency_ns(sense) for sense in SENSES}
+    return {
+        "at_s": round((event.instant_ns - start_ns) / NS_PER_S, 4),
+        "led": event.led,
+        **{
+            f"{sense}_ms": None if value is None else round(value / NS_PER_MS, 3)
+            for sense, value in latencies.items()
+        },
+    }

@@ -1,0 +1,109 @@
+"""The operator's eye and ear: the detectors, fed with what is really shown and played.
+
+Rows for the report: "light.STREAM" and "click.STREAM" are (instant, instant of capture by the
+stamps, how much earlier it may have been captured, strength).
+"""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from kontur_av.detect import Click, ClickDetector, Light, LightDetector
+from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
+from kontur_av.sources.source import BLOCK_NS
+from pipelines.report.sync.figures import SENSES
+from pipelines.runtime.probe import Probe
+
+#: The streams that show the operator where the contacts are.
+OPERATORS = frozenset({SENSES["light"], SENSES["click"]})
+
+
+class Sample(Protocol):
+    """What lies in shared memory: a picture or a block of sound."""
+
+    @property
+    def stamp(self) -> CaptureStamp: ...
+
+    def video(self) -> VideoFrame: ...
+
+    def audio(self) -> AudioFrame: ...
+
+
+class Watching:
+    """Feed it with every picture and every block of sound of a display."""
+
+    def __init__(self, probe: Probe) -> None:
+        self._probe = probe
+        self._eyes: dict[str, LightDetector] = {}
+        self._ears: dict[str, ClickDetector] = {}
+
+    def handle_sample(self, stream: str, sample: Sample, now_ns: int) -> None:
+        """Whatever there is of `stream` is shown, or heard, from `now_ns` on."""
+        if stream == SENSES["light"]:
+            self.handle_picture(stream, sample.video().data, sample.stamp, now_ns)
+        else:
+            self.handle_sound(stream, sample.audio().samples, sample.stamp, now_ns)
+
+    def handle_picture(self, stream: str, picture: I420, stamp: CaptureStamp, now_ns: int) -> None:
+        """A picture of `stream`, shape (height * 3 // 2, width), is shown at `now_ns`."""
+        eye = self._eyes.get(stream)
+        if eye is None:
+            eye = self._eyes[stream] = LightDetector()
+        eye.handle_picture(picture, now_ns, stamp.capture_ns)
+        while (light := eye.next_event()) is not None:
+            tell_light(self._probe, stream, light, _ITSELF)
+
+    def handle_sound(self, stream: str, samples: Pcm, stamp: CaptureStamp, now_ns: int) -> None:
+        """A block of sound of `stream` is heard from `now_ns` on."""
+        ear = self._ears.get(stream)
+        if ear is None:
+            ear = self._ears[stream] = ClickDetector()
+        ear.handle_block(samples, now_ns, stamp.capture_ns)
+        while (click := ear.next_event()) is not None:
+            tell_click(self._probe, stream, click, _ITSELF)
+
+
+class _Itself(dict[int, int]):
+    """Tags that are capture instants already."""
+
+    def __missing__(self, tag: int) -> int:
+        return tag
+
+
+_ITSELF = _Itself()
+
+
+def tell_light(probe: Probe, stream: str, light: Light, captured_ns: Mapping[int, int]) -> None:
+    """Put a light into the probe. captured_ns: when the pictures were captured, by their tags."""
+    try:
+        capture_ns = captured_ns[light.tag]
+        slack_ns = max(0, capture_ns - captured_ns[light.previous_tag])
+    except KeyError:
+        # A picture without a date was not shown.
+        return
+    row = light.instant_ns, capture_ns, slack_ns, round(light.strength)
+    probe.row(f"light.{stream}", *row)
+
+
+def tell_click(probe: Probe, stream: str, click: Click, captured_ns: Mapping[int, int]) -> None:
+    """Put a click into the probe. captured_ns: when the blocks were captured, by their tags."""
+    try:
+        capture_ns = captured_ns[click.tag]
+    except KeyError:
+        return
+    # However long the playout let the block sound: it shortens and stretches, in a pause by half.
+    capture_ns += click.offset_ns * BLOCK_NS // click.length_ns
+    probe.row(f"click.{stream}", click.instant_ns, capture_ns, 0, round(click.strength))
+
+
+class Recall:
+    """When the newest pictures or blocks were captured, by their RTP timestamps."""
+
+    def __init__(self, depth: int = 64) -> None:
+        self._depth = depth
+        self.captured_ns: dict[int, int] = {}
+
+    def add(self, timestamp: int, capture_ns: int) -> None:
+        """One more; the oldest goes."""
+        self.captured_ns[timestamp] = capture_ns
+        if len(self.captured_ns) > self._depth:
+            del self.captured_ns[next(iter(self.captured_ns))]

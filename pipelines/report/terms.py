@@ -1,0 +1,161 @@
+"""What the time from an event to its picture is made of, and by how much the hand is ahead of it.
+
+An event happens at any instant; the first picture that can show it is the next one that is captured
+and comes through. So each picture stands for the events since the one before, and counts by the
+time between the two: the means below are those of an event, not of a picture. Only means add up.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.setup.table import Setup
+from telepresence.link.profile import LinkProfile
+
+#: In the order in which they pass, with how each is obtained.
+TERMS = {
+    "camera": "half the time since the picture before: the wait for the next capture",
+    "capture": "from the capture to the encoder: drawing or reading, stereo merge, selection",
+    "encoding": "from the encoder's begin to the access unit",
+    "queueing": "waiting for the channel before encoding, pacer, gateway, slots: what is left",
+    "serialisation": "octets on the channel, headers included, at the rate that samples leave",
+    "propagation": "the radio's delay in the second in which the picture was sent",
+    "decoding": "from the last packet to the picture in shared memory",
+    "display": "from there to the display's taking it; a screen's own delay is not in it",
+}
+
+#: Captures that lie farther apart are those of a pause, not of a camera.
+LONGEST_GAP_NS = NS_PER_S
+
+#: Parts of a way that are measured; queueing, serialisation and propagation come out of two.
+_MEASURED = ("camera", "capture", "waiting", "encoding", "network", "decoding", "display", "total")
+
+
+class Way:
+    """Sums over the pictures of a stream, each weighted with the time that it stands for."""
+
+    def __init__(self) -> None:
+        self.pictures = 0
+        self._weight = 0
+        self._sums = dict.fromkeys(_MEASURED, 0)
+        self._octets = self._packets = 0
+        #: By the second in which pictures were sent: the weight of those.
+        self._seconds: Counter[int] = Counter()
+
+    def add(
+        self,
+        instants_ns: tuple[int, int, int, int, int, int, int],
+        gap_ns: int,
+        size: tuple[int, int],
+    ) -> None:
+        """A picture has come to its end.
+
+        instants_ns: captured, at the encoder, encoding begun, encoded, received, decoded, shown.
+        gap_ns: since the capture of the one before. size: octets of RTP payload, and packets.
+        """
+        captured, came, begun, encoded, received, decoded, displayed = instants_ns
+        parts = (
+            gap_ns // 2,
+            came - captured,
+            begun - came,
+            encoded - begun,
+            received - encoded,
+            decoded - received,
+            displayed - decoded,
+            displayed - captured + gap_ns // 2,
+        )
+        for name, part_ns in zip(_MEASURED, parts, strict=True):
+            self._sums[name] += gap_ns * part_ns
+        self._octets += gap_ns * size[0]
+        self._packets += gap_ns * size[1]
+        self._seconds[encoded // NS_PER_S] += gap_ns
+        self._weight += gap_ns
+        self.pictures += 1
+
+    def mean_ns(self, part: str) -> float:
+        """The mean of one part of the way, one of the measured ones; 0 without pictures."""
+        return self._sums[part] / self._weight if self._weight else 0.0
+
+    @property
+    def octets_mean(self) -> float:
+        """RTP payload of a picture."""
+        return self._octets / self._weight if self._weight else 0.0
+
+    @property
+    def packets_mean(self) -> float:
+        return self._packets / self._weight if self._weight else 0.0
+
+    def propagation_ns(self, setup: Setup, profile: LinkProfile, epoch_ns: int) -> float:
+        """The mean delay of the radio (ns) in the seconds in which the pictures were sent.
+
+        epoch_ns: the instant of the radio's time 0.
+        """
+        if not self._weight:
+            return 0.0
+        # Of the path's chances none is asked: the frames are empty and the delay is no chance.
+        path = setup.radio_path(profile, seed=0, epoch_ns=epoch_ns)
+        total = 0
+        for second in sorted(self._seconds):
+            now_ns = max(epoch_ns, second * NS_PER_S + NS_PER_S // 2)
+            path.handle_frame(b"", now_ns)
+            total += self._seconds[second] * path.delay_ns
+            while path.poll_transmit(now_ns + path.delay_ns) is not None:
+                pass
+        return total / self._weight
+
+
+def zone_bps(profile: LinkProfile, link: Mapping[str, Any]) -> float:
+    """What haptic samples left of the direction whose figures are `link`, in bit/s."""
+    frames = link["frames"]
+    if not frames:
+        return float(profile.media_bps)
+    samples_octets: float = link["octets"].get("haptic", 0) / frames
+    return (profile.largest_zone_octets - samples_octets) * 8 * NS_PER_S / profile.slot_ns
+
+
+def video_lead(
+    setup: Setup, way: Way, link: Mapping[str, Any], *, force_ns: float, epoch_ns: int
+) -> dict[str, Any] | None:
+    """By how much force comes before the uplink's picture of the same event; None without pictures.
+
+    link: the uplink's figures in the report. force_ns: mean latency of the force.
+    Gives `pictures`, `octets_mean`, `zone_bps`, and by term and `total`, in ms: `video_ms`, of the
+    event's picture; `force_ms`, of its force; `lead_ms`, the difference.
+    """
+    if not way.pictures:
+        return None
+    profile = setup.uplink
+    headers = link["headers"].get(setup.uplink_video.name, {})
+    header_octets = headers.get("header_octets", 0) / max(1, headers.get("packets", 0))
+    rate_bps = zone_bps(profile, link)
+    propagation_ns = way.propagation_ns(setup, profile, epoch_ns)
+    octets = way.octets_mean + header_octets * way.packets_mean
+    serialisation_ns = octets * 8 * NS_PER_S / rate_bps
+    left_over_ns = way.mean_ns("network") - serialisation_ns - propagation_ns
+    video = {
+        **{name: way.mean_ns(name) for name in TERMS if name in _MEASURED},
+        "queueing": way.mean_ns("waiting") + left_over_ns,
+        "serialisation": serialisation_ns,
+        "propagation": propagation_ns,
+        "total": way.mean_ns("total"),
+    }
+    # A sample has its place in a frame: it waits for its slot and its cycle, and for no other.
+    force = dict.fromkeys((*TERMS, "total"), 0.0)
+    force |= {
+        "queueing": force_ns - propagation_ns,
+        "propagation": propagation_ns,
+        "total": force_ns,
+    }
+    return {
+        "pictures": way.pictures,
+        "octets_mean": round(way.octets_mean, 1),
+        "zone_bps": round(rate_bps),
+        "video_ms": _in_ms(video),
+        "force_ms": _in_ms(force),
+        "lead_ms": _in_ms({name: video[name] - force[name] for name in video}),
+    }
+
+
+def _in_ms(terms: Mapping[str, float]) -> dict[str, float]:
+    return {name: round(terms[name] / NS_PER_MS, 3) for name in (*TERMS, "total")}

@@ -1,0 +1,79 @@
+"""The way from another terminal to a running session: lines of JSON.
+
+A session's console listens on a Unix socket in the session's directory, which only its user may
+enter. Request: `{"select": "static"}`. Answer: `{"ok": true, ...}` or `{"ok": false, "error":
+"...", "mistake": true}`; `mistake` says that the request could not work for anybody. Before the
+answer to a telecommand comes `{"wait_s": 1.5}`: how long the console itself may wait for space.
+"""
+
+import json
+import os
+import socket
+from pathlib import Path
+from typing import Any
+
+from kontur_av.errors import ConfigError
+from kontur_av.topics.session_files import session_root
+
+_SOCKET = "console"
+#: How long a console may take beside what it says that it has to wait; then nobody is there.
+_PATIENCE_S = 5.0
+MAX_LINE_OCTETS = 4096
+
+
+def console_path(session: str) -> Path:
+    """Where the console of `session` listens."""
+    return session_root(session) / _SOCKET
+
+
+def running_sessions() -> list[str]:
+    """The sessions of this user that have a console, oldest first."""
+    found = session_root("x").parent.glob(f"*/{_SOCKET}")
+    return [path.parent.name for path in sorted(found, key=lambda path: path.stat().st_mtime)]
+
+
+def ask(request: dict[str, Any], session: str | None = None) -> dict[str, Any]:
+    """The running session's answer; ConfigError when there is no session to ask, or several."""
+    sessions = running_sessions() if session is None else [session]
+    alive = [(name, link) for name in sessions if (link := _connect(console_path(name)))]
+    if not alive:
+        root = session_root("any").parent
+        raise ConfigError(
+            f"no session{f' {session}' if session else ''} is running here: start one with "
+            f"`kontur-av stream --setup spacejustin`, or set TMPDIR as it has it ({root} has none)"
+        )
+    if len(alive) > 1:
+        names = ", ".join(name for name, _ in alive)
+        raise ConfigError(f"several sessions are running: choose one of {names} with --session")
+    with alive[0][1] as link:
+        try:
+            link.sendall(json.dumps(request).encode() + b"\n")
+            lines = link.makefile("rb")
+            answer = _parse(lines.readline(MAX_LINE_OCTETS))
+            if answer is not None and isinstance(wait_s := answer.get("wait_s"), int | float):
+                link.settimeout(wait_s + _PATIENCE_S)
+                answer = _parse(lines.readline(MAX_LINE_OCTETS))
+        except OSError:
+            answer = None
+    if answer is None:
+        return {"ok": False, "error": "the session's console has ended before it answered"}
+    return answer
+
+
+def _parse(line: bytes) -> dict[str, Any] | None:
+    try:
+        answer = json.loads(line)
+    except ValueError:
+        return None
+    return answer if isinstance(answer, dict) else None
+
+
+def _connect(path: Path) -> socket.socket | None:
+    link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    link.settimeout(_PATIENCE_S)
+    try:
+        link.connect(os.fspath(path))
+    except OSError:
+        link.close()
+        return None
+    return link

@@ -1,0 +1,382 @@
+"""Starts the processes of a session, watches them, restarts them, and ends them.
+
+Every process is forked from the launcher, which has loaded the codecs once: a start or a restart
+takes milliseconds. For that the launcher itself must stay single-threaded and out of shared
+memory.
+"""
+
+import ctypes
+import errno
+import gc
+import os
+import resource
+import selectors
+import signal
+import socket
+import tempfile
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.errors import ConfigError
+from pipelines.report.collector import Collector
+from pipelines.runtime.probe import Message, Probe
+from pipelines.runtime.process import LOOPBACK, Context, Part, Stage, become
+from pipelines.setup.table import Setup
+
+#: A process that falls again at once is restarted after this, and twice as late each time after.
+_FIRST_PAUSE_NS = 50 * NS_PER_MS
+_LONGEST_PAUSE_NS = NS_PER_S
+#: A life this long was a good one: the pauses begin anew.
+_GOOD_LIFE_NS = 5 * NS_PER_S
+#: A restarted sender knows nothing of what its predecessor sent. Its cap holds over any window of
+#: a second only if none has both in it; the 10 ms are the guard of `Pacer`.
+_SENDER_REST_NS = NS_PER_S + 10 * NS_PER_MS
+#: So long a process has to end by itself.
+_PATIENCE_NS = 3 * NS_PER_S
+_SHOW_NS = NS_PER_S
+_MESSAGE_OCTETS = 1 << 20
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+
+
+@dataclass
+class Child:
+    """A part, and the process that runs it at present, if one does."""
+
+    part: Part
+    pid: int | None = None
+    pidfd: int = -1
+    link: socket.socket | None = None
+    started_ns: int = 0
+    pause_ns: int = _FIRST_PAUSE_NS
+    due_ns: int = 0
+    restarts: int = 0
+    ended_cpu_s: float = 0.0
+    last_error: str = ""
+
+    def cpu_s(self) -> float:
+        """Seconds of a core that all lives of the part have taken so far."""
+        if self.pid is None:
+            return self.ended_cpu_s
+        try:
+            fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return self.ended_cpu_s
+        return self.ended_cpu_s + (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@dataclass
+class Launcher:
+    """Runs `parts` until it is told to stop.
+
+    seed: what the radio's chances derive from.
+    show: called about once a second, with this launcher, to tell the user how things are.
+    """
+
+    session: str
+    setup: Setup
+    parts: Sequence[Part]
+    clock: MonotonicClock
+    snapshots: Path | None = None
+    seed: int = 0
+    show: Callable[["Launcher"], None] | None = None
+    collector: Collector = field(init=False)
+    children: list[Child] = field(init=False)
+    started_ns: int = 0
+    ended_ns: int = 0
+    _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector)
+    _stop: bool = False
+
+    def __post_init__(self) -> None:
+        self.collector = Collector([stream.name for stream in self.setup.streams])
+        self.children = [Child(part) for part in self.parts]
+
+    @property
+    def seconds(self) -> float:
+        """How long the session has run."""
+        end_ns = self.ended_ns or self.clock.now_ns()
+        return (end_ns - self.started_ns) / NS_PER_S
+
+    def run(self, seconds: float | None) -> None:
+        """Start everything, and return when all is ended again: after `seconds`, or on a signal."""
+        wake_read, wake_write = socket.socketpair()
+        wake_read.setblocking(False)
+        wake_write.setblocking(False)
+        # Under nohup(1) a closed terminal is to end nothing.
+        nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        previous = {
+            number: signal.signal(number, self._handle_signal)
+            for number in _ENDING
+            if not (nohup and number == signal.SIGHUP)
+        }
+        previous_wakeup = signal.set_wakeup_fd(wake_write.fileno())
+        self._selector.register(wake_read, selectors.EVENT_READ, wake_read)
+        # What is there now is never freed: no need to walk it, or to copy its pages for that.
+        gc.collect()
+        gc.freeze()
+        try:
+            self.started_ns = self.clock.now_ns()
+            for child in self.children:
+                self._start(child)
+            end_ns = None if seconds is None else self.started_ns + round(seconds * NS_PER_S)
+            self._watch(end_ns)
+            self.ended_ns = self.clock.now_ns()
+        finally:
+            self._end_all()
+            signal.set_wakeup_fd(previous_wakeup)
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+            self._selector.close()
+            wake_read.close()
+            wake_write.close()
+
+    def cpu_s(self) -> dict[str, float]:
+        """Seconds of a core by process."""
+        return {child.part.name: child.cpu_s() for child in self.children}
+
+    def _handle_signal(self, number: int, frame: FrameType | None) -> None:
+        self._stop = True
+
+    def _watch(self, end_ns: int | None) -> None:
+        show_ns = self.started_ns + _SHOW_NS
+        while not self._stop:
+            now_ns = self.clock.now_ns()
+            if end_ns is not None and now_ns >= end_ns:
+                return
+            if now_ns >= show_ns:
+                show_ns += _SHOW_NS * ((now_ns - show_ns) // _SHOW_NS + 1)
+                self._show()
+            wake_ns = min(show_ns, show_ns if end_ns is None else end_ns)
+            for child in self.children:
+                if child.pid is not None:
+                    continue
+                if child.due_ns <= now_ns:
+                    child.restarts += 1
+                    self._start(child)
+                else:
+                    wake_ns = min(wake_ns, child.due_ns)
+            self._attend(wake_ns - self.clock.now_ns())
+
+    def _show(self) -> None:
+        if self.show is None:
+            return
+        try:
+            self.show(self)
+        except BrokenPipeError:
+            self._stop = True  # whoever has read it, head(1) for one, wants no more
+        except OSError:
+            # A closed terminal, whose signal is under way, or a full disk, which ends no session.
+            self.show = None
+
+    def _attend(self, timeout_ns: int) -> None:
+        for key, _ in self._selector.select(max(0, timeout_ns) / NS_PER_S):
+            if isinstance(key.data, Child):
+                child = key.data
+                if key.fileobj is child.link:
+                    self._receive(child)
+                elif child.pid is not None:
+                    self._handle_end(child)
+            else:
+                key.data.recv(64)
+
+    def _receive(self, child: Child) -> None:
+        assert child.link is not None
+        while True:
+            try:
+                data = child.link.recv(_MESSAGE_OCTETS)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            if not data:
+                self._selector.unregister(child.link)
+                child.link.close()
+                child.link = None
+                return
+            now_ns = self.clock.now_ns()
+            message = Message.unpack(data)
+            self.collector.handle_message(child.part.name, message, now_ns)
+
+    def _start(self, child: Child) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        for end in (ours, theirs):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _MESSAGE_OCTETS)
+        # Until the child has its own way to end, a SIGTERM waits: it would be taken for ours.
+        signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+        launcher = os.getpid()
+        pid = os.fork()
+        if pid == 0:
+            # Nothing may get out of here: what stands above would end the siblings.
+            code = 1
+            try:
+                ours.close()
+                code = self._become_child(child, theirs, launcher)
+            finally:
+                os._exit(code)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
+        theirs.close()
+        ours.setblocking(False)
+        child.pid, child.link = pid, ours
+        child.pidfd = os.pidfd_open(pid)
+        child.started_ns = self.clock.now_ns()
+        self._selector.register(ours, selectors.EVENT_READ, child)
+        self._selector.register(child.pidfd, selectors.EVENT_READ, child)
+
+    def _become_child(self, child: Child, link: socket.socket, launcher: int) -> int:
+        context = Context(
+            session=self.session,
+            setup=self.setup,
+            clock=self.clock,
+            probe=Probe(link),
+            snapshots=self.snapshots,
+            started_ns=self.started_ns,
+            seed=self.seed,
+        )
+        try:
+            signal.set_wakeup_fd(-1)
+            # Nobody but the launcher may hold the other ends, or their closing would go unseen.
+            for key in list(self._selector.get_map().values()):
+                fd = key.fd
+                if fd != link.fileno():
+                    os.close(fd)
+            become(child.part, context)
+            if os.getppid() != launcher:
+                return 1  # it was killed before it could take this process along
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
+            child.part.run(context)
+            context.flush(self.clock.now_ns())
+        except BaseException as error:
+            context.probe.gauge("last_error", _one_line(error))
+            try:
+                context.flush(self.clock.now_ns())
+            except Exception:
+                # The totals may be what has failed.
+                context.probe.flush(self.clock.now_ns())
+            return 1
+        return 0
+
+    def _handle_end(self, child: Child) -> None:
+        assert child.pid is not None
+        if child.link is not None:
+            self._receive(child)
+        if child.link is not None:
+            self._selector.unregister(child.link)
+            child.link.close()
+            child.link = None
+        self._selector.unregister(child.pidfd)
+        os.close(child.pidfd)
+        _, status, usage = os.wait4(child.pid, 0)
+        child.pid = None
+        child.ended_cpu_s += usage.ru_utime + usage.ru_stime
+        figures = self.collector.process(child.part.name)
+        figures.handle_end()
+        if os.WIFSIGNALED(status):
+            child.last_error = f"ended by {_signal_name(os.WTERMSIG(status))}"
+        else:
+            child.last_error = figures.gauges.get("last_error", "ended by itself")
+        figures.gauges["last_error"] = child.last_error
+        now_ns = self.clock.now_ns()
+        if now_ns - child.started_ns >= _GOOD_LIFE_NS:
+            child.pause_ns = _FIRST_PAUSE_NS
+        rest_ns = _SENDER_REST_NS if child.part.stage is Stage.SENDER else 0
+        child.due_ns = now_ns + max(child.pause_ns, rest_ns)
+        child.pause_ns = min(2 * child.pause_ns, _LONGEST_PAUSE_NS)
+
+    def _end_all(self) -> None:
+        """Ask, wait, and insist: no process is left behind."""
+        ended = {child.part.name: child.last_error for child in self.children}
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            for child in self.children:
+                if child.pid is not None:
+                    os.kill(child.pid, number)
+            deadline_ns = self.clock.now_ns() + _PATIENCE_NS
+            while any(child.pid is not None for child in self.children):
+                remaining_ns = deadline_ns - self.clock.now_ns()
+                if remaining_ns <= 0:
+                    break
+                self._attend(remaining_ns)
+        # An end that was asked for is no error.
+        for child in self.children:
+            child.last_error = ended[child.part.name]
+            gauges = self.collector.process(child.part.name).gauges
+            gauges.pop("last_error", None)
+            if child.last_error:
+                gauges["last_error"] = child.last_error
+
+
+def _one_line(error: BaseException) -> str:
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    kind = type(error).__name__
+    return f"{kind}: {error} ({Path(where.filename).name}:{where.lineno})"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # the real-time signals between the first and the last have no name
+        return f"signal {number}"
+
+
+def hold_ports(setup: Setup) -> socket.socket:
+    """ConfigError when a port that the session needs is taken.
+
+    The launcher's own port is held as long as the socket is: of two sessions that are started
+    at the same moment, only one gets it.
+    """
+    held = hold_port(setup.ports.launcher)
+    for port in setup.ports.all():
+        if port != setup.ports.launcher:
+            hold_port(port).close()
+    return held
+
+
+def hold_port(port: int, address: str = LOOPBACK) -> socket.socket:
+    """What has the UDP port as long as it is open; ConfigError when it is taken."""
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        udp.bind((address, port))
+    except OSError as error:
+        udp.close()
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise ConfigError(
+                f"{address} is no address of this machine: take one of its own"
+            ) from None
+        raise ConfigError(
+            f"UDP port {port} is busy: end the program that has it (another session?), "
+            "or choose other ports with --base-port"
+        ) from None
+    return udp
+
+
+def load_libraries() -> None:
+    """Load what the processes need once, before they are forked."""
+    # Python looks for it by writing a file there: a process killed meanwhile would leave it.
+    tempfile.gettempdir()
+    import av  # noqa: F401
+    import cv2
+    import iceoryx2  # noqa: F401
+
+    import kontur_av.codecs.opus  # noqa: F401
+    from kontur_av.codecs import libopus
+
+    libopus.opuslib()
+    cv2.setNumThreads(1)
+    keep_memory()
+
+
+def keep_memory() -> None:
+    """Have the C library keep what it has: a picture's memory then isn't mapped anew each time."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:  # glibc
+        mallopt(_M_MMAP_THRESHOLD, 1 << 25)
+        mallopt(_M_TRIM_THRESHOLD, 1 << 28)
+
+
+def launcher_cpu_s() -> float:
+    """Seconds of a core that the launcher itself has taken, its imports included."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime + usage.ru_stime

@@ -1,0 +1,441 @@
+"""The typed table that describes a setup. What cannot work is refused when it is built.
+
+A user's own setup is a TOML file with the same fields: `pipelines.setup.setup_file`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import ceil
+from typing import Literal, get_args
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.h264_settings import coded_size_for
+from kontur_av.codecs.opus import bitrate_under_cap
+from kontur_av.errors import ConfigError
+from kontur_av.media import check_size
+from kontur_av.streams.budget import Pacer
+from telepresence.link.arithmetic import (
+    ChannelNeed,
+    StreamNeed,
+    TableLine,
+    channel_table,
+    check_fit,
+    freed_need_bps,
+)
+from telepresence.link.flows import (
+    Flow,
+    Level,
+    packet_flow,
+    rtcp_flow,
+    tmtc_flow,
+    video_flow,
+    voice_flow,
+)
+from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.radio import RadioPath, RadioProfile, delayed, load_radio
+from telepresence.tmtc.packets import check_name
+from telepresence.world import DEFAULT_SCENES
+
+#: The camera that is merged from the inputs `left` and `right`.
+STEREO = "stereo"
+STEREO_INPUTS = ("left", "right")
+
+GROUND_MIC, ISS_CAMERA, ISS_MIC = "ground_mic", "iss_camera", "iss_mic"
+
+VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
+#: Small enough that no part of a coded picture takes more than a picture's share of the link.
+VIDEO_PAYLOAD_OCTETS = 1000
+#: The radio that does nothing to frames.
+NO_RADIO = "cable"
+#: What is older than the radio's delay, this and so many periods is stale, if a setup says nothing.
+_STALE_NS = 100 * NS_PER_MS
+_STALE_PERIODS = 4
+#: How many ports a session takes, from its base port on.
+PORTS = 40
+
+TELEMETRY = "telemetry"
+TELECOMMAND = "telecommand"
+MAINTENANCE = "maintenance"
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoStream:
+    """An H.264 stream: its hard cap of RTP payload in bit/s, picture size and rate.
+
+    stale_after_ms: what is shown is marked when it is older; None: `Setup.stale_after_ns`.
+    coded: (width, height) in which pictures are coded; None: as large as there are bits for
+        (`coded_size`). They are shown in the stream's size.
+    """
+
+    name: str
+    cap_bps: int
+    width: int = 640
+    height: int = 480
+    fps: int = 30
+    coded: tuple[int, int] | None = None
+    stale_after_ms: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 20_000 <= self.cap_bps <= 20_000_000:
+            raise ConfigError(
+                f"{self.name}: cap of {self.cap_bps / 1000:g} kbit/s; video takes 20 to 20000"
+            )
+        if not 1 <= self.fps <= 120:
+            raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
+        _check_stale_after(self)
+        check_size(self.width, self.height)
+        if self.coded is not None:
+            check_size(*self.coded)
+            if self.coded[0] > self.width or self.coded[1] > self.height:
+                raise ConfigError(
+                    f"{self.name}: pictures of {self.width}x{self.height} coded as "
+                    f"{self.coded[0]}x{self.coded[1]}: take no larger size, or leave coded out"
+                )
+
+    @property
+    def coded_size(self) -> tuple[int, int]:
+        """In which pictures are coded."""
+        return self.coded or coded_size_for(self.width, self.height, self.fps, self.cap_bps)
+
+    @property
+    def payload_octets(self) -> int:
+        """The largest RTP payload: also one that the cap lets through at once."""
+        return min(VIDEO_PAYLOAD_OCTETS, Pacer(cap_bps=self.cap_bps).max_payload_octets)
+
+    @property
+    def packets_per_s(self) -> int:
+        """Of pictures of equal size that fill the cap."""
+        return self.fps * ceil(self.cap_bps / (8 * self.fps * self.payload_octets))
+
+
+@dataclass(frozen=True, kw_only=True)
+class VoiceStream:
+    """An Opus stream in voice mode, mono 48 kHz, constant bit rate: RTP payload in bit/s.
+
+    stale_after_ms: what is heard is stale when it is older; None: `Setup.stale_after_ns`.
+    """
+
+    name: str
+    cap_bps: int
+    stale_after_ms: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.cap_bps > 128_000:
+            raise ConfigError(
+                f"{self.name}: a cap of {self.cap_bps / 1000:g} kbit/s; take at most 128"
+            )
+        try:
+            bitrate_under_cap(self.cap_bps)
+        except ConfigError as error:
+            raise ConfigError(f"{self.name}: {error}") from None
+        _check_stale_after(self)
+
+
+def _check_stale_after(stream: VideoStream | VoiceStream) -> None:
+    after_ms = stream.stale_after_ms
+    if after_ms is not None and not 10 <= after_ms <= 600_000:
+        raise ConfigError(f"{stream.name}: stale after {after_ms:g} ms; take 10 to 600000")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ports:
+    """Which UDP port is whose, all on loopback, counted from `base`.
+
+    A stream has four: where its sender reaches the gateway (RTP, RTCP) and where the other
+    segment's gateway reaches its receiver (RTP, RTCP).
+    """
+
+    base: int
+
+    def __post_init__(self) -> None:
+        if not 1024 <= self.base <= 65_536 - PORTS:
+            raise ConfigError(f"base port {self.base}: take 1024 to {65_536 - PORTS}")
+
+    @property
+    def ground_radio(self) -> int:
+        return self.base
+
+    @property
+    def space_radio(self) -> int:
+        return self.base + 1
+
+    @property
+    def ground_haptic(self) -> int:
+        """The ground gateway takes the robot's samples here."""
+        return self.base + 2
+
+    @property
+    def robot(self) -> int:
+        return self.base + 3
+
+    @property
+    def space_haptic(self) -> int:
+        """The space gateway takes the joystick's samples here."""
+        return self.base + 4
+
+    @property
+    def joystick(self) -> int:
+        return self.base + 5
+
+    @property
+    def launcher(self) -> int:
+        """Whoever has this one has them all."""
+        return self.base + 6
+
+    def entry(self, flow: str) -> int:
+        """Where the gateway of the sending segment takes the datagrams of `flow`."""
+        return self.base + _PORT_OFFSETS[flow]
+
+    def exit(self, flow: str) -> int:
+        """Where the consumer of `flow` in the receiving segment listens."""
+        offset = 2 if flow.startswith(("uplink_", "downlink_")) else 1
+        return self.entry(flow) + offset
+
+    def all(self) -> range:
+        """Every port that a session may take."""
+        return range(self.base, self.base + PORTS)
+
+
+_PORT_OFFSETS = {
+    "uplink_video": 10,
+    "uplink_video_rtcp": 11,
+    "uplink_voice": 14,
+    "uplink_voice_rtcp": 15,
+    "downlink_video": 18,
+    "downlink_video_rtcp": 19,
+    "downlink_voice": 22,
+    "downlink_voice_rtcp": 23,
+    "feedback_uplink_video": 26,
+    "feedback_downlink_video": 28,
+    TELEMETRY: 30,
+    TELECOMMAND: 32,
+    f"uplink_{MAINTENANCE}": 34,
+    f"downlink_{MAINTENANCE}": 37,
+}
+
+
+#: Whether haptic samples that nobody would feel are left out, and what for: more picture through
+#: a higher cap, or the same picture sooner.
+Deadband = Literal["off", "picture", "latency"]
+DEADBANDS: tuple[Deadband, ...] = get_args(Deadband)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """A telepresence session: who sees, hears and feels what, at which rates, through what.
+
+    cameras: what can be selected for the uplink video; the first is on at the start. `stereo` is
+        merged from the inputs `left` and `right`; any other is the input of the same name.
+    sources: for each input its source, as on the command line (`--source NAME=SPEC`).
+    radio: what the radio does to frames: a built-in profile (`cable`, `clean`, `iss-pass`, `geo`)
+        or a file NAME.toml (docs/radio.md).
+    radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
+    deadband: unless `off`, haptic samples are left out while nobody would feel the difference, and
+        the uplink video gets what that saves: as more of it, or sooner (docs/deadband.md).
+    """
+
+    name: str
+    uplink_video: VideoStream
+    cameras: tuple[str, ...]
+    uplink_voice: VoiceStream | None = None
+    downlink_video: VideoStream | None = None
+    downlink_voice: VoiceStream | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+    uplink: LinkProfile = UPLINK
+    downlink: LinkProfile = DOWNLINK
+    radio: str = NO_RADIO
+    radio_delay_ms: float = 0.0
+    deadband: Deadband = "off"
+    #: Below the ports that Linux gives to whoever names none (32768 on), ours included.
+    base_port: int = 27_000
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise ConfigError(f"setup {self.name}: cameras is empty; name at least one")
+        for camera in self.cameras:
+            if self.cameras.count(camera) > 1:
+                raise ConfigError(f"setup {self.name}: camera {camera} is named twice")
+            check_name(camera)
+            if camera in (GROUND_MIC, ISS_CAMERA, ISS_MIC):
+                raise ConfigError(
+                    f"setup {self.name}: camera {camera} has the name of another input; rename it"
+                )
+        if self.deadband not in DEADBANDS:
+            raise ConfigError(f"deadband {self.deadband!r}: take one of {', '.join(DEADBANDS)}")
+        if not 0 <= self.radio_delay_ms <= 10_000:
+            raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
+        if self.radio_delay_ms and self.radio != NO_RADIO:
+            raise ConfigError(
+                f"radio {self.radio} has a delay of its own: leave out the delay of "
+                f"{self.radio_delay_ms:g} ms, or take radio {NO_RADIO}"
+            )
+        # Read once, and now: a process that is started again later needs it, too.
+        delay_ms = self.radio_profile.longest_delay_ns / NS_PER_MS
+        for stream in self.streams:
+            if stream.stale_after_ms is not None and stream.stale_after_ms <= delay_ms:
+                raise ConfigError(
+                    f"{stream.name}: stale after {stream.stale_after_ms:g} ms, but the radio takes "
+                    f"{delay_ms:g}: take more, or leave stale_after_ms out"
+                )
+        Ports(base=self.base_port)
+        for name in self.sources:
+            if name not in self.inputs:
+                raise ConfigError(
+                    f"source {name}: setup {self.name} has no such input; it has "
+                    + ", ".join(self.inputs)
+                )
+        for name in self.inputs:
+            self.source(name)
+        self.need_up()
+        self.need_down()
+
+    @property
+    def ports(self) -> Ports:
+        return Ports(base=self.base_port)
+
+    @cached_property
+    def radio_profile(self) -> RadioProfile:
+        """What the radio does to frames."""
+        profile = load_radio(self.radio)
+        return delayed(profile, self.radio_delay_ms) if self.radio_delay_ms else profile
+
+    def radio_path(self, profile: LinkProfile, *, seed: int, epoch_ns: int) -> RadioPath:
+        """The radio of one direction; `epoch_ns` is the instant of the profile's time 0."""
+        up = profile is self.uplink
+        return self.radio_profile.path("uplink" if up else "downlink", seed=seed, epoch_ns=epoch_ns)
+
+    @property
+    def camera_inputs(self) -> tuple[str, ...]:
+        """The ground's cameras."""
+        names: list[str] = []
+        for camera in self.cameras:
+            names += STEREO_INPUTS if camera == STEREO else (camera,)
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """All inputs, cameras first."""
+        return (
+            *self.camera_inputs,
+            *((GROUND_MIC,) if self.uplink_voice else ()),
+            *((ISS_CAMERA,) if self.downlink_video else ()),
+            *((ISS_MIC,) if self.downlink_voice else ()),
+        )
+
+    def kind_of(self, name: str) -> Literal["audio", "video"]:
+        """What the input `name` gives; ConfigError when the setup has no such input."""
+        if name not in self.inputs:
+            raise ConfigError(f"setup {self.name} has no input {name}")
+        return "audio" if name in (GROUND_MIC, ISS_MIC) else "video"
+
+    def source(self, name: str) -> str:
+        """The source of the input `name`; ConfigError when it has none."""
+        spec = self.sources.get(name, DEFAULT_SCENES.get(name))
+        if spec is None:
+            raise ConfigError(f"input {name} has no built-in scene: give --source {name}=SPEC")
+        return spec
+
+    def stream_of(self, camera_input: str) -> VideoStream:
+        """The stream whose size and rate the pictures of an input have."""
+        if camera_input == ISS_CAMERA and self.downlink_video is not None:
+            return self.downlink_video
+        return self.uplink_video
+
+    def profile_of(self, stream: VideoStream | VoiceStream) -> LinkProfile:
+        """The direction of the link that a stream takes."""
+        return self.uplink if stream.name.startswith("uplink_") else self.downlink
+
+    def stale_after_ns(self, stream: VideoStream | VoiceStream) -> int:
+        """What is shown of `stream` is stale when it is older than this.
+
+        Without a figure of the stream's own: the radio's longest delay, 100 ms and four periods.
+        """
+        if stream.stale_after_ms is not None:
+            return round(stream.stale_after_ms * NS_PER_MS)
+        rate = stream.fps if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S
+        own_ns = _STALE_NS + _STALE_PERIODS * NS_PER_S // rate
+        return self.radio_profile.longest_delay_ns + own_ns
+
+    def picture_of(self, voice: VoiceStream) -> VideoStream | None:
+        """The video whose pictures are shown where `voice` is heard."""
+        return self.uplink_video if voice is self.uplink_voice else self.downlink_video
+
+    @property
+    def streams(self) -> tuple[VideoStream | VoiceStream, ...]:
+        """The media streams that this setup has."""
+        every = (self.uplink_video, self.uplink_voice, self.downlink_video, self.downlink_voice)
+        return tuple(stream for stream in every if stream is not None)
+
+    @property
+    def uplink_flows(self) -> tuple[Flow, ...]:
+        """What travels from the ground to space."""
+        return (
+            tmtc_flow(TELEMETRY),
+            *_flows(self.uplink_voice),
+            *_flows(self.uplink_video),
+            *_feedback(self.downlink_video),
+            packet_flow(f"uplink_{MAINTENANCE}", Level.MAINTENANCE),
+        )
+
+    @property
+    def downlink_flows(self) -> tuple[Flow, ...]:
+        """What travels from space to the ground."""
+        return (
+            tmtc_flow(TELECOMMAND),
+            *_flows(self.downlink_voice),
+            *_flows(self.downlink_video),
+            *_feedback(self.uplink_video),
+            packet_flow(f"downlink_{MAINTENANCE}", Level.MAINTENANCE),
+        )
+
+    def need_up(self) -> ChannelNeed:
+        """What the uplink carries at the caps; ConfigError when it does not fit."""
+        return check_fit(self.uplink, _needs(self.uplink_voice, self.uplink_video))
+
+    def need_down(self) -> ChannelNeed:
+        """What the downlink carries at the caps; ConfigError when it does not fit."""
+        return check_fit(self.downlink, _needs(self.downlink_voice, self.downlink_video))
+
+    def freed_need_bps(self, stream: VideoStream, gain_bps: int) -> int:
+        """What slots without a sample must leave for the cap of `stream` to rise by `gain_bps`."""
+        grown = replace(stream, cap_bps=stream.cap_bps + gain_bps)
+        voice = self.uplink_voice if stream == self.uplink_video else self.downlink_voice
+        return max(gain_bps, freed_need_bps(self.profile_of(stream), _needs(voice, grown)))
+
+    def channel_table(self, direction: str) -> tuple[TableLine, ...]:
+        """The arithmetic of `need_up` ("uplink") or `need_down` ("downlink") line by line."""
+        if direction == "uplink":
+            return channel_table(self.uplink, _needs(self.uplink_voice, self.uplink_video))
+        return channel_table(self.downlink, _needs(self.downlink_voice, self.downlink_video))
+
+
+def _flows(stream: VideoStream | VoiceStream | None) -> tuple[Flow, ...]:
+    if stream is None:
+        return ()
+    make = video_flow if isinstance(stream, VideoStream) else voice_flow
+    return (make(stream.name), rtcp_flow(f"{stream.name}_rtcp"))
+
+
+def feedback_flow(stream: str) -> str:
+    """The flow by which a video stream's receiver asks its sender for whole pictures."""
+    return f"feedback_{stream}"
+
+
+def _feedback(stream: VideoStream | None) -> tuple[Flow, ...]:
+    return () if stream is None else (rtcp_flow(feedback_flow(stream.name)),)
+
+
+def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:
+    return [
+        StreamNeed(
+            name=stream.name,
+            payload_bps=stream.cap_bps,
+            packets_per_s=(
+                stream.packets_per_s if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S
+            ),
+            level=Level.VIDEO if isinstance(stream, VideoStream) else Level.VOICE,
+        )
+        for stream in streams
+        if stream is not None
+    ]

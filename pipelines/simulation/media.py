@@ -1,0 +1,257 @@
+"""The media of a simulated session, joined: inputs, senders and receivers with their coders."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from random import Random
+
+from kontur_av.clock import ManualClock
+from kontur_av.media import CaptureStamp
+from pipelines.cores.choosing import CameraChoice
+from pipelines.cores.gain import gain_of
+from pipelines.cores.receiving import VideoReceiving, VoiceReceiving
+from pipelines.cores.sending import RtpIdentity, VideoSending, VoiceSending
+from pipelines.cores.showing import Showing
+from pipelines.report.silence import input_process
+from pipelines.report.sync.watching import OPERATORS
+from pipelines.setup.table import (
+    GROUND_MIC,
+    ISS_CAMERA,
+    ISS_MIC,
+    STEREO,
+    STEREO_INPUTS,
+    Setup,
+    VideoStream,
+    VoiceStream,
+    feedback_flow,
+)
+from pipelines.simulation.agenda import Agenda
+from pipelines.simulation.costs import CodingCosts
+from pipelines.simulation.inputs import Camera, Microphone, ShowPicture, Stereo
+from pipelines.simulation.receivers import VideoReceiver, VoiceReceiver
+from pipelines.simulation.senders import VideoSender, VoiceSender
+from pipelines.simulation.studio import (
+    Picture,
+    VideoDecoding,
+    VideoStudio,
+    VoiceDecoding,
+    VoiceStudio,
+)
+from pipelines.simulation.telling import Telling
+from pipelines.simulation.workers import Worker, Workers
+from telepresence.link.gateway import Gateway
+from telepresence.world import WorldState
+
+#: What takes the datagrams of a flow where they come out of the link.
+Consumer = Callable[[bytes, int], object]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What the parts of a simulated session share.
+
+    ground, space: the gateways. state_at: the newest state of the robot. start_ns: when it begins.
+    """
+
+    setup: Setup
+    costs: CodingCosts
+    seed: int
+    agenda: Agenda
+    telling: Telling
+    workers: Workers
+    ground: Gateway
+    space: Gateway
+    state_at: Callable[[int], WorldState]
+    start_ns: int
+
+
+class Media:
+    """All inputs and streams of a setup.
+
+    consumers: by flow, to be called with (datagram, now_ns) that come out of the link.
+    """
+
+    def __init__(self, scene: Scene, choice: CameraChoice) -> None:
+        self.consumers: dict[str, Consumer] = {}
+        self._scene = scene
+        self._choice = choice
+        self._receivers: list[VideoReceiver | VoiceReceiver] = []
+        #: All that was shown by then is known.
+        self._settled_ns = scene.start_ns
+        # Virtual time has no offset to the time that stands in sender reports.
+        self._clock = ManualClock(scene.start_ns)
+        setup = scene.setup
+        space = self._showing("space_display", [setup.uplink_video, setup.uplink_voice])
+        pictures = self._receive_video(setup.uplink_video, space)
+        self._send_uplink_video()
+        if setup.uplink_voice is not None:
+            self._receive_voice(setup.uplink_voice, space, pictures)
+            self._send_voice(setup.uplink_voice, GROUND_MIC, scene.ground)
+        ground = self._showing("ground_display", [setup.downlink_video, setup.downlink_voice])
+        pictures_down = None
+        if setup.downlink_video is not None:
+            pictures_down = self._receive_video(setup.downlink_video, ground)
+            studio = self._studio(setup.downlink_video, [ISS_CAMERA])
+            sender = self._video_sender(setup.downlink_video, scene.space, studio)
+            self._camera(ISS_CAMERA, setup.downlink_video, studio, sender.handle_picture)
+        if setup.downlink_voice is not None:
+            self._receive_voice(setup.downlink_voice, ground, pictures_down)
+            self._send_voice(setup.downlink_voice, ISS_MIC, scene.space)
+
+    def settle(self, until_ns: int, now_ns: int) -> None:
+        """Wait for all that was decoded by `until_ns`; it is `now_ns`."""
+        for receiver in self._receivers:
+            receiver.settle(until_ns)
+        self._settled_ns = min(until_ns, now_ns)
+
+    def _send_uplink_video(self) -> None:
+        setup, stream = self._scene.setup, self._scene.setup.uplink_video
+        studio = self._studio(stream, setup.camera_inputs)
+        sender = self._video_sender(stream, self._scene.ground, studio)
+
+        def select(camera: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
+            if camera == self._choice.selected:
+                sender.handle_picture(picture, self._choice.restamp(stamp), now_ns)
+
+        stereo = None
+        if STEREO in setup.cameras:
+            probe = self._scene.telling.probe("stereo")
+            stereo = Stereo(
+                stream.fps, agenda=self._scene.agenda, probe=probe, show=partial(select, STEREO)
+            )
+            self._scene.telling.add(stereo.tell)
+
+        def show(camera: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
+            if stereo is not None and camera in STEREO_INPUTS:
+                stereo.handle_picture(picture, stamp, now_ns, right=camera == STEREO_INPUTS[1])
+            select(camera, picture, stamp, now_ns)
+
+        for name in setup.camera_inputs:
+            self._camera(name, stream, studio, partial(show, name))
+
+    def _studio(self, stream: VideoStream, cameras: Sequence[str]) -> Worker:
+        specs = {name: self._scene.setup.source(name) for name in cameras}
+        return self._scene.workers.start(partial(VideoStudio, stream, specs, self._scene.start_ns))
+
+    def _camera(self, name: str, stream: VideoStream, studio: Worker, show: ShowPicture) -> None:
+        scene = self._scene
+        spec = scene.setup.source(name)
+        camera = Camera(
+            name,
+            stream.fps,
+            agenda=scene.agenda,
+            worker=None if spec.startswith("scene:") else studio,
+            probe=scene.telling.probe(input_process(scene.setup, name)),
+            state_at=scene.state_at,
+            cost_ns=scene.costs.ns("capture"),
+            show=show,
+            now_ns=scene.start_ns,
+        )
+        scene.telling.add(camera.tell)
+
+    def _video_sender(self, stream: VideoStream, gateway: Gateway, studio: Worker) -> VideoSender:
+        scene = self._scene
+        profile = scene.setup.profile_of(stream)
+        probe = scene.telling.probe(f"{stream.name}_send")
+        sender = VideoSender(
+            stream.name,
+            VideoSending(
+                stream,
+                profile,
+                self._identity(stream.name),
+                probe,
+                gain_of(scene.setup, stream),
+            ),
+            agenda=scene.agenda,
+            gateway=gateway,
+            ntp=self._clock.ntp,
+            studio=studio,
+            costs=scene.costs,
+        )
+        scene.telling.add(sender.tell)
+        self.consumers[feedback_flow(stream.name)] = sender.handle_feedback
+        return sender
+
+    def _send_voice(self, stream: VoiceStream, name: str, gateway: Gateway) -> None:
+        scene = self._scene
+        spec = scene.setup.source(name)
+        studio = scene.workers.start(partial(VoiceStudio, stream, name, spec, scene.start_ns))
+        profile = scene.setup.profile_of(stream)
+        probe = scene.telling.probe(f"{stream.name}_send")
+        sender = VoiceSender(
+            stream.name,
+            VoiceSending(stream, profile, self._identity(stream.name), probe),
+            agenda=scene.agenda,
+            gateway=gateway,
+            ntp=self._clock.ntp,
+            studio=studio,
+            costs=scene.costs,
+        )
+        microphone = Microphone(
+            name,
+            agenda=scene.agenda,
+            worker=None if spec.startswith("scene:") else studio,
+            probe=scene.telling.probe(name),
+            state_at=scene.state_at,
+            show=sender.handle_sound,
+            now_ns=scene.start_ns,
+        )
+        scene.telling.add(sender.tell)
+        scene.telling.add(microphone.tell)
+
+    def _receive_video(self, stream: VideoStream, showing: Showing) -> VideoReceiver:
+        scene = self._scene
+        probe = scene.telling.probe(f"{stream.name}_receive")
+        far = scene.space if stream is scene.setup.uplink_video else scene.ground
+        watched = (stream.width, stream.height) if stream.name in OPERATORS else None
+        receiver = VideoReceiver(
+            stream.name,
+            VideoReceiving(
+                stream,
+                self._clock.from_ntp,
+                probe,
+                ssrc=Random(f"{scene.seed} {stream.name} receiver").getrandbits(32),
+            ),
+            showing,
+            agenda=scene.agenda,
+            decoder=scene.workers.start(partial(VideoDecoding, watched)),
+            costs=scene.costs,
+            ask=partial(far.handle_datagram, feedback_flow(stream.name)),
+        )
+        self._add_receiver(stream.name, receiver)
+        return receiver
+
+    def _receive_voice(
+        self, stream: VoiceStream, showing: Showing, pictures: VideoReceiver | None
+    ) -> None:
+        scene = self._scene
+        probe = scene.telling.probe(f"{stream.name}_receive")
+        receiver = VoiceReceiver(
+            stream.name,
+            VoiceReceiving(scene.setup, stream, self._clock.from_ntp, probe),
+            showing,
+            agenda=scene.agenda,
+            decoder=scene.workers.start(partial(VoiceDecoding, watched=stream.name in OPERATORS)),
+            costs=scene.costs,
+        )
+        if pictures is not None:
+            pictures.on_shown = receiver.handle_picture_shown
+        self._add_receiver(stream.name, receiver)
+
+    def _add_receiver(self, stream: str, receiver: VideoReceiver | VoiceReceiver) -> None:
+        self.consumers[stream] = receiver.handle_packet
+        self.consumers[f"{stream}_rtcp"] = receiver.handle_report
+        self._receivers.append(receiver)
+        self._scene.telling.add(receiver.tell)
+
+    def _showing(
+        self, process: str, streams: Sequence[VideoStream | VoiceStream | None]
+    ) -> Showing:
+        present = [stream for stream in streams if stream is not None]
+        telling = self._scene.telling
+        showing = Showing(self._scene.setup, present, telling.probe(process))
+        telling.add(lambda: showing.tell(self._settled_ns))
+        return showing
+
+    def _identity(self, stream: str) -> RtpIdentity:
+        return RtpIdentity.draw(Random(f"{self._scene.seed} {stream}").getrandbits)

@@ -1,0 +1,284 @@
+"""A whole session on virtual time: the gateways' slots in lockstep, and all else in between.
+
+A slot begins in both gateways at the same instant; robot and joystick follow half a slot later.
+Datagrams on one machine take no time; frames take what the radio's delay says. Coding takes what
+`CodingCosts` says. Everything happens in the order of its instant, so the same seed gives the same
+session whatever the machine does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from random import Random
+from typing import Any
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
+from pipelines.cores.choosing import CameraChoice, Console
+from pipelines.cores.ends import make_gateway
+from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
+from pipelines.report.collector import Collector
+from pipelines.report.session_report import build_report
+from pipelines.runtime.probe import FLUSH_NS, Probe
+from pipelines.setup.table import TELECOMMAND, TELEMETRY, Setup
+from pipelines.simulation.agenda import FAR_NS, Agenda, Timer
+from pipelines.simulation.costs import CodingCosts
+from pipelines.simulation.media import Consumer, Media, Scene
+from pipelines.simulation.telling import Telling
+from pipelines.simulation.workers import Workers
+from telepresence.link.gateway import Gateway
+from telepresence.link.receiver import HapticReceived, PacketReceived
+from telepresence.world import WorldState, scripted_state
+
+#: A decoder's figures are told so much later than they came to be: it need not keep in step.
+_SETTLE_NS = 400_000_000
+
+_START_NS = 0
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A telecommand of the script: at `instant_ns` the console asks for `camera`."""
+
+    instant_ns: int
+    camera: str
+
+
+class Simulation:
+    """A session of `setup`; `run` it, in one piece or in several, then ask for its `report`.
+
+    seed: everything random derives from it. media: without, only haptics and telecommands travel.
+    selections: the script of telecommands.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        workers: Workers,
+        *,
+        seed: int,
+        media: bool = True,
+        selections: Sequence[Selection] = (),
+        costs: CodingCosts | None = None,
+    ) -> None:
+        slot_ns = setup.uplink.slot_ns
+        if not slot_ns == setup.downlink.slot_ns == CYCLE_NS:
+            raise ConfigError(
+                f"setup {setup.name}: a simulation has slots of {CYCLE_NS} ns both ways, not "
+                f"{slot_ns} and {setup.downlink.slot_ns}"
+            )
+        self.setup = setup
+        self.collector = Collector([stream.name for stream in setup.streams])
+        self._seed = seed
+        self._costs = costs or CodingCosts()
+        self._agenda = agenda = Agenda()
+        self._telling = telling = Telling(self.collector)
+        self._now_ns = self._next_slot_ns = _START_NS
+        self._slots = 0
+        self._state: WorldState | None = None
+        #: What waits for the next haptic cycle.
+        self._samples_up: list[bytes] = []
+        self._samples_down: list[bytes] = []
+        self._ground = self._gateway("ground")
+        self._space = self._gateway("space")
+        # When the next frame arrives: asked twice a slot, so without a detour.
+        self._up_timeout = self._ground.radio.poll_timeout
+        self._down_timeout = self._space.radio.poll_timeout
+        self._robot = RobotEnd(self._probe("robot"), deadband=setup.deadband != "off")
+        self._joystick = JoystickEnd(self._probe("joystick"), deadband=setup.deadband != "off")
+        self._add(self._robot, self._joystick)
+        self._choice = CameraChoice(setup, self._probe("selector"), now_ns=_START_NS)
+        self._console = Console(
+            setup, self._probe("console"), first_token=self._random("console").getrandbits(16)
+        )
+        self._add(self._choice, self._console)
+        self._console_timer = Timer(agenda, self._console_sends)
+        self._choice_timer = Timer(agenda, self._choice_sends)
+        self._choice_timer.set(self._choice.poll_timeout(), _START_NS)
+        for selection in selections:
+            agenda.at(selection.instant_ns, partial(self._select, selection.camera))
+        self._media: Media | None = None
+        if media:
+            scene = Scene(
+                setup=setup,
+                costs=self._costs,
+                seed=seed,
+                agenda=agenda,
+                telling=telling,
+                workers=workers,
+                ground=self._ground,
+                space=self._space,
+                state_at=self._state_at,
+                start_ns=_START_NS,
+            )
+            self._media = Media(scene, self._choice)
+        consumers: dict[str, Consumer] = self._media.consumers if self._media else {}
+        self._consumers = {
+            **consumers,
+            TELECOMMAND: self._take_telecommand,
+            TELEMETRY: self._take_telemetry,
+        }
+        agenda.at(_START_NS + FLUSH_NS, self._flush)
+
+    def run(self, until_ns: int) -> None:
+        """Go on until `until_ns`, counted from the session's start."""
+        # Looked up once: what follows is done a thousand times a simulated second.
+        ground, space = self._ground, self._space
+        ground_slot, space_slot = ground.handle_slot, space.handle_slot
+        robot, joystick = self._robot, self._joystick
+        to_robot, to_joystick = robot.handle_datagram, joystick.handle_datagram
+        robot_cycle, joystick_cycle = robot.handle_cycle, joystick.handle_cycle
+        robot_sends, joystick_sends = robot.poll_transmit, joystick.poll_transmit
+        feedback, command = ground.handle_haptic, space.handle_haptic
+        next_state, advance = robot.next_event, self._advance
+        samples_down, samples_up = self._samples_down, self._samples_up
+        half_ns = CYCLE_NS // 2
+        slot_ns = self._next_slot_ns
+        while slot_ns < until_ns:
+            advance(slot_ns)
+            ground_slot(slot_ns)
+            space_slot(slot_ns)
+            self._slots += 1
+            now_ns = slot_ns + half_ns
+            advance(now_ns)
+            for sample in samples_down:
+                to_robot(sample, now_ns)
+            for sample in samples_up:
+                to_joystick(sample, now_ns)
+            samples_down.clear()
+            samples_up.clear()
+            robot_cycle(now_ns, CYCLE_NS)
+            joystick_cycle(now_ns, CYCLE_NS)
+            sent = robot_sends(now_ns)
+            if sent is not None:
+                feedback(sent, now_ns)
+            sent = joystick_sends(now_ns)
+            if sent is not None:
+                command(sent, now_ns)
+            state = next_state()
+            if state is not None:
+                self._state = state
+            slot_ns += CYCLE_NS
+        self._next_slot_ns = slot_ns
+        advance(until_ns)
+        self._now_ns = until_ns
+
+    def report(self) -> dict[str, Any]:
+        """The report of all that was run so far: that of a live session, and `simulation`."""
+        if self._media is not None:
+            self._media.settle(FAR_NS, self._now_ns)
+        self._telling.flush(self._now_ns)
+        self.collector.handle_end()
+        processes = self._telling.processes
+        report = build_report(
+            self.setup,
+            self.collector,
+            seconds=(self._now_ns - _START_NS) / NS_PER_S,
+            cpu_s=dict.fromkeys(processes, 0.0),
+            restarts=dict.fromkeys(processes, 0),
+            launcher_cpu_s=0.0,
+            media=self._media is not None,
+        )
+        report["simulation"] = {
+            "seed": self._seed,
+            "radio": self.setup.radio_profile.name,
+            "media": self._media is not None,
+            "costs": asdict(self._costs),
+        }
+        return report
+
+    def _advance(self, until_ns: int) -> None:
+        """All that happens up to `until_ns` beside the slots and the haptic cycles."""
+        up_timeout, down_timeout, agenda = self._up_timeout, self._down_timeout, self._agenda
+        while True:
+            next_ns = agenda.next_ns
+            earliest_ns = next_ns if next_ns <= until_ns else until_ns
+            up_ns, down_ns = up_timeout(), down_timeout()
+            if up_ns is not None and up_ns <= earliest_ns and (down_ns is None or up_ns <= down_ns):
+                self._carry(self._ground, self._space, self._samples_up, up_ns)
+            elif down_ns is not None and down_ns <= earliest_ns:
+                self._carry(self._space, self._ground, self._samples_down, down_ns)
+            elif next_ns <= until_ns:
+                agenda.do_next()
+            else:
+                return
+
+    def _carry(self, sender: Gateway, receiver: Gateway, samples: list[bytes], now_ns: int) -> None:
+        """A frame arrives, and what was in it goes where it belongs."""
+        frame = sender.poll_transmit(now_ns)
+        if frame is None:
+            return
+        receiver.handle_radio(frame, now_ns)
+        next_event = receiver.next_event
+        while (event := next_event()) is not None:
+            if isinstance(event, HapticReceived):
+                samples.append(event.sample)
+            elif isinstance(event, PacketReceived):
+                consumer = self._consumers.get(event.flow.name)
+                if consumer is not None:
+                    consumer(event.data, now_ns)
+
+    def _gateway(self, segment: str) -> Gateway:
+        gateway = make_gateway(
+            self.setup,
+            ground=segment == "ground",
+            life=self._random(segment).randint(1, 0xFFFF),
+            seed=self._seed,
+            epoch_ns=_START_NS,
+            now_ns=_START_NS,
+        )
+        probe = self._probe(f"{segment}_gateway")
+
+        def fill() -> None:
+            probe.total("slips", 0)
+            probe.total("cycles", self._slots)
+            probe.gauge("link", gateway.report(self._now_ns))
+
+        self._telling.add(fill)
+        return gateway
+
+    def _probe(self, process: str) -> Probe:
+        return self._telling.probe(process)
+
+    def _add(self, *tellers: RobotEnd | JoystickEnd | CameraChoice | Console) -> None:
+        for teller in tellers:
+            self._telling.add(teller.tell)
+
+    def _random(self, what: str) -> Random:
+        return Random(f"{self._seed} {what}")
+
+    def _state_at(self, now_ns: int) -> WorldState:
+        return scripted_state(now_ns) if self._state is None else self._state
+
+    def _flush(self, now_ns: int) -> None:
+        self._now_ns = now_ns
+        if self._media is not None:
+            self._media.settle(now_ns - _SETTLE_NS, now_ns)
+        self._telling.flush(now_ns)
+        self._agenda.at(now_ns + FLUSH_NS, self._flush)
+
+    def _select(self, camera: str, now_ns: int) -> None:
+        self._console.select(camera, now_ns)
+        self._console_sends(now_ns)
+
+    def _console_sends(self, now_ns: int) -> None:
+        while (packet := self._console.poll_transmit(now_ns)) is not None:
+            self._space.handle_datagram(TELECOMMAND, packet, now_ns)
+        while self._console.next_event() is not None:
+            pass
+        self._console_timer.set(self._console.poll_timeout(), now_ns)
+
+    def _take_telemetry(self, data: bytes, now_ns: int) -> None:
+        self._console.handle_packet(data, now_ns)
+        self._console_sends(now_ns)
+
+    def _take_telecommand(self, data: bytes, now_ns: int) -> None:
+        self._choice.handle_packet(data, now_ns)
+        self._choice_sends(now_ns)
+
+    def _choice_sends(self, now_ns: int) -> None:
+        if now_ns >= self._choice.poll_timeout():
+            self._choice.handle_state(self._state_at(now_ns), now_ns)
+        while (packet := self._choice.poll_transmit(now_ns)) is not None:
+            self._ground.handle_datagram(TELEMETRY, packet, now_ns)
+        self._choice_timer.set(self._choice.poll_timeout(), now_ns)

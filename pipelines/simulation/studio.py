@@ -1,0 +1,223 @@
+"""The coders of a simulation: they draw, encode and decode, and know nothing of time.
+
+Each is called with one job after the other, in a process of its own (`simulation.workers`).
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from kontur_av.clock import NS_PER_S, ManualClock
+from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
+from kontur_av.detect import Click, ClickDetector, Light, LightDetector
+from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, empty_picture
+from kontur_av.rtp.playout import PlayoutBlock
+from kontur_av.sources import AudioSource, open_audio, open_video
+from kontur_av.sources.stereo import merge
+from kontur_av.streams.coding import Coding, encode
+from kontur_av.streams.voice_player import VoicePlayer
+from pipelines.setup.table import VideoStream, VoiceStream
+from telepresence.world import WorldState, audio_scenes, render
+
+#: So many pictures or blocks of a file are kept for whoever encodes them.
+_KEPT = 16
+#: How often a file is asked for what comes next; each time it has ten seconds.
+_TRIES = 10
+_PATIENCE_NS = 10 * NS_PER_S
+
+
+class Shot(NamedTuple):
+    """A picture that is not drawn before somebody encodes it.
+
+    state: what the world was like; None for a picture of a file.
+    """
+
+    camera: str
+    sequence: int
+    state: WorldState | None
+
+
+#: A picture to encode: one shot, or the two of the stereo pair.
+Picture = tuple[Shot] | tuple[Shot | None, Shot | None]
+
+#: What becomes of an access unit: see `VideoDecoding`.
+Decoded = tuple[list[tuple[int, int, int, bool]], tuple[int, int, int], list[Light]]
+
+
+class VideoStudio:
+    """Draws pictures, or plays them from files, and encodes those that are asked for.
+
+    cameras: name -> SPEC of each input that the stream may show. Jobs: a `Picture` and how to
+    encode it, which gives (access unit, key picture); or a camera's name, which gives the capture
+    instant of the file's next picture, None where there are no more.
+    """
+
+    def __init__(self, stream: VideoStream, cameras: dict[str, str], start_ns: int) -> None:
+        self._stream = stream
+        self._encoder = H264Encoder(
+            width=stream.width,
+            height=stream.height,
+            fps=stream.fps,
+            cap_bps=stream.cap_bps,
+            coded_size=stream.coded,
+        )
+        self._views: dict[str, str] = {}
+        self._films: dict[str, _Film] = {}
+        for name, spec in cameras.items():
+            kind, _, view = spec.partition(":")
+            if kind == "scene":
+                self._views[name] = view
+            else:
+                self._films[name] = _Film(spec, name, stream, start_ns)
+        self._rooms = [empty_picture(stream.width, stream.height) for _ in range(3)]
+
+    def __call__(self, job: tuple[Picture, Coding] | str) -> tuple[bytes, bool] | int | None:
+        return self._films[job].next() if isinstance(job, str) else self._encode(*job)
+
+    def _encode(self, shots: Sequence[Shot | None], coding: Coding) -> tuple[bytes, bool]:
+        parts = [
+            None if shot is None else self._picture(shot, room)
+            for shot, room in zip(shots, self._rooms, strict=False)
+        ]
+        picture = parts[0]
+        if len(parts) == 2:
+            picture = self._rooms[2]
+            merge(parts[0], parts[1], picture)
+        assert picture is not None
+        stamp = CaptureStamp(0, self._encoder.encoded, self._stream.name)
+        unit = encode(self._encoder, VideoFrame(picture, stamp), coding, lambda: 0)
+        return unit.data, unit.keyframe
+
+    def _picture(self, shot: Shot, room: I420) -> I420:
+        if shot.state is None:
+            return self._films[shot.camera].pictures[shot.sequence]
+        render(self._views[shot.camera], shot.state, room, shot.sequence)
+        return room
+
+
+class _Film:
+    """A media file, played ahead on a clock of its own."""
+
+    def __init__(self, spec: str, name: str, stream: VideoStream, start_ns: int) -> None:
+        self._stream = stream
+        self._source = open_video(
+            spec,
+            name=name,
+            width=stream.width,
+            height=stream.height,
+            fps=stream.fps,
+            clock=ManualClock(start_ns),
+        )
+        self.pictures: OrderedDict[int, I420] = OrderedDict()
+
+    def next(self) -> int | None:
+        picture = empty_picture(self._stream.width, self._stream.height)
+        for _ in range(_TRIES):
+            stamp = self._source.read(picture, _PATIENCE_NS)
+            if stamp is not None:
+                self.pictures[stamp.sequence] = picture
+                if len(self.pictures) > _KEPT:
+                    self.pictures.popitem(last=False)
+                return stamp.capture_ns
+        return None
+
+
+class VideoDecoding:
+    """Decodes every access unit: a list of (Annex B octets, timestamp, instant of showing it).
+
+    Gives for each the pictures that come out as (timestamp, width, height, corrupt), the
+    decoder's counters after it: decoded, corrupt, restarts; and the lights that are seen to have
+    come on, each with the timestamps of its picture and of the one before as tags.
+
+    watched: (width, height) in which they are shown; None: nobody looks for lights.
+    """
+
+    def __init__(self, watched: tuple[int, int] | None = None) -> None:
+        self._decoder = H264Decoder()
+        self._shown = None if watched is None else empty_picture(*watched)
+        self._eye = LightDetector()
+
+    def __call__(self, units: Sequence[tuple[bytes, int, int]]) -> list[Decoded]:
+        return [self._decode(*unit) for unit in units]
+
+    def _decode(self, data: bytes, timestamp: int, shown_ns: int) -> Decoded:
+        decoder = self._decoder
+        pictures = []
+        for picture in decoder.decode(data, timestamp):
+            pictures.append((picture.timestamp, picture.width, picture.height, picture.corrupt))
+            if self._shown is not None:
+                picture.scale_into(self._shown)
+                self._eye.handle_picture(self._shown, shown_ns, picture.timestamp)
+        lights = list(iter(self._eye.next_event, None))
+        return pictures, (decoder.decoded, decoder.corrupt_units, decoder.restarts), lights
+
+
+class VoiceStudio:
+    """Makes sounds, or plays them from a file, and encodes them.
+
+    Jobs: (sequence, instant at which the block is complete, state of the world), which gives the
+    Opus packet; or None, which gives the capture instant of the file's next block, None where
+    there are no more.
+    """
+
+    def __init__(self, stream: VoiceStream, name: str, spec: str, start_ns: int) -> None:
+        self._encoder = OpusEncoder(bitrate_bps=bitrate_under_cap(stream.cap_bps))
+        self._clock = ManualClock(start_ns)
+        self._state: WorldState | None = None
+        self._played: OrderedDict[int, AudioFrame] = OrderedDict()
+        self._is_scene = spec.startswith("scene:")
+        scenes = audio_scenes(self._state_at)
+        self._source: AudioSource = open_audio(spec, name=name, clock=self._clock, scenes=scenes)
+
+    def __call__(self, job: tuple[int, int, WorldState] | None) -> bytes | int | None:
+        if job is None:
+            return self._next()
+        sequence, complete_ns, self._state = job
+        if self._is_scene:
+            self._clock.sleep_until_ns(complete_ns)
+            frame = self._source.read(0)
+            assert frame is not None
+        else:
+            frame = self._played[sequence]
+        return self._encoder.encode(frame.samples)
+
+    def _next(self) -> int | None:
+        for _ in range(_TRIES):
+            frame = self._source.read(_PATIENCE_NS)
+            if frame is not None:
+                self._played[frame.stamp.sequence] = frame
+                if len(self._played) > _KEPT:
+                    self._played.popitem(last=False)
+                return frame.stamp.capture_ns
+        return None
+
+    def _state_at(self, now_ns: int) -> WorldState:
+        assert self._state is not None
+        return self._state
+
+
+class VoiceDecoding:
+    """Makes each block of a list of (`PlayoutBlock`, instant of hearing it) sound.
+
+    Gives for each whether it is what was sent, and the clicks that are heard to have begun, each
+    with its block's timestamp as tag.
+
+    watched: somebody listens for clicks.
+    """
+
+    def __init__(self, *, watched: bool = False) -> None:
+        self._player = VoicePlayer()
+        self._ear = ClickDetector() if watched else None
+
+    def __call__(
+        self, blocks: Sequence[tuple[PlayoutBlock, int]]
+    ) -> list[tuple[bool, list[Click]]]:
+        return [self._play(*block) for block in blocks]
+
+    def _play(self, block: PlayoutBlock, heard_ns: int) -> tuple[bool, list[Click]]:
+        samples, decoded = self._player.play(block)
+        if self._ear is None:
+            return decoded, []
+        self._ear.handle_block(samples, heard_ns, block.timestamp)
+        return decoded, list(iter(self._ear.next_event, None))

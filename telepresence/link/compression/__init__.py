@@ -1,0 +1,1 @@
+"""RTP headers in one to three octets on the link."""

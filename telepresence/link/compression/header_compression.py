@@ -1,0 +1,348 @@
+"""RTP headers in one to three octets, correct whatever gets lost: which contexts, and when.
+
+The receiver decompresses with the newest context that it holds. The sender knows every context
+that this may be: the last one acknowledged, and all that were sent since. It sends a compressed
+header only if *each* of them gives exactly this header back, by the receiver's own arithmetic
+(`rtp_forms`); else the packet takes its whole header along, raw or as a new context. So nothing
+depends on the packet before, no gap makes anything re-converge, and no loss, of packets or of
+acknowledgements, can make a header come out wrong.
+
+**Two-way.** As long as no context is acknowledged, the receiver may hold none: whole headers.
+Afterwards every packet that arrives whole is decompressed, also the first one after a gap.
+
+**One-way.** Who does not hear the peer gets no acknowledgements. Its contexts are sent once a
+second, bear no number, and die `FLEETING_LIFE_NS` after their packet was sent, at both ends; the
+set of possible ones is those that live. After a few whole headers it is taken for granted that one
+was received; a receiver that has none drops packets until the next. What the receiver may still
+hold from a two-way time stays in the set, until that dies too (`LIFE_NS`).
+"""
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.link.compression.rtp_forms import (
+    CONTEXT_OCTETS,
+    KIND_BARE,
+    KIND_CONTEXT,
+    KIND_LONG,
+    KIND_NEAR,
+    KIND_RAW,
+    KIND_SHORT,
+    PLAIN_RTP,
+    RTP_HEADER,
+    RTP_HEADER_OCTETS,
+    Context,
+    Fields,
+    RtpForms,
+    parse_context,
+    residue_octets,
+)
+from telepresence.link.compression.rtp_source import RtpSource
+from telepresence.link.flows import Flow
+
+#: How long a context that can be acknowledged serves: longer than any gap between two passes'
+#: drop-outs; bounded, so that no frame count that comes round again can revive one.
+LIFE_NS = 900 * NS_PER_S
+#: How long any other does: a gap of 10 s, with a context just missed before it and one just not
+#: due yet after it.
+FLEETING_LIFE_NS = 12_200 * NS_PER_MS
+FLEETING_REFRESH_NS = NS_PER_S
+#: Two-way, a context that fits is renewed this seldom, to follow slow clocks.
+REFRESH_NS = 8 * NS_PER_S
+#: A context that is not acknowledged is followed by another after this time, then after twice
+#: as long, and so on.
+RETRY_NS = 100 * NS_PER_MS
+LONGEST_RETRY_NS = 3_200 * NS_PER_MS
+#: An acknowledgement is never as late as this: it tells that what was sent longer ago, and after
+#: the context that it names, has not arrived.
+ROUND_TRIP_NS = 30 * NS_PER_S
+#: The receiver may hold one of so many at the most; when there are as many, no new one is sent.
+MOST_POSSIBLE = 16
+#: So many whole headers are sent before a silent receiver is taken to hold a context.
+FIRST_WHOLE = 3
+#: Sequence numbers so far below and above what was predicted still fit, by octets of residue, and
+#: leave room for those to come until a new context is acknowledged.
+_SEQUENCE_ERRORS = ((0, 0), (-7, 13), (-3, 5))
+#: Octets of residue of each form, and of none.
+_OCTETS = (0, 1, 1, 2, 2)
+#: What a context costs more than a raw header with what it replaces: the tag is paid anyway.
+_CONTEXT_COST_OCTETS = CONTEXT_OCTETS - 2
+_SHADOW_NS = NS_PER_S
+
+
+class RtpCompressor:
+    """One RTP flow's sending end. It begins one-way, with a peer that holds nothing."""
+
+    def __init__(self, flow: Flow, slot_ns: int) -> None:
+        self._flow = flow
+        self._forms = RtpForms(flow, slot_ns)
+        self._source: RtpSource | None = None
+        self._ssrc = -1
+        #: What the receiver may hold, oldest first; it may also hold nothing, see `_may_hold_none`.
+        self._possible: list[Context] = []
+        self._acknowledged: Context | None = None
+        #: The number that the peer has told last: not to be used anew while it may tell it again.
+        self._told = 0
+        self._number = 0
+        self._heard = False
+        self._whole = 0
+        self._sequence_error = 0
+        # A would-be context, and what not having sent it has cost since the last one.
+        self._shadow: Context | None = None
+        self._regret_octets = 0
+        self._life, self._fleeting_life, self._round_trip, self._shadow_life = (
+            ns // slot_ns for ns in (LIFE_NS, FLEETING_LIFE_NS, ROUND_TRIP_NS, _SHADOW_NS)
+        )
+        self._refresh, self._fleeting_refresh, self._retry, self._longest_retry = (
+            ns // slot_ns for ns in (REFRESH_NS, FLEETING_REFRESH_NS, RETRY_NS, LONGEST_RETRY_NS)
+        )
+        self._kinds = dict.fromkeys(("bare", "short", "near", "long", "context", "raw"), 0)
+        self._header_octets = 0
+        self._packets = 0
+
+    def handle_peer(self, *, heard: bool) -> None:
+        """Whether the peer is heard from now on, and so its acknowledgements."""
+        self._heard = heard
+
+    def handle_acknowledgement(self, context_id: int, count: int) -> None:
+        """The peer has told which context is the newest that it holds; 0: none, or a fleeting one.
+
+        count: the frame count, not wrapped, that this end has come to. Numbers told to an earlier
+        life of this end must not be passed on to here.
+        """
+        self._told = context_id
+        oldest = count - self._round_trip
+        named = [context for context in self._possible if context.number == context_id]
+        if not context_id or not named:
+            self._acknowledged = None
+            self._whole = 0
+            self._possible = [
+                context
+                for context in self._possible
+                if context.number == 0 or context.count >= oldest
+            ]
+            return
+        self._acknowledged = named[0]
+        since = self._possible.index(named[0])
+        newer = self._possible[since + 1 :]
+        self._possible = named + [context for context in newer if context.count >= oldest]
+
+    def forget(self) -> None:
+        """A new life of the peer: it may hold nothing (but what was sent since it began)."""
+        self._acknowledged = None
+        self._told = 0
+        self._whole = 0
+
+    def compress(self, data: bytes, count: int) -> tuple[int, bytes, int]:
+        """Kind, body, and how many octets of the body are header.
+
+        data: an RTP packet. count: the frame count, not wrapped, of the frame it starts in.
+        """
+        self._packets += 1
+        if len(data) < RTP_HEADER_OCTETS or data[0] != PLAIN_RTP:
+            return self._raw(data)
+        _, second, sequence, timestamp, ssrc = RTP_HEADER.unpack_from(data)
+        source = self._source
+        if source is None or ssrc != self._ssrc:
+            source = self._source = RtpSource(self._flow, self._forms, sequence, timestamp)
+            self._ssrc = ssrc
+            self._shadow = None
+        source.handle_packet(sequence, timestamp, count)
+        self._bury(count)
+        fields = (second >> 7, sequence, timestamp)
+        payload_type = second & 0x7F
+        header = None
+        if not self._possible:
+            self._whole = 0
+        elif not self._may_hold_none():
+            header = self._header(payload_type, fields, count)
+        if not self._context_due(header, payload_type, fields, count):
+            if header is None:
+                return self._raw(data)
+            kind, residue = header
+            self._note(_name(kind), len(residue))
+            return kind, residue + data[RTP_HEADER_OCTETS:], len(residue)
+        context = source.context(self._next_number(), count, fields[0], payload_type, ssrc)
+        self._possible.append(context)
+        self._shadow, self._regret_octets = context, 0
+        self._whole += 1
+        self._note("context", CONTEXT_OCTETS)
+        return KIND_CONTEXT, context.pack() + data[RTP_HEADER_OCTETS:], CONTEXT_OCTETS
+
+    def _raw(self, data: bytes) -> tuple[int, bytes, int]:
+        header_octets = min(len(data), RTP_HEADER_OCTETS)
+        self._whole += 1
+        self._note("raw", header_octets)
+        return KIND_RAW, data, header_octets
+
+    def _bury(self, count: int) -> None:
+        """Forget the contexts that have died at the receiver as well."""
+        possible = self._possible
+        oldest, oldest_fleeting = count - self._life, count - self._fleeting_life
+        for context in possible:
+            if context.count < (oldest if context.number else oldest_fleeting):
+                break
+        else:
+            return
+        self._possible = [
+            context
+            for context in possible
+            if context.count >= (oldest if context.number else oldest_fleeting)
+        ]
+        if self._acknowledged not in self._possible:
+            self._acknowledged = None
+
+    def _may_hold_none(self) -> bool:
+        return self._acknowledged is None and (self._heard or self._whole < FIRST_WHOLE)
+
+    def _header(self, payload_type: int, fields: Fields, count: int) -> tuple[int, bytes] | None:
+        """The shortest header, as kind and residue, that each possible context gives back."""
+        possible, ssrc = self._possible, self._ssrc
+        for context in possible:
+            if context.ssrc != ssrc or context.payload_type != payload_type:
+                return None
+        assert self._source is not None
+        forms, index = self._forms, self._source.index
+        unpack = forms.unpack
+        # The newest tells where to begin; what counts is that each gives the same.
+        first, self._sequence_error = forms.shortest(possible[-1], count, fields)
+        for pack in forms.packers[first:]:
+            kind, residue = pack(*fields, index)
+            for context in possible:
+                if unpack(kind, residue, context, count) != fields:
+                    break
+            else:
+                return kind, residue
+        return None
+
+    def _context_due(
+        self, header: tuple[int, bytes] | None, payload_type: int, fields: Fields, count: int
+    ) -> bool:
+        """Whether this packet is to be sent as a new context."""
+        possible = self._possible
+        assert self._source is not None
+        if not self._heard and not self._source.known:
+            # It would have to serve, unsuperseded, as long as it lives.
+            return False
+        if not possible:
+            return True
+        newest = possible[-1]
+        age = count - newest.count
+        if age < self._retry or len(possible) >= MOST_POSSIBLE:
+            return False
+        if not self._heard:
+            if age >= self._fleeting_refresh:
+                return True
+            # One more helps no packet as long as the older ones live, unless all are of another.
+            return header is None and not self._serves(newest, payload_type, fields, count)
+        pending = sum(1 for context in possible if context.number)
+        if self._acknowledged is not None:
+            pending -= 1
+        if age >= (self._longest_retry if pending else self._refresh):
+            return True
+        if age < self._retry << max(0, pending - 1):
+            return False
+        if header is None:
+            return True
+        least, most = _SEQUENCE_ERRORS[len(header[1])]
+        if not least <= self._sequence_error <= most:
+            return True
+        return not pending and self._regretted(len(header[1]), payload_type, fields, count)
+
+    def _serves(self, context: Context, payload_type: int, fields: Fields, count: int) -> bool:
+        """Whether `context` alone would do for this packet."""
+        if context.ssrc != self._ssrc or context.payload_type != payload_type:
+            return False
+        return self._forms.shortest(context, count, fields)[0] < len(self._forms.packers)
+
+    def _regretted(self, octets: int, payload_type: int, fields: Fields, count: int) -> bool:
+        """Whether a newer context would by now have paid for itself.
+
+        Its price is paid once its lack has cost as much; so not knowing what the source will do
+        next costs at most as much again as knowing it would.
+        """
+        shadow = self._shadow
+        if shadow is None or count - shadow.count >= self._shadow_life:
+            assert self._source is not None
+            self._shadow = self._source.context(0, count, fields[0], payload_type, self._ssrc)
+        elif octets:
+            first, _ = self._forms.shortest(shadow, count, fields)
+            self._regret_octets = max(0, self._regret_octets + octets - _OCTETS[first])
+        return self._regret_octets >= _CONTEXT_COST_OCTETS
+
+    def _next_number(self) -> int:
+        """0 while the peer is not heard; else one that it can hold of no other context."""
+        if not self._heard:
+            return 0
+        taken = {context.number for context in self._possible} | {0, self._told}
+        while (self._number & 0xFF) in taken:
+            self._number += 1
+        number = self._number & 0xFF
+        self._number += 1
+        return number
+
+    def _note(self, name: str, header_octets: int) -> None:
+        self._kinds[name] += 1
+        self._header_octets += 1 + header_octets
+
+    def report(self) -> dict[str, int]:
+        """Packets by how their header went, all packets, and their headers' octets with tags."""
+        return {**self._kinds, "packets": self._packets, "header_octets": self._header_octets}
+
+
+class RtpDecompressor:
+    """One RTP flow's receiving end. It holds one context, the newest.
+
+    context_id: by which that one is to be acknowledged; 0 where it is none or a fleeting one.
+    """
+
+    def __init__(self, flow: Flow, slot_ns: int) -> None:
+        self._unpack = RtpForms(flow, slot_ns).unpack
+        self._life, self._fleeting_life = LIFE_NS // slot_ns, FLEETING_LIFE_NS // slot_ns
+        self._context: Context | None = None
+        self.context_id = 0
+
+    def forget(self) -> None:
+        """The peer has restarted: what it sent before no longer counts."""
+        self._context = None
+        self.context_id = 0
+
+    def decompress(self, kind: int, body: bytes, count: int) -> bytes | str:
+        """The RTP packet, or in one word the reason why there is none.
+
+        count: the frame count, not wrapped, of the frame in which the packet started.
+        """
+        if kind >= KIND_BARE:
+            context = self._context
+            if context is None:
+                return "no_context"
+            life = self._life if context.number else self._fleeting_life
+            if count - context.count > life:
+                return "no_context"
+            fields = self._unpack(kind, body, context, count)
+            if fields is None:
+                return "malformed"
+            marker, sequence, timestamp = fields
+            second = marker << 7 | context.payload_type
+            header = RTP_HEADER.pack(PLAIN_RTP, second, sequence, timestamp, context.ssrc)
+            return header + body[residue_octets(kind) :]
+        if kind == KIND_RAW:
+            return body
+        if kind != KIND_CONTEXT:
+            return "malformed"
+        context = parse_context(body, count)
+        if context is None:
+            return "malformed"
+        self._context = context
+        self.context_id = context.number
+        second = context.marker << 7 | context.payload_type
+        header = RTP_HEADER.pack(
+            PLAIN_RTP, second, context.sequence, context.timestamp, context.ssrc
+        )
+        return header + body[CONTEXT_OCTETS:]
+
+
+def _name(kind: int) -> str:
+    if kind >= KIND_LONG:
+        return "long"
+    if kind >= KIND_NEAR:
+        return "near"
+    return "short" if kind >= KIND_SHORT else "bare"

@@ -1,0 +1,1 @@
+"""How the two ends of the link find, check and lose each other."""

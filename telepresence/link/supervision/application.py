@@ -1,0 +1,86 @@
+"""Whether the applications' data comes through: approval, and reset of what is idle or broken."""
+
+from telepresence.link.supervision.configuration import SupervisionTiming
+
+#: Each reset that did not help makes the next wait twice as long, up to so many times.
+_LARGEST_PATIENCE = 32
+
+
+class ApplicationWatch:
+    """One end's view of the application link.
+
+    arrived: data has arrived in this contact, since the last reset. That a direction carries
+    nothing is no fault: an idle link is reset once, and then waits for data as long as it takes.
+    """
+
+    __slots__ = (
+        "_patience",
+        "_peer_sends_ns",
+        "_reset_ns",
+        "_timing",
+        "arrived",
+        "arrived_ns",
+        "sent_ns",
+    )
+
+    def __init__(self, timing: SupervisionTiming, now_ns: int) -> None:
+        self.arrived = False
+        self.arrived_ns = now_ns - timing.idle_ns
+        self.sent_ns = now_ns - timing.idle_ns
+        self._timing = timing
+        self._peer_sends_ns: int | None = None
+        self._reset_ns = now_ns
+        self._patience = 1
+
+    def handle_first(self) -> None:
+        """Data arrived, the first since the contact began or the link was reset."""
+        self.arrived = True
+        self._patience = 1
+
+    def handle_contact(self, now_ns: int) -> None:
+        """Another contact or another life of the peer: nothing has arrived in it."""
+        self.arrived = False
+        self._peer_sends_ns = None
+        self._reset_ns = now_ns
+
+    def handle_peer(self, *, was_reset: bool, sends: bool, now_ns: int) -> None:
+        """What the peer says: it has been reset since it last spoke; it sends data."""
+        if was_reset and not self.fresh(now_ns):
+            self.arrived = False
+        if not sends:
+            self._peer_sends_ns = None
+        elif self._peer_sends_ns is None:
+            self._peer_sends_ns = now_ns
+
+    def fresh(self, now_ns: int) -> bool:
+        """Whether data has arrived lately."""
+        return now_ns - self.arrived_ns < self._timing.idle_ns
+
+    def sending(self, now_ns: int) -> bool:
+        """Whether data has been sent lately."""
+        return now_ns - self.sent_ns < self._timing.idle_ns
+
+    def reset_due(self, *, peer_fresh: bool, approved: bool, now_ns: int) -> str | None:
+        """`idle`, `broken` or None; where a word is returned, the reset has been made.
+
+        peer_fresh: the peer has received data of ours lately. approved: data had arrived both
+        ways. Idle is a link that was approved and carries nothing either way; broken, one where
+        the peer sends, and nothing comes out here.
+        """
+        if self.fresh(now_ns):
+            return None
+        peer_sends_ns = self._peer_sends_ns
+        if peer_sends_ns is None:
+            if not approved or peer_fresh or self.sending(now_ns):
+                return None
+            return self._reset("idle", now_ns)
+        wait_ns = self._timing.idle_ns * self._patience + self._timing.round_trip_ns
+        if now_ns - max(peer_sends_ns, self._reset_ns) <= wait_ns:
+            return None
+        self._patience = min(2 * self._patience, _LARGEST_PATIENCE)
+        return self._reset("broken", now_ns)
+
+    def _reset(self, why: str, now_ns: int) -> str:
+        self.arrived = False
+        self._reset_ns = now_ns
+        return why

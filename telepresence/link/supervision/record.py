@@ -1,0 +1,117 @@
+"""What supervision did and why: for the report."""
+
+from collections import deque
+from typing import Any
+
+from telepresence.link.supervision.message import LinkState
+
+#: So many transitions and contact windows are kept; then the oldest go.
+HISTORY_DEPTH = 64
+
+
+class _Window:
+    """Signal from `acquired_ns` on; None: not yet."""
+
+    __slots__ = ("acquired_ns", "connected_ns", "lost_ns")
+
+    def __init__(self, acquired_ns: int) -> None:
+        self.acquired_ns = acquired_ns
+        self.connected_ns: int | None = None
+        self.lost_ns: int | None = None
+
+
+class SupervisionRecord:
+    """Transitions, contact windows and counts since `begun_ns`."""
+
+    def __init__(self, state: LinkState, why: str, now_ns: int) -> None:
+        self.begun_ns = now_ns
+        self.counts: dict[str, int] = dict.fromkeys(
+            (
+                "messages_sent",
+                "messages_received",
+                "messages_malformed",
+                "messages_mismatched",
+                "signals_acquired",
+                "signals_lost",
+                "peer_restarts",
+                "peer_deaf",
+                "resets_idle",
+                "resets_broken",
+                "timeouts_answer",
+                "timeouts_silence",
+            ),
+            0,
+        )
+        self._state = state
+        self._since_ns = now_ns
+        self._in_state_ns = dict.fromkeys(LinkState, 0)
+        self._history: deque[tuple[int, LinkState, LinkState, str]] = deque(maxlen=HISTORY_DEPTH)
+        self._history.append((now_ns, state, state, why))
+        self._windows: deque[_Window] = deque(maxlen=HISTORY_DEPTH)
+        self._contact_ns = 0
+        self._longest_gap_ns = 0
+        self._lost_ns = now_ns
+
+    def handle_state(self, state: LinkState, why: str, now_ns: int) -> None:
+        """The state is `state` from now on; or it is still, and that for another reason."""
+        self._in_state_ns[self._state] += now_ns - self._since_ns
+        self._history.append((now_ns, self._state, state, why))
+        self._state, self._since_ns = state, now_ns
+        if state is LinkState.CONNECTED and self._windows:
+            window = self._windows[-1]
+            if window.lost_ns is None and window.connected_ns is None:
+                window.connected_ns = now_ns
+
+    def handle_signal_acquired(self, now_ns: int) -> int:
+        """How long there was none."""
+        gap_ns = now_ns - self._lost_ns
+        if self.counts["signals_lost"]:
+            self._longest_gap_ns = max(self._longest_gap_ns, gap_ns)
+        self.counts["signals_acquired"] += 1
+        self._windows.append(_Window(now_ns))
+        return gap_ns
+
+    def handle_signal_lost(self, last_ns: int) -> None:
+        """The last good frame came at `last_ns`."""
+        self.counts["signals_lost"] += 1
+        window = self._windows[-1]
+        window.lost_ns = self._lost_ns = last_ns
+        self._contact_ns += last_ns - window.acquired_ns
+
+    def report(self, now_ns: int) -> dict[str, Any]:
+        """Instants are counted from `begun_ns`, which is one of the caller's clock."""
+        begun_ns = self.begun_ns
+        in_state_ns = dict(self._in_state_ns)
+        in_state_ns[self._state] += now_ns - self._since_ns
+        contact_ns = self._contact_ns
+        if self._windows and self._windows[-1].lost_ns is None:
+            contact_ns += now_ns - self._windows[-1].acquired_ns
+        return {
+            "begun_ns": begun_ns,
+            "since_ns": self._since_ns - begun_ns,
+            "in_state_ns": {state.name.lower(): ns for state, ns in in_state_ns.items()},
+            "counts": dict(self.counts),
+            "contact_ns": contact_ns,
+            "longest_gap_ns": self._longest_gap_ns,
+            "contacts": [
+                {
+                    "acquired_ns": window.acquired_ns - begun_ns,
+                    "connected_ns": _since(window.connected_ns, begun_ns),
+                    "lost_ns": _since(window.lost_ns, begun_ns),
+                }
+                for window in self._windows
+            ],
+            "history": [
+                {
+                    "at_ns": at_ns - begun_ns,
+                    "from": before.name.lower(),
+                    "to": after.name.lower(),
+                    "why": why,
+                }
+                for at_ns, before, after, why in self._history
+            ],
+        }
+
+
+def _since(instant_ns: int | None, begun_ns: int) -> int | None:
+    return None if instant_ns is None else instant_ns - begun_ns

@@ -1,0 +1,135 @@
+"""Two ends of supervision on virtual time, with a path between them that fails in every way."""
+
+from collections import deque
+from random import Random
+
+from telepresence.link.flows import tmtc_flow, video_flow, voice_flow
+from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.supervision.supervisor import (
+    Configuration,
+    LinkState,
+    Supervisor,
+)
+
+MS = 1_000_000
+S = 1000
+UP = [tmtc_flow("tc"), voice_flow("voice"), video_flow("video")]
+DOWN = [tmtc_flow("tm"), video_flow("video")]
+GROUND = Configuration(transmit=UPLINK, transmit_flows=UP, receive=DOWNLINK, receive_flows=DOWN)
+SPACE = Configuration(transmit=DOWNLINK, transmit_flows=DOWN, receive=UPLINK, receive_flows=UP)
+
+
+class End:
+    """A supervisor with the least gateway around it: application data each slot, if it has any."""
+
+    def __init__(self, name, configuration, *, master):
+        self.name, self.configuration, self.master = name, configuration, master
+        self.supervisor = None
+        self.life = 0
+        self.sends = True
+        #: Of every so many-th slot.
+        self.period = 1
+        self.events = []
+        self.sent = []
+        self.delivered = []
+
+    def start(self, life, slot):
+        self.life = life
+        self.supervisor = Supervisor(
+            master=self.master, configuration=self.configuration, life=life, now_ns=slot * MS
+        )
+        self.supervisor.handle_local_check(None, slot * MS)
+
+    def of(self, kind):
+        return [event for event in self.events if isinstance(event, kind)]
+
+
+class Pair:
+    """Ground is the master. `up` and `down` say of each slot whether its frame comes through."""
+
+    def __init__(self, *, delay_slots=5, ground=GROUND, space=SPACE, masters=(True, False)):
+        self.ground = End("ground", ground, master=masters[0])
+        self.space = End("space", space, master=masters[1])
+        self.ends = (self.ground, self.space)
+        self.delay_slots = delay_slots
+        self.paths = {"ground": deque(), "space": deque()}
+        self.blocked = {"ground": False, "space": False}
+        self.message_loss = 0.0
+        self.garble = 0.0
+        self.random = Random(1)
+        self.slot = 0
+        self.never_connected = False
+
+    def start(self):
+        self.ground.start(0x1111, self.slot)
+        self.space.start(0x2222, self.slot)
+
+    def run(self, slots):
+        for _ in range(slots):
+            self.step()
+        return self
+
+    def step(self):
+        slot, now_ns = self.slot, self.slot * MS
+        for end in self.ends:
+            if end.supervisor is not None:
+                self.transmit(end, slot, now_ns)
+        for end, other in (self.ends, self.ends[::-1]):
+            path = self.paths[end.name]
+            while path and path[0][0] <= slot:
+                _, message, data = path.popleft()
+                if other.supervisor is not None:
+                    self.arrive(other, message, data, now_ns + MS // 3)
+        self.slot += 1
+        both = [end.supervisor and end.supervisor.state for end in self.ends]
+        assert not (self.never_connected and LinkState.CONNECTED in both)
+
+    def arrive(self, end, message, data, now_ns):
+        supervisor = end.supervisor
+        supervisor.handle_frame(now_ns)
+        if message is not None:
+            supervisor.handle_message(message, now_ns)
+        if data is not None and supervisor.delivering:
+            end.delivered.append((now_ns, data))
+            supervisor.handle_application(now_ns)
+        self.drain(end)
+
+    def transmit(self, end, slot, now_ns):
+        data = None
+        if end.sends and slot % end.period == 0:
+            data = (end.life, slot)
+            end.supervisor.handle_application_sent(now_ns)
+        message = end.supervisor.poll_transmit(now_ns)
+        self.drain(end)
+        if message is not None:
+            end.sent.append((slot, message))
+            if self.random.random() < self.message_loss:
+                message = data = None
+            elif self.random.random() < self.garble:
+                message = self.random.randbytes(12)
+        if not self.blocked[end.name]:
+            self.paths[end.name].append((slot + self.delay_slots, message, data))
+
+    @staticmethod
+    def drain(end):
+        while event := end.supervisor.next_event():
+            end.events.append(event)
+
+    @property
+    def states(self):
+        return tuple(end.supervisor.state.name for end in self.ends)
+
+    def history(self, end):
+        report = end.supervisor.report(self.slot * MS)
+        return [entry["to"] for entry in report["history"]]
+
+
+CONNECTED = ("CONNECTED", "CONNECTED")
+
+
+def connected(**options):
+    pair = Pair(**options)
+    pair.start()
+    pair.run(4 * pair.delay_slots + 100)
+    assert pair.states == CONNECTED
+    return pair

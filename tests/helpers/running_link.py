@@ -1,0 +1,141 @@
+"""`kontur-av link`, run as a user runs it, and programs' sockets at its ports."""
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pipelines.setup.table import PORTS, Ports
+
+COMMAND = (sys.executable, "-m", "pipelines.cli")
+#: Guards against a hang; nothing is judged by it.
+PATIENCE_S = 40.0
+
+
+def free_base_port(hosts=("127.0.0.1",)):
+    """The first of a block of ports that are free on all `hosts`."""
+    bases = range(20_000, 26_960 - PORTS, PORTS)
+    # Another run of these tests, on the same machine, begins elsewhere.
+    first = os.getpid() % len(bases)
+    for base in (*bases[first:], *bases[:first]):
+        with contextlib.ExitStack() as stack:
+            try:
+                for host in hosts:
+                    for port in range(base, base + PORTS):
+                        udp = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                        udp.bind((host, port))
+            except OSError:
+                continue
+            return base
+    pytest.skip("no block of free UDP ports")
+
+
+def eventually(ask, what, pause_s=0.02):
+    """`ask()` until it is true, and what it returned."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not (answer := ask()):
+        if time.monotonic() > deadline_s:
+            pytest.fail(f"{what} did not happen in {PATIENCE_S:g} s")
+        time.sleep(pause_s)
+    return answer
+
+
+def listening(port, host="127.0.0.1"):
+    """A program's socket."""
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp.setblocking(False)
+    udp.bind((host, port))
+    return udp
+
+
+def came(udp):
+    """All datagrams that have come."""
+    found = []
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            found.append(udp.recv(65_535))
+    return found
+
+
+class RunningLink:
+    """The command with options; close it to have nothing of it left, whatever happened.
+
+    prefix: what runs it, as `ip netns exec NAME`.
+    """
+
+    def __init__(self, *options, directory, name="link", prefix=(), base_port=None):
+        self.base_port = base_port or free_base_port()
+        self.ports = Ports(base=self.base_port)
+        self.report_path = Path(directory) / f"{name}.json"
+        self._out_path = Path(directory) / f"{name}.txt"
+        self._out = self._out_path.open("w+")
+        command = [*prefix, *COMMAND, "link", "--report", str(self.report_path)]
+        command += ["--base-port", str(self.base_port), *map(str, options)]
+        self.process = subprocess.Popen(
+            command,
+            stdout=self._out,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, "TMPDIR": str(directory)},
+            start_new_session=True,
+        )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(PATIENCE_S)
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self._out.close()
+
+    def output(self):
+        return self._out_path.read_text()
+
+    def lines(self):
+        """The lines of figures so far."""
+        return [line for line in self.output().splitlines() if line.lstrip()[:1].isdigit()]
+
+    def wait_for_line(self, word):
+        """Until a line of figures has `word`, of those that come from now on."""
+        seen = len(self.lines())
+
+        def there():
+            assert self.process.poll() is None, self.output()
+            return [line for line in self.lines()[seen:] if word in line]
+
+        return eventually(there, f"a line with {word!r}")
+
+    def children(self):
+        path = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        return [int(pid) for pid in path.read_text().split()]
+
+    def interrupt(self):
+        """Ctrl-C; its exit code and its report."""
+        self.process.send_signal(signal.SIGINT)
+        return self.end()
+
+    def end(self):
+        """Its exit code and its report, after its own end."""
+        code = self.process.wait(PATIENCE_S)
+        assert self.report_path.exists(), self.output()
+        return code, json.loads(self.report_path.read_text())
+
+
+def assert_books_are_right(report, setup):
+    """Every octet of every frame is booked."""
+    profiles = {"uplink": setup.uplink, "downlink": setup.downlink}
+    for direction, link in report["link"].items():
+        booked = sum(link["octets"].values())
+        assert booked == profiles[direction].frame_octets * link["frames"], direction

@@ -1,0 +1,219 @@
+"""A whole session, run as a user runs it: the real command, in a process of its own."""
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from kontur_av.topics.bus import TopicBus
+from kontur_av.topics.session_files import shared_memory
+from pipelines.commands.stream import session_parts
+from pipelines.setup.setup_file import load_setup
+from pipelines.setup.table import PORTS
+
+COMMAND = (sys.executable, "-m", "pipelines.cli")
+#: Guards against a hang; nothing is judged by it.
+PATIENCE_S = 40.0
+_LIVE_STREAM = re.compile(r"(\w+) [\d.]+/[\d.]+ kbit/s (\d+) shown")
+_LIVE_HAPTIC = re.compile(r"(haptic_\w+) (\d+) received")
+
+
+def free_base_port():
+    """The first of a block of free ports, below those that the kernel gives out itself."""
+    bases = range(28_200, 32_700 - PORTS, PORTS)
+    # Another run of these tests, on the same machine, begins elsewhere.
+    first = os.getpid() % len(bases)
+    for base in (*bases[first:], *bases[:first]):
+        with contextlib.ExitStack() as stack:
+            try:
+                for port in range(base, base + PORTS):
+                    udp = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                    udp.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return base
+    pytest.skip("no block of free UDP ports")
+
+
+def eventually(ask, what):
+    """`ask()` until it is true, and what it returned."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not (answer := ask()):
+        if time.monotonic() > deadline_s:
+            pytest.fail(f"{what} did not happen in {PATIENCE_S:g} s")
+        time.sleep(0.02)
+    return answer
+
+
+def alive(pid):
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def _name_of(pid):
+    comm = Path(f"/proc/{pid}/comm").read_text().strip()
+    return comm if comm.startswith("kav ") else None
+
+
+class RunningSession:
+    """`kontur-av stream` with options; close it to have nothing of it left, whatever happened.
+
+    It has a directory for temporary files to itself, so that no other session is found in it.
+    """
+
+    def __init__(self, setup, *options, directory):
+        self.directory = Path(directory)
+        self.report_path = self.directory / "report.json"
+        # Short, because the path of a Unix socket has 107 octets at most.
+        self.temporary = Path(tempfile.mkdtemp(prefix="kav"))
+        self.base_port = free_base_port()
+        self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
+        self.setup = load_setup(setup)
+        parts = session_parts(self.setup, snapshots="--snapshots" in options)
+        self.names = [part.name for part in parts]
+        command = [*COMMAND, "stream", "--setup", setup, "--report", str(self.report_path)]
+        command += ["--base-port", str(self.base_port), *options]
+        self._out = (self.directory / "out.txt").open("w+")
+        self._error = (self.directory / "error.txt").open("w+")
+        self.process = subprocess.Popen(
+            command,
+            stdout=self._out,
+            stderr=self._error,
+            stdin=subprocess.DEVNULL,
+            env=self.environment,
+            start_new_session=True,
+        )
+        self.session = f"{self.setup.name}-{self.process.pid}"
+        self.seen_pids = set()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(PATIENCE_S)
+        for pid in [self.process.pid, *self.seen_pids]:
+            if alive(pid):
+                os.kill(pid, signal.SIGKILL)
+        self.process.wait()
+        for leftover in self.shared_memory():
+            leftover.unlink()
+        shutil.rmtree(self.temporary, ignore_errors=True)
+        self._out.close()
+        self._error.close()
+
+    def children(self):
+        """The pids of its processes, in the order in which they were started."""
+        try:
+            text = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text()
+        except OSError:
+            return []
+        pids = [int(pid) for pid in text.split() if alive(int(pid))]
+        self.seen_pids.update(pids)
+        return pids
+
+    def pids(self):
+        """The pids by the parts' names, once all of them were started."""
+
+        def all_started():
+            assert self.process.poll() is None, self.errors()
+            pids = self.children()
+            return pids if len(pids) == len(self.names) else None
+
+        pids = dict(zip(self.names, eventually(all_started, "the start"), strict=True))
+        for name, pid in pids.items():
+            comm = eventually(lambda pid=pid: _name_of(pid), f"the start of {name}")
+            assert f"kav {name}".startswith(comm), (name, comm)
+        return pids
+
+    def lines(self):
+        """The lines of figures that were shown so far."""
+        text = (self.directory / "out.txt").read_text()
+        return [line for line in text.splitlines() if re.match(r" *[\d.]+ s  ", line)]
+
+    def shown(self):
+        """How much of each stream was displayed or felt, by the newest line of figures."""
+        lines = self.lines()
+        if not lines:
+            return {}
+        found = [*_LIVE_STREAM.findall(lines[-1]), *_LIVE_HAPTIC.findall(lines[-1])]
+        return {name: int(count) for name, count in found}
+
+    def wait_for_flow(self, names=None):
+        """Until every stream (or those of `names`) has been shown, once more than before."""
+        before = self.shown()
+
+        def flowing():
+            now = self.shown()
+            return now and all(now[name] > before.get(name, 0) for name in names or now)
+
+        eventually(flowing, "the flow of all streams")
+
+    def wait_for_snapshot(self, prefix, more_than):
+        """Until there are more than so many pictures of a kind in the report's directory."""
+        eventually(
+            lambda: len(list(self.directory.glob(f"{prefix}*.png"))) > more_than,
+            f"a snapshot of {prefix}",
+        )
+
+    def select(self, camera):
+        command = [*COMMAND, "select", camera]
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=PATIENCE_S, env=self.environment
+        )
+
+    @contextlib.contextmanager
+    def bus(self, monkeypatch):
+        """A door of our own to the topics of the session."""
+        monkeypatch.setattr(tempfile, "tempdir", str(self.temporary))
+        with TopicBus(self.session) as bus:
+            yield bus
+        monkeypatch.undo()
+
+    def errors(self):
+        return (self.directory / "error.txt").read_text()
+
+    def interrupt(self):
+        """Ctrl-C; its exit code and its report."""
+        self.process.send_signal(signal.SIGINT)
+        return self.end()
+
+    def end(self):
+        """Its exit code and its report, after its own end."""
+        code = self.process.wait(PATIENCE_S)
+        return code, json.loads(self.report_path.read_text())
+
+    def shared_memory(self):
+        return shared_memory(self.session)
+
+    def assert_nothing_left(self):
+        assert [pid for pid in self.seen_pids if alive(pid)] == []
+        assert self.shared_memory() == []
+        assert [path for path in self.temporary.rglob("*") if not path.is_dir()] == []
+
+
+def assert_sound(report):
+    """What holds for every report of every session, however slow the machine."""
+    assert report["failures"] == []
+    for name, stream in report["streams"].items():
+        assert 0 < stream["payload_bps_max_1s"] <= stream["cap_bps"], name
+        assert stream["frames_displayed"] > 0, name
+    profiles = {"uplink": 32, "downlink": 500}
+    for direction, link in report["link"].items():
+        octets = sum(link["octets"].values())
+        assert octets == profiles[direction] * link["frames"] > 0, direction

@@ -1,0 +1,118 @@
+"""What may import what: the three packages in one direction, and no clock or socket in a core."""
+
+import ast
+
+import pytest
+from places import ROOT
+
+#: Each may import itself and what stands before it.
+ORDER = ("kontur_av", "telepresence", "pipelines")
+
+#: Doors to the world outside: a core is handed the time, the octets and the random numbers.
+DOORS = {
+    "asyncio",
+    "concurrent",
+    "datetime",
+    "evdev",
+    "multiprocessing",
+    "os",
+    "secrets",
+    "select",
+    "selectors",
+    "signal",
+    "socket",
+    "subprocess",
+    "threading",
+    "time",
+}
+
+#: Every module in here is a process of its own, and as thin as a shell can be.
+PROCESSES = "pipelines/parts/"
+
+#: Other modules that are allowed a door, and why. Everything else is a core.
+SHELLS = {
+    "kontur_av/topics/bell.py": "FIFOs, and sleep",
+    "kontur_av/clock.py": "the one place that asks for the time",
+    "kontur_av/topics/session_files.py": "files and shared memory",
+    "kontur_av/sources/camera.py": "a device",
+    "kontur_av/sources/microphone.py": "a device",
+    "kontur_av/sources/pipe.py": "a FIFO",
+    "pipelines/bench/children.py": "ends processes",
+    "pipelines/bench/fanout/gstreamer.py": "a library that starts threads, and files",
+    "pipelines/bench/fanout/run.py": "processes",
+    "pipelines/bench/fanout/ways.py": "asks for the process's number",
+    "pipelines/bench/latency/runs.py": "runs a command, and tries the clock",
+    "pipelines/bench/haptics/grid.py": "processes",
+    "pipelines/bench/link/live.py": "runs commands",
+    "pipelines/bench/passes/run.py": "runs commands",
+    "pipelines/bench/video/clips.py": "shared memory",
+    "pipelines/bench/video/contenders.py": "runs commands",
+    "pipelines/bench/video/ends.py": "processes, FIFOs and sockets",
+    "pipelines/bench/video/run.py": "sockets, and sleep",
+    "pipelines/bench/voice/gstreamer.py": "runs commands and listens to them",
+    "pipelines/cli.py": "the command itself",
+    "pipelines/commands/common.py": "addresses, files and signals of a command",
+    "pipelines/runtime/control.py": "the control socket",
+    "pipelines/runtime/datagrams.py": "the sockets of a gateway",
+    "pipelines/commands/devices.py": "asks the system for its devices",
+    "pipelines/commands/doctor.py": "asks the system for everything",
+    "kontur_av/streams/doorbell.py": "a file descriptor",
+    "kontur_av/streams/encoding_thread.py": "a thread",
+    "pipelines/runtime/launcher.py": "processes",
+    "pipelines/commands/link.py": "a command",
+    "pipelines/runtime/probe.py": "the socket of a process to its launcher",
+    "pipelines/runtime/process.py": "what every process has",
+    "pipelines/commands/raw_pictures.py": "a file or a FIFO",
+    "pipelines/commands/receive.py": "a command",
+    "pipelines/report/report_file.py": "a file",
+    "pipelines/commands/send.py": "a command",
+    "pipelines/commands/send_media.py": "random numbers of a stream",
+    "pipelines/runtime/sessions.py": "processes, and what they leave",
+    "pipelines/simulation/workers.py": "processes",
+    "pipelines/commands/sinks.py": "a random number of a receiver",
+    "pipelines/commands/stream.py": "a command",
+    "telepresence/haptics/device/gamepad.py": "a device",
+}
+
+
+def modules() -> list[str]:
+    found = [path for package in ORDER for path in (ROOT / package).rglob("*.py")]
+    return sorted(path.relative_to(ROOT).as_posix() for path in found)
+
+
+def imported(module: str) -> set[str]:
+    """Top-level names of all packages that a module imports, within functions too."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            # A relative import would hide where it leads.
+            names.add((node.module or "").partition(".")[0] if not node.level else ".")
+    return names
+
+
+@pytest.mark.parametrize("package", ORDER)
+def test_imports_run_one_way(package):
+    later = {*ORDER[ORDER.index(package) + 1 :], "."}
+    wrong = {
+        module: found
+        for module in modules()
+        if module.startswith(f"{package}/") and (found := imported(module) & later)
+    }
+    assert not wrong
+
+
+def test_cores_have_no_door_to_the_world():
+    wrong = {
+        module: found
+        for module in modules()
+        if module not in SHELLS
+        and not module.startswith(PROCESSES)
+        and (found := imported(module) & DOORS)
+    }
+    assert not wrong, "a core is given the time and the octets; a new shell is named in SHELLS"
+
+
+def test_shells_that_became_cores_leave_the_list():
+    assert {module for module in SHELLS if not imported(module) & DOORS} == set()

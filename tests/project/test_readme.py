@@ -1,0 +1,143 @@
+"""The documents keep up with the code: commands, options, links, setups and the CI's command."""
+
+import argparse
+import re
+import shlex
+import tomllib
+from dataclasses import fields
+
+import pytest
+from places import ROOT
+
+from pipelines.cli import _parser
+from pipelines.report.collector import Collector
+from pipelines.report.session_report import build_report
+from pipelines.setup.setup_file import load_setup, setup_from_table
+from pipelines.setup.table import Ports, Setup
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+
+
+def blocks(text: str, language: str = "sh") -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+def commands_in(text: str) -> list[list[str]]:
+    """Every call of kontur-av in the code blocks of a document, as its arguments."""
+    found = []
+    for block in blocks(text):
+        for line in block.replace("\\\n", " ").replace("&&\n", "&& ").splitlines():
+            words = shlex.split(line, comments=True)
+            for index, word in enumerate(words):
+                if word.rpartition("/")[2] == "kontur-av":
+                    rest = words[index + 1 :]
+                    ends = [i for i, word in enumerate(rest) if word in ("&", "&&", "|", ";")]
+                    found.append(rest[: min(ends, default=len(rest))])
+    return found
+
+
+def subcommands() -> dict[str, argparse.ArgumentParser]:
+    parser = _parser()
+    (action,) = (
+        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+    )
+    return dict(action.choices)
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_command_is_one_that_the_cli_takes(document):
+    for arguments in commands_in(document.read_text(encoding="utf-8")):
+        _parser().parse_args(arguments)
+
+
+def test_the_table_of_commands_has_each_command_with_its_options():
+    rows = dict(re.findall(r"^\| `kontur-av (\w+)` \| (.*) \|$", README, re.MULTILINE))
+    known = subcommands()
+    assert set(rows) == set(known)
+    for name in ("stream", "link", "simulate", "send", "receive"):
+        options = {
+            option
+            for action in known[name]._actions
+            for option in action.option_strings[:1]
+            if option != "-h"
+        }
+        assert set(re.findall(r"`(--?[a-z-]+)`", rows[name])) == options, name
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_link_leads_to_a_file(document):
+    text = document.read_text(encoding="utf-8")
+    links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", text) if "://" not in link]
+    missing = [link for link in links if not (document.parent / link).exists()]
+    # Paths in code quotes are promises too: kontur_av/clock.py, tests/sim/test_caps.py, ...
+    paths = re.findall(r"`((?:kontur_av|telepresence|pipelines|samples|tests|docs)/[\w./]+)`", text)
+    missing += [path for path in paths if not (ROOT / path).exists()]
+    assert not missing
+
+
+def test_every_sample_is_listed():
+    samples = {path.name for path in (ROOT / "samples").glob("*.py")}
+    assert set(re.findall(r"\]\(samples/(\w+\.py)\)", README)) == samples
+
+
+def test_the_ci_runs_the_test_command_of_the_readme():
+    after = README.split("<!-- command: test -->\n", 1)[1]
+    (command, *_) = blocks(after)
+    assert after.startswith("```sh\n")
+    assert "pytest" in command
+    ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert "<!-- command: test -->" in ci
+    assert ".venv/bin/pytest" not in ci
+
+
+def test_the_annotated_setup_is_one_and_has_every_field():
+    (text,) = blocks((ROOT / "docs" / "setups.md").read_text(encoding="utf-8"), "toml")
+    table = tomllib.loads(text)
+    assert {field.name for field in fields(Setup)} == set(table)
+    setup = setup_from_table(table)
+    assert setup.inputs[:4] == ("left", "right", "static", "wrist")
+    # What is called the default there is it.
+    plain = setup_from_table({"name": "x", "cameras": ["static"], "uplink_video": {"cap_kbps": 85}})
+    assert plain.uplink_video == setup.uplink_video
+    assert (plain.uplink, plain.downlink) == (setup.uplink, setup.downlink)
+    assert (plain.base_port, plain.radio_delay_ms) == (setup.base_port, 0)
+
+
+def test_the_ports_are_those_of_the_document():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    numbers = {
+        int(number)
+        for row in re.findall(r"^\| ([\d, →]+) \|", text, re.MULTILINE)
+        for number in re.findall(r"\d+", row)
+    }
+    ports, setup = Ports(base=2000), load_setup("spacejustin")
+    used = {ports.ground_radio, ports.space_radio, ports.ground_haptic, ports.space_haptic}
+    used |= {ports.robot, ports.joystick, ports.launcher}
+    for flow in (*setup.uplink_flows, *setup.downlink_flows):
+        used |= {ports.entry(flow.name), ports.exit(flow.name)}
+    assert {port - 2000 for port in used} == numbers
+
+
+def test_every_key_of_the_report_is_in_the_document():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## Report")[1]
+    setup = load_setup("spacejustin")
+    report = build_report(
+        setup,
+        Collector([stream.name for stream in setup.streams]),
+        seconds=1,
+        cpu_s={"robot": 0.1},
+        restarts={"robot": 0},
+        launcher_cpu_s=0.1,
+    )
+    nested = [
+        report,
+        *report["streams"].values(),
+        report["haptic"]["up"],
+        report["link"]["uplink"],
+        report["skew_ms"],
+        report["processes"]["robot"],
+    ]
+    told = set(re.findall(r"`([\w.]+)`", text))
+    told |= {name.partition(".")[0] for name in told}
+    assert {key for table in nested for key in table} - told == set()

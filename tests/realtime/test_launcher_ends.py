@@ -1,0 +1,108 @@
+"""However a process of a session ends, its siblings go on, and the report says how it ended."""
+
+import json
+import signal
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import json, os, signal, sys
+from kontur_av.clock import MonotonicClock
+from pipelines.runtime.launcher import Launcher
+from pipelines.runtime.process import Part, Stage
+from pipelines.setup.built_in import BUILT_IN
+
+def good(context):
+    while not context.stopping:
+        context.tick(context.clock.now_ns())
+        context.clock.sleep_until_ns(context.clock.now_ns() + 10_000_000)
+
+def no_figures(context):
+    def fill():
+        raise RuntimeError("no figures")
+    context.on_flush(fill)
+
+def falls_without_figures(context):
+    no_figures(context)
+    raise ValueError("fallen")
+
+def real_time_signal(context):
+    os.kill(os.getpid(), 40)
+
+def deaf_to_a_closed_terminal(context):
+    os.kill(os.getpid(), signal.SIGHUP)
+    good(context)
+
+def closes_the_terminal(context):
+    os.kill(os.getppid(), signal.SIGHUP)
+    good(context)
+
+def show(launcher):
+    raise {"": None, "disk": OSError(28, "full"), "reader": BrokenPipeError()}[gone]
+
+bad, seconds, gone = sys.argv[1], float(sys.argv[2]), sys.argv[3]
+launcher = Launcher(
+    session=f"test-{os.getpid()}",
+    setup=BUILT_IN["taskboard"],
+    parts=[Part("good", Stage.LINK, good), Part("bad", Stage.SINK, globals()[bad])],
+    clock=MonotonicClock(),
+    show=show if gone else None,
+)
+launcher.run(seconds or None)
+print(json.dumps({child.part.name: [child.restarts, child.last_error]
+                  for child in launcher.children}))
+"""
+
+
+def ends(bad, seconds=0.5, gone="", hangup=signal.SIG_DFL):
+    """What a launcher says of `bad` and of its sibling: [restarts, last error] of each.
+
+    gone: what its figures cannot be shown to, "disk" or "reader". hangup: what it finds to be
+    done on a SIGHUP.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, bad, str(seconds), gone],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        # These tests may run under nohup themselves.
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, hangup),
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    (line,) = done.stdout.splitlines()
+    return json.loads(line)
+
+
+@pytest.mark.parametrize(
+    ("bad", "says"),
+    [
+        ("no_figures", "RuntimeError: no figures"),
+        ("falls_without_figures", "ValueError: fallen"),
+        ("real_time_signal", "ended by signal 40"),
+    ],
+)
+def test_a_process_that_falls_takes_no_sibling_along(bad, says):
+    figures = ends(bad)
+    assert figures["good"] == [0, ""]
+    restarts, last_error = figures["bad"]
+    assert restarts >= 1
+    assert last_error.startswith(says)
+
+
+def test_a_closed_terminal_ends_the_session_by_its_launcher_alone():
+    assert ends("deaf_to_a_closed_terminal") == {"good": [0, ""], "bad": [0, ""]}
+    assert ends("closes_the_terminal", 0) == {"good": [0, ""], "bad": [0, ""]}
+
+
+def test_under_nohup_a_closed_terminal_ends_nothing():
+    figures = ends("closes_the_terminal", 0.5, hangup=signal.SIG_IGN)
+    assert figures == {"good": [0, ""], "bad": [0, ""]}
+
+
+def test_figures_that_cannot_be_shown_break_nothing():
+    assert ends("good", 1.5, "disk") == {"good": [0, ""], "bad": [0, ""]}
+    # Without a time to end at: it ends because nobody reads it any more.
+    assert ends("good", 0, "reader") == {"good": [0, ""], "bad": [0, ""]}

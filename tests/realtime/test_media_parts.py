@@ -1,0 +1,344 @@
+"""What inputs, receivers and displays count: real sockets and topics, the parts in a thread."""
+
+import secrets
+import socket
+import threading
+import time
+from array import array
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.opus import OpusEncoder
+from kontur_av.media import (
+    AUDIO_CLOCK_HZ,
+    VIDEO_CLOCK_HZ,
+    AudioFrame,
+    CaptureStamp,
+    VideoFrame,
+    empty_picture,
+)
+from kontur_av.rtp.sender import RtpSender
+from kontur_av.topics.bus import TopicBus
+from kontur_av.topics.session_files import remove_session
+from pipelines.parts.capture import run_microphone
+from pipelines.parts.display import CONCEALED, run_display
+from pipelines.parts.video_receive import run_video_receive
+from pipelines.parts.video_send import run_video_send
+from pipelines.parts.voice_receive import run_voice_receive
+from pipelines.runtime.probe import Message, Probe
+from pipelines.runtime.process import LOOPBACK, Context
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.setup.names import (
+    BACKLOG,
+    DAMAGED,
+    LAG,
+    SELECTED_TOPIC,
+    VIDEO_PAYLOAD_TYPE,
+    VOICE_PAYLOAD_TYPE,
+    backlog_topic,
+    displayed_topic,
+    lag_topic,
+    received_topic,
+)
+
+SETUP = replace(BUILT_IN["spacejustin"], base_port=29_300)
+CLOCK = MonotonicClock()
+SOUND = np.zeros(960, np.int16)
+
+
+@pytest.fixture
+def session():
+    name = f"t-{secrets.token_hex(4)}"
+    yield name
+    remove_session(name)
+
+
+@contextmanager
+def running(session, part, **arguments):
+    """A part that runs in a thread; gives what asks it for all it has told."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    context = Context(session=session, setup=SETUP, clock=CLOCK, probe=Probe(theirs))
+    ours.setblocking(False)
+    told = Message()
+
+    def listen():
+        # With the other end closed nothing more comes.
+        with suppress(BlockingIOError):
+            while data := ours.recv(1 << 20):
+                message = Message.unpack(data)
+                told.totals.update(message.totals)
+                told.gauges.update(message.gauges)
+                for series, rows in message.series.items():
+                    told.series.setdefault(series, array("q")).extend(rows)
+        return told
+
+    thread = threading.Thread(target=part, args=(context,), kwargs=arguments)
+    thread.start()
+    try:
+        # It tells for the first time when its sockets and topics are open.
+        eventually(lambda: listen().totals or None)
+        yield listen
+    finally:
+        context.stopping = True
+        thread.join(10)
+        context.flush(CLOCK.now_ns())
+        listen()
+        theirs.close()
+
+
+def eventually(look):
+    end_ns = CLOCK.now_ns() + 10 * NS_PER_S
+    while CLOCK.now_ns() < end_ns:
+        found = look()
+        if found is not None:
+            return found
+        CLOCK.sleep_until_ns(CLOCK.now_ns() + 5 * NS_PER_MS)
+    raise AssertionError("it never came")
+
+
+def rtp_sender(payload_type, clock_rate_hz):
+    return RtpSender(
+        payload_type=payload_type,
+        clock_rate_hz=clock_rate_hz,
+        ssrc=7,
+        first_sequence=0,
+        timestamp_offset=0,
+        cname="gnd",
+        report_interval_ns=NS_PER_S,
+    )
+
+
+def test_an_input_tells_when_it_captured_last(session):
+    begin_ns = CLOCK.now_ns()
+    with running(session, run_microphone, name="ground_mic") as listen:
+        eventually(lambda: listen().totals["captured"] or None)
+    told = listen()
+    assert begin_ns <= told.gauges["captured_ns"] <= CLOCK.now_ns()
+    assert told.totals["source_faults"] == 0
+
+
+def test_a_sound_that_was_made_up_is_not_displayed(session):
+    stream = SETUP.uplink_voice
+    with (
+        running(session, run_display, streams=[stream]) as listen,
+        TopicBus(session) as bus,
+    ):
+        writer = bus.writer(received_topic(stream.name), max_octets=1920)
+        for number, source in enumerate([stream.name, CONCEALED, CONCEALED, stream.name]):
+            stamp = CaptureStamp(CLOCK.now_ns(), number, source)
+            writer.publish_audio(AudioFrame(SOUND, stamp))
+        counter = f"{stream.name}.frames_displayed"
+        eventually(lambda: listen().totals[counter] == 2 or None)
+    told = listen()
+    assert told.totals[counter] == 2
+    assert list(told.series[f"shown.{stream.name}"][::3]) == [0, 3]
+
+
+def test_a_picture_that_grows_old_is_marked_on_the_display_and_nowhere_else(session):
+    stream = SETUP.uplink_video
+    limit_ns = SETUP.stale_after_ns(stream)
+    picture = empty_picture(stream.width, stream.height)
+    picture[:] = 128
+    with (
+        running(session, run_display, streams=[stream]) as listen,
+        TopicBus(session) as bus,
+    ):
+        writer = bus.writer(received_topic(stream.name), max_octets=picture.size)
+        screen = bus.reader(displayed_topic(stream.name))
+        received = bus.reader(received_topic(stream.name))
+        lag = bus.reader(lag_topic(stream.name))
+
+        def shown(is_marked):
+            """What is on display, once it is marked or not; marked anew it is older."""
+
+            def look():
+                lease = screen.latest()
+                if lease is None:
+                    return None
+                with lease:
+                    luma = int(lease.video().data[0, 0])
+                    return lease.stamp if (luma == 81) is is_marked else None
+
+            return eventually(look)
+
+        captured_ns = CLOCK.now_ns()
+        stamp = CaptureStamp(captured_ns, 7, stream.name)
+        writer.publish_video(VideoFrame(picture, stamp))
+        assert shown(False) == stamp
+        assert shown(True) == stamp
+        assert CLOCK.now_ns() >= captured_ns + limit_ns
+        shown(True)
+        with received.latest() as lease:
+            assert (lease.video().data == 128).all(), "the source stays as it is"
+        with lag.latest() as lease:
+            displayed_ns, latency_ns = LAG.unpack(lease.octets())
+        assert displayed_ns - latency_ns == captured_ns
+        eventually(lambda: listen().gauges.get(f"{stream.name}.state") == "stale" or None)
+        stamp = CaptureStamp(CLOCK.now_ns(), 8, DAMAGED)
+        writer.publish_video(VideoFrame(picture, stamp))
+        assert shown(False) == stamp
+    told = listen()
+    assert told.totals[f"{stream.name}.stale_episodes"] >= 1
+    assert told.totals[f"{stream.name}.stale_ns"] > 0
+    assert told.totals[f"{stream.name}.frozen_ns"] > told.totals[f"{stream.name}.stale_ns"]
+    assert told.totals[f"{stream.name}.damaged_ns"] > 0
+    assert told.gauges[f"{stream.name}.age_ns"] > 0
+
+
+def test_a_gap_in_a_voice_is_made_up_and_marked(session):
+    """Of ten packets the fourth is lost and the fifth is no Opus, as often as it takes.
+
+    A machine that stands still makes others late, and leaves some out: never do they make a sound
+    of what was none, and once it goes well all are told apart.
+    """
+    stream = SETUP.uplink_voice
+    rtp, encoder = rtp_sender(VOICE_PAYLOAD_TYPE, AUDIO_CLOCK_HZ), OpusEncoder(bitrate_bps=8000)
+    ports = SETUP.ports
+    own, lost, spoilt = stream.name, 3, 4
+    sources = {}
+    with (
+        running(session, run_voice_receive, stream=stream) as listen,
+        TopicBus(session) as bus,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp,
+    ):
+        reader = bus.reader(received_topic(stream.name), depth=8)
+        begin_ns = CLOCK.now_ns()
+
+        def told_apart():
+            return any(
+                [sources.get(first + number) for number in range(7)]
+                == [own, own, own, CONCEALED, CONCEALED, own, own]
+                for first in range(0, 10 * rounds + 1, 10)
+            )
+
+        for rounds in range(50):
+            for number in range(10 * rounds, 10 * rounds + 10):
+                capture_ns = begin_ns + number * 20 * NS_PER_MS
+                stamp = CaptureStamp(capture_ns, number, "ground_mic")
+                (packet,) = rtp.audio_packets(encoder.encode(SOUND), stamp)
+                report = rtp.poll_report(capture_ns, CLOCK.ntp)
+                if report is not None:
+                    udp.sendto(report, (LOOPBACK, ports.exit(f"{stream.name}_rtcp")))
+                if number % 10 == spoilt:
+                    packet = packet[:12] + b"\xff\xff"  # a packet that holds 0 of 63 frames
+                if number % 10 != lost:
+                    # Never a burst: what was queued before the start would be left out.
+                    time.sleep(max(0, capture_ns - CLOCK.now_ns()) / NS_PER_S)
+                    udp.sendto(packet, (LOOPBACK, ports.exit(stream.name)))
+                while (lease := reader.next()) is not None:
+                    with lease:
+                        at_ns = lease.stamp.capture_ns - begin_ns
+                        sources[round(at_ns / (20 * NS_PER_MS))] = lease.stamp.source
+            if told_apart():
+                break
+        else:
+            pytest.fail(f"they were never told apart: {sources}")
+    assert all(sources.get(number) != own for number in sources if number % 10 in (lost, spoilt))
+    told = listen().totals
+    assert told["frames_concealed"] >= 2
+    assert told["frames_decoded"] <= 8 * (rounds + 1)
+
+
+@pytest.mark.parametrize("size", [(2560, 1440), (2560, 1444)])
+def test_pictures_of_the_setups_own_size_are_shown_and_larger_ones_counted(session, size):
+    stream = replace(SETUP.uplink_video, width=2560, height=1440)
+    width, height = size
+    rtp = rtp_sender(VIDEO_PAYLOAD_TYPE, VIDEO_CLOCK_HZ)
+    encoder = H264Encoder(
+        width=width, height=height, fps=30, cap_bps=1_000_000, coded_size=(width, height)
+    )
+    picture = empty_picture(width, height)
+    picture[:] = 128
+    ports = SETUP.ports
+    with (
+        running(session, run_video_receive, stream=stream) as listen,
+        TopicBus(session) as bus,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp,
+    ):
+        reader = bus.reader(received_topic(stream.name))
+        for number in range(3):
+            now_ns = CLOCK.now_ns()
+            frame = VideoFrame(picture, CaptureStamp(now_ns, number, "left"))
+            packets = rtp.video_packets(encoder.encode(frame, CLOCK.now_ns))
+            report = rtp.poll_report(now_ns, CLOCK.ntp)
+            if report is not None:
+                udp.sendto(report, (LOOPBACK, ports.exit(f"{stream.name}_rtcp")))
+            for packet in packets:
+                udp.sendto(packet, (LOOPBACK, ports.exit(stream.name)))
+        eventually(lambda: listen().totals["frames_decoded"] == 3 or None)
+        lease = reader.latest()
+        if size == (stream.width, stream.height):
+            with lease:
+                assert (lease.width, lease.height) == size
+        else:
+            assert lease is None
+    assert listen().totals["frames_oversized"] == (0 if lease else 3)
+
+
+def test_an_encoder_that_fails_ends_its_process(session, monkeypatch):
+    stream = SETUP.uplink_video
+
+    def fail(self, *_, **__):
+        raise RuntimeError("out of order")
+
+    monkeypatch.setattr(H264Encoder, "encode", fail)
+    # Ports of its own: what has failed keeps its sockets.
+    setup = replace(SETUP, base_port=29_340)
+    context = Context(session=session, setup=setup, clock=CLOCK, probe=Probe(None))
+    over = threading.Event()
+    with TopicBus(session) as bus:
+        pictures = bus.writer(SELECTED_TOPIC, max_octets=stream.width * stream.height * 3 // 2)
+        picture = empty_picture(stream.width, stream.height)
+        picture[:] = 128
+
+        def film():
+            while not over.wait(0.02):
+                stamp = CaptureStamp(CLOCK.now_ns(), 0, "static")
+                pictures.publish_video(VideoFrame(picture, stamp))
+
+        camera = threading.Thread(target=film)
+        camera.start()
+        try:
+            with pytest.raises(RuntimeError, match="out of order"):
+                run_video_send(context, stream=stream, topic=SELECTED_TOPIC)
+        finally:
+            over.set()
+            camera.join()
+
+
+def test_nothing_is_encoded_while_the_link_is_behind(session):
+    """A link that leaves out slots carries less than the cap: the pacer alone would not see it."""
+    stream = SETUP.uplink_video
+    share_octets = stream.cap_bps // 8 // stream.fps
+    with (
+        TopicBus(session) as bus,
+        running(session, run_video_send, stream=stream, topic=SELECTED_TOPIC) as listen,
+    ):
+        pictures = bus.writer(SELECTED_TOPIC, max_octets=stream.width * stream.height * 3 // 2)
+        backlog = bus.writer(backlog_topic("uplink"), max_octets=BACKLOG.size, wake=False)
+        numbers = iter(range(10_000))
+
+        def counted(counter, more_than):
+            def look():
+                picture = empty_picture(stream.width, stream.height)
+                picture[:] = 128
+                stamp = CaptureStamp(CLOCK.now_ns(), next(numbers), "static")
+                pictures.publish_video(VideoFrame(picture, stamp))
+                return listen().totals if listen().totals[counter] > more_than else None
+
+            return eventually(look)
+
+        for waiting_octets, counter, other in (
+            (10 * share_octets, "frames_refused", "frames_encoded"),
+            (0, "frames_encoded", None),
+            (share_octets + 1, "frames_refused", None),
+        ):
+            stamp = CaptureStamp(CLOCK.now_ns(), 0, "gateway")
+            backlog.publish_octets(BACKLOG.pack(waiting_octets, 1, True, 0), stamp)
+            totals = counted(counter, listen().totals[counter] + 5)
+            assert other is None or totals[other] == 0

@@ -1,0 +1,231 @@
+"""Shared-memory topics: real shared memory, real processes, one of them killed."""
+
+import multiprocessing
+import os
+import socket
+import tempfile
+import time
+
+import numpy as np
+import pytest
+
+from kontur_av.errors import ConfigError
+from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame
+from kontur_av.topics import session_files
+from kontur_av.topics.bus import TopicBus
+from kontur_av.topics.session_files import remove_session, session_root, shared_memory
+
+PICTURE_OCTETS = 64 * 48 * 3 // 2
+
+
+@pytest.fixture
+def session():
+    name = f"test-{os.getpid()}-{time.monotonic_ns() % 100000}"
+    yield name
+    remove_session(name)
+    assert not shared_memory(name)
+
+
+def stamp(sequence):
+    return CaptureStamp(1_000 + sequence, sequence, "left")
+
+
+def test_latest_gives_the_newest_and_next_gives_each_in_turn(session):
+    with TopicBus(session) as bus:
+        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+        newest, each = bus.reader("pictures"), bus.reader("pictures", depth=4)
+        for sequence in range(3):
+            loan = writer.loan_picture(64, 48)
+            loan.picture[:] = sequence
+            loan.publish(stamp(sequence))
+        assert newest.wait(0)
+        with newest.latest() as lease:
+            frame = lease.video()
+            assert frame.stamp == stamp(2)
+            assert (frame.width, frame.height) == (64, 48)
+            assert (frame.data == 2).all()
+        seen = []
+        while (lease := each.next()) is not None:
+            with lease:
+                seen.append((lease.stamp.sequence, int(lease.video().data[0, 0])))
+        assert seen == [(0, 0), (1, 1), (2, 2)]
+
+
+def test_sound_comes_back_as_it_went_in(session):
+    with TopicBus(session) as bus:
+        writer = bus.writer("voice", max_octets=1920)
+        reader = bus.reader("voice", depth=8)
+        samples = np.arange(-480, 480, dtype=np.int16)
+        writer.publish_audio(AudioFrame(samples, stamp(7)))
+        with reader.next() as lease:
+            assert (lease.audio().samples == samples).all()
+            assert lease.audio().stamp == stamp(7)
+
+
+def test_a_slow_reader_loses_the_oldest_and_never_blocks_the_writer(session):
+    with TopicBus(session) as bus:
+        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+        slow = bus.reader("pictures", depth=2)
+        data = np.zeros((72, 64), np.uint8)
+        for sequence in range(100):
+            writer.publish_video(VideoFrame(data, stamp(sequence)))
+        seen = []
+        while (lease := slow.next()) is not None:
+            with lease:
+                seen.append(lease.stamp.sequence)
+        assert seen == [98, 99]
+
+
+def test_a_reader_that_holds_two_samples_may_still_look_for_the_newest(session):
+    """Like the stereo merge, which shows a camera's last picture again. Publications between the
+    steps of `latest` are stood in for by a deeper queue."""
+    with TopicBus(session) as bus:
+        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+        reader = bus.reader("pictures", depth=4)
+        data = np.zeros((72, 64), np.uint8)
+        writer.publish_video(VideoFrame(data, stamp(0)))
+        held = [reader.latest()]
+        for sequence in (1, 2, 3):
+            writer.publish_video(VideoFrame(data, stamp(sequence)))
+        held.append(reader.latest())
+        assert [lease.stamp.sequence for lease in held] == [0, 3]
+        for sequence in (4, 5, 6):
+            writer.publish_video(VideoFrame(data, stamp(sequence)))
+        held[0].release()
+        assert reader.latest().stamp.sequence == 6
+
+
+def test_a_reader_that_joins_late_sees_the_last_sample(session):
+    with TopicBus(session) as bus:
+        writer = bus.writer("state", max_octets=8, wake=False)
+        writer.publish_octets(b"12345678", stamp(0))
+        reader = bus.reader("state")
+        writer.publish_octets(b"87654321", stamp(1))
+        with reader.latest() as lease:
+            assert lease.payload.tobytes() == b"87654321"
+
+
+def test_a_waiter_wakes_for_a_socket_and_for_a_topic(session):
+    read_fd, write_fd = os.pipe()
+    with TopicBus(session) as bus:
+        writer = bus.writer("a", max_octets=8)
+        readers = [bus.reader("a"), bus.reader("b")]
+        waiter = bus.waiter(readers, [read_fd])
+        writer.publish_octets(b"x", stamp(0))
+        waiter.wait(20_000_000_000)  # returns at once, or the test hangs
+        assert readers[0].latest() is not None
+        os.write(write_fd, b"!")
+        waiter.wait(20_000_000_000)
+        assert os.read(read_fd, 1) == b"!"
+        del waiter
+    os.close(read_fd)
+    os.close(write_fd)
+
+
+def _publish_for_ever(session):
+    writer = TopicBus(session).writer("pictures", max_octets=PICTURE_OCTETS)
+    for sequence in range(1_000_000):
+        writer.publish_video(VideoFrame(np.zeros((72, 64), np.uint8), stamp(sequence)))
+        time.sleep(0.002)
+
+
+def _hold_for_ever(session):
+    reader = TopicBus(session).reader("pictures")
+    held = []
+    while reader.wait(20_000_000_000):
+        if len(held) < 2:
+            held.append(reader.latest())
+
+
+def _tell_what_arrives(session, tell):
+    reader = TopicBus(session).reader("pictures")
+    while reader.wait(20_000_000_000):
+        if lease := reader.latest():
+            with lease:
+                tell.send(lease.stamp.sequence)
+
+
+def test_a_killed_writer_and_a_killed_reader_leave_the_others_running(session):
+    """More kills than writers are allowed at once: what the dead held is taken back."""
+    # Not forked: this process has had a bus, and a child would inherit its locks.
+    spawn = multiprocessing.get_context("spawn")
+    told, tell = spawn.Pipe(duplex=False)
+
+    def start(work, *arguments):
+        process = spawn.Process(target=work, args=(session, *arguments), daemon=True)
+        process.start()
+        return process
+
+    running = [start(_tell_what_arrives, tell)]
+    try:
+        for _ in range(5):
+            running += [start(_hold_for_ever), start(_publish_for_ever)]
+            seen = []
+            while len(seen) < 20:
+                assert told.poll(20), "nothing comes through any more"
+                seen.append(told.recv())
+            assert seen[-1] > seen[-10]
+            for _ in range(2):
+                victim = running.pop()
+                victim.kill()
+                victim.join()
+            while told.poll(0.05):
+                told.recv()
+    finally:
+        for process in running:
+            process.kill()
+            process.join()
+
+
+def test_an_unfit_session_name_or_size_is_refused(session):
+    with pytest.raises(ConfigError, match="session name"):
+        TopicBus("../etc")
+    with TopicBus(session) as bus, pytest.raises(ConfigError, match="size 63x48"):
+        bus.writer("x", max_octets=10).loan_picture(63, 48)
+
+
+@pytest.mark.parametrize("octets", [1, 12, 90])
+def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, tmp_path, octets):
+    # Its path has 107 octets at most, and a user's number may be long as well.
+    directory = tmp_path / ("d" * octets)
+    directory.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(directory))
+    monkeypatch.setattr(os, "getuid", lambda: 1_234_567_890)
+    # It belongs to another.
+    monkeypatch.setattr(session_files, "_check_own", lambda directory: None)
+    name = "l" * 31
+    with TopicBus(name) as bus:
+        reader = bus.reader("pictures")
+        bus.writer("pictures", max_octets=1).publish_octets(b"x", stamp(0))
+        assert reader.wait(0)
+        assert shared_memory(name)
+        with socket.socket(socket.AF_UNIX) as short:
+            short.bind(str(session_root(name) / "console"))
+        user_root = session_root(name).parent
+    assert remove_session(name) > 0
+    assert not shared_memory(name)
+    assert list(user_root.iterdir()) == []
+    user_root.rmdir()
+
+
+def test_a_directory_that_others_may_have_filled_is_not_used(monkeypatch, tmp_path):
+    # Not tmp_path itself, which may be too deep for sockets.
+    with tempfile.TemporaryDirectory(prefix="kav") as directory:
+        monkeypatch.setattr(tempfile, "tempdir", directory)
+        own = session_root("lab").parent
+        own.mkdir()
+        own.chmod(0o777)
+        with pytest.raises(ConfigError, match=f"{own}.*chmod 700"):
+            TopicBus("lab")
+        own.rmdir()
+        own.symlink_to(tmp_path)
+        with pytest.raises(ConfigError, match=f"{own}.*TMPDIR"):
+            TopicBus("lab")
+        own.unlink()
+        own.mkdir(mode=0o700)
+        theirs = own.stat().st_uid + 1
+        monkeypatch.setattr(os, "getuid", lambda: theirs)
+        own.rename(own.with_name(f"kontur-av-{theirs}"))
+        with pytest.raises(ConfigError, match="no directory of yours"):
+            TopicBus("lab")
+    assert list(tmp_path.iterdir()) == []

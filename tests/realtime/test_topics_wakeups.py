@@ -1,0 +1,231 @@
+"""Who sleeps for a topic is woken: under load, by the dying, and with one system call."""
+
+import multiprocessing
+import os
+import select
+import time
+from pathlib import Path
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from kontur_av.media import CaptureStamp
+from kontur_av.topics import bell as bell_module
+from kontur_av.topics.bell import Bell, Ear, Sleeper
+from kontur_av.topics.bus import MAX_READERS, TopicBus
+from kontur_av.topics.session_files import bell_path, remove_session, shared_memory
+
+#: Nothing takes that long: what comes later was lost.
+LONG_NS = 20_000_000_000
+#: Not forked from here: this process has had a bus, and a child would inherit its locks.
+PROCESSES = multiprocessing.get_context("forkserver")
+PROCESSES.set_forkserver_preload(["kontur_av.topics.bus"])
+
+
+@pytest.fixture
+def session():
+    name = f"wake-{os.getpid()}-{time.monotonic_ns() % 100000}"
+    yield name
+    remove_session(name)
+    assert not shared_memory(name)
+
+
+@pytest.fixture
+def path(session):
+    return bell_path(session, "any")
+
+
+@pytest.fixture
+def start(session):
+    """Starts processes, and leaves none."""
+    running = []
+
+    def start(work, *arguments):
+        process = PROCESSES.Process(target=work, args=(session, *arguments), daemon=True)
+        process.start()
+        running.append(process)
+        return process
+
+    yield start
+    for process in running:
+        process.kill()
+        process.join()
+
+
+def stamp(sequence):
+    return CaptureStamp(0, sequence, "x")
+
+
+def _acknowledge_each(session, tell, depth):
+    """Go to sleep right after each sample: just when the next one is published."""
+    bus = TopicBus(session)
+    reader = bus.reader("numbers", depth=depth)
+    waiter = bus.waiter([reader]) if depth > 1 else None
+    tell.send_bytes(b"ready")
+    while waiter.wait(LONG_NS) if waiter else reader.wait(LONG_NS):
+        while (lease := reader.next()) is not None:
+            sequence = lease.octets()
+            lease.release()
+            tell.send_bytes(sequence)
+    tell.send_bytes(b"slept on")
+
+
+def test_no_wakeup_is_lost_in_thousands(session, start):
+    ends = []
+    for depth in (1, 4):
+        told, tell = PROCESSES.Pipe(duplex=False)
+        start(_acknowledge_each, tell, depth)
+        ends.append(told)
+    for told in ends:
+        assert told.poll(20)
+        assert told.recv_bytes() == b"ready"
+    with TopicBus(session) as bus:
+        writer = bus.writer("numbers", max_octets=8)
+        for sequence in range(5000):
+            number = sequence.to_bytes(8)
+            writer.publish_octets(number, stamp(sequence))
+            for told in ends:
+                assert told.poll(10), f"asleep since {sequence}"
+                assert told.recv_bytes() == number
+
+
+def _sleep_for_ever(session, tell):
+    reader = TopicBus(session).reader("numbers")
+    tell.send_bytes(b"ready")
+    while reader.wait(LONG_NS):
+        reader.latest().release()
+
+
+def test_readers_killed_in_their_sleep_cost_the_others_no_wakeup(session, start):
+    """More than there may be at once, beside one that lives."""
+    with TopicBus(session) as bus:
+        writer, reader = bus.writer("numbers", max_octets=8), bus.reader("numbers")
+        waiter = bus.waiter([reader])
+        for sequence in range(6):
+            told, tell = PROCESSES.Pipe(duplex=False)
+            victims = [start(_sleep_for_ever, tell) for _ in range(3)]
+            for _ in victims:
+                assert told.poll(20)
+                told.recv_bytes()
+            for victim in victims:
+                victim.kill()
+                writer.publish_octets(bytes(8), stamp(sequence))
+                assert waiter.wait(LONG_NS)
+                with reader.latest() as lease:
+                    assert lease.stamp.sequence == sequence
+                victim.join()
+
+
+def _die_before_ringing(session, order):
+    writer = TopicBus(session).writer("numbers", max_octets=8)
+    writer.publish_octets(bytes(8), stamp(0))
+    order.recv_bytes()
+    Bell.ring = lambda _: os.kill(os.getpid(), 9)
+    writer.publish_octets(bytes(8), stamp(1))
+
+
+def test_a_writer_killed_before_it_rings_is_heard_nevertheless(session, start):
+    order, give = PROCESSES.Pipe(duplex=False)
+    with TopicBus(session) as bus:
+        reader = bus.reader("numbers")
+        waiter = bus.waiter([reader])
+        start(_die_before_ringing, order)
+        seen = None
+        for wanted in (0, 1):
+            while seen != wanted:
+                assert waiter.wait(LONG_NS), "slept on"
+                if (lease := reader.latest()) is not None:
+                    with lease:
+                        seen = lease.stamp.sequence
+            while waiter.wait(0):
+                pass
+            if wanted == 0:
+                give.send_bytes(b"now")
+
+
+@pytest.mark.parametrize("readers", [0, 1, MAX_READERS])
+def test_a_publication_takes_one_system_call_whoever_sleeps(session, monkeypatch, readers):
+    rung = []
+
+    def write(fd, data):
+        rung.append(fd)
+        return real_write(fd, data)
+
+    real_write = os.write
+    monkeypatch.setattr(bell_module.os, "write", write)
+    with TopicBus(session) as bus:
+        writer, silent = (bus.writer("numbers", max_octets=8, wake=wake) for wake in (True, False))
+        waiters = [bus.waiter([bus.reader("numbers")]) for _ in range(readers)]
+        for sequence in range(3):
+            writer.publish_octets(bytes(8), stamp(sequence))
+            assert len(rung) == sequence + 1
+            assert [waiter.wait(LONG_NS) for waiter in waiters] == [True] * readers
+            silent.publish_octets(bytes(8), stamp(sequence))
+            assert [waiter.wait(0) for waiter in waiters] == [False] * readers
+
+
+def test_a_bell_never_fills_up_and_each_ring_counts(path, monkeypatch):
+    bell, ear = Bell(path), Ear(path)
+    sleeper = Sleeper([ear])
+    made_room = []
+
+    def read(fd, octets):
+        made_room.append(real_read(fd, octets))
+        assert select.select([ear], [], [], 0)[0], "emptied: who is slow to wake would sleep on"
+
+    real_read = os.read
+    monkeypatch.setattr(bell_module.os, "read", read)
+    for _ in range(3):
+        for _ in range(70_000):
+            bell.ring()
+        for _ in range(3):
+            assert sleeper.sleep(LONG_NS)
+            assert not sleeper.sleep(1_500_000)
+            bell.ring()
+        assert sleeper.sleep(LONG_NS)
+    assert made_room
+
+
+def test_a_sleep_goes_on_until_it_was_for_something(path):
+    bell, ear = Bell(path), Ear(path)
+    first, second = Sleeper([ear]), Sleeper([ear])
+    bell.ring()
+    reasons = iter([False, True])
+
+    def awake():
+        bell.ring()
+        return next(reasons)
+
+    assert first.sleep(LONG_NS, awake)
+    assert second.sleep(LONG_NS)
+    assert not second.sleep(0)
+    assert not second.sleep(-1)
+
+
+def test_a_bus_gives_back_what_it_opened(session):
+    def use():
+        with TopicBus(session) as bus:
+            writer, reader = bus.writer("numbers", max_octets=8), bus.reader("numbers")
+            writer.publish_octets(bytes(8), stamp(0))
+            assert reader.wait(0)
+            reader.latest().release()
+            assert not reader.wait(0)
+
+    use()
+    before = list(Path("/proc/self/fd").iterdir())
+    for _ in range(3):
+        use()
+    assert len(list(Path("/proc/self/fd").iterdir())) == len(before)
+
+
+def test_what_somebody_else_put_there_is_no_bell(path, tmp_path):
+    path.touch()
+    with pytest.raises(ConfigError, match=r"\.bell is no FIFO of yours: remove it"):
+        Bell(path)
+    path.unlink()
+    own = tmp_path / "own"
+    os.mkfifo(own)
+    path.symlink_to(own)
+    with pytest.raises(ConfigError, match=r"\.bell is no FIFO of yours: remove it"):
+        Ear(path)
+    path.unlink()

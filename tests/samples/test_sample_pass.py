@@ -1,0 +1,27 @@
+"""The sample runs, and shows what it promises."""
+
+import subprocess
+import sys
+
+import cv2
+from places import ROOT
+
+SAMPLE = ROOT / "samples" / "plot_pass.py"
+
+
+def test_sample_shows_the_pass_and_draws_it(tmp_path):
+    picture = tmp_path / "pass.png"
+    done = subprocess.run(
+        [sys.executable, str(SAMPLE), "--seconds", "120", "--picture", str(picture)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    lines = done.stdout.splitlines()
+    assert lines[0].startswith("acquisition: 2015-08-18T14:32")
+    first, second = (line.split() for line in lines[-2:])
+    # In the first minute the signal comes and goes, in the second it stays.
+    assert 10 < float(first[-4]) < 90
+    assert float(second[-4]) < 1
+    assert cv2.imread(str(picture)).shape == (640, 910, 3)

@@ -1,0 +1,111 @@
+"""From a loss to the refresh that heals it, with the encoder that a stream has."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.healing import Healing, recovery_pictures
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
+from kontur_av.rtp.payload_h264 import (
+    NAL_IDR,
+    ReceivedUnit,
+    join_annex_b,
+    nal_type,
+    split_annex_b,
+)
+
+FPS = 30
+
+
+def received(data, *, damaged=False, lost_before=0):
+    idr = any(nal_type(nal) == NAL_IDR for nal in split_annex_b(data))
+    return ReceivedUnit(data, 0, idr, damaged, lost_before, 0, 0)
+
+
+def sei(kind, payload):
+    return join_annex_b([bytes((6, kind, len(payload))) + payload + b"\x80", b"\x01\x9a"])
+
+
+@pytest.fixture(scope="module")
+def units():
+    """Three seconds of a noisy picture that moves."""
+    encoder = H264Encoder(width=320, height=240, fps=FPS, cap_bps=200_000)
+    noise = np.random.default_rng(1).integers(60, 200, (240, 320), np.uint8)
+    found = []
+    for number in range(3 * FPS):
+        picture = empty_picture(320, 240)
+        picture[:] = 128
+        picture[:240] = np.roll(noise, 3 * number, axis=1)
+        stamp = CaptureStamp(number * NS_PER_S // FPS, number, "test")
+        found.append(encoder.encode(VideoFrame(picture, stamp), lambda: 0))
+    return found
+
+
+def test_an_undamaged_stream_is_never_called_damaged(units):
+    healing = Healing()
+    assert not any(healing.handle_unit(received(u.data)) for u in units)
+
+
+def pictures(units):
+    decoder = H264Decoder()
+    return {
+        number: picture.to_i420()
+        for number, data in units
+        for picture in decoder.decode(data, number)
+    }
+
+
+@pytest.mark.parametrize("lost", [{20}, {31, 32, 33}, {44}])
+def test_damage_ends_with_the_refresh_and_then_the_picture_is_right(units, lost):
+    healing = Healing()
+    kept, damaged = [], {}
+    missed = 0
+    for number, unit in enumerate(units):
+        if number in lost:
+            missed += 1
+            continue
+        arrived = received(unit.data, lost_before=missed)
+        damaged[number] = healing.handle_unit(arrived)
+        kept.append((number, unit.data))
+        missed = 0
+    hurt = [number for number, is_hurt in damaged.items() if is_hurt]
+    assert hurt[0] == max(lost) + 1
+    # Contiguous, and over within two refresh periods, one of which may have been under way.
+    assert hurt == list(range(hurt[0], hurt[-1] + 1))
+    assert len(hurt) <= 2 * FPS
+    whole, broken = pictures(enumerate(u.data for u in units)), pictures(kept)
+    wrong = [n for n, picture in broken.items() if not np.array_equal(picture, whole[n])]
+    assert wrong, "a loss does harm"
+    assert set(wrong) <= set(hurt), "what is called healed is right to the last bit"
+
+
+def test_a_loss_while_it_heals_begins_anew_and_a_key_picture_heals_at_once():
+    wave = sei(6, b"\xb0")  # recovery_frame_cnt is the bit 1: this picture is right already
+    assert recovery_pictures(wave) == 0
+    healing = Healing()
+    assert healing.handle_unit(received(b"\0\0\0\1\x01", lost_before=1))
+    assert not healing.handle_unit(received(wave))
+    two = sei(6, b"\x60")  # 011: two pictures
+    assert recovery_pictures(two) == 2
+    healing.handle_unit(received(b"\0\0\0\1\x01", damaged=True))
+    states = [healing.handle_unit(received(data)) for data in (two, b"\0\0\0\1\x01")]
+    states.append(healing.handle_unit(received(b"\0\0\0\1\x01", lost_before=1)))
+    states += [healing.handle_unit(received(b"\0\0\0\1\x01")) for _ in range(5)]
+    assert all(states)
+    assert not healing.handle_unit(received(b"\0\0\0\1\x65"))
+
+
+def test_a_recovery_point_behind_other_messages_is_found():
+    other = bytes((5, 20)) + bytes(range(20))
+    unit = join_annex_b([b"\x06" + other + bytes((6, 1)) + b"\x60\x80", b"\x01\x9a"])
+    assert recovery_pictures(unit) == 2
+    assert recovery_pictures(sei(1, b"\x60")) is None
+
+
+@given(st.binary(max_size=60))
+def test_garbage_is_no_recovery_point_or_one_in_range(data):
+    found = recovery_pictures(b"\0\0\0\1\x06" + data)
+    assert found is None or 0 <= found < 1 << 17

@@ -1,0 +1,157 @@
+"""Packets of one size, sound that comes back, and a libopus wherever there is one."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.codecs import libopus
+from kontur_av.codecs.opus import FRAME_SAMPLES, OpusDecoder, OpusEncoder, bitrate_under_cap
+from kontur_av.errors import ConfigError, ProtocolError
+
+
+def tone(samples, hz=300):
+    return (9000 * np.sin(2 * np.pi * hz * np.arange(samples) / 48_000)).astype(np.int16)
+
+
+def blocks(sound, size=960):
+    return [sound[i : i + size] for i in range(0, sound.size - size + 1, size)]
+
+
+@pytest.mark.parametrize(
+    ("bitrate_bps", "octets"), [(8_000, 20), (64_000, 160), (7_600, 19), (61_200, 153)]
+)
+def test_every_packet_has_the_same_size(bitrate_bps, octets):
+    noise = np.random.default_rng(1).integers(-32768, 32767, 96_000).astype(np.int16)
+    sound = np.concatenate([tone(48_000), np.zeros(48_000, np.int16), noise])
+    encoder = OpusEncoder(bitrate_bps=bitrate_bps)
+    assert encoder.packet_octets == octets
+    assert {len(encoder.encode(block)) for block in blocks(sound)} == {octets}
+
+
+@pytest.mark.parametrize("frame_samples", FRAME_SAMPLES)
+def test_sound_comes_back_later_by_the_lookahead(frame_samples):
+    seconds = np.arange(48_000) / 48_000
+    sound = (9000 * np.sin(2 * np.pi * (300 + 400 * seconds) * seconds)).astype(np.int16)
+    encoder = OpusEncoder(bitrate_bps=64_000, frame_samples=frame_samples)
+    decoder = OpusDecoder()
+    heard = np.concatenate(
+        [decoder.decode(encoder.encode(b)) for b in blocks(sound, frame_samples)]
+    )
+    likeness = [
+        np.corrcoef(sound[9_600:38_400], heard[9_600 + late : 38_400 + late])[0, 1]
+        for late in range(960)
+    ]
+    assert max(likeness) > 0.98
+    # Voice mode's high-pass filter turns the phase a little: 1 ms is allowed.
+    assert abs(int(np.argmax(likeness)) - encoder.lookahead_samples) <= 48
+
+
+def test_speech_is_understood_at_8_kbits(speech_samples):
+    sound = speech_samples("Front_Center.wav")
+    encoder, decoder = OpusEncoder(bitrate_bps=bitrate_under_cap(8_000)), OpusDecoder()
+    heard = np.concatenate([decoder.decode(encoder.encode(block)) for block in blocks(sound)])
+    late = encoder.lookahead_samples
+    sent = np.abs(sound[: heard.size - late].astype(float))
+    got = np.abs(heard[late:].astype(float))
+    # Speech lives in its loudness over time: compare that in blocks of 10 ms.
+    size = sent.size // 480 * 480
+    loudness = [x[:size].reshape(-1, 480).mean(axis=1) for x in (sent, got)]
+    assert np.corrcoef(*loudness)[0, 1] > 0.95
+
+
+def test_a_lost_packet_is_filled_with_its_length_and_fades():
+    encoder, decoder = OpusEncoder(bitrate_bps=64_000), OpusDecoder()
+    for block in blocks(tone(48_000)):
+        decoder.decode(encoder.encode(block))
+    guesses = [decoder.conceal() for _ in range(40)]
+    assert all(guess.shape == (960,) and guess.dtype == np.int16 for guess in guesses)
+    assert np.abs(guesses[0]).max() > 1000
+    assert np.abs(guesses[-1]).max() < 100
+
+
+@given(st.binary(max_size=200))
+def test_garbage_is_a_protocol_error_or_sound(packet):
+    decoder = OpusDecoder()
+    try:
+        samples = decoder.decode(packet)
+    except ProtocolError:
+        pass
+    else:
+        assert samples.dtype == np.int16
+        assert 0 < samples.size <= 5760
+    encoder = OpusEncoder(bitrate_bps=8_000)
+    assert decoder.decode(encoder.encode(tone(960))).shape == (960,)
+
+
+@pytest.mark.parametrize("cap_bps", [8_000, 24_000, 64_000])
+@pytest.mark.parametrize("frame_samples", FRAME_SAMPLES)
+def test_two_packets_more_in_a_second_keep_the_cap(cap_bps, frame_samples):
+    bitrate_bps = bitrate_under_cap(cap_bps, frame_samples)
+    octets = OpusEncoder(bitrate_bps=bitrate_bps, frame_samples=frame_samples).packet_octets
+    packets = -(-48_000 // frame_samples) + 2
+    assert packets * octets * 8 <= cap_bps < packets * (octets + 1) * 8
+
+
+@pytest.mark.parametrize("frame_samples", FRAME_SAMPLES)
+def test_what_is_no_cap_for_opus_is_refused_with_the_number_that_was_given(frame_samples):
+    for cap_bps in (0, 500, 6_000, 600_000):
+        with pytest.raises(ConfigError, match=rf"^a cap of {cap_bps / 1000:g} kbit/s: "):
+            bitrate_under_cap(cap_bps, frame_samples)
+
+
+@pytest.mark.parametrize("cap_bps", [6_240, 6_400, 6_401, 530_400])
+def test_a_cap_that_is_taken_can_be_coded(cap_bps):
+    assert OpusEncoder(bitrate_bps=bitrate_under_cap(cap_bps)).packet_octets >= 15
+
+
+@pytest.mark.parametrize("wrong", [{"bitrate_bps": 5_000}, {"frame_samples": 961}])
+def test_what_cannot_be_coded_is_refused(wrong):
+    with pytest.raises(ConfigError):
+        OpusEncoder(**{"bitrate_bps": 8_000, **wrong})
+
+
+ROUND_TRIP = """
+import ctypes.util, warnings
+warnings.simplefilter("error")
+find = ctypes.util.find_library
+ctypes.util.find_library = lambda name: {found} if name == "opus" else find(name)
+import numpy as np
+from kontur_av.codecs import libopus
+from kontur_av.codecs.opus import OpusDecoder, OpusEncoder
+encoder, decoder = OpusEncoder(bitrate_bps=8000), OpusDecoder()
+packet = encoder.encode(np.zeros(960, np.int16))
+assert len(packet) == 20 and decoder.decode(packet).shape == decoder.conceal().shape == (960,)
+print(libopus.load().origin, libopus.load().version)
+"""
+
+
+def run(found):
+    code = ROUND_TRIP.format(found=found)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+
+
+def test_the_libopus_in_pyavs_wheel_does_where_the_system_has_none():
+    if libopus.carried_by_pyav() is None:
+        pytest.skip("this PyAV carries no libopus")
+    done = run("None")
+    assert done.stdout.startswith("PyAV libopus "), done.stderr
+    assert done.stderr == ""
+
+
+def test_the_systems_libopus_comes_first():
+    if libopus.load().origin != "system":
+        pytest.skip("this system has no libopus")
+    done = run("find(name)")
+    assert done.stdout.startswith("system libopus "), done.stderr
+    assert done.stderr == ""
+
+
+def test_no_libopus_at_all_names_the_mend(monkeypatch):
+    monkeypatch.setattr(libopus.ctypes.util, "find_library", lambda name: None)
+    monkeypatch.setattr(libopus, "carried_by_pyav", lambda: None)
+    with pytest.raises(ConfigError, match="libopus0"):
+        libopus._load()

@@ -1,0 +1,127 @@
+"""No sliding window over the cap, whatever is put in and whenever it is polled."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.errors import ConfigError
+from kontur_av.streams.budget import Pacer
+
+NS_PER_S = 1_000_000_000
+MS = 1_000_000
+
+
+def largest(releases, window_ns):
+    """Octets in the fullest window of `window_ns`, both ends included: by trying every start."""
+    return max(
+        sum(octets for t, octets in releases if start <= t <= start + window_ns)
+        for start, _ in releases
+    )
+
+
+steps = st.lists(
+    st.tuples(
+        st.integers(0, 120 * MS),
+        st.lists(st.integers(1, 600), max_size=6),
+        st.booleans(),
+    ),
+    min_size=1,
+    max_size=60,
+)
+
+
+@given(steps, st.sampled_from([85_000, 85_001, 512_000]), st.sampled_from([None, 2_000_000]))
+def test_no_window_breaks_the_cap(script, cap_bps, channel_bps):
+    pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps, window_ns=NS_PER_S)
+    now, serial, put, got, releases = 0, 0, [], [], []
+    for step, sizes, exactly in script:
+        due = pacer.poll_timeout()
+        now = max(now, due) if exactly and due is not None else now + step
+        packets = []
+        for size in sizes:
+            packets.append(serial.to_bytes(4, "big") + bytes(size))
+            serial += 1
+        put += packets
+        pacer.handle_access_unit(packets, sizes, now)
+        while (packet := pacer.poll_transmit(now)) is not None:
+            got.append(packet)
+            releases.append((now, len(packet) - 4))
+    while (due := pacer.poll_timeout()) is not None:
+        now = max(now, due)
+        packet = pacer.poll_transmit(now)
+        assert packet is not None, "poll_timeout promised a packet"
+        got.append(packet)
+        releases.append((now, len(packet) - 4))
+    assert got == put
+    assert pacer.backlog_octets == pacer.depth == 0
+    if releases:
+        assert largest(releases, NS_PER_S) * 8 <= cap_bps
+        assert largest(releases, 100 * MS) * 80 <= cap_bps * 1.5
+
+
+@given(steps, st.lists(st.integers(-5 * MS, 5 * MS), min_size=400, max_size=400))
+def test_the_cap_holds_for_an_observer_whose_clock_jitters(script, jitter):
+    pacer = Pacer(cap_bps=85_000)
+    now, seen = 0, []
+    for step, sizes, _ in script:
+        now += step
+        pacer.handle_access_unit([bytes(size) for size in sizes], sizes, now)
+    while (due := pacer.poll_timeout()) is not None:
+        now = max(now, due)
+        packet = pacer.poll_transmit(now)
+        seen.append((now + jitter[len(seen) % 400], len(packet)))
+    if seen:
+        assert largest(seen, NS_PER_S) * 8 <= 85_000
+
+
+def test_nothing_leaves_before_its_time_and_it_leaves_then():
+    pacer = Pacer(cap_bps=80_000)
+    pacer.handle_access_unit([b"a" * 100, b"b" * 100], [100, 100], 0)
+    assert pacer.poll_transmit(0) == b"a" * 100
+    assert pacer.poll_transmit(0) is None
+    assert pacer.poll_timeout() == 10 * MS
+    assert pacer.poll_transmit(10 * MS - 1) is None
+    assert pacer.oldest_age_ns(10 * MS - 1) == 10 * MS - 1
+    assert pacer.poll_transmit(10 * MS) == b"b" * 100
+    assert pacer.poll_timeout() is None
+    assert pacer.longest_wait_ns == 10 * MS
+
+
+def test_a_busy_channel_refuses_pictures_and_counts_them():
+    pacer = Pacer(cap_bps=80_000, slack_ns=33 * MS)
+    assert pacer.ready_for_picture(0)
+    pacer.handle_access_unit([bytes(500)] * 2, [500] * 2, 0)
+    pacer.poll_transmit(0)
+    assert not pacer.ready_for_picture(0)
+    pacer.poll_transmit(50 * MS)
+    assert not pacer.ready_for_picture(66 * MS)
+    assert pacer.pictures_refused == 2
+    assert pacer.ready_for_picture(68 * MS)
+
+
+def test_a_full_second_refuses_pictures_although_the_channel_is_free():
+    pacer = Pacer(cap_bps=80_000, channel_bps=8_000_000, picture_octets=1100)
+    now = 0
+    for _ in range(6):
+        pacer.handle_access_unit([bytes(1500)], [1500], now)
+        now = pacer.poll_timeout()
+        assert pacer.poll_transmit(now) is not None
+    assert now == 550 * MS
+    assert not pacer.ready_for_picture(now + 200 * MS)
+    assert pacer.ready_for_picture(1_000 * MS)
+
+
+def test_a_packet_that_can_never_leave_is_refused_at_once():
+    pacer = Pacer(cap_bps=10_000)
+    assert pacer.max_payload_octets == 187
+    with pytest.raises(ValueError, match="at most 187"):
+        pacer.handle_access_unit([bytes(188)], [188], 0)
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "text"),
+    [({"cap_bps": 0}, "at least 1000"), ({"cap_bps": 90_000, "channel_bps": 80_000}, "80000")],
+)
+def test_what_cannot_work_is_refused(kwargs, text):
+    with pytest.raises(ConfigError, match=text):
+        Pacer(**kwargs)

@@ -1,0 +1,129 @@
+"""When the newest picture is encoded: as the channel runs dry, and not when it is old."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.streams.budget import Pacer
+from kontur_av.streams.encode_scheduler import EncodeScheduler
+
+MS = 1_000_000
+PERIOD = 1_000_000_000 // 30
+
+
+def clock_with(octets_at_start=0):
+    pacer = Pacer(cap_bps=80_000)
+    if octets_at_start:
+        pacer.handle_access_unit([bytes(octets_at_start)], [octets_at_start], 0)
+        assert pacer.poll_transmit(0)
+    return EncodeScheduler(pacer, fps=30)
+
+
+def test_a_dry_channel_takes_a_picture_at_once():
+    clock = clock_with()
+    assert not clock.poll_encode(0)
+    clock.handle_picture(0, 5 * MS)
+    assert clock.poll_timeout() == 5 * MS
+    assert clock.poll_encode(5 * MS)
+    assert clock.poll_timeout() is None
+    assert not clock.poll_encode(6 * MS)
+
+
+def test_a_picture_is_encoded_when_the_channel_will_be_dry_by_then():
+    clock = clock_with(300)  # 30 ms of the channel
+    clock.handle_picture(20 * MS, 24 * MS)
+    assert not clock.poll_encode(24 * MS)
+    due_ns = clock.poll_timeout()
+    # The coding is taken for 3 ms as long as none was measured.
+    assert due_ns == 27 * MS
+    assert clock.poll_encode(due_ns)
+
+
+def test_packets_that_wait_for_their_leave_do_not_hold_the_next_coding_back():
+    pacer = Pacer(cap_bps=80_000)
+    clock = EncodeScheduler(pacer, fps=30)
+    pacer.handle_access_unit([bytes(270), bytes(20)], [270, 20], 0)  # 27 and 2 ms of the channel
+    assert pacer.poll_transmit(0)
+    clock.handle_picture(0, 20 * MS)
+    due_ns = clock.poll_timeout()
+    assert due_ns == 26 * MS < pacer.poll_timeout()
+    assert clock.poll_encode(due_ns)
+
+
+def test_one_picture_is_encoded_at_a_time():
+    clock = clock_with()
+    clock.handle_picture(0, 0)
+    assert clock.poll_encode(0)
+    clock.handle_picture(PERIOD, PERIOD)
+    assert clock.poll_timeout() is None
+    assert not clock.poll_encode(PERIOD)
+    clock.handle_encoded(PERIOD + 5 * MS)
+    assert clock.poll_encode(PERIOD + 5 * MS)
+    assert clock.refused == 0
+
+
+def test_an_old_picture_gives_way_to_the_next_but_not_for_ever():
+    clock = clock_with(300)
+    clock.handle_picture(0, 10 * MS)
+    assert not clock.poll_encode(27 * MS)
+    clock.handle_picture(PERIOD, 10 * MS + PERIOD)
+    assert clock.poll_encode(10 * MS + PERIOD)
+    assert (clock.captured, clock.refused) == (2, 1)
+    alone = clock_with(300)
+    alone.handle_picture(0, 10 * MS)
+    due_ns = alone.poll_timeout()
+    assert 10 * MS + PERIOD < due_ns < 10 * MS + 2 * PERIOD
+    assert alone.poll_encode(due_ns)
+
+
+def test_while_the_link_is_behind_nothing_is_encoded():
+    clock = clock_with()
+    clock.handle_channel(10_000, 96_000, 0)
+    clock.handle_picture(0, 0)
+    for now_ns in range(0, 30 * MS, MS):
+        assert not clock.poll_encode(now_ns)
+        assert clock.poll_timeout() > now_ns
+    clock.handle_channel(0, 96_000, 30 * MS)
+    clock.handle_picture(31 * MS, 31 * MS)
+    assert clock.poll_encode(31 * MS)
+
+
+@pytest.mark.parametrize("hz", [25, 15, 7])
+def test_a_regular_camera_that_is_slower_is_followed_and_back_again(hz):
+    clock, now_ns, rates = clock_with(), 0, []
+    for rate in [hz] * 100 + [30] * 40:
+        now_ns += 1_000_000_000 // rate
+        clock.handle_picture(now_ns, now_ns)
+        rates += [found for found in (clock.next_rate_hz(),) if found is not None]
+    assert rates[0] == pytest.approx(hz, rel=0.02)
+    assert rates[-1] == pytest.approx(30, rel=0.15)
+    assert len(rates) <= 3
+
+
+def test_hiccups_are_no_new_rate():
+    clock, now_ns = clock_with(), 0
+    for i in range(300):
+        now_ns += PERIOD * (5 if i % 4 == 0 else 1)
+        clock.handle_picture(now_ns, now_ns)
+        assert clock.next_rate_hz() is None
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 80 * MS), st.booleans(), st.integers(1, 900)), max_size=80)
+)
+def test_every_picture_is_encoded_or_refused_whatever_comes(script):
+    pacer = Pacer(cap_bps=80_000)
+    clock, now_ns, encoded = EncodeScheduler(pacer, fps=30), 0, 0
+    for step_ns, comes, octets in script:
+        now_ns += step_ns
+        while pacer.poll_transmit(now_ns) is not None:
+            pass
+        if comes:
+            clock.handle_picture(now_ns, now_ns)
+        waits = clock.poll_timeout() is not None
+        if clock.poll_encode(now_ns):
+            encoded += 1
+            waits = False
+            pacer.handle_access_unit([bytes(octets)], [octets], now_ns)
+            clock.handle_encoded(now_ns)
+        assert clock.captured == encoded + clock.refused + waits

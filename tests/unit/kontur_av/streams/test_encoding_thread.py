@@ -1,0 +1,78 @@
+"""The thread that encodes: the loop goes on, and what goes wrong in the thread ends it."""
+
+import select
+import threading
+
+import pytest
+
+from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
+from kontur_av.streams.coding import Coding
+from kontur_av.streams.encoding_thread import EncodingThread
+
+WIDTH, HEIGHT = 64, 48
+LIKE_BEFORE = Coding(False, None, None)
+
+
+def frame(number=0):
+    picture = empty_picture(WIDTH, HEIGHT)
+    picture[:] = 16 + number
+    return VideoFrame(picture, CaptureStamp(1000 + number, number, "test"))
+
+
+def readable(thread, timeout_s=10.0):
+    return bool(select.select([thread.fileno()], [], [], timeout_s)[0])
+
+
+class Slow:
+    """An encoder that waits until it may go on."""
+
+    def __init__(self):
+        self.begun, self.may = threading.Event(), threading.Event()
+
+    def encode(self, given, now, *, force_keyframe):
+        self.begun.set()
+        assert self.may.wait(10)
+        return given.stamp.sequence, now(), force_keyframe
+
+
+def test_what_the_thread_encodes_is_what_the_encoder_would():
+    def encoder():
+        return H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=85_000)
+
+    alone, units = encoder(), []
+    with EncodingThread(encoder(), lambda: 7) as encoding:
+        for number in range(5):
+            encoding.submit(frame(number), LIKE_BEFORE._replace(keyframe=number == 3))
+            assert readable(encoding)
+            units.append(encoding.poll())
+            assert not readable(encoding, 0)
+            assert units[-1] == alone.encode(frame(number), lambda: 7, force_keyframe=number == 3)
+    assert [unit.keyframe for unit in units] == [True, False, False, True, False]
+
+
+def test_while_it_encodes_the_loop_goes_on_and_gives_it_nothing_else():
+    slow = Slow()
+    with EncodingThread(slow, lambda: 7) as encoding:
+        assert encoding.poll() is None
+        encoding.submit(frame(4), LIKE_BEFORE)
+        assert slow.begun.wait(10)
+        assert encoding.poll() is None
+        assert not readable(encoding, 0)
+        with pytest.raises(ValueError, match="is being encoded"):
+            encoding.submit(frame(5), LIKE_BEFORE)
+        slow.may.set()
+        assert readable(encoding)
+        assert encoding.poll() == (4, 7, False)
+        assert not encoding.busy
+    encoding.close()
+
+
+def test_what_it_stumbles_over_ends_the_loop():
+    encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=85_000)
+    with EncodingThread(encoder, lambda: 7) as encoding:
+        other = VideoFrame(empty_picture(32, 32), CaptureStamp(0, 0, "test"))
+        encoding.submit(other, LIKE_BEFORE)
+        assert readable(encoding)
+        with pytest.raises(ValueError, match="picture of 32x32"):
+            encoding.poll()

@@ -1,0 +1,53 @@
+"""Sound and picture together: what the sound has to wait for, and what is said of it."""
+
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.streams.lipsync import EARLIEST_NS, LipSync
+from pipelines.report.skew import LipSyncShare
+
+MS = NS_PER_MS
+
+
+def watching(latencies_ms, *, begin_ms=0):
+    lip_sync = LipSync(oldest_picture_ns=300 * MS, oldest_sound_ns=150 * MS)
+    for number, latency_ms in enumerate(latencies_ms):
+        lip_sync.handle_picture((begin_ms + 33 * number) * MS, latency_ms * MS)
+    return lip_sync
+
+
+def test_sound_waits_for_pictures_only_as_much_as_it_must():
+    assert LipSync(oldest_picture_ns=300, oldest_sound_ns=150).least_latency_ns(0) is None
+    least_ns = watching([120] * 60).least_latency_ns(2 * NS_PER_S)
+    assert 120 * MS - EARLIEST_NS <= least_ns <= 125 * MS - EARLIEST_NS
+    # Pictures in 40 ms: whatever the sound has is right.
+    assert watching([40] * 60).least_latency_ns(2 * NS_PER_S) <= 0
+
+
+def test_a_single_late_picture_delays_no_sound_and_one_too_old_never_does():
+    calm = watching([60] * 60).least_latency_ns(2 * NS_PER_S)
+    assert watching([60] * 58 + [250, 60]).least_latency_ns(2 * NS_PER_S) == calm
+    assert watching([500] * 60).least_latency_ns(2 * NS_PER_S) is None
+    # Where most come too late to be of use, the others cannot save it.
+    assert watching([500, 200, 500] * 20).least_latency_ns(2 * NS_PER_S) is None
+    assert watching([200, 500, 200] * 20).least_latency_ns(2 * NS_PER_S) is not None
+
+
+def test_no_sound_is_made_too_old_and_pictures_that_stay_away_hold_nothing():
+    lip_sync = watching([290] * 60)
+    assert lip_sync.least_latency_ns(2 * NS_PER_S) <= 155 * MS
+    assert lip_sync.least_latency_ns(5 * NS_PER_S) is None
+
+
+def test_the_share_counts_time_not_pictures():
+    share = LipSyncShare()
+    # A second together, a tenth too early, two tenths too late.
+    for at_ms, skew_ms in ((0, -45), (500, 125), (1000, -46), (1100, 126), (1300, 0)):
+        share.add(at_ms * MS, skew_ms * MS)
+    summary = share.summary()
+    assert summary["within"] == pytest.approx(1000 / 1300, abs=1e-5)
+    assert summary["early"] == pytest.approx(100 / 1300, abs=1e-5)
+    assert summary["late"] == pytest.approx(200 / 1300, abs=1e-5)
+    # A picture that stays for ever counts for half a second.
+    share.add(100 * NS_PER_S, 0)
+    assert share.counted_ns == 1800 * MS

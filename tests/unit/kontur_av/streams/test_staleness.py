@@ -1,0 +1,139 @@
+"""How old what is shown is, and for how long it was stale, frozen or damaged."""
+
+import numpy as np
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import CaptureStamp, empty_picture, planes
+from kontur_av.streams.staleness import Staleness, State
+from pipelines.cores.showing import Showing
+from pipelines.parts.marking import age_words, mark_stale
+from pipelines.runtime.probe import Probe
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.setup.names import CONCEALED, DAMAGED
+
+MS = NS_PER_MS
+
+
+def video():
+    return Staleness(stale_after_ns=200 * MS, frozen_after_ns=66 * MS)
+
+
+def shown(staleness, *, until_ms, begin_ms=0, latency_ms=40, damaged=False):
+    """A picture every 33 ms; the last one's instant."""
+    for at_ms in range(begin_ms, until_ms + 1, 33):
+        staleness.handle_shown((at_ms - latency_ms) * MS, at_ms * MS, damaged=damaged)
+    return at_ms
+
+
+def test_age_goes_on_between_pictures():
+    staleness = video()
+    assert staleness.age_ns(0) is None
+    assert staleness.state(0) is State.NOTHING
+    last_ms = shown(staleness, until_ms=330)
+    ages = [staleness.age_ns((last_ms + later) * MS) // MS for later in (0, 10, 500)]
+    assert ages == [40, 50, 540]
+    states = [staleness.state((last_ms + later) * MS) for later in (65, 66, 159, 160)]
+    assert states == [State.FRESH, State.FROZEN, State.FROZEN, State.STALE]
+    assert staleness.stale_from_ns() == (last_ms + 160) * MS
+
+
+def test_a_stream_that_stays_away_is_frozen_and_then_stale_until_it_is_back():
+    staleness = video()
+    last_ms = shown(staleness, until_ms=330)
+    for at_ms in range(last_ms, last_ms + 1000, 70):
+        staleness.handle_time(at_ms * MS)
+    shown(staleness, begin_ms=last_ms + 1000, until_ms=last_ms + 1330)
+    assert (staleness.frozen.total_ns, staleness.frozen.episodes) == ((1000 - 66) * MS, 1)
+    assert (staleness.stale.total_ns, staleness.stale.episodes) == ((1000 - 160) * MS, 1)
+    assert staleness.damaged.total_ns == 0
+
+
+def test_pictures_that_are_all_too_old_are_one_stale_episode():
+    staleness = video()
+    last_ms = shown(staleness, until_ms=990, latency_ms=300)
+    assert (staleness.stale.total_ns, staleness.stale.episodes) == (last_ms * MS, 1)
+    shown(staleness, begin_ms=last_ms + 33, until_ms=last_ms + 330)
+    shown(staleness, begin_ms=last_ms + 363, until_ms=last_ms + 663, latency_ms=300)
+    assert staleness.stale.episodes == 2
+    assert staleness.frozen.total_ns == 0
+
+
+def test_two_spells_between_two_looks_are_two():
+    staleness = video()
+    staleness.handle_shown(0, 40 * MS)
+    staleness.handle_shown(960 * MS, 1000 * MS)
+    staleness.handle_time(2000 * MS)
+    assert (staleness.stale.total_ns, staleness.stale.episodes) == ((800 + 840) * MS, 2)
+    assert staleness.frozen.episodes == 2
+
+
+def test_damage_lasts_until_a_whole_picture_is_shown():
+    staleness = video()
+    last_ms = shown(staleness, until_ms=330)
+    last_ms = shown(staleness, begin_ms=last_ms + 33, until_ms=last_ms + 330, damaged=True)
+    assert staleness.state(last_ms * MS) is State.DAMAGED
+    shown(staleness, begin_ms=last_ms + 33, until_ms=last_ms + 330)
+    assert (staleness.damaged.total_ns, staleness.damaged.episodes) == (330 * MS, 1)
+
+
+def test_a_block_of_sound_is_new_as_long_as_it_is_played():
+    staleness = Staleness(stale_after_ns=100 * MS, span_ns=20 * MS)
+    for at_ms in range(0, 200, 20):
+        staleness.handle_shown((at_ms - 90) * MS, at_ms * MS)
+        assert staleness.age_ns((at_ms + 19) * MS) == 90 * MS
+    assert staleness.stale.total_ns == 0
+    assert staleness.age_ns(220 * MS) == 110 * MS
+    staleness.handle_time(230 * MS)
+    assert (staleness.stale.total_ns, staleness.stale.episodes) == (20 * MS, 1)
+
+
+def test_sound_that_is_too_old_when_it_is_heard_is_stale_from_its_beginning():
+    staleness = Staleness(stale_after_ns=100 * MS, span_ns=20 * MS)
+    for at_ms in range(0, 200, 20):
+        staleness.handle_shown((at_ms - 110) * MS, at_ms * MS)
+    staleness.handle_time(200 * MS)
+    assert (staleness.stale.total_ns, staleness.stale.episodes) == (200 * MS, 1)
+
+
+def test_what_is_made_up_makes_nothing_younger_and_all_is_told():
+    setup = BUILT_IN["spacejustin"]
+    probe = Probe(None)
+    streams = [setup.uplink_video, setup.uplink_voice]
+    showing = Showing(setup, streams, probe)
+    showing.tell(0)
+    assert "uplink_video.age_ns" not in probe.message.gauges
+    for number in range(100):
+        source = "uplink_voice" if number < 10 else CONCEALED
+        now_ns = 20 * number * MS
+        showing.handle_shown("uplink_voice", CaptureStamp(now_ns - 40 * MS, number, source), now_ns)
+        source = "uplink_video" if number < 50 else DAMAGED
+        showing.handle_shown("uplink_video", CaptureStamp(now_ns - 40 * MS, number, source), now_ns)
+    showing.tell(2 * NS_PER_S)
+    totals, gauges = probe.message.totals, probe.message.gauges
+    assert totals["uplink_voice.frames_displayed"] == 10
+    assert totals["uplink_voice.stale_episodes"] == 1
+    stale_from_ms = 180 - 40 + 20 + setup.stale_after_ns(setup.uplink_voice) // MS
+    assert totals["uplink_voice.stale_ns"] == (2000 - stale_from_ms) * MS
+    assert gauges["uplink_voice.state"] == "stale"
+    assert totals["uplink_video.damaged_ns"] == 1000 * MS
+    assert gauges["uplink_video.age_ns"] == 60 * MS
+    assert gauges["uplink_video.state"] == "damaged"
+
+
+@pytest.mark.parametrize("size", [(640, 480), (16, 16), (1920, 1080), (20, 600)])
+def test_the_mark_is_red_on_the_edge_and_leaves_the_middle(size):
+    width, height = size
+    picture = empty_picture(width, height)
+    picture[:] = 128
+    mark_stale(picture, 1_300 * MS)
+    luma, u, v = planes(picture)
+    assert (luma[-1, 0], u[-1, 0], v[-1, 0]) == (81, 90, 240)
+    assert luma[height // 2, width // 2] == 128
+    if width == 640:
+        assert np.count_nonzero(luma[:48] == 235) > 200, "the words"
+
+
+def test_an_age_is_told_as_people_read_it():
+    ages = (0, 340 * MS, 1_300 * MS, 75 * NS_PER_S)
+    assert [age_words(age_ns) for age_ns in ages] == ["0 ms", "340 ms", "1.3 s", "75 s"]

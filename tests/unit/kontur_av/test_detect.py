@@ -1,0 +1,199 @@
+"""Lights and clicks: found when they are there, to the sample; not found when they are not."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h264_settings import coded_size_for
+from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusDecoder, OpusEncoder, bitrate_under_cap
+from kontur_av.detect import ClickDetector, LightDetector, Roi
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
+from telepresence.world import LEDS_M, WorldState, render
+from telepresence.world.sound import Room
+from telepresence.world.speech import speech
+
+RATE = 48_000
+
+
+def found_clicks(samples, blocks=960, start_ns=0):
+    """The instants (s) and strengths of the clicks in `samples`, fed in blocks of that size."""
+    detector = ClickDetector()
+    found = []
+    for index, begin in enumerate(range(0, len(samples), blocks)):
+        block = samples[begin : begin + blocks]
+        detector.handle_block(block, start_ns + begin * NS_PER_S // RATE, index)
+        for click in iter(detector.next_event, None):
+            # The tag and the offset say the same as the instant.
+            assert abs(click.tag * blocks / RATE * 1e9 + click.offset_ns + start_ns
+                       - click.instant_ns) < 30_000  # fmt: skip
+            found.append((click.instant_ns / 1e9, click.strength))
+    return found
+
+
+def with_click(background, at, peak=9000.0, hertz=2600):
+    heard = background.astype(float)
+    k = np.arange(min(1500, len(heard) - at)) / RATE
+    heard[at : at + len(k)] += peak * np.exp(-k / 0.004) * np.sin(2 * np.pi * hertz * k)
+    return heard.clip(-32768, 32767).astype(np.int16)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    at=st.integers(4000, 20_000),
+    hertz=st.integers(1900, 3700),
+    blocks=st.sampled_from((160, 480, 960, 1021, 5760)),
+    noise=st.integers(0, 150),
+    seed=st.integers(0, 9),
+)
+def test_a_click_is_found_to_a_millisecond_however_the_sound_is_cut(at, hertz, blocks, noise, seed):
+    quiet = np.random.default_rng(seed).normal(0, noise, RATE // 2)
+    found = found_clicks(with_click(quiet, at, hertz=hertz), blocks, start_ns=7 * NS_PER_S)
+    assert len(found) == 1
+    assert abs(found[0][0] - 7 - at / RATE) < 0.001
+
+
+def test_noise_tones_and_silence_are_no_clicks():
+    t = np.arange(2 * RATE) / RATE
+    rng = np.random.default_rng(3)
+    swelling = 8000 * np.minimum(t / 0.5, 1) * np.sin(2 * np.pi * 2500 * t)
+    for sound in (np.zeros(2 * RATE), rng.normal(0, 3000, 2 * RATE), swelling):
+        assert found_clicks(sound.astype(np.int16)[4800:]) == []
+
+
+def test_what_a_voice_does_is_weaker_than_a_click():
+    voice = speech("ground")[: 6 * RATE]
+    loudest = max((strength for _, strength in found_clicks(voice)), default=0)
+    ((_, strength),) = found_clicks(with_click(np.zeros(RATE), 24_000, peak=16_000))
+    assert loudest < 0.5 * strength
+
+
+@pytest.mark.parametrize(("cap_bps", "least", "most"), [(8000, 9, 0.0015), (64_000, 14, 0.0005)])
+def test_a_click_amid_a_voice_is_found_through_the_codec(cap_bps, least, most):
+    touches_ns = [round((1.0 + 0.73 * number) * NS_PER_S) for number in range(16)]
+
+    def state_at(now_ns):
+        past = [touch for touch in touches_ns if touch <= now_ns]
+        newest = past[-1] if past else None
+        return WorldState(now_ns, contact=bool(past), contact_since_ns=newest, touched_ns=newest)
+
+    room = Room("ground", fan=False, state_at=state_at, seed=21)
+    encoder, decoder = OpusEncoder(bitrate_bps=bitrate_under_cap(cap_bps)), OpusDecoder()
+    heard = []
+    for number in range(13 * 50):
+        block = np.zeros(960, np.int16)
+        room.fill(block, number, number * 20 * NS_PER_MS)
+        heard.append(decoder.decode(encoder.encode(block)))
+    found = found_clicks(np.concatenate(heard))
+    errors = []
+    for touch_ns in touches_ns:
+        due_s = touch_ns / 1e9 + LOOKAHEAD_SAMPLES / RATE
+        near = [click for click in found if abs(click[0] - due_s) < 0.010]
+        if near:
+            errors.append(max(near, key=lambda click: click[1])[0] - due_s)
+    # A loud vowel hides some.
+    assert len(errors) >= least
+    assert abs(np.median(errors)) < 0.0005
+    assert np.percentile(np.abs(errors), 80) < most
+
+
+def lights(pictures, **options):
+    detector = LightDetector(**options)
+    found = []
+    for number, picture in enumerate(pictures):
+        detector.handle_picture(picture, number * NS_PER_S, number)
+        found += iter(detector.next_event, None)
+    return found
+
+
+def grey(level=90, size=(320, 240)):
+    picture = empty_picture(*size)
+    picture[: size[1]] = level
+    picture[size[1] :] = 128
+    return picture
+
+
+def lit(picture, x, y, side=10, by=120, v=40):
+    picture = picture.copy()
+    luma, _, red = planes(picture)
+    luma[y : y + side, x : x + side] += by
+    red[y // 2 : (y + side) // 2, x // 2 : (x + side) // 2] += v
+    return picture
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    x=st.integers(10, 300),
+    y=st.integers(10, 220),
+    first=st.integers(2, 5),
+    level=st.integers(16, 120),
+    white=st.booleans(),
+)
+def test_a_light_is_found_where_and_when_it_comes_on(x, y, first, level, white):
+    dark = grey(level)
+    bright = lit(dark, x, y, v=0 if white else 40)
+    (light,) = lights([dark] * first + [bright] * 4)
+    assert (light.tag, light.previous_tag) == (first, first - 1)
+    assert light.instant_ns == first * NS_PER_S
+    assert abs(light.x - (x + 5) / 320) < 0.03
+    assert abs(light.y - (y + 5) / 240) < 0.03
+
+
+def test_going_out_glints_cuts_and_darkness_are_no_lights():
+    dark, bright = grey(), lit(grey(), 100, 100)
+    other = np.random.default_rng(1).integers(16, 235, dark.shape, np.uint8)
+    assert lights([bright] * 4 + [dark] * 4) == []
+    assert lights([dark] * 4 + [bright] + [dark] * 4) == []
+    assert lights([dark] * 4 + [other] * 4 + [dark] * 4) == []
+    assert lights([grey(16)] * 9) == []
+    assert lights([grey(60)] * 4 + [grey(140)] * 4) == []
+    # A picture that is shown again and again.
+    assert lights([bright] * 9) == []
+
+
+def test_what_moves_is_no_light():
+    def moving(number):
+        return lit(grey(), 20 + 6 * number, 80, side=16, by=90)
+
+    assert [light for light in lights(map(moving, range(40))) if light.tag > 3] == []
+
+
+def test_a_region_is_all_that_is_looked_at():
+    dark, bright = grey(), lit(grey(), 100, 100)
+    pictures = [dark] * 3 + [bright] * 3
+    assert len(lights(pictures, roi=Roi(80, 80, 64, 64))) == 1
+    assert lights(pictures, roi=Roi(180, 80, 64, 64)) == []
+    # However tight it is.
+    assert len(lights(pictures, roi=Roi(98, 98, 16, 16))) == 1
+    filled = [dark] * 3 + [lit(dark, 90, 90, side=32)] * 3
+    assert len(lights(filled, roi=Roi(96, 96, 16, 16))) == 1
+
+
+@pytest.mark.parametrize("view", ["left", "head"])
+def test_a_touched_target_is_found_in_what_is_left_of_a_picture_at_85_kbit_s(view):
+    size, cap_bps, fps = (640, 480), 85_000, 25
+    encoder = H264Encoder(
+        width=size[0], height=size[1], fps=fps, cap_bps=cap_bps,
+        coded_size=coded_size_for(*size, fps, cap_bps),
+    )  # fmt: skip
+    decoder, detector = H264Decoder(), LightDetector()
+    drawn, shown = empty_picture(*size), empty_picture(*size)
+    touches = {12: 0, 30: 1, 48: 2}
+    found = []
+    for number in range(62):
+        # It comes near, touches for ten pictures and goes on to the next one.
+        at, target = next((one for one in touches.items() if number < one[0] + 10), (48, 2))
+        touching = at <= number < at + 10
+        x, y = LEDS_M[target]
+        away_m = 0.0 if touching else 0.001 * abs(at - number)
+        state = WorldState(number * NS_PER_S // fps, x - away_m, y, 1.0, touching)
+        render(view, state, drawn, number)
+        frame = VideoFrame(drawn, CaptureStamp(state.time_ns, number, view))
+        for picture in decoder.decode(encoder.encode(frame, lambda: 0).data, number):
+            picture.scale_into(shown)
+            detector.handle_picture(shown, state.time_ns, picture.timestamp)
+        found += iter(detector.next_event, None)
+    strong = {light.tag for light in found if light.strength > 300}
+    assert set(touches) <= strong

@@ -1,0 +1,119 @@
+"""The haptic bench: its cells, its channel, and the command."""
+
+import json
+from itertools import pairwise
+
+import cv2
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.bench.haptics import claims as haptics_claims
+from pipelines.bench.haptics.cell import Cell, full_grid, read_cell, small_grid
+from pipelines.bench.haptics.channel import SampleChannel
+from pipelines.bench.haptics.plan import plan
+from pipelines.cli import main
+
+MS = 1_000_000
+
+
+def carried(channel, datagrams):
+    """Instants (ms) and numbers of what arrives of one datagram a millisecond."""
+    arrived = []
+    for now in range(datagrams + 2000):
+        if now < datagrams:
+            channel.handle_datagram(now.to_bytes(4), now * MS)
+        while (data := channel.poll_transmit(now * MS)) is not None:
+            arrived.append((now, int.from_bytes(data)))
+    assert channel.poll_timeout() is None
+    return arrived
+
+
+def test_samples_overtake_each_other_within_the_jitter():
+    arrived = carried(SampleChannel(seed="1", delay_ns=20 * MS, jitter_ns=50 * MS), 5000)
+    assert sorted(number for _, number in arrived) == list(range(5000))
+    waits = [now - number for now, number in arrived]
+    assert (min(waits), max(waits)) == (21, 70)
+    assert sum(after < before for (_, before), (_, after) in pairwise(arrived)) > 2000
+
+
+@pytest.mark.parametrize("burst", [1.0, 10.0])
+def test_losses_are_as_many_and_in_such_bursts_as_they_say(burst):
+    channel = SampleChannel(seed="1", loss=0.3, burst=burst)
+    there = {number for _, number in carried(channel, 60_000)}
+    lost = [number for number in range(60_000) if number not in there]
+    assert channel.lost == len(lost)
+    assert len(lost) / 60_000 == pytest.approx(0.3, rel=0.1)
+    bursts = sum(number - 1 in there for number in lost)
+    # By chance alone, losses follow each other as well: 1 / (1 - loss) in a row on average.
+    assert len(lost) / bursts == pytest.approx(max(burst, 1 / 0.7), rel=0.1)
+
+
+def test_nothing_is_handed_over_in_the_dark_and_what_is_under_way_arrives():
+    channel = SampleChannel(seed="1", delay_ns=5 * MS, dark=[(100 * MS, 200 * MS)])
+    numbers = [number for _, number in carried(channel, 300)]
+    assert numbers == [*range(100), *range(200, 300)]
+
+
+def test_a_cell_is_read_and_what_cannot_be_is_named():
+    assert read_cell("delay=100, wall=2000") == Cell(delay=100.0, wall=2000.0)
+    for text, mend in (
+        ("delay", "NAME=NUMBER"),
+        ("colour=1", "NAME=NUMBER"),
+        ("delay=far", "a number"),
+        ("delay=1001", "0 to 1000 ms"),
+        ("delay=nan", "0 to 1000 ms"),
+        ("loss=31", "0 to 30 %"),
+    ):
+        with pytest.raises(ConfigError, match=mend):
+            read_cell(text)
+
+
+def test_the_grids_reach_the_limits_of_the_claims():
+    for grid in (list(small_grid()), list(full_grid())):
+        assert len(set(grid)) == len(grid)
+        for name, least, most in (
+            ("delay", 0, 1000),
+            ("jitter", 0, 50),
+            ("loss", 0, 30),
+            ("blackout", 0, 5),
+        ):
+            values = {getattr(cell, name) for cell in grid}
+            assert (min(values), max(values)) == (least, most)
+        assert max(cell.wall for cell in grid) == 5000
+
+
+def test_a_hold_leaves_time_for_the_loop_to_swing_and_comes_after_all_blackouts():
+    for cell in full_grid():
+        found = plan(cell, 10.0)
+        begin, end = found.hold_ns
+        assert end - begin >= 12 * cell.delay * MS
+        assert all(until + cell.delay * MS < begin for _, until in found.down_dark + found.up_dark)
+        script_ns = sum(point.move_ns + point.stay_ns for point in found.script)
+        assert end < found.end_ns < script_ns
+
+
+CELL = ["--cell", "delay=100", "--seconds", "4", "--jobs", "1"]
+
+
+def test_the_command_writes_its_figures(tmp_path, capsys):
+    report, picture = tmp_path / "h.json", tmp_path / "h.png"
+    assert main(["bench", "haptics", *CELL, "--report", str(report), "--plot", str(picture)]) == 0
+    found = json.loads(report.read_text())
+    assert found["cells"] == 1
+    assert all(claim["holds"] for claim in found["claims"])
+    assert found["without"][0]["unstable"]
+    assert not found["with"][0]["unstable"]
+    assert cv2.imread(str(picture)).shape[2] == 3
+    assert "UNSTABLE" in capsys.readouterr().out
+
+
+def test_a_claim_that_does_not_hold_is_an_exit_code(monkeypatch, capsys):
+    monkeypatch.setattr(haptics_claims, "RISE_N_MS", 1e-6)
+    assert main(["bench", "haptics", *CELL]) == 1
+    assert "NO" in capsys.readouterr().out
+
+
+def test_a_wrong_option_is_refused_in_one_line(capsys):
+    for options in (["--cell", "delay=5000"], ["--seconds", "1"], ["--jobs", "0"]):
+        assert main(["bench", "haptics", *options]) == 2
+        assert capsys.readouterr().err.count("\n") == 1

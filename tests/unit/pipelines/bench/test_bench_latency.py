@@ -1,0 +1,114 @@
+"""The page of latencies: its targets, its terms, its plot and its mistakes."""
+
+import json
+
+import cv2
+import pytest
+
+from pipelines.bench.latency.plot import plot_leads
+from pipelines.bench.latency.targets import judge
+from pipelines.cli import main
+from pipelines.report.terms import TERMS
+
+
+def spread(**changed):
+    return {"p50": 10, "p95": 10, "p99": 10, "p99.9": 10, "max": 10, "count": 9, **changed}
+
+
+def report(force=13.0, video=45.0, voice=60.0, skew=45.0, within=1.0, delay_ns=10_000_000):
+    return {
+        "haptic": {"up": {"latency_ms": spread(**{"p99.9": force})}},
+        "gateways": {"ground": {"radio": {"delay_max_ns": delay_ns}}},
+        "streams": {
+            "uplink_video": {"latency_ms": spread(p99=video)},
+            "uplink_voice": {"latency_ms": spread(p99=voice)},
+        },
+        "skew_ms": {"video_haptic": {"p50": 0, "p95": skew, "max": 99}},
+        "lip_sync": {"within": within, "early": 0, "late": 0},
+    }
+
+
+def test_all_targets_are_met_at_their_bounds():
+    verdicts = judge(report())
+    assert len(verdicts) == 5
+    assert all(verdict.met for verdict in verdicts)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"force": 13.01},
+        {"delay_ns": 9_990_000},
+        {"video": 45.01},
+        {"voice": 60.01},
+        {"skew": 45.01},
+        {"within": 0.999_999},
+    ],
+)
+def test_a_little_more_misses_one_target(change):
+    assert [verdict.met for verdict in judge(report(**change))].count(False) == 1
+
+
+def test_a_setup_without_voice_is_not_judged_by_it():
+    found = report()
+    del found["streams"]["uplink_voice"]
+    found["lip_sync"] = None
+    found["skew_ms"]["video_haptic"] = None
+    assert [verdict.what.split(",")[0] for verdict in judge(found)] == ["force", "uplink_video"]
+
+
+def test_the_page_is_printed_written_and_drawn(tmp_path, capsys):
+    plot, written = tmp_path / "lead.png", tmp_path / "figures.json"
+    command = ["bench", "latency", "--setup", "taskboard", "--no-live", "--seconds", "2"]
+    assert main([*command, "--plot", str(plot), "--report", str(written)]) == 0
+    printed = capsys.readouterr().out
+    for words in ("taskboard", "radio clean", "capture to encoded", "serialisation", "not meant"):
+        assert words in printed
+    figures = json.loads(written.read_text())
+    assert set(figures["leads"]) == {"taskboard, virtual", "spacejustin, virtual"}
+    for lead in figures["leads"].values():
+        video = lead["video_ms"]
+        assert sum(video[term] for term in TERMS) == pytest.approx(video["total"], abs=0.005)
+        # On virtual time these are what the session was told that they are.
+        assert (video["capture"], video["encoding"]) == (4.0, 6.0)
+        assert video["propagation"] == 10.0
+        assert lead["force_ms"]["total"] == 11.0
+    latency = figures["virtual"]["streams"]["uplink_video"]["latency_ms"]
+    assert latency["p99"] <= latency["p99.9"] <= latency["max"]
+    assert figures["clocks"]["virtual"]["error_us"] == 0
+    assert cv2.imread(str(plot)).min() < 50
+
+
+def test_a_bar_is_as_long_as_its_terms_and_terms_below_0_are_left_out(tmp_path):
+    def coloured(**terms):
+        lead = dict.fromkeys(TERMS, 0.0) | terms
+        path = tmp_path / "bar.png"
+        plot_leads(path, {"one": lead | {"total": sum(lead.values())}}, {"limit": 100.0})
+        row = cv2.imread(str(path))[60 + 15 + 2]
+        blue = (row == (178, 114, 0)).all(axis=1).sum()
+        orange = (row == (0, 94, 213)).all(axis=1).sum()
+        return blue, orange
+
+    blue, orange = coloured(camera=60.0, capture=30.0)
+    assert blue == pytest.approx(2 * orange, abs=3)
+    assert coloured(camera=60.0, queueing=-5.0)[0] == pytest.approx(blue, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--seconds", "0"], "--seconds 0"),
+        (["--live-seconds", "0.5"], "--live-seconds 0.5"),
+        (["--setup", "nowhere"], "nowhere"),
+        (["--radio", "nowhere"], "nowhere"),
+        (["--base-port", "80"], "base port 80"),
+        (["--report", "/nowhere/at/all.json"], "--report"),
+        (["--plot", "lead.jpg"], "--plot"),
+        (["--no-live", "--live-seconds", "3"], "--live-seconds"),
+    ],
+)
+def test_mistakes_are_one_line(options, told, capsys):
+    assert main(["bench", "latency", *options]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1

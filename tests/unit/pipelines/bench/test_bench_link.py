@@ -1,0 +1,113 @@
+"""The link's bench: its figures are what they say, on runs short enough for every day."""
+
+import json
+
+import pytest
+
+from pipelines.bench.link.live import parse_cyclictest
+from pipelines.bench.link.resume import HAPTIC, resumptions
+from pipelines.bench.link.virtual import (
+    VIDEO,
+    goodput,
+    haptic_delays,
+    haptic_difference,
+    header_octets,
+    voice_waits,
+)
+from pipelines.cli import main
+from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.radio import RadioPath
+
+MS = 1_000_000
+
+
+def test_media_and_commands_cost_no_sample_a_slot():
+    found = haptic_difference(1.0, delay_ns=3 * MS)
+    assert found.largest_slots == 0
+    assert found.samples > 1980
+    assert found.delay_ms == (3.0, 3.0)
+
+
+def test_a_radio_that_is_slower_beside_media_would_show():
+    def delays(delay_ns):
+        path = [RadioPath(delay_ns=delay_ns), RadioPath(delay_ns=delay_ns)]
+        return haptic_delays(0.2, saturated=False, radio=path)
+
+    assert max(delays(4 * MS)) - max(delays(3 * MS)) == MS
+
+
+@pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
+def test_voice_waits_two_slots_at_the_most(profile):
+    waits = voice_waits(4.0, profile)
+    assert len(waits) > 190
+    assert 0 <= min(waits) <= max(waits) <= 2 * MS
+
+
+def test_all_that_is_left_to_a_level_carries_its_packets():
+    for profile in (UPLINK, DOWNLINK):
+        found = goodput(0.5, profile, flow=VIDEO, payload_octets=1000, haptics=True)
+        assert found.packets >= 0.99
+        assert sum(found.shares()) == pytest.approx(1, abs=1e-9)
+
+
+def test_headers_take_at_most_three_octets_and_about_two():
+    counted = header_octets(20.0)
+    assert max(found.most_compressed for found in counted.values()) <= 3
+    packets = sum(found.packets for found in counted.values())
+    octets = sum(found.mean * found.packets for found in counted.values())
+    assert octets / packets <= 2.0
+    assert all(found.whole <= 0.02 * found.packets + 3 for found in counted.values())
+
+
+@pytest.mark.parametrize("blackout_s", [0.1, 1.0])
+def test_the_link_is_back_with_the_first_good_frame_and_nothing_old_comes_out(blackout_s):
+    found = resumptions(blackout_s, blackouts=5, delay_ns=3 * MS)
+    assert len(found.noticed) == 10
+    assert max(found.noticed) <= 50 * MS
+    assert found.first[HAPTIC] == [0] * 10
+    assert all(len(values) == 10 for values in found.first.values())
+    assert max(max(values) for values in found.first.values()) <= 100 * MS
+    assert found.stale == 0
+    assert found.packets > 1000
+
+
+def test_cyclictest_is_read():
+    output = (
+        "# Histogram\n000005 000900\n000006 000089\n000007 000000\n000400 000010\n"
+        "# Total: 000000999\n# Min Latencies: 00005\n# Max Latencies: 25000\n"
+        "# Histogram Overflows: 00001\n"
+    )
+    assert parse_cyclictest(output).lateness_us == {
+        "p50": 5.0,
+        "p99": 400.0,
+        "p99.9": 400.0,
+        "max": 25000.0,
+    }
+    with pytest.raises(ValueError, match="no histogram"):
+        parse_cyclictest("permission denied")
+
+
+def test_the_command_prints_tables_and_writes_figures(tmp_path, capsys):
+    report = tmp_path / "figures.json"
+    command = ["bench", "link", "--no-live", "--seconds", "1", "--blackouts", "1"]
+    assert main([*command, "--report", str(report)]) == 0
+    printed = capsys.readouterr().out
+    assert "haptic sample" in printed
+    figures = json.loads(report.read_text())
+    assert set(figures) == {"delays", "headers", "goodput", "resumption", "cost"}
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--seconds", "0"], "--seconds 0"),
+        (["--blackouts", "0"], "--blackouts 0"),
+        (["--setup", "nowhere"], "nowhere"),
+        (["--report", "/nowhere/at/all.json"], "--report"),
+    ],
+)
+def test_mistakes_are_one_line(options, told, capsys):
+    assert main(["bench", "link", *options]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1

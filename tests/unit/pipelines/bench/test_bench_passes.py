@@ -1,0 +1,320 @@
+"""Many sessions of a pass: what is kept of each, its verdict, and going on where one has ended."""
+
+import copy
+import json
+from contextlib import closing
+from dataclasses import asdict, replace
+
+import pytest
+
+from pipelines.bench.passes.figures import (
+    HEADINGS,
+    faults,
+    markdown,
+    pass_figures,
+    signal_s,
+    usable_window,
+)
+from pipelines.bench.passes.run import Plan, run_sessions
+from pipelines.cli import main
+from pipelines.commands.simulate import simulate
+from pipelines.setup.built_in import BUILT_IN
+from telepresence.haptics.loop import HapticLink
+
+S = 1_000_000_000
+
+
+def report(seconds=100.0, windows=((10, 90),), contact=None):
+    """A session without media whose two ends heard each other in `windows` (s)."""
+    contacts = [
+        {"acquired_ns": begin * S, "lost_ns": None if end is None else end * S}
+        for begin, end in windows
+    ]
+    heard_s = sum((seconds if end is None else end) - begin for begin, end in windows)
+    told = {
+        "supervision": {
+            "counts": {"signals_acquired": len(windows)},
+            "contact_ns": heard_s * S,
+            "contacts": contacts,
+        },
+        "radio": {"frames_hit": 3} | ({} if contact is None else {"contact": contact}),
+    }
+    samples = round(1000 * seconds)
+    haptic = {
+        "sent": samples,
+        "received": 1000 * heard_s,
+        "pauses_s": [[1.0, 20.0]],
+        "latency_ms": {"p50": 11.0, "p99.9": 12.0, "max": 12.5, "count": 80_000},
+    }
+    link = {"frames": samples, "frames_lost": samples - 1000 * heard_s}
+    return {
+        "seconds": seconds,
+        "streams": {},
+        "haptic": {"up": haptic, "down": dict(haptic)},
+        "link": {"uplink": link, "downlink": link},
+        "gateways": {"ground": told, "space": told},
+        "skew_ms": {"video_haptic": None},
+        "lip_sync": None,
+        "failures": [],
+    }
+
+
+CONTACT = {"usable_from_s": 30.0, "usable_to_s": 300.0}
+
+
+def video(**changed):
+    return {
+        "cap_bps": 85_000,
+        "payload_bps_max_1s": 85_000,
+        "payload_bps_max_100ms": 127_500,
+        "rtp_packets": 2400,
+        "rtp_lost": 0,
+        "frames_captured": 3000,
+        "frames_displayed": 2400,
+        "pauses_s": [],
+        "stale_ms": 0.0,
+        "stale_episodes": 0,
+        "latency_ms": {"p50": 48.0, "p99": 60.0, "count": 2400, "stages": {}},
+    } | changed
+
+
+def test_the_usable_window_is_that_of_the_orbit_within_the_session():
+    assert usable_window(report(), 0.0) == (0.0, 100.0)
+    assert usable_window(report(contact=CONTACT), 0.0) == (30.0, 100.0)
+    assert usable_window(report(contact=CONTACT), 50.0) == (0.0, 100.0)
+    assert usable_window(report(contact=CONTACT), 250.0) == (0.0, 50.0)
+    assert usable_window(report(contact=CONTACT), 400.0) is None
+
+
+def test_signal_is_counted_within_the_window_and_at_the_end_that_hears_less():
+    found = report(windows=((10, 40), (50, None)))
+    assert signal_s(found, 30.0, 100.0) == pytest.approx(60.0)
+    found["gateways"]["space"] = copy.deepcopy(found["gateways"]["space"])
+    found["gateways"]["space"]["supervision"]["contacts"].pop()
+    assert signal_s(found, 30.0, 100.0) == pytest.approx(10.0)
+
+
+def test_a_pass_that_kept_its_signal_is_usable():
+    figures = pass_figures(report(windows=((10, 20), (29, None)), contact=CONTACT))
+    assert (figures["predicted_s"], figures["usable_s"]) == (70.0, 70.0)
+    assert figures["contacts"] == {"ground": 2, "space": 2}
+    assert faults(figures) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda it: it.update(failures=["something"]), "failed"),
+        (lambda it: it["haptic"]["up"].update(pauses_s=[[50, 51.1]]), "stuck"),
+        (lambda it: it["streams"]["uplink_video"].update(pauses_s=[[25, 33.1]]), "stuck"),
+        (lambda it: it["haptic"]["down"]["energy"].update(least_uj=-3), "unstable"),
+        (lambda it: it["streams"].update(uplink_video=video(payload_bps_max_1s=85_100)), "cap"),
+        (lambda it: it["streams"].update(uplink_video=video(payload_bps_max_100ms=128_000)), "cap"),
+    ],
+)
+def test_what_is_wrong_is_named(change, word):
+    found = report(windows=((20, None),), contact=CONTACT)
+    found["streams"]["uplink_video"] = video()
+    found["haptic"]["down"]["energy"] = {"least_uj": -2}
+    assert faults(pass_figures(found)) == []
+    change(found)
+    named = faults(pass_figures(found))
+    assert len(named) == 1
+    assert word in named[0]
+
+
+def test_a_pause_counts_only_while_there_is_a_signal_in_the_usable_window():
+    found = report(windows=((20, 50), (50.5, None)), contact=CONTACT)
+    # Of these 12, 5 and 3 s no more than 2.9 at a time were with a signal from second 30 on.
+    found["streams"]["uplink_video"] = video(pauses_s=[[20, 32.9], [47.5, 52.5], [97.1, 100.0]])
+    figures = pass_figures(found)
+    assert figures["longest_pause_s"] == {"shown": 2.9, "felt": 0.0}
+    assert faults(figures) == []
+    found["gateways"]["ground"]["radio"]["contact"] = CONTACT | {"usable_to_s": 99.0}
+    assert pass_figures(found)["longest_pause_s"]["shown"] == 2.9
+    found["streams"]["uplink_video"]["pauses_s"] = [[95.1, 100.0]]
+    assert pass_figures(found)["longest_pause_s"]["shown"] == 3.9
+
+
+@pytest.mark.parametrize("silent", [(-1, 2), (4, 99), (-1, 99)])
+def test_a_force_that_begins_late_or_stops_for_good_is_stuck(silent, monkeypatch):
+    send = HapticLink.poll_transmit
+
+    def poll_transmit(link, now_ns):
+        sample = send(link, now_ns)
+        return None if silent[0] * S <= now_ns < silent[1] * S else sample
+
+    monkeypatch.setattr(HapticLink, "poll_transmit", poll_transmit)
+    setup = replace(BUILT_IN["spacejustin"], radio="clean")
+    figures = pass_figures(simulate(setup, seconds=6.0, seed=1, media=False))
+    assert "stuck" in faults(figures)
+    longest_s = min(silent[1], 6) - max(silent[0], 0)
+    assert figures["longest_pause_s"]["felt"] == pytest.approx(longest_s, abs=0.2)
+
+
+def test_a_signal_that_was_away_for_a_hundredth_of_the_window_is_not_usable():
+    lost = report(windows=((20, 50), (51, None)), contact=CONTACT)
+    assert faults(pass_figures(lost)) == ["unusable"]
+    assert faults({"error": "killed"}) == ["crashed"]
+
+
+def test_the_way_to_a_far_orbit_is_no_time_without_a_signal():
+    setup = replace(BUILT_IN["spacejustin"], radio="geo")
+    figures = pass_figures(simulate(setup, seconds=2.0, seed=1, media=False))
+    assert figures["usable_s"] < 1.8
+    assert faults(figures) == []
+    assert faults(figures | {"usable_s": figures["usable_s"] - 0.2}) == ["unusable"]
+
+
+def test_the_table_has_a_cell_for_every_heading():
+    whole = report(windows=((20, None),), contact=CONTACT)
+    whole["streams"]["uplink_video"] = video(frozen_ms=1500.0, damaged_ms=200.0)
+    sessions = {2: {"error": "killed"}, 1: pass_figures(whole)}
+    lines = markdown(sessions, "two").splitlines()
+    rows = [line for line in lines if line.startswith("|")]
+    assert {row.count("|") for row in rows} == {len(HEADINGS) + 1}
+    assert rows[2].startswith(
+        "| 1 | 70.0 of 70.0 | 1 | 20.00 / 20.00 | 12.0 | 48.0 / 60.0 | 30.0 |"
+    )
+    assert "| 0.0 / 1.5 / 0.2 | 100.0 |" in rows[2]
+    assert rows[3].endswith("| crashed |")
+    assert "1 of 2 sessions usable, 1 crashed." in lines[-1]
+
+
+def test_what_carried_nothing_has_no_latencies():
+    silent = report(windows=((20, None),), contact=CONTACT)
+    none = dict.fromkeys(("p50", "p99", "p99.9", "max"), 0.0) | {"count": 0}
+    silent["haptic"]["up"]["latency_ms"] = none
+    silent["streams"]["uplink_video"] = video(frozen_ms=0.0, damaged_ms=0.0, latency_ms=none)
+    lines = markdown({1: pass_figures(silent)}, "one").splitlines()
+    assert "| 20.00 / 20.00 |  |  |" in lines[4]
+    assert lines[-1] == "1 of 1 sessions usable."
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """A report of two sessions, and the command that made it."""
+    directory = tmp_path_factory.mktemp("passes")
+    kept = directory / "passes.json"
+    command = ["bench", "passes", "--seconds", "4", "--radio", "clean", "--no-media"]
+    command += ["--report", str(kept), "--markdown", str(directory / "table.md")]
+    assert main([*command, "--sessions", "2", "--first-seed", "5"]) == 0
+    return kept, command
+
+
+def test_two_sessions_are_run_and_kept(ran):
+    kept, _ = ran
+    sessions = json.loads(kept.read_text())["sessions"]
+    assert list(sessions) == ["5", "6"]
+    assert all(figures["usable_s"] > 3.9 for figures in sessions.values())
+    assert "2 of 2 sessions usable." in (kept.parent / "table.md").read_text()
+
+
+def test_sessions_that_are_there_are_not_run_again(ran, capsys):
+    kept, command = ran
+    marked = json.loads(kept.read_text())
+    marked["sessions"]["5"]["wall_s"] = 1234.5
+    # One that crashed is worth another try.
+    marked["sessions"]["6"] = {"error": "killed"}
+    kept.write_text(json.dumps(marked))
+    assert main([*command, "--sessions", "2", "--first-seed", "5"]) == 0
+    assert "1 of 2 are in" in capsys.readouterr().out
+    sessions = json.loads(kept.read_text())["sessions"]
+    assert sessions["5"]["wall_s"] == 1234.5
+    assert sessions["6"]["wall_s"] < 60
+
+
+def test_a_report_of_other_sessions_is_not_mixed_up_with_these(ran, capsys):
+    _, command = ran
+    assert main([*command, "--seconds", "5"]) == 2
+    assert "its sessions have seconds 4.0; name another file" in capsys.readouterr().err
+
+
+def test_sessions_of_a_file_that_was_changed_are_not_taken_for_these(tmp_path, capsys):
+    radio, kept = tmp_path / "mine.toml", tmp_path / "passes.json"
+    command = ["bench", "passes", "--sessions", "1", "--seconds", "1", "--no-media"]
+    command += ["--radio", str(radio), "--report", str(kept)]
+    radio.write_text("delay_ms = 10.0\n")
+    assert main(command) == 0
+    assert main(command) == 0
+    assert "1 of 1 are in" in capsys.readouterr().out
+    radio.write_text("delay_ms = 50.0\n")
+    assert main(command) == 2
+    error = capsys.readouterr().err
+    assert f"its sessions have other values in spacejustin or {radio}" in error
+    # As it was before there was a digest.
+    older = json.loads(kept.read_text())
+    del older["plan"]["content"]
+    kept.write_text(json.dumps(older))
+    assert main(command) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda kept: kept.pop("plan"),
+        lambda kept: kept.update(sessions=[]),
+        lambda kept: kept["sessions"].update({"5": 5}),
+        lambda kept: kept["sessions"].update({"5": {}}),
+        lambda kept: kept["sessions"].update(first={"error": "killed"}),
+        lambda kept: kept["sessions"]["5"].pop("longest_pause_s"),
+        lambda kept: kept["sessions"]["5"]["haptic"]["up"]["latency_ms"].update(max="long"),
+    ],
+)
+def test_a_report_that_is_none_of_these_sessions_is_refused_in_a_line(change, ran, capsys):
+    kept, command = ran
+    strange = json.loads(kept.read_text())
+    change(strange)
+    other = kept.parent / "other.json"
+    other.write_text(json.dumps(strange))
+    assert main([*command, "--sessions", "2", "--first-seed", "5", "--report", str(other)]) == 2
+    error = capsys.readouterr().err
+    assert "is no report of this version's `bench passes`" in error
+    assert error.count("\n") == 1
+
+
+def test_sessions_are_ended_with_the_one_who_asked():
+    plan = Plan(setup="spacejustin", seconds=4.0, radio="clean", media=False)
+    endless = Plan(setup="spacejustin", seconds=90_000.0, radio="clean", media=False)
+    with closing(run_sessions(plan, [1], jobs=2)) as runs:
+        seed, found = next(runs)
+    assert (seed, found["simulation"]["seed"]) == (1, 1)
+
+    class Mixed(Plan):
+        def command(self, seed, path):
+            return (plan if seed == 1 else endless).command(seed, path)
+
+    mixed = Mixed(setup="", seconds=0.0, radio="", media=False)
+    with closing(run_sessions(mixed, [1, 2], jobs=2)) as runs:
+        assert next(runs)[0] == 1
+    # It would have gone on for a day: `close` has ended it, or would not have come back.
+
+
+def test_a_session_that_was_ended_early_is_none_of_a_whole_pass():
+    class Short(Plan):
+        def command(self, seed, path):
+            return replace(plan, seconds=1.0).command(seed, path)
+
+    plan = Plan(setup="spacejustin", seconds=4.0, radio="clean", media=False)
+    with closing(run_sessions(Short(**asdict(plan)), [1], jobs=1)) as runs:
+        assert next(runs) == (1, {"error": "ended early, after 1 s"})
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--sessions", "0"], "--sessions 0"),
+        (["--seconds", "0"], "--seconds 0"),
+        (["--jobs", "0"], "--jobs 0"),
+        (["--setup", "nowhere"], "nowhere"),
+        (["--radio", "nowhere"], "nowhere"),
+        (["--report", "/nowhere/at/all.json"], "--report"),
+        (["--markdown", "/nowhere/at/all.md"], "--markdown"),
+    ],
+)
+def test_mistakes_are_one_line(options, told, capsys):
+    assert main(["bench", "passes", *options]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1

@@ -1,0 +1,246 @@
+"""`kontur-av bench sync` on recordings: clips with offsets that are known because they are made."""
+
+import json
+import wave
+from fractions import Fraction
+from itertools import accumulate, cycle, islice
+
+import av
+import numpy as np
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.detect import Roi
+from kontur_av.errors import ConfigError
+from pipelines.bench.sync.footage import clicks, joined, lights, steps
+from pipelines.cli import main
+from pipelines.report.sync.figures import skews_ns
+from pipelines.report.sync.matching import Found
+
+FPS, SECONDS = 30, 8.0
+#: Instants of the touches (s); by how much light and sound come later than force.
+TOUCHES = (1.213, 3.377, 5.104, 6.651)
+LIGHT_S, CLICK_S = 0.045, 0.020
+SIZE = (320, 240)
+PERIOD_MS = 1000 / FPS
+
+
+def pictures():
+    """Grey room, something that moves, and an LED of 9 pixels that is on for 0.7 s."""
+    width, height = SIZE
+    rng = np.random.default_rng(1)
+    room = rng.integers(70, 110, (height, width, 1), np.uint8).repeat(3, 2)
+    for number in range(int(SECONDS * FPS)):
+        t = number / FPS
+        picture = room.copy()
+        at = int(40 + 120 * (t / SECONDS))
+        picture[150:220, at : at + 25] = (150, 140, 130)
+        lit = any(touch + LIGHT_S <= t < touch + LIGHT_S + 0.7 for touch in TOUCHES)
+        picture[60:69, 200:209] = (255, 90, 70) if lit else (60, 20, 20)
+        yield picture
+
+
+def sound():
+    """Hiss and hum, and a click of two damped tones."""
+    n = int(SECONDS * 48_000)
+    t = np.arange(n) / 48_000
+    heard = np.random.default_rng(2).normal(0, 40, n) + 900 * np.sin(2 * np.pi * 180 * t)
+    for touch in TOUCHES:
+        begin = round((touch + CLICK_S) * 48_000)
+        k = np.arange(1000) / 48_000
+        heard[begin : begin + 1000] += 9000 * np.exp(-k / 0.004) * np.sin(2 * np.pi * 2400 * k)
+    return heard.clip(-32768, 32767).astype(np.int16)
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("clips")
+    with av.open(str(folder / "both.mp4"), "w") as file:
+        video = file.add_stream("libx264", rate=FPS, options={"crf": "28", "preset": "fast"})
+        video.width, video.height = SIZE
+        video.pix_fmt = "yuv420p"
+        audio = file.add_stream("aac", rate=48_000, layout="mono")
+        for picture in pictures():
+            for packet in video.encode(av.VideoFrame.from_ndarray(picture, "rgb24")):
+                file.mux(packet)
+        frame = av.AudioFrame.from_ndarray(sound()[None], "s16", "mono")
+        frame.sample_rate, frame.pts, frame.time_base = 48_000, 0, Fraction(1, 48_000)
+        for stream, rest in ((audio, frame), (audio, None), (video, None)):
+            for packet in stream.encode(rest):
+                file.mux(packet)
+    with av.open(str(folder / "see.y4m"), "w") as file:
+        video = file.add_stream("wrapped_avframe", rate=FPS)
+        video.width, video.height = SIZE
+        video.pix_fmt = "yuv420p"
+        for picture in pictures():
+            frame = av.VideoFrame.from_ndarray(picture, "rgb24").reformat(format="yuv420p")
+            for packet in video.encode(frame):
+                file.mux(packet)
+        for packet in video.encode(None):
+            file.mux(packet)
+    with wave.open(str(folder / "hear.wav"), "wb") as file:
+        file.setparams((1, 2, 48_000, 0, "NONE", ""))
+        file.writeframes(sound().tobytes())
+    rows = ["time_s,force_n"]
+    for number in range(int(SECONDS * 1000)):
+        t = number / 1000
+        depth = sum(max(0.0, min(t - touch, 0.01)) for touch in TOUCHES if t < touch + 0.8)
+        rows.append(f"{t:.3f},{depth * 200 + 0.004 * (-1) ** number:.4f}")
+    (folder / "felt.csv").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize(("seen", "heard"), [("both.mp4", "both.mp4"), ("see.y4m", "hear.wav")])
+def test_the_skews_are_those_that_were_made(clips, tmp_path, capsys, seen, heard):
+    report, plot = tmp_path / "r.json", tmp_path / "p.png"
+    arguments = ["--video", str(clips / seen), "--audio", str(clips / heard)]
+    arguments += ["--haptics", str(clips / "felt.csv"), "--plot", str(plot)]
+    assert main(["bench", "sync", *arguments, "--report", str(report)]) == 0
+    figures = json.loads(report.read_text())
+    assert len(figures["events"]) == len(TOUCHES)
+    for event, touch in zip(figures["events"], TOUCHES, strict=True):
+        assert event["force"] == pytest.approx(touch, abs=0.002)
+        assert 0 <= event["light"] - touch - LIGHT_S < 1 / FPS + 0.001
+        assert event["click"] == pytest.approx(touch + CLICK_S, abs=0.001)
+    skews = figures["skew_ms"]
+    assert skews["audio_haptic"]["p50"] == pytest.approx(1000 * CLICK_S, abs=2)
+    assert skews["audio_haptic"]["within"] == 1.0  # 20 ms of 24
+    assert 1000 * LIGHT_S - 2 <= skews["video_haptic"]["p50"] <= 1000 * LIGHT_S + PERIOD_MS
+    assert skews["video_haptic"]["within"] == 0.0  # of 15 ms
+    assert skews["audio_video"]["within"] == 1.0
+    assert "Di Luca and Mahnan" in capsys.readouterr().out
+    assert plot.stat().st_size > 1000
+
+
+def test_an_offset_moves_one_recording(clips, tmp_path):
+    report = tmp_path / "r.json"
+    arguments = ["--audio", str(clips / "hear.wav"), "--haptics", str(clips / "felt.csv")]
+    arguments += ["--offset-ms", "audio=-20", "--report", str(report)]
+    assert main(["bench", "sync", *arguments]) == 0
+    skews = json.loads(report.read_text())["skew_ms"]
+    assert skews["audio_haptic"]["p50"] == pytest.approx(0, abs=2)
+    assert skews["video_haptic"] is None
+
+
+def test_light_and_click_are_compared_without_a_force(clips, tmp_path):
+    report = tmp_path / "r.json"
+    both = str(clips / "both.mp4")
+    assert main(["bench", "sync", "--video", both, "--audio", both, "--report", str(report)]) == 0
+    skew = json.loads(report.read_text())["skew_ms"]["audio_video"]
+    assert skew["events"] == len(TOUCHES)
+    early_ms = 1000 * (CLICK_S - LIGHT_S)
+    assert early_ms - PERIOD_MS - 1 <= skew["p50"] <= early_ms + 1
+
+
+def test_a_region_leaves_out_the_rest(clips, capsys):
+    arguments = ["--video", str(clips / "both.mp4"), "--haptics", str(clips / "felt.csv")]
+    assert main(["bench", "sync", *arguments, "--roi", "180,40,48,48"]) == 0
+    assert main(["bench", "sync", *arguments, "--roi", "0,160,48,48"]) == 2
+    assert main(["bench", "sync", *arguments, "--roi", "300,40,48,48"]) == 2
+    told = capsys.readouterr().err
+    assert "no light" in told
+    assert "320x240" in told
+
+
+def test_a_region_is_in_pixels_of_the_file_however_wide_it_is(tmp_path):
+    path = tmp_path / "wide.mp4"
+    with av.open(str(path), "w") as file:
+        video = file.add_stream("libx264", rate=FPS, options={"preset": "ultrafast"})
+        video.width, video.height, video.pix_fmt = 1920, 1080, "yuv420p"
+        for number in range(20):
+            picture = np.full((1080, 1920, 3), 40, np.uint8)
+            if number >= 10:
+                picture[1000:1012, 1700:1712] = (255, 40, 40)
+            for packet in video.encode(av.VideoFrame.from_ndarray(picture, "rgb24")):
+                file.mux(packet)
+        for packet in video.encode(None):
+            file.mux(packet)
+    (light,) = lights(path, Roi(1640, 940, 140, 140))
+    assert light.instant_ns == pytest.approx(10 / FPS * 1e9, abs=1e6)
+    assert lights(path, Roi(1040, 580, 140, 140)) == []
+
+
+@pytest.mark.parametrize(
+    ("read", "name", "content", "words"),
+    [
+        (lights, "none.mp4", None, "no such file"),
+        (lights, "text.mp4", b"no film\n", "not a media file"),
+        (clicks, "text.wav", b"RIFF", "not a media file"),
+        (steps, "empty.csv", b"", "begin with the heading time_s,force_n"),
+        (steps, "names.csv", b"t,f\n0,1\n", "line 1"),
+        (steps, "words.csv", b"time_s,force_n\n0,1\n0.1,hard\n", "line 3: give two numbers"),
+        (steps, "nan.csv", b"time_s,force_n\n0,1\n0.1,nan\n", "line 3"),
+        (steps, "back.csv", b"time_s,force_n\n0.1,1\n0,1\n", "time does not go on after 0.1"),
+        (steps, "gap.csv", b"time_s,force_n\n0.1,1\n\n0,1\n", "line 4: time does not go on"),
+        (steps, "short.csv", b"time_s,force_n\n0,1\n", "fewer than 2 rows"),
+        (steps, "octets.csv", b"\xff\xfe\x00", "no table of text"),
+    ],
+)
+def test_a_file_that_is_none_is_named(tmp_path, read, name, content, words):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigError, match=words) as caught:
+        read(path, *((None,) if read is lights else ()))
+    assert "\n" not in str(caught.value)
+    assert name in str(caught.value)
+
+
+@pytest.mark.parametrize("begin", ["", "\ufeff"])
+def test_a_table_out_of_a_spreadsheet_is_read_whatever_its_numbers(tmp_path, begin):
+    path = tmp_path / "felt.csv"
+    rows = "time_s,force_n\n0,1e200\n\n0.1,3\n0.2,3\n0.3,8\n"
+    path.write_text(begin + rows, encoding="utf-8")
+    assert [step.instant_ns for step in steps(path)] == [300_000_000]
+
+
+def test_a_long_table_loses_no_step(tmp_path):
+    path = tmp_path / "felt.csv"
+    rows = (f"{number / 100},{5.0 * (number % 100 >= 50)}" for number in range(30_000))
+    path.write_text("\n".join(("time_s,force_n", *rows)))
+    found = [step.instant_ns for step in steps(path)]
+    assert found == [500_000_000 + second * 1_000_000_000 for second in range(300)]
+
+
+@pytest.mark.parametrize(
+    "gaps_ms", [(400,), (500,), (749,), (760,), (4000,), (600, 1200, 900, 3000)]
+)
+@pytest.mark.parametrize("skew_ms", [20, -60, 190])
+def test_touches_close_to_each_other_keep_their_own_lights(gaps_ms, skew_ms):
+    instants = list(accumulate(islice(cycle(gaps_ms), 20)))
+    force = [Found(at_ms * NS_PER_MS) for at_ms in instants]
+    light = [Found((at_ms + skew_ms) * NS_PER_MS, 100.0) for at_ms in instants]
+    skews = skews_ns("video_haptic", joined({"force": force, "light": light}))
+    assert skews == [skew_ms * NS_PER_MS] * 20
+
+
+def test_what_is_three_quarters_of_a_second_away_is_not_joined():
+    found = {"force": [Found(NS_PER_S)], "light": [Found(249 * NS_PER_MS), Found(1751 * NS_PER_MS)]}
+    assert joined(found)[0].perceived["light"] is None
+
+
+def test_a_film_without_sound_and_a_sound_without_film_are_named(clips):
+    with pytest.raises(ConfigError, match="no sound in it"):
+        clicks(clips / "see.y4m")
+    with pytest.raises(ConfigError, match="no picture in it"):
+        lights(clips / "hear.wav", None)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--video", "a.mp4"],
+        ["--video", "a.mp4", "--audio", "a.mp4", "--seconds", "5"],
+        ["--video", "a.mp4", "--audio", "a.mp4", "--offset-ms", "haptics=3"],
+        ["--video", "a.mp4", "--audio", "a.mp4", "--offset-ms", "video=soon"],
+        ["--video", "a.mp4", "--audio", "a.mp4", "--roi", "1,2,3"],
+        ["--offset-ms", "video=3"],
+        ["--seconds", "1"],
+        ["--plot", "a.jpg"],
+    ],
+)
+def test_options_that_do_not_go_together_are_refused_in_a_line(arguments, capsys):
+    assert main(["bench", "sync", *arguments]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("kontur-av: ")
+    assert told.count("\n") == 1

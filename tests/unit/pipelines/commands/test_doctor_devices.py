@@ -1,0 +1,75 @@
+"""What `kontur-av devices` lists, on a made-up /dev and /proc/asound."""
+
+import errno
+from pathlib import Path
+
+from pipelines.commands.devices import cameras, devices, microphones
+
+PCM = """\
+00-00: ALC257 Analog : ALC257 Analog : playback 1 : capture 1
+00-03: HDMI 0 : HDMI 0 : playback 1
+01-00: USB Audio : USB Audio : capture 1
+"""
+SCENES = {"left": "scene:left", "ground_mic": "scene:ground_voice"}
+
+
+def driver(capabilities: dict[str, tuple[int, int]], formats: list[bytes]):
+    """An ioctl as a V4L2 driver answers it; capabilities: node's text -> (whole, own)."""
+
+    def ioctl(descriptor: int, request: int, buffer: bytearray) -> int:
+        node = Path(f"/proc/self/fd/{descriptor}").resolve().read_text()
+        if request == 0x80685600:
+            whole, own = capabilities[node]
+            buffer[16:48] = b"Good Camera".ljust(32, b"\0")
+            buffer[84:92] = whole.to_bytes(4, "little") + own.to_bytes(4, "little")
+            return 0
+        assert request == 0xC0405602
+        index = int.from_bytes(buffer[0:4], "little")
+        if index >= len(formats):
+            raise OSError(errno.EINVAL, "Invalid argument")
+        buffer[44:48] = formats[index]
+        return 0
+
+    return ioctl
+
+
+def test_a_machine_without_devices_says_what_works_nevertheless(tmp_path: Path) -> None:
+    lines: list[str] = []
+    assert devices(lines.append, dev=tmp_path, asound=tmp_path, scenes=SCENES) == 0
+    assert lines[0] == (
+        "no camera and no microphone here; scene:NAME, a media file and pipe:PATH work"
+    )
+    assert any("scene:ground_voice" in line and "ground_mic" in line for line in lines)
+
+
+def test_cameras_with_their_formats_by_number_and_without_metadata_nodes(tmp_path: Path) -> None:
+    for name, content in (("video10", "old"), ("video0", "own"), ("video1", "meta")):
+        (tmp_path / name).write_text(content)
+    (tmp_path / "videoish").write_text("")
+    found = cameras(
+        tmp_path,
+        driver(
+            {"own": (0x84A00001, 0x04200001), "meta": (0x84A00001, 0x04A00000), "old": (1, 0)},
+            [b"MJPG", b"YUYV"],
+        ),
+    )
+    assert [(Path(c.path).name, c.card, c.formats) for c in found] == [
+        ("video0", "Good Camera", ("MJPG", "YUYV")),
+        ("video10", "Good Camera", ("MJPG", "YUYV")),
+    ]
+
+
+def test_a_node_that_is_no_camera_is_named_with_its_reason(tmp_path: Path) -> None:
+    (tmp_path / "video0").write_text("")
+    lines: list[str] = []
+    devices(lines.append, dev=tmp_path, asound=tmp_path, scenes=SCENES)
+    assert f"v4l2:{tmp_path / 'video0'}" in lines[0]
+    assert "is no V4L2 device" in lines[0]
+
+
+def test_microphones_are_the_lines_that_capture(tmp_path: Path) -> None:
+    (tmp_path / "pcm").write_text(PCM)
+    assert [(m.device, m.name) for m in microphones(tmp_path)] == [
+        ("plughw:0,0", "ALC257 Analog"),
+        ("plughw:1,0", "USB Audio"),
+    ]

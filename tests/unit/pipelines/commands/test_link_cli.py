@@ -1,0 +1,124 @@
+"""`kontur-av link`: a mistake is one line that names the mend; every channel has its ports."""
+
+import pytest
+from places import ROOT
+
+from pipelines.cli import main
+from pipelines.commands import link
+from pipelines.commands.link_ports import bound_ports, channels, port_table
+from pipelines.runtime.datagrams import EndAddresses
+from pipelines.runtime.process import Segment
+from pipelines.setup.built_in import BUILT_IN
+
+TASKBOARD, SPACEJUSTIN = BUILT_IN["taskboard"], BUILT_IN["spacejustin"]
+GROUND = ["--setup", "taskboard", "--end", "ground"]
+
+
+@pytest.fixture(autouse=True)
+def nothing_starts(monkeypatch):
+    def start(*_, **__):
+        pytest.fail("a link was started")
+
+    monkeypatch.setattr(link, "Launcher", start)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ([], "--setup"),
+        (["--setup", "nosuch"], "spacejustin or taskboard, or a file"),
+        (["--setup", "taskboard", "--radio", "nosuch"], "cable, clean, iss-pass, geo"),
+        (["--setup", "taskboard", "--radio", "missing.toml"], "missing.toml"),
+        (["--setup", "taskboard", "--seconds", "0"], "above 0"),
+        (["--setup", "taskboard", "--report", "missing/r.json"], "--report missing/r.json"),
+        (["--setup", "taskboard", "--base-port", "80"], "1024"),
+        (["--setup", "taskboard", "--end", "moon"], "--end"),
+        (["--setup", "taskboard", "--peer", "192.0.2.7:27001"], "add --end ground or --end space"),
+        (["--setup", "taskboard", "--bind", "0.0.0.0"], "add --end ground or --end space"),
+        (["--setup", "taskboard", "--apps-bind", "127.0.0.1"], "--apps HOST"),
+        (["--setup", "taskboard", "--apps", "no host"], "no host"),
+        (["--setup", "taskboard", "--apps", "192.0.2.7"], "--apps-bind"),
+        (GROUND, "needs --peer HOST:PORT, the other end's radio port (27001"),
+        ([*GROUND, "--peer", "127.0.0.1"], "--peer '127.0.0.1': write HOST:PORT"),
+        ([*GROUND, "--peer", "::1:27001"], "--peer '::1:27001': write HOST:PORT"),
+        ([*GROUND, "--peer", "[::1]:27001"], "no IPv4 host"),
+        ([*GROUND, "--peer", "127.0.0.1:27000"], "this end itself: the other has port 27001"),
+        ([*GROUND, "--peer", "127.0.0.2:27001", "--bind", "here"], "--bind 'here': write an IPv4"),
+        ([*GROUND, "--peer", "127.0.0.2:27001", "--bind", "192.0.2.77"], "no address of this"),
+        ([*GROUND, "--peer", "127.0.0.1:27000", "--bind", "0.0.0.0"], "this end itself"),
+        ([*GROUND, "--peer", "0.0.0.0:27001"], "--peer 0.0.0.0:27001: give the address of one"),
+        ([*GROUND, "--peer", "224.0.0.1:27001", "--bind", "127.0.0.1"], "give the address of one"),
+        ([*GROUND, "--peer", "255.255.255.255:27001", "--bind", "0.0.0.0"], "cannot be reached"),
+        ([*GROUND, "--peer", "192.0.2.7:27001", "--bind", "127.0.0.1"], "cannot be reached from"),
+        (["--setup", "taskboard", "--apps", "0.0.0.0"], "--apps 0.0.0.0: give the address of one"),
+    ],
+)
+def test_options_that_cannot_work(capsys, tmp_path, monkeypatch, options, says):
+    monkeypatch.chdir(tmp_path)
+    assert main(["link", *options]) == 2
+    out, error = capsys.readouterr()
+    assert out == ""
+    (line,) = error.splitlines()
+    assert says in line
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("way", "says"),
+    [("198.51.100.4", "add --bind 198.51.100.4"), (None, "cannot be reached from here")],
+)
+def test_another_machine_needs_an_address_of_this_one(capsys, monkeypatch, way, says):
+    monkeypatch.setattr(link, "reaches", lambda peer: way)
+    assert main(["link", *GROUND, "--peer", "192.0.2.7:27001"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "192.0.2.7:27001" in line
+    assert says in line
+
+
+@pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
+def test_every_channel_of_a_setup_has_its_line(setup):
+    ports = setup.ports
+    lines = port_table(setup, list(Segment), EndAddresses())
+    rows = {line.split()[0]: line.split() for line in lines[1:]}
+    for flow in (*setup.uplink_flows, *setup.downlink_flows):
+        entry, out = f"127.0.0.1:{ports.entry(flow.name)}", f"127.0.0.1:{ports.exit(flow.name)}"
+        assert rows[flow.name][1:3] == [entry, out]
+    # What the robot says goes up, what the joystick says goes down.
+    assert rows["uplink_haptic"][1:3] == [
+        f"127.0.0.1:{ports.ground_haptic}", f"127.0.0.1:{ports.joystick}"
+    ]  # fmt: skip
+    assert rows["downlink_haptic"][1:3] == [
+        f"127.0.0.1:{ports.space_haptic}", f"127.0.0.1:{ports.robot}"
+    ]  # fmt: skip
+
+
+def test_one_end_shows_and_binds_its_own_ports_only():
+    addresses = EndAddresses(
+        bind="192.0.2.1", peer=("192.0.2.7", 27_001), apps="198.51.100.2", apps_bind="198.51.100.1"
+    )
+    lines = port_table(SPACEJUSTIN, [Segment.GROUND], addresses)
+    assert lines[0] == "radio of the ground end: 192.0.2.1:27000, peer 192.0.2.7:27001"
+    video = next(line for line in lines if line.startswith("uplink_video "))
+    assert "198.51.100.1:27010" in video
+    assert "the other end" in video
+    down = next(line for line in lines if line.startswith("downlink_video "))
+    assert "198.51.100.2:27020" in down
+    both = [set(bound_ports(SPACEJUSTIN, end)) for end in Segment]
+    assert both[0] & both[1] == set()
+    for end, bound in zip(Segment, both, strict=True):
+        shown = {channel.in_port for channel in channels(SPACEJUSTIN, [end])} - {None}
+        assert len(bound - shown) == 1  # the radio's
+
+
+@pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
+def test_the_ports_of_the_documentation_are_those_of_the_link(setup):
+    text = (ROOT / "docs" / "gateways.md").read_text(encoding="utf-8")
+    rows = [line.split("|") for line in text.splitlines() if line.startswith("| `")]
+    column = {"spacejustin": 6, "taskboard": 7}[setup.name]
+    documented = [
+        (row[1].strip(" `"), int(row[3]), int(row[4])) for row in rows if row[column].strip()
+    ]
+    assert documented == [
+        (channel.name, channel.in_port, channel.out_port)
+        for channel in channels(setup, list(Segment))
+    ]

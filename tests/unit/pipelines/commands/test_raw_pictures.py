@@ -1,0 +1,153 @@
+"""Received pictures for other programs: a file, a FIFO, and readers that come, go and dawdle."""
+
+import os
+import resource
+
+import numpy as np
+import pytest
+
+from kontur_av.codecs.h264 import DecodedPicture, H264Decoder, H264Encoder
+from kontur_av.errors import ConfigError
+from kontur_av.media import CaptureStamp, VideoFrame
+from kontur_av.sources.y4m import Y4mReader
+from pipelines.commands.raw_pictures import RawPictures
+
+WIDTH, HEIGHT = 320, 240
+
+
+@pytest.fixture(scope="module")
+def decoded() -> list[DecodedPicture]:
+    """Pictures of different brightness, as they come out of the decoder."""
+    encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=2_000_000)
+    decoder = H264Decoder()
+    found = []
+    for number in range(6):
+        picture = np.full((HEIGHT * 3 // 2, WIDTH), 128, np.uint8)
+        picture[:HEIGHT] = 40 + 30 * number
+        unit = encoder.encode(VideoFrame(picture, CaptureStamp(0, number, "test")), lambda: 0)
+        found += decoder.decode(unit.data, number)
+    assert len(found) == 6
+    return found
+
+
+def read(octets: bytes) -> list[np.ndarray]:
+    """All pictures of a YUV4MPEG2 stream that has nothing else in it."""
+    reader, pictures = Y4mReader(), []
+    at = 0
+    while at < len(octets):
+        view = reader.write_view()
+        part = octets[at : at + len(view)]
+        view[: len(part)] = part
+        reader.handle_written(len(part))
+        at += len(part)
+        while (event := reader.next_event()) is not None:
+            header = event.header
+            shape = (header.height * 3 // 2, header.width)
+            pictures.append(np.frombuffer(bytes(event.octets), np.uint8).reshape(shape))
+    assert reader.garbage_octets == 0
+    return pictures
+
+
+def brightness(pictures: list[np.ndarray]) -> list[int]:
+    """Which of the fixture's pictures they are."""
+    return [
+        round((float(picture[: len(picture) * 2 // 3].mean()) - 40) / 30) for picture in pictures
+    ]
+
+
+@pytest.fixture
+def fifo(tmp_path):
+    path = tmp_path / "out.y4m"
+    os.mkfifo(path)
+    return path
+
+
+def drain(fd: int) -> bytes:
+    octets = b""
+    while True:
+        try:
+            part = os.read(fd, 1 << 20)
+        except BlockingIOError:
+            return octets
+        if not part:
+            return octets
+        octets += part
+
+
+def opened(path) -> int:
+    return os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+
+
+def test_a_file_gets_every_picture_as_it_was_decoded(decoded, tmp_path):
+    path = tmp_path / "out.y4m"
+    raw = RawPictures(str(path))
+    for picture in decoded:
+        raw.handle_picture(picture)
+    raw.close()
+    pictures = read(path.read_bytes())
+    assert len(pictures) == 6
+    assert all((a == b.to_i420()).all() for a, b in zip(pictures, decoded, strict=True))
+    assert (raw.written, raw.dropped) == (6, 0)
+
+
+def test_a_picture_of_another_size_is_scaled_to_the_one_asked_for(decoded, tmp_path):
+    path = tmp_path / "out.y4m"
+    raw = RawPictures(str(path), (640, 480))
+    raw.handle_picture(decoded[2])
+    raw.close()
+    (picture,) = read(path.read_bytes())
+    assert picture.shape == (720, 640)
+    assert brightness([picture]) == [2]
+
+
+def test_a_reader_that_comes_later_begins_with_a_whole_picture(decoded, fifo):
+    raw = RawPictures(str(fifo))
+    raw.handle_picture(decoded[0])
+    fd = opened(fifo)
+    raw.handle_picture(decoded[1])
+    raw.handle_picture(decoded[2])
+    assert brightness(read(drain(fd))) == [1, 2]
+    os.close(fd)
+    raw.handle_picture(decoded[3])
+    fd = opened(fifo)
+    raw.handle_picture(decoded[4])
+    assert brightness(read(drain(fd))) == [4]
+    os.close(fd)
+    raw.close()
+    assert (raw.written, raw.dropped, raw.readers_gone) == (3, 2, 1)
+
+
+def test_a_reader_that_dawdles_holds_nothing_up_and_gets_whole_pictures(decoded, fifo):
+    fd = opened(fifo)
+    raw = RawPictures(str(fifo), (1280, 960))  # 1.8 MB: more than the pipe holds
+    for picture in decoded:
+        raw.handle_picture(picture)
+    octets = b""
+    while raw.pending() is not None:
+        octets += drain(fd)
+        raw.handle_writable()
+    octets += drain(fd)
+    assert brightness(read(octets)) == [0, 5]
+    assert (raw.written, raw.dropped) == (2, 4)
+    os.close(fd)
+    raw.close()
+
+
+def test_a_file_that_takes_no_more_is_told_and_ends_nothing(decoded, tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    raw = RawPictures(str(tmp_path / "out.y4m"))
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, before[1]))
+        for picture in decoded:
+            raw.handle_picture(picture)
+        raw.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "File too large" in raw.fault
+    assert (raw.written, raw.dropped) == (1, 5)
+
+
+@pytest.mark.parametrize("path", ["/nowhere/x.y4m", "/"])
+def test_what_cannot_be_written_is_refused(path):
+    with pytest.raises(ConfigError, match="--raw"):
+        RawPictures(path)

@@ -1,0 +1,253 @@
+"""The mistakes of a user: each is one line that names the mend, exit 2, and nothing is started."""
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+
+import pytest
+
+from kontur_av.clock import MonotonicClock
+from pipelines.cli import main
+from pipelines.commands import stream
+from pipelines.setup.setup_file import load_setup
+
+TOML = """
+cameras = ["stereo", "static"]
+[uplink_video]
+cap_kbps = 85
+"""
+
+
+@pytest.fixture
+def nothing_starts(monkeypatch):
+    def start(*_, **__):
+        pytest.fail("a session was started")
+
+    monkeypatch.setattr(stream, "Launcher", start)
+
+
+def refusal(capsys, *arguments):
+    """The one line that a command which cannot work leaves."""
+    assert main(list(arguments)) == 2
+    out, error = capsys.readouterr()
+    assert out == ""
+    (line,) = error.splitlines()
+    assert line.startswith("kontur-av: ")
+    return line
+
+
+def write(path, text):
+    path.write_text(text)
+    return str(path)
+
+
+@pytest.mark.usefixtures("nothing_starts")
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--setup", "spacejustine"], "spacejustin or taskboard, or a file"),
+        (["--setup", "missing.toml"], "missing.toml: No such file"),
+        (["--setup", "."], "or a file NAME.toml"),
+        (["--setup", "taskboard", "--source", "head=scene:head"], "left, right, static"),
+        (["--setup", "taskboard", "--source", "left"], "NAME=SPEC"),
+        (["--setup", "taskboard", "--source", "=x"], "NAME=SPEC"),
+        (["--setup", "taskboard", "--source", "left=missing.mp4"], "missing.mp4"),
+        (["--setup", "taskboard", "--source", "left=scene:nosuch"], "choose one of"),
+        (["--setup", "taskboard", "--source", "left=pipe:missing"], "mkfifo"),
+        (["--setup", "taskboard", "--source", "left=v4l2:/dev/missing"], "/dev/missing"),
+        (
+            ["--setup", "taskboard", "--source", "left=v4l2:/dev/null"],
+            "'/dev/null' cannot be opened",
+        ),
+        (
+            [
+                *("--setup", "taskboard", "--source", "left=v4l2:/dev/video0"),
+                *("--source", "right=v4l2:/dev/../dev/video0"),
+            ],
+            "is that of input left",
+        ),
+        (["--setup", "taskboard", "--source", "left=alsa:hw"], "this input wants pictures"),
+        (["--setup", "spacejustin", "--source", "iss_mic=v4l2:/dev/video0"], "wants sound"),
+        (["--setup", "spacejustin", "--source", "iss_mic=alsa:nosuchcard"], "nosuchcard"),
+        (["--setup", "taskboard", "--seconds", "0"], "--seconds 0"),
+        (["--setup", "taskboard", "--seconds", "-3"], "--seconds"),
+        (["--setup", "taskboard", "--seconds", "nan"], "--seconds nan"),
+        (["--setup", "taskboard", "--seconds", "soon"], "--seconds"),
+        (["--setup", "taskboard", "--radio-delay-ms", "-1"], "take 0 to 10000"),
+        (["--setup", "taskboard", "--radio-delay-ms", "nan"], "take 0 to 10000"),
+        (["--setup", "taskboard", "--radio", "nosuch"], "take cable, clean, iss-pass, geo"),
+        (["--setup", "taskboard", "--radio", "missing.toml"], "missing.toml: No such file"),
+        (["--setup", "taskboard", "--radio", "geo", "--radio-delay-ms", "3"], "give one of them"),
+        (["--setup", "taskboard", "--seed", "x"], "--seed"),
+        (["--setup", "taskboard", "--base-port", "80"], "1024"),
+        (["--setup", "taskboard", "--base-port", "65535"], "1024"),
+        (["--setup", "taskboard", "--report", "missing/r.json"], "--report missing/r.json"),
+        (["--setup", "taskboard", "--report", "."], "--report"),
+        (["--setup", "taskboard", "-v", "-q"], "-q"),
+        (["--setup", "taskboard", "--sources", "left=x"], "--help"),
+        ([], "--setup"),
+    ],
+)
+def test_options_that_cannot_work(capsys, monkeypatch, tmp_path, options, says):
+    monkeypatch.chdir(tmp_path)
+    assert says in refusal(capsys, "stream", *options)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("nothing_starts")
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("cameras = [", "not TOML"),
+        ("", "uplink_video and cameras"),
+        (TOML.replace("cameras", "camera"), "unknown field camera"),
+        (TOML + "colour = 3", "unknown field uplink_video.colour"),
+        (TOML.replace("85", '"85"'), "uplink_video.cap_kbps must be a number"),
+        (TOML.replace("85", "true"), "uplink_video.cap_kbps must be a number"),
+        (TOML.replace("cap_kbps = 85", "fps = 30"), "needs cap_kbps"),
+        (TOML + 'size = "640"', "WIDTHxHEIGHT"),
+        (TOML + 'size = "641x480"', "641"),
+        (TOML + 'size = "0x0"', "0"),
+        (TOML + "fps = 0", "take 1 to 120"),
+        (TOML.replace('"static"', '"a_camera_with_a_long_name"'), "a_camera_with_a_long_name"),
+        (TOML.replace('"static"', '"static", "static"'), "twice"),
+        (TOML.replace('"static"', '"wrist"'), "--source wrist=SPEC"),
+        (TOML.replace('["stereo", "static"]', "[]"), "name at least one"),
+        (TOML.replace('["stereo", "static"]', '"stereo"'), "list of names"),
+        ("base_port = true\n" + TOML, "base_port must be a number"),
+        ("sources = 3\n" + TOML, "sources must be a table"),
+        ('sources = {head = "x.mp4"}\n' + TOML, "left, right, static"),
+        ("uplink_voice = 8\n" + TOML, "table [uplink_voice]"),
+        ("uplink = {frame_octets = 20}\n" + TOML, "frame"),
+        ("downlink = {frame_octets = 100000}\n" + TOML, "frame"),
+    ],
+)
+def test_setups_that_cannot_work(capsys, tmp_path, text, says):
+    path = write(tmp_path / "mine.toml", text)
+    assert says in refusal(capsys, "stream", "--setup", path)
+
+
+@pytest.mark.usefixtures("nothing_starts")
+def test_a_cap_that_does_not_fit_is_answered_with_one_that_does(capsys, tmp_path):
+    voice = "uplink_voice = {cap_kbps = 8}\n"
+    path = write(tmp_path / "mine.toml", voice + TOML.replace("85", "95"))
+    line = refusal(capsys, "stream", "--setup", path)
+    assert "uplink_video" in line
+    assert "95" in line
+    fitting = [
+        word.strip(",.;") for word in line.split() if word.strip(",.;").replace(".", "").isdigit()
+    ]
+    works = []
+    for value in fitting:
+        text = voice + TOML.replace("85", value)
+        try:
+            works.append(load_setup(write(tmp_path / "less.toml", text)).uplink_video.cap_bps)
+        except Exception:
+            continue
+    # The number that it names works, and hardly more would.
+    assert works, line
+    assert 80_000 <= max(works) < 95_000
+    text = voice + TOML.replace("85", f"{max(works) / 1000 + 1.5:g}")
+    refusal(capsys, "stream", "--setup", write(tmp_path / "more.toml", text))
+
+
+@pytest.mark.usefixtures("nothing_starts")
+def test_files_that_are_no_media(capsys, tmp_path):
+    text = write(tmp_path / "notes.txt", "no film at all")
+    assert "notes.txt" in refusal(
+        capsys, "stream", "--setup", "taskboard", "--source", f"left={text}"
+    )
+    assert str(tmp_path) in refusal(
+        capsys, "stream", "--setup", "taskboard", "--source", f"left={tmp_path}"
+    )
+
+
+@pytest.mark.usefixtures("nothing_starts")
+def test_an_input_is_what_the_setup_says_whatever_it_is_called(capsys, tmp_path):
+    path = write(
+        tmp_path / "mine.toml",
+        TOML.replace('"static"', '"a_mic"') + "[sources]\na_mic = 'scene:static'\n",
+    )
+    line = refusal(capsys, "stream", "--setup", path, "--source", "a_mic=alsa:hw")
+    assert "this input wants pictures" in line
+    setup = load_setup(path)
+    stream.check_sources(setup)
+    stream.draw_backgrounds(setup, MonotonicClock())
+
+
+@pytest.mark.usefixtures("nothing_starts")
+@pytest.mark.parametrize(
+    ("size", "free_mb", "needed_mb"),
+    [("640x480", 40, 48), ("640x480", 64, None), ("2560x1440", 64, 218)],
+)
+def test_no_room_for_the_pictures(capsys, monkeypatch, tmp_path, size, free_mb, needed_mb):
+    usage = shutil.disk_usage(tmp_path)._replace(free=free_mb * 1_000_000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
+    path = write(tmp_path / "mine.toml", TOML + f'size = "{size}"\n')
+    if needed_mb is None:
+        stream.check_room(load_setup(path))
+    else:
+        line = refusal(capsys, "stream", "--setup", path)
+        assert f"free {needed_mb} MB" in line
+        assert "--shm-size" in line
+
+
+@pytest.mark.usefixtures("nothing_starts")
+def test_places_that_cannot_be_written(capsys, tmp_path):
+    notes = write(tmp_path / "notes.txt", "")
+    for option in ("--report", "--snapshots"):
+        inside = f"{notes}/inside"
+        assert option in refusal(capsys, "stream", "--setup", "taskboard", option, inside)
+
+
+@pytest.mark.usefixtures("nothing_starts")
+def test_a_busy_port_is_named(capsys):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", 0))
+        port = udp.getsockname()[1]
+        base = min(port - 5, 65_496)
+        line = refusal(capsys, "stream", "--setup", "taskboard", "--base-port", str(base))
+    assert "--base-port" in line
+    assert "busy" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "COMMAND"),
+        (["nonsense"], "nonsense"),
+        (["--nonsense"], "--help"),
+        (["select"], "CAMERA"),
+        (["select", "static"], "no session is running here"),
+        (["select", "static", "--session", "mine"], "no session mine"),
+        (["select", "static", "--session", "../../etc"], "session"),
+    ],
+)
+def test_commands_that_cannot_work(capsys, monkeypatch, arguments, says):
+    # Not tmp_path, which is too deep for sockets: sessions would be looked for in /tmp.
+    with tempfile.TemporaryDirectory(prefix="kav") as directory:
+        monkeypatch.setattr(tempfile, "tempdir", directory)
+        assert says in refusal(capsys, *arguments)
+
+
+def test_the_installed_command_says_the_same_as_a_process(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "pipelines.cli", "stream", "--setup", "nosuch"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_version_is_said(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out.startswith("kontur-av 0.")

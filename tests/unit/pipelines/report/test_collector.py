@@ -1,0 +1,215 @@
+"""What the processes tell, put together: joined, compared, and added up over their lives."""
+
+from array import array
+from itertools import permutations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.report.collector import STAGES, Collector
+from pipelines.report.skew import Skew
+from pipelines.runtime.probe import Message
+
+STREAMS = ["uplink_video", "uplink_voice"]
+START_NS = 1_000 * NS_PER_S
+
+
+def tell(collector, process, now_ns, *, totals=None, gauges=None, **series):
+    message = Message(totals or {}, gauges or {})
+    for name, rows in series.items():
+        flat = [value for row in rows for value in row]
+        message.series[name.replace("__", ".")] = array("q", flat)
+    collector.handle_message(process, Message.unpack(message.pack()), now_ns)
+
+
+def ms(*values):
+    return [START_NS + value * NS_PER_MS for value in values]
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_stages_are_joined_by_timestamp_in_whichever_order_they_are_told(order):
+    collector = Collector(STREAMS)
+    captured, encoded, sent, received, displayed = ms(0, 5, 12, 30, 47)
+    messages = [
+        ("uplink_video_send", {"tx": [(77, captured, encoded, sent)]}),
+        ("uplink_video_receive", {"rx": [(77, received)]}),
+        ("space_display", {"shown__uplink_video": [(77, captured, displayed)]}),
+    ]
+    for index in order:
+        process, series = messages[index]
+        tell(collector, process, displayed, **series)
+    figures = collector.streams["uplink_video"]
+    stages = [figures.stages[stage] for stage in STAGES]
+    assert [stage.max for stage in stages] == [value * NS_PER_MS for value in (5, 7, 18, 17)]
+    assert [stage.count for stage in stages] == [1] * 4
+    assert figures.latency.max == 47 * NS_PER_MS
+    assert collector.streams["uplink_voice"].latency.count == 0
+
+
+def test_a_picture_of_which_one_end_is_unknown_has_a_latency_but_no_stages():
+    collector = Collector(STREAMS)
+    captured, displayed = ms(0, 20)
+    tell(collector, "space_display", displayed, shown__uplink_video=[(1, captured, displayed)])
+    tell(collector, "uplink_video_receive", displayed, rx=[(2, displayed)])
+    figures = collector.streams["uplink_video"]
+    assert figures.latency.count == 1
+    assert all(stage.count == 0 for stage in figures.stages.values())
+
+
+def test_what_waits_for_its_other_end_is_forgotten_in_time():
+    collector = Collector(STREAMS)
+    (sent,) = ms(0)
+    tell(collector, "uplink_video_send", sent, tx=[(5, sent, sent, sent)])
+    late = sent + 60 * NS_PER_S
+    tell(collector, "uplink_video_receive", late, rx=[(6, late), (5, late)])
+    tell(collector, "space_display", late, shown__uplink_video=[(5, sent, late)])
+    stages = collector.streams["uplink_video"].stages
+    assert all(stage.count == 0 for stage in stages.values())
+
+
+def test_the_capture_time_that_travelled_is_held_against_the_one_stamped():
+    collector = Collector(STREAMS)
+    captured, displayed = ms(0, 20)
+    tell(collector, "uplink_video_send", displayed, tx=[(9, captured, captured, captured)])
+    row = (9, captured + 40_000, displayed)
+    tell(collector, "space_display", displayed, shown__uplink_video=[row])
+    assert collector.streams["uplink_video"].stamp_error.max == 40_000
+
+
+def feel(collector, at_ms, latency_ms):
+    """A force that was measured `latency_ms` before the hand had it."""
+    (received,) = ms(at_ms)
+    sent = received - latency_ms * NS_PER_MS
+    tell(collector, "robot", received, haptic_tx=[(at_ms, sent)])
+    tell(collector, "joystick", received, haptic_rx=[(at_ms, received)])
+
+
+def show(collector, stream, at_ms, latency_ms):
+    (displayed,) = ms(at_ms)
+    row = (at_ms, displayed - latency_ms * NS_PER_MS, displayed)
+    tell(collector, "space_display", displayed, **{f"shown__{stream}": [row]})
+
+
+def test_a_sense_that_is_late_is_positive():
+    collector = Collector(STREAMS)
+    feel(collector, 100, 2)
+    show(collector, "uplink_voice", 110, 30)
+    show(collector, "uplink_video", 120, 52)
+    collector.handle_end()
+    skews = {name: skew.summary_ms()["p50"] for name, skew in collector.skews.items()}
+    assert skews["video_haptic"] == pytest.approx(50, rel=0.01)
+    assert skews["audio_haptic"] == pytest.approx(28, rel=0.01)
+    # The voice came before the picture of the same instant.
+    assert skews["audio_video"] == pytest.approx(-22, rel=0.01)
+
+
+def test_senses_that_were_silent_are_not_compared():
+    collector = Collector(STREAMS)
+    feel(collector, 100, 2)
+    show(collector, "uplink_video", 1200, 52)
+    collector.handle_end()
+    assert all(skew.count == 0 for skew in collector.skews.values())
+
+
+@given(st.lists(st.integers(-(10**9), 10**9), min_size=1, max_size=60))
+def test_percentiles_of_a_signed_skew_are_those_of_its_values(values):
+    skew = Skew()
+    for value in values:
+        skew.add(value)
+    summary = skew.summary_ms()
+    ordered = np.sort(values)
+    assert summary["count"] == len(values)
+    for p in (50, 95, 99):
+        rank = len(values) * p / 100
+        around = ordered[[max(int(rank) - 2, 0), min(int(rank) + 1, len(values) - 1)]] / 1e6
+        slack = 0.005 * np.abs(around).max() + 1e-9
+        assert around[0] - slack <= summary[f"p{p}"] <= around[1] + slack
+    assert abs(summary["max"]) == max(abs(value) for value in values) / 1e6
+
+
+def test_a_process_life_adds_to_its_last():
+    collector = Collector(STREAMS)
+    link = {"transmit": {"frames": 10}}
+    tell(collector, "ground_gateway", START_NS, totals={"slips": 5}, gauges={"link": link})
+    tell(collector, "ground_gateway", START_NS, totals={"slips": 7}, gauges={"link": link})
+    figures = collector.process("ground_gateway")
+    assert figures.total("slips") == 7
+    figures.handle_end()
+    assert figures.total("slips") == 7
+    newer = {"transmit": {"frames": 3}}
+    tell(collector, "ground_gateway", START_NS, totals={"slips": 2}, gauges={"link": newer})
+    assert figures.total("slips") == 9
+    assert [life["transmit"]["frames"] for life in figures.links()] == [10, 3]
+    assert figures.total("never counted") == 0
+
+
+CAP_BPS = 90_000
+
+
+def test_the_rate_of_two_lives_of_a_sender_is_one_rate():
+    collector = Collector(STREAMS)
+    first, second, overtaken = ms(0, 500, 400)
+    tell(
+        collector,
+        "uplink_video_send",
+        second,
+        out=[(first, 1000, CAP_BPS), (second, 1000, CAP_BPS)],
+    )
+    collector.process("uplink_video_send").handle_end()
+    tell(collector, "uplink_video_send", second, out=[(overtaken, 1000, CAP_BPS)])
+    assert collector.streams["uplink_video"].rate.max_bps() == 24_000
+
+
+def test_a_picture_is_compared_with_the_force_of_its_own_instant():
+    collector = Collector(STREAMS)
+    # Half a second of force, told at once, as a process tells it: it comes ever later.
+    instants = [(k, START_NS + k * NS_PER_MS) for k in range(500)]
+    felt = [(k, sent_ns + (2 + k // 10) * NS_PER_MS) for k, sent_ns in instants]
+    tell(collector, "joystick", START_NS + NS_PER_S, haptic_rx=felt)
+    tell(collector, "robot", START_NS + NS_PER_S, haptic_tx=instants)
+    show(collector, "uplink_video", 132, 50)
+    show(collector, "uplink_video", 462, 50)
+    collector.handle_end()
+    skew = collector.skews["video_haptic"]
+    # At 132 ms the sample of 118 ms was felt, 13 ms old; at 462 ms that of 418 ms, 43 ms old.
+    summary = skew.summary_ms()
+    assert skew.count == 2
+    assert summary["max"] == pytest.approx(50 - 13, abs=2.5)
+    assert summary["p50"] == pytest.approx(50 - 43, abs=2.5)
+    rate = collector.haptics["up"].rate
+    assert rate.octets == 500 * 12
+    # One value each 20 ms, not each millisecond: the launcher has more to do.
+    assert rate.events < 35
+
+
+def test_a_robot_that_was_started_again_has_no_latencies_of_its_life_before():
+    collector = Collector(STREAMS)
+    for begun_ms, told_ms in ((0, 3000), (5000, 5500)):
+        sent = [(k, at) for k, at in enumerate(ms(*range(begun_ms, told_ms)))]
+        # Of the first life every tenth is lost. What was received is told first.
+        felt = [(k, at + 3 * NS_PER_MS) for k, at in sent if begun_ms or k % 10]
+        (now_ns,) = ms(told_ms + 100)
+        tell(collector, "joystick", now_ns, haptic_rx=felt)
+        tell(collector, "robot", now_ns, haptic_tx=sent)
+        show(collector, "uplink_video", told_ms - 10, 40)
+    # With the next message the stamps that waited are matched.
+    feel(collector, 5600, 3)
+    collector.handle_end()
+    force = collector.haptics["up"].latency
+    assert (force.count, force.max) == (2700 + 500 + 1, 3 * NS_PER_MS)
+    skew = collector.skews["video_haptic"].summary_ms()
+    assert [skew[name] for name in ("p50", "max")] == pytest.approx([37, 37], rel=0.01)
+
+
+def test_force_of_which_the_sender_never_told_is_passed_over():
+    collector = Collector(STREAMS)
+    feel(collector, 100, 2)
+    (lost_ns,) = ms(200)
+    tell(collector, "joystick", lost_ns, haptic_rx=[(200, lost_ns)])
+    feel(collector, 300, 4)
+    show(collector, "uplink_video", 310, 50)
+    collector.handle_end()
+    assert collector.skews["video_haptic"].summary_ms()["max"] == pytest.approx(46)

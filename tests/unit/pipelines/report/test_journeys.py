@@ -1,0 +1,78 @@
+"""What the collector keeps of pictures' ways and of pauses, out of messages in whichever order."""
+
+from array import array
+from itertools import permutations
+
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.report.collector import Collector
+from pipelines.runtime.probe import Message
+
+PERIOD_MS = 40
+
+
+def tell(collector, process, **series):
+    """A message with (ms, …) rows: what is no timestamp or count is told in ns."""
+    flat = {
+        name.replace("__", "."): array("q", [value for row in rows for value in row])
+        for name, rows in series.items()
+    }
+    collector.handle_message(process, Message({}, {}, flat), 10 * NS_PER_S)
+
+
+def ns(*values_ms):
+    return [value * NS_PER_MS for value in values_ms]
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_the_way_of_a_picture_is_joined_in_whichever_order_it_is_told(order):
+    collector = Collector(["uplink_video"])
+    coding, sent, received, decoded, shown = [], [], [], [], []
+    for number in range(3):
+        captured = 1000 + PERIOD_MS * number
+        at = [captured + step for step in (0, 4, 5, 11, 12, 46, 49, 50)]
+        coding.append((number, *ns(at[1], at[2]), 240, 2))
+        sent.append((number, *ns(at[0], at[3], at[4])))
+        received.append((number, *ns(at[5])))
+        decoded.append((number, *ns(at[6])))
+        shown.append((number, *ns(at[0], at[7])))
+    messages = [
+        ("uplink_video_send", {"coding": coding, "tx": sent}),
+        ("uplink_video_receive", {"decoded": decoded, "rx": received}),
+        ("space_display", {"shown__uplink_video": shown}),
+    ]
+    for index in order:
+        process, series = messages[index]
+        tell(collector, process, **series)
+    way = collector.streams["uplink_video"].way
+    # Nobody knows since when the first one stood for what happened.
+    assert way.pictures == 2
+    parts = ("camera", "capture", "waiting", "encoding", "network", "decoding", "display", "total")
+    found = [way.mean_ns(part) / NS_PER_MS for part in parts]
+    assert found == [PERIOD_MS / 2, 4, 1, 6, 35, 3, 1, 50 + PERIOD_MS / 2]
+    assert (way.octets_mean, way.packets_mean) == (240, 2)
+
+
+def test_a_pause_of_the_camera_is_no_period():
+    collector = Collector(["uplink_video"])
+    tell(
+        collector, "uplink_video_send", coding=[(2, *ns(5000, 5000), 9, 1)], tx=[(2, *ns(5000) * 3)]
+    )
+    tell(collector, "uplink_video_receive", rx=[(2, *ns(5010))])
+    tell(collector, "space_display", shown__uplink_video=[(1, *ns(10, 20)), (2, *ns(5000, 5020))])
+    assert collector.streams["uplink_video"].way.pictures == 0
+
+
+def test_pauses_are_kept_with_their_ends():
+    collector = Collector(["uplink_video"])
+    shown = [(number, *ns(at - 40, at)) for number, at in enumerate((100, 1100, 2101, 2140))]
+    tell(collector, "space_display", shown__uplink_video=shown[:2])
+    tell(collector, "space_display", shown__uplink_video=shown[2:])
+    assert list(collector.streams["uplink_video"].pauses.ended_ns) == [tuple(ns(1100, 2101))]
+    felt = [(number, *ns(at)) for number, at in enumerate((1, 2, 202, 403, 404, 900))]
+    tell(collector, "joystick", haptic_rx=felt[:3])
+    tell(collector, "joystick", haptic_rx=felt[3:])
+    pauses = [tuple(ns(202, 403)), tuple(ns(404, 900))]
+    assert list(collector.haptics["up"].pauses.ended_ns) == pauses
+    assert not collector.haptics["down"].pauses.ended_ns

@@ -1,0 +1,138 @@
+"""What `kontur-av link` tells: rates by the link's own time, and books that are whole."""
+
+import json
+import re
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.report.collector import Collector
+from pipelines.report.link_report import LinkView, build_link_report, process_of, summary_lines
+from pipelines.runtime.probe import Message
+from pipelines.runtime.process import Segment
+from pipelines.setup.built_in import BUILT_IN
+from telepresence.link.gateway import Gateway
+
+SETUP = BUILT_IN["taskboard"]
+ENDS = list(Segment)
+
+
+def gateway(end, now_ns=0, setup=SETUP):
+    ways = [(setup.uplink, setup.uplink_flows), (setup.downlink, setup.downlink_flows)]
+    (out, sent), (back, received) = ways if end is Segment.GROUND else ways[::-1]
+    return Gateway(
+        transmit=out,
+        transmit_flows=sent,
+        receive=back,
+        receive_flows=received,
+        master=end is Segment.GROUND,
+        life=7,
+        now_ns=now_ns,
+    )
+
+
+class Link:
+    """Two gateways on virtual time, and a collector that they tell."""
+
+    def __init__(self):
+        self.collector = Collector([])
+        self.ends = {end: gateway(end) for end in ENDS}
+        self.now_ns = 0
+
+    def run(self, slots, offer=lambda ground, space, now_ns: None):
+        ground, space = self.ends.values()
+        for _ in range(slots):
+            offer(ground, space, self.now_ns)
+            for one, other in ((ground, space), (space, ground)):
+                one.handle_slot(self.now_ns)
+                while (frame := one.poll_transmit(self.now_ns)) is not None:
+                    other.handle_radio(frame, self.now_ns)
+                while other.next_event() is not None:
+                    pass
+            self.now_ns += NS_PER_MS
+        for end, core in self.ends.items():
+            message = Message({"slips": 2}, {"link": core.report(self.now_ns)}, {})
+            self.collector.handle_message(process_of(end), message, self.now_ns)
+
+    def report(self, ends=ENDS, restarts=0):
+        names = [process_of(end) for end in ends]
+        return build_link_report(
+            SETUP,
+            self.collector,
+            ends,
+            seconds=self.now_ns / NS_PER_S,
+            seed=3,
+            cpu_s=dict.fromkeys(names, 0.5),
+            restarts=dict.fromkeys(names, restarts),
+            launcher_cpu_s=0.1,
+        )
+
+
+def haptics(ground, space, now_ns):
+    ground.handle_haptic(bytes(12), now_ns)
+
+
+def test_rates_are_those_since_the_line_before():
+    link, view = Link(), LinkView(SETUP, ENDS)
+    assert view.lines(link.collector, 0.0)[0].endswith("ground: starting")
+    link.run(300)
+    assert "haptic 0.0" in view.lines(link.collector, 0.3)[0]
+    link.run(250, haptics)
+    ground, space = view.lines(link.collector, 0.55)
+    # 12 octets a millisecond, less what went to supervision's slots: none of them.
+    assert re.search(r"haptic 96\.0 tmtc 0\.0", ground)
+    assert "haptic 0.0" in space
+    assert "heard 550 frames, 0 lost, 2 slips" in space
+    # A gateway that was started again counts from 0.
+    link.ends[Segment.GROUND] = gateway(Segment.GROUND, link.now_ns)
+    link.run(100, haptics)
+    assert "haptic 96.0" in view.lines(link.collector, 0.65)[0]
+
+
+def test_the_summary_says_what_the_report_holds():
+    link = Link()
+    link.run(400, haptics)
+    link.collector.process("ground_gateway").totals["strangers_radio"] = 4
+    report = json.loads(json.dumps(link.report()))
+    for direction, octets in (("uplink", 32), ("downlink", 500)):
+        assert report["link"][direction]["frames"] == 400
+        assert sum(report["link"][direction]["octets"].values()) == 400 * octets
+    assert report["gateways"]["ground"]["strangers"] == {"radio": 4}
+    assert report["failures"] == []
+    text = "\n".join(summary_lines(report))
+    assert "taskboard, 0.4 s, radio cable" in text
+    assert "uplink: 400 frames sent, 2 slips" in text
+    ledgers = re.findall(r"of \d+ octets, in %: (.*)", text)
+    assert len(ledgers) == 2
+    for ledger in ledgers:
+        shares = re.findall(r" ([\d.]+)", ledger)
+        assert round(sum(map(float, shares)), 6) == 100
+    assert "from strangers: radio 4" in text
+
+
+def test_a_refusal_is_told_with_its_reason():
+    link, view = Link(), LinkView(SETUP, ENDS)
+    link.ends[Segment.SPACE] = gateway(Segment.SPACE, setup=BUILT_IN["spacejustin"])
+    link.run(100)
+    for lines in (view.lines(link.collector, 0.1), summary_lines(link.report())):
+        told = [line for line in lines if "refused (" in line]
+        assert len(told) == len(ENDS)
+        assert all("give both ends the same setup" in line for line in told)
+
+
+def test_one_end_alone_tells_its_own_half():
+    link = Link()
+    link.run(100)
+    del link.collector.processes["space_gateway"]
+    report = link.report([Segment.GROUND], restarts=1)
+    assert list(report["gateways"]) == ["ground"]
+    assert report["link"]["uplink"]["frames"] == 100
+    assert report["link"]["uplink"]["packets"] == {}
+    assert report["link"]["downlink"]["frames"] == 0
+    text = "\n".join(summary_lines(report))
+    assert "downlink received: 0 frames lost" in text
+    assert "failed: ground_gateway: started again 1 times" in text
+
+
+def test_an_end_that_never_ran_has_a_report():
+    report = Link().report()
+    assert report["gateways"]["space"] == {"strangers": {}, "unsent": 0}
+    assert any("never ran" in line for line in summary_lines(report))

@@ -1,0 +1,95 @@
+"""What a running session shows, on a terminal and elsewhere."""
+
+from array import array
+from types import SimpleNamespace
+
+import pytest
+from rich.console import Console
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.report.collector import Collector
+from pipelines.report.live import _age, _inputs, _line, _streams
+from pipelines.runtime.probe import Message
+from pipelines.setup.built_in import BUILT_IN
+
+SETUP = BUILT_IN["taskboard"]
+
+
+@pytest.fixture
+def launcher():
+    """A session of ten seconds, as far as a view looks at it."""
+    return SimpleNamespace(
+        setup=SETUP,
+        collector=Collector([stream.name for stream in SETUP.streams]),
+        children=[],
+        seconds=10.0,
+        clock=SimpleNamespace(now_ns=lambda: 10 * NS_PER_S),
+    )
+
+
+def table_of(launcher):
+    console = Console(width=118)
+    with console.capture() as capture:
+        console.print(_streams(launcher))
+    return capture.get()
+
+
+def test_the_rate_shown_is_that_of_the_last_second(launcher):
+    # 80 kbit/s in seconds 0 to 2 and 40 kbit/s ever after, told up to half a second ago.
+    rows = [(k * 10 * NS_PER_MS, 100 if k < 200 else 50, 90_000) for k in range(951)]
+    out = array("q", [value for row in rows for value in row])
+    message = Message({}, {}, {"out": out})
+    launcher.collector.handle_message("uplink_video_send", message, 9 * NS_PER_S)
+    felt = [(k % 65536, k * NS_PER_MS) for k in range(8501, 9501)]
+    message = Message({}, {}, {"haptic_rx": array("q", [value for row in felt for value in row])})
+    launcher.collector.handle_message("joystick", message, 9 * NS_PER_S)
+    assert "uplink_video 40.0/90 kbit/s" in _line(launcher)
+    table = table_of(launcher)
+    (video,) = [line for line in table.splitlines() if "uplink_video" in line]
+    assert " 40.0 " in video
+    assert " 80.0 " in video, "the largest second"
+    (force,) = [line for line in table.splitlines() if "haptic_up" in line]
+    assert " 96.0 " in force
+    launcher.clock.now_ns = lambda: 20 * NS_PER_S
+    assert "uplink_video 0.0/90 kbit/s" in _line(launcher)
+
+
+def test_what_is_shown_has_its_age_and_a_word_that_grows_worse(launcher):
+    (stream,) = SETUP.streams
+
+    def shown(state, age_ms, told_s):
+        gauges = {f"{stream.name}.age_ns": age_ms * NS_PER_MS, f"{stream.name}.state": state}
+        launcher.collector.handle_message(
+            "space_display", Message({}, gauges), round(told_s * NS_PER_S)
+        )
+        return _age(launcher, stream)
+
+    assert _age(launcher, stream).plain == "-"
+    assert "age" in table_of(launcher)
+    fresh = shown("fresh", 45, 9.8)
+    assert (fresh.plain, str(fresh.style)) == ("45 ms fresh", "green")
+    assert "STALE" not in _line(launcher)
+    assert shown("damaged", 45, 9.8).plain == "45 ms damaged"
+    assert shown("frozen", 100, 9.8).plain == "100 ms frozen"
+    stale = shown("stale", 1300, 9.8)
+    assert (stale.plain, str(stale.style)) == ("1.3 s stale", "bold white on red")
+    assert "STALE 1.3 s" in _line(launcher)
+    # A display that tells nothing any more shows what it showed last.
+    assert shown("fresh", 45, 6.0).plain == "3.0 s stale"
+
+
+def test_an_input_that_gives_nothing_is_shown_with_its_fault(launcher):
+    told = {
+        "camera_left": {"captured_ns": 7 * NS_PER_S, "source_fault": "the writer has gone"},
+        "camera_right": {"captured_ns": 9 * NS_PER_S, "source_fault": "garbage in the pipe"},
+        "camera_static": {"captured_ns": 9 * NS_PER_S},
+    }
+    for process, gauges in told.items():
+        launcher.collector.handle_message(process, Message({}, gauges), 9 * NS_PER_S)
+    silent = "camera_left: no picture for 3 s (the writer has gone)"
+    lines = [(line.plain, str(line.style)) for line in _inputs(launcher)]
+    assert lines == [
+        (silent, "bold red"),
+        ("camera_right: garbage in the pipe", "yellow"),
+    ]
+    assert _line(launcher).endswith(silent)

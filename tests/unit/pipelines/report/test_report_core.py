@@ -1,0 +1,276 @@
+"""The report that is built from what a collector knows."""
+
+import json
+from array import array
+from dataclasses import replace
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.report.collector import Collector
+from pipelines.report.link_figures import ledger_percent, link_figures
+from pipelines.report.session_report import build_report, failures
+from pipelines.report.silence import silences
+from pipelines.runtime.probe import Message
+from pipelines.setup.built_in import BUILT_IN
+from telepresence.link.gateway import Gateway
+
+SETUP = BUILT_IN["taskboard"]
+PARTS = ("uplink_video_send", "uplink_video_receive", "space_display", "robot", "joystick")
+
+
+def told(octets_a_packet=300, displayed=30, received=1000):
+    """A collector after a second of 30 packets."""
+    collector = Collector([stream.name for stream in SETUP.streams])
+    cap_bps = SETUP.uplink_video.cap_bps
+    out = [value for k in range(30) for value in (k * 33 * NS_PER_MS, octets_a_packet, cap_bps)]
+    totals = {
+        "uplink_video_send": {"frames_captured": 31, "frames_encoded": 30, "frames_sent": 30},
+        "uplink_video_receive": {"rtp_packets": 30, "rtp_lost": 0, "garbage": 2},
+        "space_display": {"uplink_video.frames_displayed": displayed},
+        "robot": {"sent": 1000, "received": received, "lost": 0},
+        "joystick": {"sent": 1000, "received": received, "lost": 1},
+    }
+    for process, values in totals.items():
+        series = {"out": array("q", out)} if process == "uplink_video_send" else {}
+        collector.handle_message(process, Message(values, {}, series), NS_PER_S)
+    return collector
+
+
+def report_of(collector, seconds=5.0):
+    return build_report(
+        SETUP,
+        collector,
+        seconds=seconds,
+        cpu_s=dict.fromkeys(PARTS, 0.5),
+        restarts={**dict.fromkeys(PARTS, 0), "robot": 2},
+        launcher_cpu_s=1.0,
+    )
+
+
+def test_the_report_says_what_was_counted():
+    report = json.loads(json.dumps(report_of(told())))
+    stream = report["streams"]["uplink_video"]
+    assert stream["payload_bps_max_1s"] == 30 * 300 * 8
+    assert stream["cap_bps"] == 90_000
+    assert (stream["frames_captured"], stream["frames_sent"], stream["rtp_packets"]) == (31, 30, 30)
+    assert stream["frames_displayed"] == 30
+    assert report["haptic"]["up"]["lost"] == 1
+    assert report["haptic"]["down"]["lost"] == 0
+    assert report["processes"]["robot"]["restarts"] == 2
+    assert report["processes"]["uplink_video_receive"]["counts"]["garbage"] == 2
+    assert "garbage" not in report["processes"]["space_display"]["counts"]
+    assert report["cpu"]["total_s"] == 0.5 * len(PARTS) + 1.0
+    assert report["failures"] == []
+
+
+def test_a_broken_cap_is_a_failure():
+    (failure,) = failures(SETUP, told(octets_a_packet=376), 5.0)
+    assert failure.startswith("uplink_video: 90240 bit/s")
+    assert failures(SETUP, told(octets_a_packet=375), 5.0) == []
+
+
+def test_a_stream_that_nobody_saw_is_a_failure():
+    (failure,) = failures(SETUP, told(displayed=0), 5.0)
+    assert failure == "uplink_video: nothing was displayed"
+    # Too short to say anything.
+    assert failures(SETUP, told(displayed=0), 1.0) == []
+
+
+def hearing(collector, since_ns, *, signal=True):
+    """The same collector, whose gateway in space has heard the ground since then, as of 9 s."""
+    contacts = [{"acquired_ns": 0, "lost_ns": 5}, {"acquired_ns": since_ns - 1000, "lost_ns": None}]
+    supervision = {"signal": signal, "begun_ns": 1000, "contacts": contacts}
+    link = {"link": {"supervision": supervision}}
+    collector.handle_message("space_gateway", Message({}, link, {}), 9 * NS_PER_S)
+    return collector
+
+
+def test_what_the_radio_keeps_back_is_no_failure():
+    unseen = told(displayed=0, received=0)
+    in_space = ["uplink_video: nothing was displayed", "haptic_up: no sample was received"]
+    down = ["haptic_down: no sample was received"]
+    assert failures(SETUP, hearing(unseen, 2 * NS_PER_S), 9.0) == in_space + down
+    assert failures(SETUP, hearing(unseen, 8 * NS_PER_S), 9.0) == down
+    assert failures(SETUP, hearing(unseen, 2 * NS_PER_S, signal=False), 9.0) == down
+
+
+def test_a_hand_that_felt_nothing_is_a_failure():
+    assert len(failures(SETUP, told(received=0), 5.0)) == 2
+
+
+def test_a_session_that_ended_at_once_still_has_a_report():
+    empty = Collector([stream.name for stream in SETUP.streams])
+    report = json.loads(json.dumps(report_of(empty, seconds=0.0)))
+    assert report["streams"]["uplink_video"]["payload_bps_mean"] == 0
+    assert report["link"]["uplink"]["frames"] == 0
+
+
+def test_the_mean_rate_is_that_of_the_whole_session():
+    # 30 packets of 300 octets came in its first second; then the sender fell silent.
+    stream = report_of(told(), seconds=4.0)["streams"]["uplink_video"]
+    assert stream["payload_bps_mean"] == 30 * 300 * 8 / 4
+
+
+def test_whatever_a_process_counted_is_told():
+    collector = told()
+    totals = {"captured": 100, "source_faults": 2}
+    collector.handle_message("robot", Message(totals, {"jitter_ns": 7}), NS_PER_S)
+    collector.process("robot").handle_end()
+    collector.handle_message("robot", Message({"captured": 1}, {}), NS_PER_S)
+    entry = report_of(collector)["processes"]["robot"]
+    assert entry["counts"]["captured"] == 101
+    assert entry["counts"]["source_faults"] == 2
+    assert entry["jitter_ns"] == 7
+
+
+def test_a_gateway_that_was_killed_keeps_what_it_had_counted():
+    collector = told()
+    now_ns = 5 * NS_PER_S
+    for packets in (3, 4):
+        gateway = Gateway(
+            transmit=SETUP.uplink,
+            transmit_flows=SETUP.uplink_flows,
+            receive=SETUP.downlink,
+            receive_flows=SETUP.downlink_flows,
+            master=True,
+            life=packets,
+            now_ns=now_ns,
+        )
+        for k in range(packets):
+            # RTP that is not worth a context, and after it none at all.
+            packet = b"\x80\x60" + k.to_bytes(2, "big") + bytes(20)
+            gateway.handle_datagram("uplink_video", packet, now_ns)
+        gateway.handle_slot(now_ns)  # supervision's
+        gateway.handle_slot(now_ns)
+        later_ns = now_ns + NS_PER_S
+        message = Message({}, {"link": gateway.report(later_ns)})
+        collector.handle_message("ground_gateway", message, later_ns)
+        collector.process("ground_gateway").handle_end()
+        last = gateway.report(later_ns)["transmit"]["queue"]["video"]
+    link = report_of(collector)["link"]["uplink"]
+    queue = link["queue"]["video"]
+    assert queue["accepted"] == 7
+    assert sum(queue["drops"].values()) == 2 + 3
+    assert queue["max_octets"] == last["max_octets"]
+    assert link["headers"]["uplink_video"]["packets"] == 2
+
+
+def test_a_report_that_lacks_values_is_a_failure():
+    collector = told()
+    collector.handle_message("space_display", Message({"probe_values_dropped": 60}), NS_PER_S)
+    (failure,) = failures(SETUP, collector, 5.0)
+    assert failure == "space_display: 60 values for this report were lost"
+
+
+def test_a_latency_below_nothing_is_a_failure():
+    collector = told()
+    shown = {"shown.uplink_video": array("q", (1, 2 * NS_PER_S, NS_PER_S))}
+    collector.handle_message("space_display", Message({}, {}, shown), NS_PER_S)
+    (failure,) = failures(SETUP, collector, 5.0)
+    assert failure == "uplink_video: 1 latencies below 0 (capture_to_displayed)"
+
+
+def run_on(collector, *, shown_until_s, captured_until_s, seconds=8, camera="left"):
+    """What is told twice a second while a camera gives pictures and the display shows them."""
+    for half in range(1, 2 * seconds + 1):
+        now_ns = half * NS_PER_S // 2
+        captured_ns = min(now_ns, round(captured_until_s * NS_PER_S))
+        gauges = {"captured_ns": captured_ns}
+        collector.handle_message(f"camera_{camera}", Message({}, gauges), now_ns)
+        if now_ns <= shown_until_s * NS_PER_S:
+            shown = {"shown.uplink_video": array("q", (half, now_ns - NS_PER_MS, now_ns))}
+            totals = {"uplink_video.frames_displayed": half}
+            collector.handle_message("space_display", Message(totals, {}, shown), now_ns)
+    return collector
+
+
+def test_a_stream_that_died_in_the_middle_is_a_failure():
+    (failure,) = failures(SETUP, run_on(told(), shown_until_s=3, captured_until_s=8), 8.0)
+    assert failure.startswith("uplink_video: nothing was displayed in the last 5.0 s")
+    # It may be about to come back.
+    assert failures(SETUP, run_on(told(), shown_until_s=6.5, captured_until_s=8), 8.0) == []
+    # What is under way is not missed yet.
+    slow = replace(SETUP, radio_delay_ms=4000)
+    assert failures(slow, run_on(told(), shown_until_s=3, captured_until_s=8), 8.0) == []
+
+
+def test_a_stream_whose_input_stopped_is_no_failure():
+    collector = run_on(told(), shown_until_s=3, captured_until_s=3)
+    assert failures(SETUP, collector, 8.0) == []
+    # Nor is one whose input has only just come back.
+    gauges = {"captured_ns": 8 * NS_PER_S}
+    collector.handle_message("camera_left", Message({}, gauges), 8 * NS_PER_S)
+    assert failures(SETUP, collector, 8.0) == []
+
+
+def test_a_stream_is_judged_by_the_camera_that_is_selected():
+    def select(collector, camera, at_s):
+        message = Message({}, {"selected": camera})
+        collector.handle_message("selector", message, round(at_s * NS_PER_S))
+        return collector
+
+    setup = BUILT_IN["spacejustin"]
+    collector = Collector([stream.name for stream in setup.streams])
+    select(collector, "head", 3)
+    run_on(collector, shown_until_s=3, captured_until_s=8, camera="static")
+    found = [failure for failure in failures(setup, collector, 8.0) if "uplink_video" in failure]
+    assert found == [], "the camera that is shown gives nothing"
+    select(collector, "static", 7.5)
+    found = [failure for failure in failures(setup, collector, 8.0) if "uplink_video" in failure]
+    assert found == [], "half a second after the switch nothing need be there"
+    select(collector, "head", 3)
+    select(collector, "static", 5)
+    (found,) = [failure for failure in failures(setup, collector, 8.0) if "uplink_video" in failure]
+    assert "in the last 3.0 s" in found
+
+
+def test_an_input_that_gives_nothing_is_named():
+    collector = run_on(told(), shown_until_s=3, captured_until_s=3)
+    fault = {"source_fault": "the writer has gone"}
+    collector.handle_message("camera_left", Message({}, fault), 8 * NS_PER_S)
+    (silence,) = silences(SETUP, collector)
+    assert str(silence) == "camera_left: no picture for 5 s (the writer has gone)"
+    (silence,) = silences(SETUP, collector, 10 * NS_PER_S)
+    assert silence.silent_ns == 7 * NS_PER_S
+    report = build_report(
+        SETUP,
+        collector,
+        seconds=8.0,
+        cpu_s={"camera_left": 1.0},
+        restarts={"camera_left": 0},
+        launcher_cpu_s=0.1,
+    )
+    assert report["processes"]["camera_left"]["silent_s"] == 5.0
+    # As long as it gives, there is nothing to say.
+    assert silences(SETUP, run_on(told(), shown_until_s=8, captured_until_s=8)) == []
+
+
+def test_an_input_that_never_gave_anything_is_named():
+    collector = told()
+    for now_ns in (NS_PER_S, 4 * NS_PER_S):
+        collector.handle_message("camera_left", Message({"captured": 0}), now_ns)
+    (silence,) = silences(SETUP, collector)
+    assert str(silence) == "camera_left: no picture for 3 s"
+
+
+@given(st.dictionaries(st.text(min_size=1, max_size=8), st.integers(0, 10**12), max_size=12))
+def test_the_ledger_in_percent_is_a_hundred_exactly(octets):
+    shares = ledger_percent(octets)
+    if sum(octets.values()):
+        assert sum(round(100 * share) for share in shares.values()) == 10_000
+        total = sum(octets.values())
+        assert all(abs(shares[k] - 100 * n / total) < 0.0101 for k, n in octets.items())
+    else:
+        assert shares == {}
+
+
+def test_the_arithmetic_of_a_direction_adds_up_to_what_it_has():
+    for name in ("spacejustin", "taskboard"):
+        setup = BUILT_IN[name]
+        for direction, profile in (("uplink", setup.uplink), ("downlink", setup.downlink)):
+            lines = link_figures(setup, Collector([]), direction)["arithmetic"]
+            assert sum(line["bps"] for line in lines) == profile.media_bps
+            assert lines[-1]["what"] == "spare"
+            assert lines[-1]["bps"] > 0

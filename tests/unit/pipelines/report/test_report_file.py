@@ -1,0 +1,71 @@
+"""Where a report goes: whole into a file, and into a device without taking its place."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.report.report_file import check_writable, write_report
+
+
+def test_a_file_is_replaced_as_a_whole(tmp_path):
+    path = tmp_path / "r.json"
+    path.write_text("old")
+    write_report(path, {"a": 1})
+    assert json.loads(path.read_text()) == {"a": 1}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_fifo_and_a_link_stay_what_they_are(tmp_path):
+    fifo, link, target = tmp_path / "fifo", tmp_path / "link", tmp_path / "target"
+    os.mkfifo(fifo)
+    got = []
+    reader = threading.Thread(target=lambda: got.append(fifo.read_text()))
+    reader.start()
+    write_report(fifo, {"a": 1})
+    reader.join(10)
+    assert json.loads(got[0]) == {"a": 1}
+    assert fifo.is_fifo()
+    target.write_text("old")
+    link.symlink_to(target)
+    write_report(link, {"b": 2})
+    assert link.is_symlink()
+    assert json.loads(target.read_text()) == {"b": 2}
+
+
+@pytest.mark.parametrize("name", ["link", "plain"])
+def test_an_interrupt_leaves_what_was_there_and_nothing_else(name, tmp_path, monkeypatch):
+    (tmp_path / "plain").write_text("old")
+    (tmp_path / "link").symlink_to("plain")
+    write = Path.write_text
+
+    def interrupted(path, text, **options):
+        write(path, text[: len(text) // 2], **options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_text", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_report(tmp_path / name, {"a": 1})
+    assert (tmp_path / "plain").read_text() == "old"
+    assert {path.name for path in tmp_path.iterdir()} == {"plain", "link"}
+
+
+def test_what_is_printed_goes_on_behind_a_report_on_stdout(tmp_path):
+    script = "from pathlib import Path; from pipelines.report.report_file import write_report\n"
+    script += "write_report(Path('/dev/stdout'), {'a': 1}); print(7, flush=True)"
+    with (tmp_path / "out").open("a") as out:
+        subprocess.run([sys.executable, "-c", script], stdout=out, check=True)
+    assert (tmp_path / "out").read_text().endswith("}\n7\n")
+
+
+def test_a_device_is_writable_though_its_directory_is_not(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: not Path(path).is_dir())
+    check_writable(Path("/dev/null"))
+    for path in (tmp_path / "r.json", tmp_path):
+        with pytest.raises(ConfigError, match="cannot be written"):
+            check_writable(path)

@@ -1,0 +1,180 @@
+"""Which of what was found belongs to which contact, and what follows from it."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.report.sync.figures import SyncFigures, disagreements, rank, skew_summary
+from pipelines.report.sync.limits import LIMITS
+from pipelines.report.sync.matching import Found, match
+from pipelines.report.sync.section import sync_section
+from pipelines.setup.built_in import BUILT_IN
+
+MS = NS_PER_MS
+
+
+def at(ms, strength=1.0):
+    return Found(round(ms * MS), strength)
+
+
+@given(
+    gaps=st.lists(st.integers(1600, 4000), min_size=1, max_size=20),
+    delay=st.integers(1, 600),
+    missing=st.sets(st.integers(0, 19)),
+)
+def test_each_contact_gets_its_own(gaps, delay, missing):
+    contacts = [sum(gaps[: index + 1]) * MS for index in range(len(gaps))]
+    found = [
+        Found(contact + delay * MS)
+        for index, contact in enumerate(contacts)
+        if index not in missing
+    ]
+    matched = match(contacts, found)
+    for index, (contact, one) in enumerate(zip(contacts, matched, strict=True)):
+        assert (one is None) == (index in missing)
+        assert one is None or one.instant_ns == contact + delay * MS
+    used = [one for one in matched if one is not None]
+    assert len(used) == len(set(used))
+
+
+def test_the_usual_delay_decides_between_candidates():
+    contacts = [second * 2 * NS_PER_S for second in range(10)]
+    found = [at(second * 2000 + 80, 1.0) for second in range(10)]
+    # Something stronger, at another time after each contact.
+    found += [at(second * 2000 + 300 + 97 * second, 1.5) for second in range(10)]
+    found.sort(key=lambda one: one.instant_ns)
+    assert [one.instant_ns % (2 * NS_PER_S) for one in match(contacts, found)] == [80 * MS] * 10
+
+
+def test_something_weak_and_far_off_stands_in_for_nothing():
+    contacts = [second * 2 * NS_PER_S for second in range(8)]
+    found = [at(second * 2000 + 80, 10.0) for second in range(8) if second != 4]
+    found += [at(4 * 2000 + 900, 3.0)]
+    assert match(contacts, sorted(found, key=lambda one: one.instant_ns))[4] is None
+
+
+def test_nothing_is_perceived_sooner_than_it_can_be():
+    assert match([0], [at(200)], soonest_ns=250 * MS) == [None]
+    assert match([0], [at(200), at(320)], soonest_ns=250 * MS) == [at(320)]
+
+
+def test_without_contacts_or_findings_there_is_nothing():
+    assert match([], [at(1)]) == []
+    assert match([0, NS_PER_S], []) == [None, None]
+
+
+def figures(stamp_off_ms=0.0, contacts=10, slack_ms=33):
+    """Contacts 2.03 s apart; light after 70 ms, click after 50, force after 3."""
+    sync = SyncFigures()
+    for number in range(contacts):
+        at_ns = number * 2030 * MS
+        off_ns = round(stamp_off_ms * MS)
+        sync.handle_rows("contact", "", [(at_ns, 1)])
+        light = at_ns + 70 * MS, at_ns + off_ns + 10 * MS, slack_ms * MS, 500
+        sync.handle_rows("light", "uplink_video", [light])
+        sync.handle_rows("light", "downlink_video", [light])
+        sync.handle_rows("click", "uplink_voice", [(at_ns + 50 * MS, at_ns + off_ns, 0, 5000)])
+        sync.handle_rows("step", "", [(at_ns + 3 * MS,)])
+    sync.handle_time(100 * NS_PER_S, lambda instant_ns: instant_ns - 3 * MS)
+    return sync
+
+
+def test_latencies_skews_and_verdicts():
+    report = figures().report(["light", "click", "force"])
+    assert report["events"] == 10
+    assert [report["senses"][sense]["latency_ms"]["p50"] for sense in report["senses"]] == [
+        70,
+        50,
+        3,
+    ]
+    assert all(sense["agrees"] for sense in report["senses"].values())
+    assert {name: skew["p50"] for name, skew in report["skew_ms"].items()} == {
+        "video_haptic": 67,
+        "audio_haptic": 47,
+        "audio_video": -20,
+    }
+    assert report["skew_ms"]["audio_video"]["within"] == 1.0
+    assert report["senses"]["light"]["found"] == 10
+    assert disagreements(report) == []
+
+
+@pytest.mark.parametrize(("off_ms", "wrong"), [(40, 2), (-40, 2), (5, 1), (-3, 1), (1, 0)])
+def test_stamps_that_are_off_are_named(off_ms, wrong):
+    lines = disagreements(figures(off_ms).report(["light", "click", "force"]))
+    assert len(lines) == wrong
+    assert all("disagree" in line for line in lines)
+
+
+def test_two_contacts_make_no_verdict():
+    report = figures(40, contacts=2).report(["light", "click", "force"])
+    assert report["senses"]["light"]["agrees"] is None
+    assert disagreements(report) == []
+
+
+def test_bounces_and_touches_beside_a_target_are_told_apart():
+    sync = figures()
+    sync.handle_rows("contact", "", [(50 * MS, 1), (1000 * MS, -1)])
+    report = sync.report(["light", "click", "force"])
+    assert (report["events"], report["bounces"], report["touches_beside_targets"]) == (10, 1, 1)
+
+
+@pytest.mark.parametrize("late_ms", [1, 11, 200])
+def test_the_last_contact_is_not_missed_because_its_force_has_no_stamp_yet(late_ms):
+    soonest_ns, end_ns = min(late_ms, 10) * MS, 20 * NS_PER_S
+    for before_end_ms in range(900, 1300, 10):
+        sync = SyncFigures()
+        for at_ns in (9 * NS_PER_S, end_ns - before_end_ms * MS):
+            sync.handle_rows("contact", "", [(at_ns, 0)])
+            sync.handle_rows("step", "", [(at_ns + late_ms * MS,)])
+        sync.handle_time(end_ns, lambda instant_ns: instant_ns)
+        assert sync.report(["force"], soonest_ns=soonest_ns)["senses"]["force"]["missed"] == 0
+
+
+def test_a_sense_that_a_setup_lacks_has_no_figures():
+    report = figures().report(["light", "force"])
+    assert report["senses"]["click"] is None
+    assert [name for name, skew in report["skew_ms"].items() if skew] == ["video_haptic"]
+    assert SyncFigures().report(["light"]) is None
+
+
+@pytest.mark.parametrize(
+    ("sources", "senses"),
+    [
+        ({}, ["light", "click", "force"]),
+        ({"ground_mic": "alsa:default"}, ["light", "force"]),
+        ({"ground_mic": "scene:cabin_voice"}, ["light", "force"]),
+        ({"head": "film.mp4"}, ["click", "force"]),
+        (
+            {"iss_mic": "alsa:default", "iss_camera": "v4l2:/dev/video0"},
+            ["light", "click", "force"],
+        ),
+    ],
+)
+def test_what_flashes_in_a_film_or_clicks_before_a_microphone_is_no_contact(sources, senses):
+    setup = replace(BUILT_IN["spacejustin"], sources=sources)
+    # As if each had been there 40 ms too late.
+    section = sync_section(setup, figures(40), media=True)
+    assert [sense for sense, found in section["senses"].items() if found] == senses
+    assert len(disagreements(section)) == len(senses) - 1
+
+
+def test_limits_are_those_of_the_sources():
+    assert LIMITS["audio_video"].holds(125 * MS)
+    assert LIMITS["audio_video"].holds(-45 * MS)
+    assert not LIMITS["audio_video"].holds(-46 * MS)
+    assert LIMITS["video_haptic"].holds(15 * MS)  # touch 15 ms before sight
+    assert not LIMITS["video_haptic"].holds(16 * MS)
+    assert LIMITS["video_haptic"].holds(-50 * MS)
+    assert not LIMITS["audio_haptic"].holds(25 * MS)
+    assert skew_summary("audio_haptic", [10 * MS, 30 * MS])["within"] == 0.5
+
+
+@given(st.lists(st.integers(-(10**9), 10**9), min_size=1), st.sampled_from((50, 95, 99)))
+def test_a_percentile_is_a_value_that_so_many_do_not_exceed(values, p):
+    ordered = sorted(values)
+    value = rank(ordered, p)
+    assert sum(one <= value for one in ordered) * 100 >= p * len(ordered)
+    assert sum(one < value for one in ordered) * 100 < p * len(ordered)

@@ -1,0 +1,91 @@
+"""Asking a running session: which one, and what if it does not answer."""
+
+import json
+import shutil
+import socket
+import tempfile
+import threading
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.runtime.control import ask, console_path, running_sessions
+
+
+@pytest.fixture
+def console(monkeypatch):
+    """console(session, answer): somebody who listens, and what they were asked."""
+    # Not tmp_path: a socket's path has to be short.
+    directory = tempfile.mkdtemp(prefix="kav")
+    monkeypatch.setattr(tempfile, "tempdir", directory)
+    listeners = []
+
+    def listen(session, answer):
+        path = console_path(session)
+        path.parent.parent.mkdir(mode=0o700, exist_ok=True)
+        path.parent.mkdir()
+        listener = socket.socket(socket.AF_UNIX)
+        listener.bind(str(path))
+        listener.listen()
+        listeners.append(listener)
+        asked = []
+
+        def run():
+            while True:
+                try:
+                    link, _ = listener.accept()
+                except OSError:
+                    return
+                with link:
+                    link.settimeout(5)
+                    line = link.makefile("rb").readline()
+                    if line:
+                        asked.append(json.loads(line))
+                        link.sendall(answer)
+
+        threading.Thread(target=run, daemon=True).start()
+        return asked
+
+    yield listen
+    for listener in listeners:
+        listener.shutdown(socket.SHUT_RDWR)
+        listener.close()
+    shutil.rmtree(directory)
+
+
+def test_the_only_session_is_asked(console):
+    asked = console("one", b'{"ok": true}\n')
+    assert ask({"select": "static"}) == {"ok": True}
+    assert asked == [{"select": "static"}]
+
+
+def test_of_several_sessions_one_has_to_be_named(console):
+    console("one", b'{"ok": true}\n')
+    asked = console("two", b'{"ok": true}\n')
+    assert sorted(running_sessions()) == ["one", "two"]
+    with pytest.raises(ConfigError, match="--session"):
+        ask({"select": "static"})
+    assert ask({"select": "head"}, "two") == {"ok": True}
+    assert asked == [{"select": "head"}]
+
+
+def test_a_session_that_was_killed_is_passed_over(console):
+    console("one", b'{"ok": true}\n')
+    console_path("dead").parent.mkdir(parents=True)
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(console_path("dead")))
+    assert ask({"select": "static"})["ok"]
+
+
+def test_the_answer_comes_after_the_time_that_it_takes(console):
+    console("one", b'{"wait_s": 61.5}\n{"ok": true}\n')
+    assert ask({"select": "static"}) == {"ok": True}
+
+
+CUT = (b"", b"garbage\n", b"[1]\n", b'{"ok": tr', b"\xff\xfe\n", b'{"wait_s": 1.5}\n')
+
+
+@pytest.mark.parametrize("answer", CUT)
+def test_a_console_that_falls_in_the_middle_is_no_success(console, answer):
+    console("one", answer)
+    assert not ask({"select": "static"})["ok"]

@@ -1,0 +1,241 @@
+"""Setups: the built-in ones, and a user's own with every field that there is."""
+
+from dataclasses import asdict, fields
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from kontur_av.media import CaptureStamp
+from kontur_av.rtp.sender import RtpSender
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.setup.names import HOUSEKEEPING_INTERVAL_NS, REPORT_INTERVAL_NS, cname
+from pipelines.setup.setup_file import load_setup
+from pipelines.setup.table import Ports, Setup, VideoStream
+from telepresence.link.arithmetic import RESERVE_BPS, RESUME_OCTETS, TAG_OCTETS
+from telepresence.tmtc import Housekeeping, pack_packet
+
+EVERY_FIELD = """
+name = "wrist"
+cameras = ["wrist", "stereo"]
+radio = "cable"
+radio_delay_ms = 12.5
+deadband = "latency"
+base_port = 21000
+
+[uplink_video]
+cap_kbps = 62.5
+size = "320x240"
+fps = 25
+stale_after_ms = 250.5
+coded = "160x120"
+
+[uplink_voice]
+cap_kbps = 6.4
+stale_after_ms = 90
+
+[downlink_video]
+cap_kbps = 300
+size = "800x600"
+fps = 15
+
+[downlink_voice]
+cap_kbps = 24
+
+[sources]
+wrist = "pipe:/tmp/wrist.y4m"
+left = "left.mp4"
+
+[uplink]
+frame_octets = 40
+
+[downlink]
+frame_octets = 250
+"""
+
+
+def test_every_field_of_a_file_arrives(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(EVERY_FIELD)
+    setup = load_setup(str(path))
+    for entry in fields(Setup):
+        assert f"{entry.name}" in EVERY_FIELD, f"{entry.name} is not in the file of this test"
+    assert (setup.name, setup.cameras) == ("wrist", ("wrist", "stereo"))
+    assert (setup.radio, setup.radio_delay_ms, setup.base_port) == ("cable", 12.5, 21_000)
+    assert setup.deadband == "latency"
+    video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
+    assert asdict(setup.uplink_video) == video | {"stale_after_ms": 250.5, "coded": (160, 120)}
+    down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
+    assert asdict(setup.downlink_video) == down | {"stale_after_ms": None, "coded": None}
+    voice = {"name": "uplink_voice", "cap_bps": 6_400, "stale_after_ms": 90}
+    assert asdict(setup.uplink_voice) == voice
+    down = {"name": "downlink_voice", "cap_bps": 24_000, "stale_after_ms": None}
+    assert asdict(setup.downlink_voice) == down
+    # Beyond the radio's delay: 100 ms and four periods, where the file says nothing.
+    ages_ms = [setup.stale_after_ns(stream) / 1e6 for stream in setup.streams]
+    assert ages_ms == pytest.approx([250.5, 90, 12.5 + 100 + 4000 / 15, 12.5 + 100 + 80])
+    assert setup.source("wrist") == "pipe:/tmp/wrist.y4m"
+    assert setup.source("left") == "left.mp4"
+    assert setup.source("right").startswith("scene:")
+    assert (setup.uplink.frame_octets, setup.downlink.frame_octets) == (40, 250)
+    inputs = ("wrist", "left", "right", "ground_mic", "iss_camera", "iss_mic")
+    assert setup.inputs == inputs
+    assert setup.stream_of("iss_camera") is setup.downlink_video
+    assert setup.stream_of("wrist") is setup.uplink_video
+    kinds = [setup.kind_of(name) for name in setup.inputs]
+    assert kinds == ["video", "video", "video", "audio", "video", "audio"]
+
+
+def test_a_file_is_named_after_itself(tmp_path):
+    path = tmp_path / "arm.toml"
+    path.write_text('cameras = ["static"]\nuplink_video = {cap_kbps = 50}\n')
+    setup = load_setup(str(path))
+    assert setup.name == "arm"
+    assert [stream.name for stream in setup.streams] == ["uplink_video"]
+    assert setup.inputs == ("static",)
+
+
+@pytest.mark.parametrize(
+    ("fields_of_it", "message"),
+    [
+        ("cap_kbps = inf", "uplink_video.cap_kbps is inf: .* finite"),
+        ("cap_kbps = nan", "uplink_video.cap_kbps is nan: .* finite"),
+        ("cap_kbps = 50\n[uplink_voice]\ncap_kbps = 6", "uplink_voice: a cap of 6 kbit/s: .* 6.24"),
+        ("cap_kbps = 50\n[downlink_voice]\ncap_kbps = 129", "downlink_voice: .* 129 .* most 128"),
+        ("cap_kbps = 50\ncoded = '800x600'", "coded as 800x600: take no larger size"),
+        ("cap_kbps = 50\nstale_after_ms = 2", "uplink_video: stale after 2 ms; take 10 to"),
+        ("cap_kbps = 50\nstale_after_ms = '1 s'", "uplink_video.stale_after_ms must be a number"),
+        ('cap_kbps = 50\nsize = "640"', "^uplink_video.size '640': write WIDTHxHEIGHT"),
+    ],
+)
+def test_a_value_that_cannot_be_is_named_with_its_field(tmp_path, fields_of_it, message):
+    path = tmp_path / "odd.toml"
+    path.write_text(f'cameras = ["static"]\n[uplink_video]\n{fields_of_it}\n')
+    with pytest.raises(ConfigError, match=message):
+        load_setup(str(path))
+
+
+def test_what_the_radio_alone_makes_stale_is_refused(tmp_path):
+    path = tmp_path / "far.toml"
+    path.write_text(
+        'cameras = ["static"]\nradio = "geo"\n[uplink_video]\ncap_kbps = 50\nstale_after_ms = 200\n'
+    )
+    with pytest.raises(ConfigError, match="uplink_video: stale after 200 ms, but the radio takes"):
+        load_setup(str(path))
+
+
+@pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
+def test_the_built_in_setups_fit_their_channels(setup):
+    caps = {stream.name: stream.cap_bps for stream in setup.streams}
+    assert setup.need_up().payload_bps == sum(
+        cap for name, cap in caps.items() if name.startswith("uplink")
+    )
+    assert setup.need_up().spare_bps >= 0
+    assert setup.need_down().spare_bps >= 0
+    assert setup.uplink.capacity_bps == 256_000
+    assert setup.downlink.capacity_bps == 4_000_000
+
+
+def test_the_caps_are_those_of_the_specification():
+    spacejustin = {stream.name: stream.cap_bps for stream in BUILT_IN["spacejustin"].streams}
+    assert spacejustin == {
+        "uplink_video": 85_000,
+        "uplink_voice": 8_000,
+        "downlink_video": 512_000,
+        "downlink_voice": 64_000,
+    }
+    taskboard = {stream.name: stream.cap_bps for stream in BUILT_IN["taskboard"].streams}
+    assert taskboard == {"uplink_video": 90_000}
+
+
+def test_a_large_picture_takes_several_packets():
+    spacejustin = BUILT_IN["spacejustin"]
+    assert spacejustin.uplink_video.packets_per_s == 30
+    assert spacejustin.downlink_video.packets_per_s == 90
+    seldom = VideoStream(name="uplink_video", cap_bps=85_000, fps=1)
+    assert seldom.packets_per_s == 11
+    # A cap so low that no packet of 1000 octets may leave within 100 ms.
+    assert VideoStream(name="uplink_video", cap_bps=20_000, fps=1).payload_octets == 375
+
+
+def test_the_reserve_holds_the_reports_and_the_telemetry_of_a_session():
+    rtp = RtpSender(
+        payload_type=96,
+        clock_rate_hz=90_000,
+        ssrc=1,
+        first_sequence=0,
+        timestamp_offset=0,
+        cname=cname("uplink_video"),
+    )
+    rtp.audio_packets(b"\x08", CaptureStamp(0, 0, "test"))
+    report = rtp.poll_report(0, lambda now_ns: now_ns)
+    state = pack_packet(Housekeeping("taskboard1", contact=True, force_n=1.0), 0)
+    octets_per_s = 2 * (TAG_OCTETS + len(report)) * 1e9 / REPORT_INTERVAL_NS
+    octets_per_s += (TAG_OCTETS + RESUME_OCTETS + len(state)) * 1e9 / HOUSEKEEPING_INTERVAL_NS
+    assert 0 <= RESERVE_BPS / 8 - octets_per_s <= 5
+
+
+def test_no_two_ends_share_a_port():
+    setup = BUILT_IN["spacejustin"]
+    ports = setup.ports
+    taken = [getattr(ports, end) for end in ("ground_radio", "space_radio", "ground_haptic")]
+    taken += [ports.robot, ports.space_haptic, ports.joystick, ports.launcher]
+    for flow in (*setup.uplink_flows, *setup.downlink_flows):
+        taken += [ports.entry(flow.name), ports.exit(flow.name)]
+    assert len(taken) == len(set(taken))
+    assert set(taken) <= set(ports.all())
+    # From there on Linux gives ports to sockets that ask for any.
+    assert max(ports.all()) < 32_768
+
+
+def test_a_setup_cannot_be_changed_or_misused():
+    setup = BUILT_IN["taskboard"]
+    with pytest.raises(AttributeError):
+        setup.base_port = 1
+    with pytest.raises(ConfigError, match="no such input"):
+        Setup(
+            name="x",
+            cameras=("static",),
+            uplink_video=VideoStream(name="uplink_video", cap_bps=50_000),
+            sources={"heda": "x.mp4"},
+        )
+    with pytest.raises(ConfigError, match="base port"):
+        Ports(base=65_530)
+
+
+def own_setup(**changes):
+    video = VideoStream(name="uplink_video", cap_bps=50_000)
+    return Setup(**{"name": "x", "cameras": ("static",), "uplink_video": video} | changes)
+
+
+@pytest.mark.parametrize("name", ["iss_camera", "iss_mic", "ground_mic"])
+def test_a_camera_takes_no_other_inputs_name(name):
+    with pytest.raises(ConfigError, match=f"camera {name} .* rename it"):
+        own_setup(cameras=("static", name))
+
+
+def test_a_camera_is_no_microphone_whatever_its_name():
+    setup = own_setup(cameras=("a_mic",), sources={"a_mic": "clip.mp4"})
+    assert setup.kind_of("a_mic") == "video"
+    with pytest.raises(ConfigError, match="no input iss_mic"):
+        setup.kind_of("iss_mic")
+
+
+def test_a_radio_is_a_profile_or_a_cable_with_a_delay(tmp_path):
+    file = tmp_path / "storm.toml"
+    file.write_text("delay_ms = 40\nframe_loss = 0.1\n")
+    assert own_setup().radio_profile.longest_delay_ns == 0
+    assert own_setup(radio=str(file)).radio_profile.frame_loss == 0.1
+    assert own_setup(radio_delay_ms=12.5).radio_profile.longest_delay_ns == 12_500_000
+    with pytest.raises(ConfigError, match=r"radio geo has .* take radio cable"):
+        own_setup(radio="geo", radio_delay_ms=12.5)
+    with pytest.raises(ConfigError, match="unknown radio storm"):
+        own_setup(radio="storm")
+
+
+def test_a_direction_has_its_own_radio_from_the_same_seed():
+    setup = own_setup(radio="geo")
+    one, other = (
+        setup.radio_path(profile, seed=3, epoch_ns=5).report()
+        for profile in (setup.uplink, setup.downlink)
+    )
+    assert (one["direction"], other["direction"]) == ("uplink", "downlink")

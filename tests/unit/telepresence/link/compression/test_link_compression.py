@@ -1,0 +1,267 @@
+"""Which context serves when: two-way, one-way, after gaps, restarts and changes of the source."""
+
+from itertools import islice, pairwise
+from random import Random
+
+import pytest
+from link_header_sources import SLOT_NS, Path, rtp, video, voice
+
+from telepresence.link.compression.header_compression import (
+    FIRST_WHOLE,
+    FLEETING_LIFE_NS,
+    LIFE_NS,
+    MOST_POSSIBLE,
+    RtpCompressor,
+    RtpDecompressor,
+)
+from telepresence.link.compression.rtp_forms import KIND_BARE, KIND_CONTEXT, KIND_RAW
+from telepresence.link.flows import video_flow, voice_flow
+
+VIDEO, VOICE = video_flow("video"), voice_flow("voice")
+FLEETING_SLOTS, LIFE_SLOTS = FLEETING_LIFE_NS // SLOT_NS, LIFE_NS // SLOT_NS
+
+DOWN = {"packets": (3,), "wait_ms": (8, 12)}
+CROWDED_DOWN = {"packets": (2, 3, 3, 3, 4), "wait_ms": (8, 12)}
+#: What each source may cost in octets a packet with its tag, contexts and first packets included.
+SOURCES = {
+    "down, on its grid": (VIDEO, 2.0, lambda r: video(r, 60, **DOWN)),
+    "down, 2 to 4 packets": (VIDEO, 2.2, lambda r: video(r, 60, **CROWDED_DOWN)),
+    "down, jitter 1 ms": (VIDEO, 2.9, lambda r: video(r, 60, jitter_ms=1, **DOWN)),
+    "up, on its grid": (VIDEO, 1.6, lambda r: video(r, 60)),
+    "up, 25 Hz": (VIDEO, 1.6, lambda r: video(r, 60, hz=25)),
+    "up, 23.976 Hz": (VIDEO, 2.2, lambda r: video(r, 60, hz=24_000 / 1001)),
+    "up, jitter 0.05 ms": (VIDEO, 2.2, lambda r: video(r, 60, jitter_ms=0.05)),
+    "up, jitter 1 ms": (VIDEO, 2.2, lambda r: video(r, 60, jitter_ms=1)),
+    "up, jitter 2 ms": (VIDEO, 2.5, lambda r: video(r, 60, jitter_ms=2)),
+    "up, its clock 200 ppm off": (VIDEO, 2.0, lambda r: video(r, 60, ppm=200)),
+    "up, pictures left out": (VIDEO, 2.0, lambda r: video(r, 60, skip=0.02)),
+    "up, on no grid": (VIDEO, 3.4, lambda r: video(r, 60, jitter_ms=16)),
+    "voice": (VOICE, 1.1, lambda r: voice(r, 60)),
+    "voice, its clock 200 ppm off": (VOICE, 1.2, lambda r: voice(r, 60, ppm=-200)),
+}
+
+
+@pytest.mark.parametrize(("flow", "most", "source"), SOURCES.values(), ids=SOURCES)
+def test_headers_cost_two_octets_on_average(flow, most, source):
+    path = Path(flow)
+    for count, packet in source(Random(1)):
+        path.send(count, packet)
+    assert all(exact for _, _, exact in path.outcomes)
+    print(f"{path.octets_a_packet():.2f}", path.compressor.report())
+    assert path.octets_a_packet() <= most
+
+
+def test_the_streams_of_a_setup_cost_less_than_two_octets_together():
+    octets = packets = 0
+    for flow, source in (
+        (VIDEO, video(Random(1), 60)),
+        (VIDEO, video(Random(2), 60, **CROWDED_DOWN)),
+        (VOICE, voice(Random(3), 60)),
+        (VOICE, voice(Random(4), 60)),
+    ):
+        path = Path(flow)
+        for count, packet in source:
+            path.send(count, packet)
+        report = path.compressor.report()
+        octets += report["header_octets"]
+        packets += report["packets"]
+    assert octets < 2 * packets
+
+
+def test_one_way_a_context_a_second_serves_without_any_acknowledgement():
+    for flow, source, most in (
+        (VIDEO, video(Random(1), 60), 2.2),
+        (VOICE, voice(Random(1), 60), 1.5),
+    ):
+        path = Path(flow, heard=False)
+        kinds = [path.send(*item) for item in source]
+        assert all(exact for _, _, exact in path.outcomes)
+        assert kinds.count(KIND_CONTEXT) <= 61
+        assert path.octets_a_packet() <= most
+
+
+def test_two_way_whole_headers_until_a_context_is_acknowledged():
+    path = Path(VOICE)
+    kinds = [path.send(count, packet, delay_slots=800) for count, packet in voice(Random(1), 3)]
+    assert KIND_BARE not in kinds[:40]
+    assert kinds[50:] == [KIND_BARE] * 100
+
+
+def test_one_way_a_few_whole_headers_come_first():
+    path = Path(VOICE, heard=False)
+    kinds = [path.send(*item) for item in islice(voice(Random(1), 1, jitter_ms=0), 6)]
+    whole = [KIND_CONTEXT] + [KIND_RAW] * (FIRST_WHOLE - 1)
+    assert kinds == whole + [KIND_BARE] * 3
+
+
+@pytest.mark.parametrize("gap_s", [0.1, 1, 10, 600])
+@pytest.mark.parametrize("flow", [VIDEO, VOICE], ids=["video", "voice"])
+@pytest.mark.parametrize("deaf", [False, True], ids=["hearing", "deaf"])
+def test_first_packet_after_any_gap_is_exact(flow, gap_s, deaf):
+    """Two-way before; in the gap nothing arrives in one direction, or in either."""
+    path = Path(flow)
+    start, end = 5000, 5000 + round(gap_s * 1000)
+    seconds = gap_s + 15
+    source = video(Random(2), seconds, jitter_ms=1) if flow is VIDEO else voice(Random(2), seconds)
+    for count, packet in source:
+        lost = start <= count < end
+        # The peer is heard again only after what was sent first has arrived.
+        path.hear(not (deaf and start <= count < end + 300))
+        path.send(count, packet, arrives=not lost, told=not lost)
+    assert any(count >= end for count, _, _ in path.outcomes)
+    assert all(exact for _, _, exact in path.outcomes)
+
+
+def test_one_way_the_first_packet_after_ten_seconds_is_exact():
+    for flow, source in ((VIDEO, video(Random(3), 30)), (VOICE, voice(Random(3), 30))):
+        path = Path(flow, heard=False)
+        for count, packet in source:
+            path.send(count, packet, arrives=not 5000 <= count < 15_000)
+        assert all(exact for _, _, exact in path.outcomes)
+
+
+def test_one_way_after_a_longer_gap_only_the_next_context_is_waited_for():
+    path = Path(VOICE, heard=False)
+    for count, packet in voice(Random(3), 60):
+        path.send(count, packet, arrives=not 5000 <= count < 35_000)
+    dropped = [count for count, _, exact in path.outcomes if not exact]
+    assert dropped
+    assert max(dropped) < 35_000 + 1000 + 20
+
+
+def test_a_source_that_begins_anew_goes_whole_until_the_peer_holds_its_context():
+    path = Path(VIDEO)
+    for count, packet in video(Random(1), 5):
+        path.send(count, packet)
+    later = count
+    kinds = [path.send(later + count, packet) for count, packet in video(Random(2), 5)]
+    assert kinds[0] in (KIND_RAW, KIND_CONTEXT)
+    assert KIND_CONTEXT in kinds[:5]
+    assert all(kind >= KIND_BARE for kind in kinds[10:20])
+    assert all(exact for _, _, exact in path.outcomes)
+
+
+def test_a_peer_that_begins_anew_is_sent_whole_headers_once_that_is_known():
+    path = Path(VOICE)
+    for number, (count, packet) in enumerate(voice(Random(1), 10)):
+        if number == 200:  # at about 5000
+            path.receiver_restarts(count, 300)
+        path.send(count, packet)
+    dropped = [count for count, _, exact in path.outcomes if not exact]
+    assert dropped
+    assert max(dropped) < 5000 + 300 + 60
+    assert path.outcomes[-1][1] == KIND_BARE
+
+
+def test_whole_headers_again_as_soon_as_the_peers_new_life_is_known():
+    path = Path(VOICE)
+    source = voice(Random(1), 2)
+    kinds = [path.send(*next(source)) for _ in range(30)]
+    assert kinds[-1] == KIND_BARE
+    path.compressor.forget()
+    assert path.send(*next(source)) in (KIND_RAW, KIND_CONTEXT)
+
+
+def test_no_more_contexts_than_a_second_needs_while_nothing_is_acknowledged():
+    """A peer that is heard and holds nothing: the sender tries again, less and less often."""
+    compressor = RtpCompressor(VOICE, SLOT_NS)
+    compressor.handle_peer(heard=True)
+    counts = []
+    for count, packet in voice(Random(1), 120):
+        compressor.handle_acknowledgement(0, count)
+        if compressor.compress(packet, count)[0] == KIND_CONTEXT:
+            counts.append(count)
+        assert len(compressor._possible) <= MOST_POSSIBLE
+    distances = [later - earlier for earlier, later in pairwise(counts)]
+    assert min(distances) >= 100
+    assert counts[-1] > 110_000
+    assert len(counts) < 60
+
+
+def test_a_number_that_the_peer_may_still_tell_is_not_given_to_another_context():
+    """The peer holds a context, even a dead one, and hears nothing more, while hundreds follow."""
+    compressor = RtpCompressor(VOICE, SLOT_NS)
+    compressor.handle_peer(heard=True)
+    given = []
+    for number in range(1000):
+        count = number * 3300
+        kind, body, _ = compressor.compress(rtp(number, count * 48), count)
+        if kind == KIND_CONTEXT:
+            given.append(body[0])
+        compressor.handle_acknowledgement(given[0], count)
+    assert len(given) > 900
+    assert set(given[1:]) == set(range(1, 256)) - {given[0]}
+
+
+def test_an_acknowledgement_tells_what_has_not_arrived():
+    """Contexts sent long before it and after the one it names are not held to be possible."""
+    compressor = RtpCompressor(VIDEO, SLOT_NS)
+    compressor.handle_peer(heard=True)
+    first = None
+    source = list(video(Random(1), 3)) + [
+        (count + 4000, packet) for count, packet in video(Random(2), 100)
+    ]
+    for count, packet in source:
+        kind, body, _ = compressor.compress(packet, count)
+        if first is None and kind == KIND_CONTEXT:
+            first = body[0]
+        compressor.handle_acknowledgement(first, count)
+    # The new source's contexts are all lost; the sender has kept trying.
+    assert compressor._possible[0].number == first
+    assert 3 < len(compressor._possible) < MOST_POSSIBLE
+    assert all(context.count > count - 30_000 for context in compressor._possible[1:])
+
+
+@pytest.mark.parametrize(("heard", "life"), [(True, LIFE_SLOTS), (False, FLEETING_SLOTS)])
+def test_a_context_dies_at_both_ends_at_once(heard, life):
+    compressor, decompressor = RtpCompressor(VOICE, SLOT_NS), RtpDecompressor(VOICE, SLOT_NS)
+    compressor.handle_peer(heard=heard)
+    kind, body, _ = compressor.compress(rtp(0, 0), 0)
+    assert kind == KIND_CONTEXT
+    decompressor.decompress(kind, body, 0)
+    assert decompressor.context_id == int(heard)
+    assert isinstance(decompressor.decompress(KIND_BARE, b"", life), bytes)
+    assert decompressor.decompress(KIND_BARE, b"", life + 1) == "no_context"
+    compressor._bury(life)
+    assert len(compressor._possible) == 1
+    compressor._bury(life + 1)
+    assert not compressor._possible
+
+
+@pytest.mark.parametrize(
+    "first_octets",
+    [b"\x81\x60", b"\x90\x60", b"\xa0\x60", b"\x60\x60"],
+    ids=["csrc", "extension", "padding", "version"],
+)
+def test_other_headers_go_as_they_are(first_octets):
+    compressor, decompressor = RtpCompressor(VIDEO, SLOT_NS), RtpDecompressor(VIDEO, SLOT_NS)
+    packet = first_octets + bytes(30)
+    assert compressor.compress(packet, 0) == (KIND_RAW, packet, 12)
+    assert decompressor.decompress(KIND_RAW, packet, 0) == packet
+    assert compressor.compress(b"short", 0) == (KIND_RAW, b"short", 5)
+
+
+def test_garbage_is_told_in_one_word():
+    decompressor = RtpDecompressor(VIDEO, SLOT_NS)
+    assert decompressor.decompress(3, bytes(40), 0) == "malformed"
+    assert decompressor.decompress(KIND_CONTEXT, bytes(18), 0) == "malformed"
+    assert decompressor.decompress(KIND_CONTEXT, bytes(40), 0) == "malformed"  # period 0
+    assert decompressor.decompress(KIND_BARE, b"", 0) == "no_context"
+    _, body, _ = RtpCompressor(VOICE, SLOT_NS).compress(rtp(1, 2), 0)
+    assert decompressor.decompress(KIND_CONTEXT, body, 0) == rtp(1, 2)
+    assert decompressor.decompress(5, b"", 0) == "malformed"
+    assert decompressor.decompress(8, b"", 0) == "malformed"
+    assert decompressor.decompress(12, b"1", 0) == "malformed"
+
+
+def test_a_start_that_made_the_first_pictures_wait_costs_no_more_headers():
+    """Live, processes start while the first pictures wait: of ten in the first third of a second
+    two are encoded, the first 200 ms late, and it takes as long again until none waits."""
+    waits_ms = {0: 205, 6: 115, 10: 60, 11: 54, 12: 46, 13: 46, 14: 37, 15: 28, 16: 33, 17: 25}
+    path = Path(VIDEO)
+    sent = [(1000 + round(n * 100 / 3) + waits_ms.get(n, 0), n) for n in (0, 6, *range(10, 300))]
+    kinds = [
+        path.send(count, rtp(number, n * 3000, marker=1)) for number, (count, n) in enumerate(sent)
+    ]
+    assert all(exact for _, _, exact in path.outcomes)
+    assert sum(kind in (KIND_RAW, KIND_CONTEXT) for kind in kinds) <= 15

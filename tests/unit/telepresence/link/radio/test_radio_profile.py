@@ -1,0 +1,149 @@
+"""Radio profiles by name and from TOML: what is inherited, and what is refused in one line."""
+
+import re
+import tomllib
+from dataclasses import fields
+
+import pytest
+from places import ROOT
+
+from kontur_av.errors import ConfigError
+from telepresence.link.radio import RadioProfile, load_radio
+from telepresence.link.radio.contact import STORED_ELEMENTS, Contact
+from telepresence.link.radio.profile import BUILT_IN, Blackout, Bursts, RandomBlackouts
+from telepresence.link.radio.profile_file import radio_from_table
+
+DOCUMENT = ROOT / "docs" / "radio.md"
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load(text):
+        path = tmp_path / "mine.toml"
+        path.write_text(text, encoding="utf-8")
+        return load_radio(str(path))
+
+    return load
+
+
+def test_the_built_in_ones():
+    assert list(BUILT_IN) == ["cable", "clean", "iss-pass", "geo"]
+    cable = load_radio("cable")
+    assert cable.longest_delay_ns == 0
+    assert cable.contact_windows() is cable.overflight() is None
+    for name in ("cable", "clean"):
+        profile = load_radio(name)
+        assert profile.bit_error_rate == profile.frame_loss == 0
+        assert profile.bursts is profile.contact is profile.random_blackouts is None
+    geo = load_radio("geo")
+    # 600 to 800 ms round trip.
+    assert geo.longest_delay_ns == 400_000_000
+    assert geo.delay_ms - geo.delay_swing_ms == 300
+
+
+def test_a_file_without_a_base_begins_with_a_cable(load):
+    profile = load("delay_ms = 5")
+    assert profile == RadioProfile(name="mine", delay_ms=5.0)
+
+
+def test_a_file_changes_what_it_says_and_inherits_the_rest(load):
+    profile = load(
+        'base = "iss-pass"\nname = "bad day"\n'
+        "[contact]\nmargin_db = 4\n[bursts]\nmean_ms = 40\n"
+        "[[blackouts]]\nstart_s = 60\nseconds = 2.5\n[[blackouts]]\nstart_s = 90\nseconds = 1\n"
+        'direction = "uplink"\n[random_blackouts]\ngap_s = 30\nshortest_s = 0.1\nlongest_s = 1\n'
+    )
+    base = BUILT_IN["iss-pass"]
+    assert profile.name == "bad day"
+    assert profile.description == base.description
+    assert profile.contact == Contact(margin_db=4.0)
+    assert profile.contact.elements == STORED_ELEMENTS
+    assert profile.bursts.mean_ms == 40
+    assert profile.bursts.gap_s == base.bursts.gap_s
+    assert profile.blackouts == (
+        Blackout(start_s=60.0, seconds=2.5),
+        Blackout(start_s=90.0, seconds=1.0, direction="uplink"),
+    )
+    assert profile.random_blackouts == RandomBlackouts(gap_s=30.0, shortest_s=0.1, longest_s=1.0)
+
+
+def test_a_table_can_be_switched_off(load):
+    assert load('base = "iss-pass"\nbursts = false').bursts is None
+
+
+def test_elements_of_ones_own_lie_beside_the_file(load, tmp_path):
+    (tmp_path / "sat.tle").write_text(STORED_ELEMENTS.read_text())
+    profile = load('[contact]\nelements = "sat.tle"\nafter = "2015-08-19T00:00:00Z"')
+    assert profile.contact.elements == tmp_path / "sat.tle"
+    assert profile.contact_windows()["acquisition"].startswith("2015-08-19T")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("dely_ms = 5", "unknown field dely_ms: the nearest one is delay_ms"),
+        ("[bursts]\nmean_s = 1", "unknown field bursts.mean_s: the nearest one is bursts.mean_ms"),
+        ("[contacts]", "unknown field contacts: the nearest one is contact"),
+        ("qqq = 1", "unknown field qqq: the nearest one is"),
+        ('base = "iss"', "base must be one of cable, clean, iss-pass, geo, not 'iss'"),
+        ("base = 3", "base must be one of"),
+        ('delay_ms = "5"', "delay_ms must be a number"),
+        ("delay_ms = true", "delay_ms must be a number"),
+        ("delay_ms = nan", "delay_ms is nan: it must be a finite number"),
+        ("delay_ms = -1", "delay_ms is -1: it must be from 0 to 10000"),
+        ("delay_swing_ms = 3", "delay_swing_ms is 3: it must be from 0 to 0"),
+        ("delay_ms = 300\ndelay_swing_ms = 300\ndelay_period_s = 1", "needs at least 18.8"),
+        ("frame_loss = 2", "frame_loss is 2: it must be from 0 to 1"),
+        ("bit_error_rate = 0.6", "bit_error_rate is 0.6: it must be from 0 to 0.5"),
+        ("name = 3", "name must be a text in quotes"),
+        ("bursts = 3", "bursts must be a table with gap_s, mean_ms"),
+        ("[bursts]\ngap_s = 1", "bursts needs mean_ms"),
+        ("[bursts]\ngap_s = 1\nmean_ms = 0", "bursts.mean_ms is 0: it must be from 1"),
+        ("blackouts = 1", "blackouts must be tables"),
+        ("[[blackouts]]\nstart_s = 1", "blackouts needs seconds"),
+        ('[[blackouts]]\nstart_s = 1\nseconds = 1\ndirection = "up"', "take both, uplink or"),
+        ("[random_blackouts]\ngap_s = 9\nshortest_s = 2\nlongest_s = 1", "from 2 to"),
+        ("[contact]\nlatitude_deg = 91", "contact.latitude_deg is 91"),
+        ("[contact]\nlight_time = 1", "contact.light_time must be true or false"),
+        ("[contact]\nafter = 2015-08-18T14:00:00Z", "contact.after must be a text in quotes"),
+        ('[contact]\nafter = "tomorrow"', 'write it like "2015-08-18T14:00:00Z"'),
+        ("delay_ms = ", "is not TOML"),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line(load, text, told):
+    with pytest.raises(ConfigError, match=re.escape(told)) as caught:
+        load(text)
+    assert "\n" not in str(caught.value)
+    assert "mine.toml" in str(caught.value)
+
+
+def test_names_and_files_that_are_not_there(tmp_path):
+    with pytest.raises(
+        ConfigError, match="unknown radio iss: take cable, clean, iss-pass, geo, or"
+    ):
+        load_radio("iss")
+    with pytest.raises(ConfigError, match="cannot read radio"):
+        load_radio(str(tmp_path / "none.toml"))
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigError, match="is not TOML"):
+        load_radio(str(tmp_path / "binary.toml"))
+
+
+def test_missing_elements_are_told_when_the_path_is_made(load):
+    profile = load('[contact]\nelements = "none.tle"')
+    with pytest.raises(ConfigError, match=r"cannot read elements .*none\.tle"):
+        profile.path("uplink", seed=1, epoch_ns=0)
+
+
+def test_the_annotated_profile_of_the_document_has_every_field():
+    text = DOCUMENT.read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```toml\n(# mine\.toml\n.*?)^```", text, re.MULTILINE | re.DOTALL)
+    table = tomllib.loads(block)
+    assert set(table) == {field.name for field in fields(RadioProfile)} | {"base"}
+    tables = {"bursts": Bursts, "random_blackouts": RandomBlackouts, "contact": Contact}
+    for name, kind in tables.items():
+        assert set(table[name]) == {field.name for field in fields(kind)}, name
+    assert set(table["blackouts"][0]) == {field.name for field in fields(Blackout)}
+    # What stands there of the contact is the built-in pass.
+    profile = radio_from_table(table, STORED_ELEMENTS.parent)
+    assert profile.contact == Contact()
