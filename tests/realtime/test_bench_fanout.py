@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.bench import fanout
+from pipelines.bench.fanout import command as fanout
 from pipelines.bench.fanout.run import fan_out
 from pipelines.bench.fanout.ways import PICTURE_OCTETS, TopicWay, noise, read_stamp, stamp_picture
 from pipelines.cli import main

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipelines.bench import voice
+from pipelines.bench.voice import command as voice
 from pipelines.bench.voice.gstreamer import laid_out
 from pipelines.bench.voice.network import BURST_PACKETS, Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
