@@ -5,13 +5,13 @@ from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.runtime.probe import Probe
-from telepresence.haptics.bilateral import Handle, MasterSide, SlaveSide
+from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
 
-Side = TypeVar("Side", bound=MasterSide | SlaveSide)
+Side = TypeVar("Side", bound=JoystickSide | RobotSide)
 
 #: The world is drawn at 30 pictures a second: a state every 10 ms is fresh enough for all.
 _PUBLISH_EVERY = 10
@@ -51,7 +51,7 @@ class _End(Generic[Side]):
             pass
 
 
-class RobotEnd(_End[SlaveSide]):
+class RobotEnd(_End[RobotSide]):
     """Follows the commands, measures the force, and lets the world see where the tip is.
 
     `next_event` gives a state every 10 cycles, and at once when a contact begins or ends. Each
@@ -60,7 +60,7 @@ class RobotEnd(_End[SlaveSide]):
     """
 
     def __init__(self, probe: Probe, *, deadband: bool = False) -> None:
-        super().__init__(SlaveSide(link=robot_link(deadband=deadband)), probe)
+        super().__init__(RobotSide(link=robot_link(deadband=deadband)), probe)
         self._contact_since_ns: int | None = None
         self._touched_ns: int | None = None
         self._contacts = probe.rows("contact")
@@ -99,7 +99,7 @@ class RobotEnd(_End[SlaveSide]):
         return state
 
 
-class JoystickEnd(_End[MasterSide]):
+class JoystickEnd(_End[JoystickSide]):
     """Moves the handle as the simulated hand does, and puts the robot's force on it.
 
     handle: instead of the simulated joystick in the simulated hand. Of one in operation the state
@@ -113,7 +113,7 @@ class JoystickEnd(_End[MasterSide]):
         deadband: bool = False,
         handle: Handle | OperatedHandle | None = None,
     ) -> None:
-        super().__init__(MasterSide(link=joystick_link(deadband=deadband), handle=handle), probe)
+        super().__init__(JoystickSide(link=joystick_link(deadband=deadband), handle=handle), probe)
         self._operated = handle if isinstance(handle, OperatedHandle) else None
         self._latest = self.side.link.latest
         self._steps = StepDetector()

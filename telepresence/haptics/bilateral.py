@@ -11,10 +11,10 @@ from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.board import Board, led_at
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
 from telepresence.haptics.joystick import Joystick, JoystickModel
-from telepresence.haptics.joystick_controller import MasterController, MasterModel
+from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.robot import Robot
-from telepresence.haptics.robot_controller import SlaveController, SlaveModel
+from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
 from telepresence.haptics.sample import MODE_IMPEDANCE, STATE_HALTED, Command, Feedback
 
 #: Of a time that was missed (the process stood still) so much is made up for.
@@ -24,7 +24,7 @@ _tuple = tuple.__new__
 
 
 class Handle(Protocol):
-    """What the master's side moves: a joystick with a hand on it, simulated or real.
+    """What a joystick side moves: a joystick with a hand on it, simulated or real.
 
     x_m, y_m: where it is. force_limit_n: what its motors can give now. dead_man, buttons, state:
     what the samples tell of them.
@@ -62,7 +62,7 @@ class _Side:
     """
 
     link: HapticLink[Any, Any]
-    controller: MasterController | SlaveController
+    controller: JoystickController | RobotController
 
     def __init__(self) -> None:
         self.force_x_n = self.force_y_n = 0.0
@@ -106,7 +106,7 @@ class _Side:
         }
 
 
-class MasterSide(_Side):
+class JoystickSide(_Side):
     """The joystick's side: handle, controller and link.
 
     passive: without, the controller only observes. script, hand: of the simulated hand. handle:
@@ -122,11 +122,11 @@ class MasterSide(_Side):
         script: Sequence[Waypoint] = TAP_TARGETS,
         hand: HandModel | None = None,
         handle: Handle | None = None,
-        model: MasterModel | None = None,
+        model: JoystickControllerModel | None = None,
         link: HapticLink[Command, Feedback] | None = None,
     ) -> None:
         self.handle: Handle = handle or HeldJoystick(hand=Hand(hand, script=script))
-        self.controller: MasterController = MasterController(model, passive=passive)
+        self.controller: JoystickController = JoystickController(model, passive=passive)
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
         self._last_ns = NS_PER_MS
         super().__init__()
@@ -160,7 +160,7 @@ class MasterSide(_Side):
         handle.step(fx, fy, dt_ns)
 
 
-class SlaveSide(_Side):
+class RobotSide(_Side):
     """The robot's side: robot, board, controller and link.
 
     passive: without, the controller only observes. board: what the tip can touch. robot: instead
@@ -176,11 +176,11 @@ class SlaveSide(_Side):
         passive: bool = True,
         board: Board | None = None,
         robot: Robot | None = None,
-        model: SlaveModel | None = None,
+        model: RobotControllerModel | None = None,
         link: HapticLink[Feedback, Command] | None = None,
     ) -> None:
         self.robot = robot = robot or Robot(board=board)
-        self.controller: SlaveController = SlaveController(
+        self.controller: RobotController = RobotController(
             model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
         )
         self.link: HapticLink[Feedback, Command] = link or robot_link()

@@ -27,7 +27,7 @@ _ROUNDING_J = 0.5e-6
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MasterModel:
+class JoystickControllerModel:
     """Parameters of the controller at the joystick; all of them chosen.
 
     force_scale: displayed force over the robot's. damping_n_s_m: what the hand always feels; the
@@ -58,15 +58,17 @@ class MasterModel:
     return_s: float = 0.5
 
 
-class MasterController(PortFigures):
+class JoystickController(PortFigures):
     """`step` once a millisecond gives the force on the handle; it is held until the next step.
 
     passive: without, the same controller only observes. limit_n: of the force, by what the motors
     can give now; set it before a step. acted: cycles in which the passivity controller cut.
     """
 
-    def __init__(self, model: MasterModel | None = None, *, passive: bool = True) -> None:
-        self.model = model = model or MasterModel()
+    def __init__(
+        self, model: JoystickControllerModel | None = None, *, passive: bool = True
+    ) -> None:
+        self.model = model = model or JoystickControllerModel()
         self.passive = passive
         self.port = (
             Port(reserve_j=model.reserve_j, limit_j=model.limit_j) if passive else Port.observing()

@@ -20,7 +20,7 @@ _NO_COST_J = 1e-18
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SlaveModel:
+class RobotControllerModel:
     """Parameters of the controller at the robot; all of them chosen.
 
     stiffness_n_m, damping_n_s_m: between reference and tip; critically damped for 0.5 kg.
@@ -46,7 +46,7 @@ class SlaveModel:
     limit_j: float = 0.1
 
 
-class SlaveController(PortFigures):
+class RobotController(PortFigures):
     """`step` once a millisecond gives the force on the tip; it is held until the next step.
 
     passive: without, the same controller only observes. reference_x_m, reference_y_m: where the
@@ -55,13 +55,13 @@ class SlaveController(PortFigures):
 
     def __init__(
         self,
-        model: SlaveModel | None = None,
+        model: RobotControllerModel | None = None,
         *,
         passive: bool = True,
         x_m: float = 0.0,
         y_m: float = 0.0,
     ) -> None:
-        self.model = model = model or SlaveModel()
+        self.model = model = model or RobotControllerModel()
         self.passive = passive
         self.port = (
             Port(reserve_j=model.reserve_j, limit_j=model.limit_j) if passive else Port.observing()

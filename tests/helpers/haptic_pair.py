@@ -3,12 +3,14 @@
 from collections import deque
 from collections.abc import Iterator
 
-from telepresence.haptics.bilateral import MasterSide, SlaveSide
+from telepresence.haptics.bilateral import JoystickSide, RobotSide
 
 MS = 1_000_000
 
 
-def each_cycle(space: MasterSide, ground: SlaveSide, *, count: int, delay_ms: int) -> Iterator[int]:
+def each_cycle(
+    space: JoystickSide, ground: RobotSide, *, count: int, delay_ms: int
+) -> Iterator[int]:
     """The number of each cycle, before it happens."""
     down, up = deque(), deque()
     for cycle in range(count):

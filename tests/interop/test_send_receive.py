@@ -21,7 +21,7 @@ pytestmark = pytest.mark.interop
 WIDTH, HEIGHT, FPS = 320, 240, 30
 COMMAND = """
 import argparse, importlib, sys
-module = importlib.import_module("pipelines." + sys.argv.pop(1))
+module = importlib.import_module("pipelines.commands." + sys.argv.pop(1))
 parser = argparse.ArgumentParser()
 module.add_arguments(parser)
 sys.exit(module.run(parser.parse_args()))

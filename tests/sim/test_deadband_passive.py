@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
-from telepresence.haptics.bilateral import MasterSide, SlaveSide
+from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.loop import joystick_link, robot_link
 
 
@@ -16,12 +16,12 @@ class Exchange:
     """Both sides and a path that delays, loses and reorders, a cycle a millisecond."""
 
     def __init__(self, *, deadband, delay_ms=0.0, jitter_ms=0.0, loss=0.0, seed=0):
-        self.master = MasterSide(link=joystick_link(deadband=deadband))
-        self.slave = SlaveSide(link=robot_link(deadband=deadband))
+        self.joystick_side = JoystickSide(link=joystick_link(deadband=deadband))
+        self.robot_side = RobotSide(link=robot_link(deadband=deadband))
         self.tip, self.force_n, self.contacts = [], [], 0
         self._delay_ns, self._jitter_ns = delay_ms * NS_PER_MS, jitter_ms * NS_PER_MS
         self._loss, self._random = loss, Random(seed)
-        self._under_way = {self.master: [], self.slave: []}
+        self._under_way = {self.joystick_side: [], self.robot_side: []}
 
     def run(self, cycles, gap=range(0)):
         """gap: cycles in which the path loses everything."""
@@ -32,16 +32,19 @@ class Exchange:
                 for due in sorted(sample for sample in waiting if sample[0] <= now_ns):
                     waiting.remove(due)
                     side.handle_datagram(due[1], now_ns)
-            for side, peer in ((self.slave, self.master), (self.master, self.slave)):
+            for side, peer in (
+                (self.robot_side, self.joystick_side),
+                (self.joystick_side, self.robot_side),
+            ):
                 side.handle_cycle(now_ns, NS_PER_MS)
                 sample = side.poll_transmit(now_ns)
                 if sample is None or k in gap or self._random.random() < self._loss:
                     continue
                 late_ns = self._delay_ns + self._random.random() * self._jitter_ns
                 self._under_way[peer].append((now_ns + round(late_ns), sample))
-            robot = self.slave.robot
+            robot = self.robot_side.robot
             self.tip.append((robot.x_m, robot.y_m))
-            self.force_n.append(hypot(self.master.force_x_n, self.master.force_y_n))
+            self.force_n.append(hypot(self.joystick_side.force_x_n, self.joystick_side.force_y_n))
             self.contacts += robot.contact and not touching
             touching = robot.contact
         return self
@@ -60,8 +63,8 @@ def test_no_port_ever_gives_out_what_was_not_granted(delay_ms, jitter_ms, loss, 
     begin, length = gap
     exchange.run(3000, gap=range(begin, begin + length))
     for side, peer in (
-        (exchange.master, exchange.slave),
-        (exchange.slave, exchange.master),
+        (exchange.joystick_side, exchange.robot_side),
+        (exchange.robot_side, exchange.joystick_side),
     ):
         report = side.report()
         assert report["least_uj"] >= -1
@@ -84,14 +87,14 @@ def test_what_is_felt_and_done_is_nearly_the_same(delay_ms):
     # On average: at a touch that comes a cycle earlier or later it is the whole force for a moment.
     assert sum(off_n) / len(off_n) < 0.2
     # Four fifths of the robot's samples are not sent, and half of the joystick's.
-    assert some.slave.link.report()["left_out"] > 0.75 * 12_000
-    assert some.master.link.report()["left_out"] > 0.4 * 12_000
-    assert some.master.link.lost == some.slave.link.lost == 0
+    assert some.robot_side.link.report()["left_out"] > 0.75 * 12_000
+    assert some.joystick_side.link.report()["left_out"] > 0.4 * 12_000
+    assert some.joystick_side.link.lost == some.robot_side.link.lost == 0
 
 
 def test_two_lost_in_a_row_are_no_silence():
     for start in range(500, 506):
         exchange = Exchange(deadband=True, delay_ms=5).run(600, gap=range(start, start + 12))
-        assert exchange.master.link.lost >= 2
-        found = list(iter(exchange.master.link.next_event, None))
+        assert exchange.joystick_side.link.lost >= 2
+        found = list(iter(exchange.joystick_side.link.next_event, None))
         assert len(found) == 1, "once, at the beginning: it was never lost"

@@ -6,7 +6,7 @@ from math import hypot
 
 import pytest
 
-from telepresence.haptics.bilateral import MasterSide, SlaveSide
+from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.hand import PRESS_AND_SLIDE, TAP_TARGETS, Waypoint
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.loop import joystick_link
@@ -33,8 +33,8 @@ class Session:
         script: tuple[Waypoint, ...] = TAP_TARGETS,
         passive: bool = True,
     ) -> None:
-        self.space = MasterSide(script=script, passive=passive)
-        self.ground = SlaveSide(passive=passive)
+        self.space = JoystickSide(script=script, passive=passive)
+        self.ground = RobotSide(passive=passive)
         self.delay_ns = delay_ms * MS
         self.down: deque[tuple[int, bytes]] = deque()
         self.up: deque[tuple[int, bytes]] = deque()
@@ -142,7 +142,7 @@ def test_a_restarted_joystick_begins_with_no_credit_and_goes_on() -> None:
     session = Session(5)
     session.run(2_000)
     before = session.ground.controller.port.received_j
-    session.space = MasterSide()
+    session.space = JoystickSide()
     session.run(8_000)
     assert session.ground.link.report()["restarts"] == 1
     # Its totals begin at 0: that is no gain of 4295 J.
@@ -177,12 +177,12 @@ def test_a_halted_joystick_says_so_and_the_robot_holds() -> None:
 
 
 def test_a_cycle_that_came_late_makes_up_for_the_time_in_small_steps() -> None:
-    even, late = MasterSide(), MasterSide()
+    even, late = JoystickSide(), JoystickSide()
     for k in range(40):
         even.handle_cycle(k * MS, MS)
     late.handle_cycle(0, 40 * MS)
     assert (late.handle.x_m, late.handle.y_m) == (even.handle.x_m, even.handle.y_m)
-    robot = SlaveSide()
+    robot = RobotSide()
     link = joystick_link()
     link.handle_local(Command(0.05, 0.0, 0), 0)
     data = link.poll_transmit(0)

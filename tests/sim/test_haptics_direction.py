@@ -3,7 +3,7 @@
 import pytest
 from haptic_pair import MS, each_cycle
 
-from telepresence.haptics.bilateral import HeldJoystick, MasterSide, SlaveSide
+from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
 from telepresence.haptics.hand import Hand, Waypoint
 
@@ -25,8 +25,8 @@ TOUCHES = (
 
 @pytest.mark.parametrize(("wall_n_m", "delay_ms"), [(5000.0, 0), (1500.0, 25)])
 def test_a_force_that_was_cut_is_not_turned_into_the_wall(wall_n_m, delay_ms):
-    space = MasterSide(handle=HeldJoystick(hand=Hand(script=TOUCHES)))
-    ground = SlaveSide(board=Board(WallModel(stiffness_n_m=wall_n_m)))
+    space = JoystickSide(handle=HeldJoystick(hand=Hand(script=TOUCHES)))
+    ground = RobotSide(board=Board(WallModel(stiffness_n_m=wall_n_m)))
     cut = 0
     for cycle in each_cycle(space, ground, count=5000, delay_ms=delay_ms):
         now_ns = (cycle - 1) * MS

@@ -8,7 +8,7 @@ from pipelines.bench.haptics.claims import claims, needed
 from pipelines.bench.haptics.figures import Figures
 from pipelines.bench.haptics.plan import plan
 from pipelines.bench.haptics.run import run_cell
-from telepresence.haptics.joystick_controller import MasterController
+from telepresence.haptics.joystick_controller import JoystickController
 from telepresence.haptics.passivity import Port
 from telepresence.haptics.sample import Feedback
 
@@ -49,7 +49,7 @@ def test_without_the_controllers_the_same_cell_makes_energy_and_swings(cell) -> 
     found, _ = run_cell(cell, seconds=SECONDS, seed=1, passive=False)
     assert found.unstable
     assert needed([found]).holds
-    assert min(found.least_master_uj, found.least_slave_uj) < -100_000
+    assert min(found.least_joystick_uj, found.least_robot_uj) < -100_000
 
 
 def test_a_run_repeats() -> None:
@@ -94,16 +94,16 @@ def test_what_is_given_back_is_no_longer_there() -> None:
 
 def test_a_force_that_was_cut_comes_back_slowly() -> None:
     """Else it would be cut again at once, a hundred times a second, and buzz."""
-    master = MasterController()
+    joystick_side = JoystickController()
     wall, x_m = Feedback(-8.0, 0.0, 0, True), 0.05
     forces = []
     for step in range(400):
         # The hand goes with a force that nobody paid for; then it keeps still.
         x_m -= 2e-4 if step < 100 else 0.0
-        forces.append(master.step(wall, x_m, 0.0, MS)[0])
+        forces.append(joystick_side.step(wall, x_m, 0.0, MS)[0])
         if step == 100:
-            master.port.handle_total(0, MS)
-            master.port.handle_total(20_000, MS)
-    assert master.acted > 50
+            joystick_side.port.handle_total(0, MS)
+            joystick_side.port.handle_total(20_000, MS)
+    assert joystick_side.acted > 50
     assert min(np.diff(forces[101:])) > -0.2
     assert forces[-1] < forces[150] - 2.0

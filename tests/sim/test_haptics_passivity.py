@@ -8,10 +8,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from telepresence.haptics.joystick_controller import MasterController, MasterModel
+from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.passivity import Port
-from telepresence.haptics.robot_controller import SlaveController
+from telepresence.haptics.robot_controller import RobotController
 from telepresence.haptics.sample import Command, Feedback
 
 MS = 1_000_000
@@ -37,7 +37,7 @@ class Ends:
 
     def __init__(self, random: Callable[[], float]) -> None:
         self.random = random
-        self.master, self.slave = MasterController(), SlaveController()
+        self.joystick_side, self.robot_side = JoystickController(), RobotController()
         self.space, self.ground = joystick_link(), robot_link()
         self.hand, self.tip = [0.0, 0.0, 0.0, 0.0], [0.0, 0.0]
         self.push = (0.0, 0.0)
@@ -46,15 +46,18 @@ class Ends:
         #: In and out of both ports over all their lives, those that have ended.
         self.taken_j = self.given_j = 0.0
 
-    def restart_master(self) -> None:
-        self._end(self.master)
-        self.master, self.space = MasterController(), joystick_link()
+    def restart_joystick(self) -> None:
+        self._end(self.joystick_side)
+        self.joystick_side, self.space = JoystickController(), joystick_link()
 
-    def restart_slave(self) -> None:
-        self._end(self.slave)
-        self.slave, self.ground = SlaveController(x_m=self.tip[0], y_m=self.tip[1]), robot_link()
+    def restart_robot(self) -> None:
+        self._end(self.robot_side)
+        self.robot_side, self.ground = (
+            RobotController(x_m=self.tip[0], y_m=self.tip[1]),
+            robot_link(),
+        )
 
-    def _end(self, controller: MasterController | SlaveController) -> None:
+    def _end(self, controller: JoystickController | RobotController) -> None:
         self.taken_j += controller.port.in_j
         self.given_j += controller.port.out_j
 
@@ -72,7 +75,7 @@ class Ends:
             (self.ground if to else self.space).handle_datagram(data, now_ns)
         hand = self.hand
         # As much as the controller is promised to see, in any direction.
-        most = MasterModel().acceleration_m_s2 / 2**0.5
+        most = JoystickControllerModel().acceleration_m_s2 / 2**0.5
         for axis in (0, 1):
             hand[2 + axis] += pull[axis] * most * DT
             if abs(hand[axis]) > 0.12 and hand[axis] * hand[2 + axis] > 0:
@@ -80,10 +83,10 @@ class Ends:
             hand[2 + axis] = max(-1.5, min(1.5, hand[2 + axis]))
             hand[axis] += hand[2 + axis] * DT
             self.tip[axis] += tip[axis] * DT
-        self.master.step(self.space.latest(now_ns), hand[0], hand[1], MS)
-        self.slave.step(self.ground.latest(now_ns), *self.tip, *tip, MS)
-        self.space.handle_local(Command(hand[0], hand[1], self.master.granted_uj), now_ns)
-        self.ground.handle_local(Feedback(*self.push, self.slave.granted_uj, True), now_ns)
+        self.joystick_side.step(self.space.latest(now_ns), hand[0], hand[1], MS)
+        self.robot_side.step(self.ground.latest(now_ns), *self.tip, *tip, MS)
+        self.space.handle_local(Command(hand[0], hand[1], self.joystick_side.granted_uj), now_ns)
+        self.ground.handle_local(Feedback(*self.push, self.robot_side.granted_uj, True), now_ns)
         for to, link in ((1, self.space), (0, self.ground)):
             data = link.poll_transmit(now_ns)
             assert data is not None
@@ -92,10 +95,10 @@ class Ends:
         self.now_ns += MS
 
     def check(self) -> None:
-        assert self.master.port.credit_j >= -COUNT_J
-        assert self.slave.port.credit_j >= -COUNT_J
-        taken_j = self.taken_j + self.master.port.in_j + self.slave.port.in_j
-        given_j = self.given_j + self.master.port.out_j + self.slave.port.out_j
+        assert self.joystick_side.port.credit_j >= -COUNT_J
+        assert self.robot_side.port.credit_j >= -COUNT_J
+        taken_j = self.taken_j + self.joystick_side.port.in_j + self.robot_side.port.in_j
+        given_j = self.given_j + self.joystick_side.port.out_j + self.robot_side.port.out_j
         assert given_j <= taken_j + COUNT_J
 
 
@@ -118,7 +121,7 @@ def test_no_motion_and_no_path_makes_an_observer_negative(spans, random, restart
     ends = Ends(random.random)
     for index, (cycles, pull, tip, push, delay_ms, loss) in enumerate(spans):
         if restart is not None and restart[0] == index:
-            (ends.restart_master if restart[1] else ends.restart_slave)()
+            (ends.restart_joystick if restart[1] else ends.restart_robot)()
         ends.push = (push[0] * 60.0, push[1] * 60.0)
         for _ in range(cycles):
             ends.cycle(pull, tip, delay_ms, loss)
@@ -182,13 +185,13 @@ def test_what_is_kept_is_not_granted_and_credit_has_a_limit() -> None:
 
 
 def test_without_the_controllers_the_observers_only_observe() -> None:
-    slave = SlaveController(passive=False)
+    robot_side = RobotController(passive=False)
     for k in range(200):
-        slave.step(Command(1e-4 * k, 0.0, 0), 0.0, 0.0, 0.0, 0.0, MS)
-    assert slave.observed_uj < -10_000
-    assert slave.least_observed_uj == slave.observed_uj
-    assert slave.acted == 0
-    held = SlaveController()
+        robot_side.step(Command(1e-4 * k, 0.0, 0), 0.0, 0.0, 0.0, 0.0, MS)
+    assert robot_side.observed_uj < -10_000
+    assert robot_side.least_observed_uj == robot_side.observed_uj
+    assert robot_side.acted == 0
+    held = RobotController()
     for k in range(200):
         held.step(Command(1e-4 * k, 0.0, 0), 0.0, 0.0, 0.0, 0.0, MS)
     assert held.reference_x_m == 0.0
@@ -196,16 +199,16 @@ def test_without_the_controllers_the_observers_only_observe() -> None:
 
 
 def test_the_reference_makes_up_for_what_it_lacks_at_a_bounded_speed() -> None:
-    slave = SlaveController()
+    robot_side = RobotController()
     x_m, v_m_s, places = 0.0, 0.0, []
     for k in range(1500):
         # Nothing is granted in the first 500 ms, then more than enough.
         granted_uj = 0 if k < 500 else (k - 499) * 2000
-        force, _ = slave.step(Command(0.05, 0.0, granted_uj), x_m, 0.0, v_m_s, 0.0, MS)
+        force, _ = robot_side.step(Command(0.05, 0.0, granted_uj), x_m, 0.0, v_m_s, 0.0, MS)
         v_m_s += force / 0.5 * DT
         x_m += v_m_s * DT
-        places.append(slave.reference_x_m)
+        places.append(robot_side.reference_x_m)
     assert places[499] == 0.0
     assert places[-1] == pytest.approx(0.05, abs=1e-4)
     speeds = [(b - a) / DT for a, b in pairwise(places)]
-    assert 0.1 < max(speeds) <= slave.model.speed_m_s + 1e-9
+    assert 0.1 < max(speeds) <= robot_side.model.speed_m_s + 1e-9

@@ -7,7 +7,7 @@ from pipelines.bench.haptics.figures import SWING_N, Figures
 
 #: Of a total, which is sent in whole µJ, rounded down.
 ROUNDING_UJ = 1.0
-#: How fast the master lets the received force grow, and what its damping may add.
+#: How fast the joystick side lets the received force grow, and what its damping may add.
 RISE_N_MS = 1.1
 
 
@@ -70,4 +70,4 @@ def needed(without: Sequence[Figures]) -> Claim:
 
 
 def _least_uj(figures: Figures) -> float:
-    return min(figures.least_master_uj, figures.least_slave_uj)
+    return min(figures.least_joystick_uj, figures.least_robot_uj)

@@ -159,7 +159,7 @@ def _channel_table(with_: Sequence[Figures]) -> Table:
         rows = [figures for figures in with_ if figures.cell.channel == channel]
         table.add_row(
             channel,
-            f"{min(min(f.least_master_uj, f.least_slave_uj) for f in rows):.1f}",
+            f"{min(min(f.least_joystick_uj, f.least_robot_uj) for f in rows):.1f}",
             f"{max(f.given_uj for f in rows):.1f}",
             f"{max(f.contact_peak_n for f in rows):.1f}",
             f"{max(f.displayed_peak_n for f in rows):.1f}",
@@ -179,7 +179,7 @@ def _cell_table(without: Sequence[Figures], with_: Sequence[Figures]) -> Table:
             name = f"{figures.cell.name}, {'with' if figures.passive else 'without'}"
             table.add_row(
                 f"{name}{': UNSTABLE' if figures.unstable else ''}",
-                f"{min(figures.least_master_uj, figures.least_slave_uj):.1f}",
+                f"{min(figures.least_joystick_uj, figures.least_robot_uj):.1f}",
                 f"{figures.given_uj:.1f}",
                 f"{figures.contact_peak_n:.1f}",
                 f"{figures.displayed_peak_n:.1f}",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pipelines.bench.haptics.cell import Cell
 from pipelines.bench.haptics.plan import DEPTH_M, Plan
 from telepresence.haptics.robot import RobotModel
-from telepresence.haptics.robot_controller import SlaveModel
+from telepresence.haptics.robot_controller import RobotControllerModel
 
 #: A hand that keeps still on a wall feels a still force. A swing beyond this (N, peak to peak)
 #: that does not fade is an oscillation: a quarter of the press on the softest wall of the grids,
@@ -27,8 +27,8 @@ class Trace:
 
     handle, tip, reference: (n, 2): what the hand holds, what touches the wall, what pulls the
     tip. displayed, drive: (n, 2), the forces of the network on the handle and on the tip.
-    contact_n: what the wall gives back. master_observed_j, slave_observed_j: of the observers.
-    master_given_j, slave_given_j: what the network has given out at its ends, net, by force and
+    contact_n: what the wall gives back. joystick_observed_j, robot_observed_j: of the observers.
+    joystick_given_j, robot_given_j: what the network has given out at its ends, net, by force and
     displacement of handle and tip: no observer has a part in it.
     """
 
@@ -37,17 +37,17 @@ class Trace:
     displayed: Values
     drive: Values
     contact_n: Values
-    master_observed_j: Values
-    slave_observed_j: Values
-    master_given_j: Values
-    slave_given_j: Values
+    joystick_observed_j: Values
+    robot_observed_j: Values
+    joystick_given_j: Values
+    robot_given_j: Values
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Figures:
     """Energies in µJ, forces in N, force changes in N/ms, positions in mm.
 
-    least_master_uj, least_slave_uj: least energy that the observers saw, below 0: the port gave
+    least_joystick_uj, least_robot_uj: least energy that the observers saw, below 0: the port gave
     more than had come in at the other. given_uj: most that the network had given out in all, at
     any instant, above 0: it made energy. contact_peak_n, displayed_peak_n: the largest forces
     of the wall and on the handle; contact_bound_n: see `contact_bound_n`. swing_n: of both forces
@@ -55,13 +55,13 @@ class Figures:
     the handle over that of the wall in the last third. rise_n_ms, drop_n_ms: the largest growth
     and the largest fall of the force on the handle from one cycle to the next. drift_mm: how far
     apart handle and tip are at the very end, at rest and free. touches: how often the wall was
-    met. acted_master, acted_slave: cycles in which a controller took something away.
+    met. acted_joystick, acted_robot: cycles in which a controller took something away.
     """
 
     cell: Cell
     passive: bool
-    least_master_uj: float
-    least_slave_uj: float
+    least_joystick_uj: float
+    least_robot_uj: float
     given_uj: float
     contact_peak_n: float
     contact_bound_n: float
@@ -73,8 +73,8 @@ class Figures:
     drop_n_ms: float
     drift_mm: float
     touches: int
-    acted_master: int
-    acted_slave: int
+    acted_joystick: int
+    acted_robot: int
 
     @property
     def unstable(self) -> bool:
@@ -97,9 +97,9 @@ def figures(
     return Figures(
         cell=cell,
         passive=passive,
-        least_master_uj=1e6 * float(trace.master_observed_j.min()),
-        least_slave_uj=1e6 * float(trace.slave_observed_j.min()),
-        given_uj=1e6 * float((trace.master_given_j + trace.slave_given_j).max()),
+        least_joystick_uj=1e6 * float(trace.joystick_observed_j.min()),
+        least_robot_uj=1e6 * float(trace.robot_observed_j.min()),
+        given_uj=1e6 * float((trace.joystick_given_j + trace.robot_given_j).max()),
         contact_peak_n=float(trace.contact_n.max()),
         contact_bound_n=contact_bound_n(cell.wall),
         displayed_peak_n=float(sizes.max()),
@@ -110,8 +110,8 @@ def figures(
         drop_n_ms=float(-changes.min()),
         drift_mm=1e3 * float(np.hypot(*apart.T).max()),
         touches=int(np.count_nonzero(contact[1:] & ~contact[:-1])),
-        acted_master=acted[0],
-        acted_slave=acted[1],
+        acted_joystick=acted[0],
+        acted_robot=acted[1],
     )
 
 
@@ -128,6 +128,6 @@ def contact_bound_n(wall_n_m: float) -> float:
     spring and the wall in series), and on top of that the blow of the tip's mass at the greatest
     speed of the reference, v * sqrt(k * m) of an undamped wall.
     """
-    slave, robot = SlaveModel(), RobotModel()
-    spring = slave.stiffness_n_m * wall_n_m / (slave.stiffness_n_m + wall_n_m)
-    return DEPTH_M * spring + slave.speed_m_s * sqrt(wall_n_m * robot.mass_kg)
+    robot_side, robot = RobotControllerModel(), RobotModel()
+    spring = robot_side.stiffness_n_m * wall_n_m / (robot_side.stiffness_n_m + wall_n_m)
+    return DEPTH_M * spring + robot_side.speed_m_s * sqrt(wall_n_m * robot.mass_kg)

@@ -68,13 +68,13 @@ def _forces(trace: Trace) -> dict[str, Values]:
 
 
 def _given(trace: Trace) -> Values:
-    return trace.master_given_j + trace.slave_given_j
+    return trace.joystick_given_j + trace.robot_given_j
 
 
 def _energies(trace: Trace) -> dict[str, Values]:
     return {
-        "observed by the master": 1e3 * trace.master_observed_j,
-        "observed by the slave": 1e3 * trace.slave_observed_j,
+        "observed by the joystick side": 1e3 * trace.joystick_observed_j,
+        "observed by the robot side": 1e3 * trace.robot_observed_j,
         "given out by the network": 1e3 * _given(trace),
     }
 

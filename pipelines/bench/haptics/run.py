@@ -7,7 +7,7 @@ from pipelines.bench.haptics.cell import Cell
 from pipelines.bench.haptics.channel import SampleChannel
 from pipelines.bench.haptics.figures import Figures, Trace, figures
 from pipelines.bench.haptics.plan import Plan, plan
-from telepresence.haptics.bilateral import HeldJoystick, MasterSide, SlaveSide
+from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
 from telepresence.haptics.hand import Hand
 
@@ -15,11 +15,11 @@ from telepresence.haptics.hand import Hand
 def run_cell(cell: Cell, *, seconds: float, seed: int, passive: bool) -> tuple[Figures, Trace]:
     """Hand, joystick, robot and wall for `seconds` and more, with the controllers or without."""
     planned = plan(cell, seconds)
-    master_handle = HeldJoystick(hand=Hand(script=planned.script))
-    master = MasterSide(passive=passive, handle=master_handle)
-    slave = SlaveSide(passive=passive, board=Board(WallModel(stiffness_n_m=cell.wall)))
-    trace = _run(cell, planned, seed, master, master_handle, slave)
-    acted = master.controller.acted, slave.controller.acted
+    joystick_handle = HeldJoystick(hand=Hand(script=planned.script))
+    joystick_side = JoystickSide(passive=passive, handle=joystick_handle)
+    robot_side = RobotSide(passive=passive, board=Board(WallModel(stiffness_n_m=cell.wall)))
+    trace = _run(cell, planned, seed, joystick_side, joystick_handle, robot_side)
+    acted = joystick_side.controller.acted, robot_side.controller.acted
     return figures(cell, planned, trace, passive=passive, acted=acted), trace
 
 
@@ -27,31 +27,31 @@ def _run(
     cell: Cell,
     planned: Plan,
     seed: int,
-    master: MasterSide,
+    joystick_side: JoystickSide,
     handle: HeldJoystick,
-    slave: SlaveSide,
+    robot_side: RobotSide,
 ) -> Trace:
     down = _channel(cell, f"{seed} {cell.name} down", planned.down_dark)
     up = _channel(cell, f"{seed} {cell.name} up", planned.up_dark)
-    robot, controller = slave.robot, slave.controller
-    master_port, slave_port = master.controller.port, controller.port
+    robot, controller = robot_side.robot, robot_side.controller
+    joystick_port, robot_port = joystick_side.controller.port, controller.port
     rows = np.empty((planned.end_ns // NS_PER_MS, 13))
     for number, row in enumerate(rows):
         now_ns = number * NS_PER_MS
         while (data := down.poll_transmit(now_ns)) is not None:
-            slave.handle_datagram(data, now_ns)
+            robot_side.handle_datagram(data, now_ns)
         while (data := up.poll_transmit(now_ns)) is not None:
-            master.handle_datagram(data, now_ns)
-        slave.handle_cycle(now_ns, NS_PER_MS)
-        master.handle_cycle(now_ns, NS_PER_MS)
-        if (command := master.poll_transmit(now_ns)) is not None:
+            joystick_side.handle_datagram(data, now_ns)
+        robot_side.handle_cycle(now_ns, NS_PER_MS)
+        joystick_side.handle_cycle(now_ns, NS_PER_MS)
+        if (command := joystick_side.poll_transmit(now_ns)) is not None:
             down.handle_datagram(command, now_ns)
-        if (feedback := slave.poll_transmit(now_ns)) is not None:
+        if (feedback := robot_side.poll_transmit(now_ns)) is not None:
             up.handle_datagram(feedback, now_ns)
         row[:] = (
             *(handle.x_m, handle.y_m, handle.motor_x_n, handle.motor_y_n),
-            *(robot.x_m, robot.y_m, slave.force_x_n, slave.force_y_n),
-            *(robot.force_n, master_port.credit_j, slave_port.credit_j),
+            *(robot.x_m, robot.y_m, robot_side.force_x_n, robot_side.force_y_n),
+            *(robot.force_n, joystick_port.credit_j, robot_port.credit_j),
             *(handle.work_j, robot.work_j),
         )
     return Trace(
@@ -60,10 +60,10 @@ def _run(
         tip=rows[:, 4:6],
         drive=rows[:, 6:8],
         contact_n=rows[:, 8],
-        master_observed_j=rows[:, 9],
-        slave_observed_j=rows[:, 10],
-        master_given_j=rows[:, 11],
-        slave_given_j=rows[:, 12],
+        joystick_observed_j=rows[:, 9],
+        robot_observed_j=rows[:, 10],
+        joystick_given_j=rows[:, 11],
+        robot_given_j=rows[:, 12],
     )
 
 

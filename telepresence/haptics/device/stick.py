@@ -28,7 +28,7 @@ HALF_WIDTH_M, HALF_HEIGHT_M = 0.1, 0.08
 #: The last part of the way is gone with this time constant. Chosen: shorter than anybody notices,
 #: longer than between two reports of a pad.
 TAU_S = 0.015
-#: On each axis; on both together still below what `MasterModel.acceleration_m_s2` allows for.
+#: On each axis. Both together stay below `JoystickControllerModel.acceleration_m_s2`.
 ACCELERATION_M_S2 = 100.0
 SPEED_M_S = 2.0
 #: It brakes a little sooner than it has to: a cycle's rounding must not make it overshoot.

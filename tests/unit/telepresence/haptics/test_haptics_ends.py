@@ -5,13 +5,13 @@ from math import pi
 
 import pytest
 
-from telepresence.haptics.bilateral import MasterSide
+from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.board import Board, WallModel, contour_point, led_at
 from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, TAP_TARGETS, Hand, Waypoint
 from telepresence.haptics.joystick import Joystick, JoystickModel
-from telepresence.haptics.joystick_controller import MasterController, MasterModel
+from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.robot import Robot, RobotModel
-from telepresence.haptics.robot_controller import SlaveController
+from telepresence.haptics.robot_controller import RobotController
 from telepresence.haptics.sample import (
     STATE_APPLICATION,
     STATE_HALTED,
@@ -183,16 +183,16 @@ def test_hot_motors_give_less_until_they_have_cooled_down() -> None:
 
 
 def test_the_displayed_force_is_limited_in_size_and_in_rate_and_decays_in_silence() -> None:
-    model, master = MasterModel(), MasterController(passive=False)
-    master.limit_n = 9.0
+    model, joystick_side = JoystickControllerModel(), JoystickController(passive=False)
+    joystick_side.limit_n = 9.0
     push = Feedback(-9.0, 12.0, 0, True)
-    assert master.step(push, 0.0, 0.0, MS) == (0.0, 0.0)
-    force = master.step(push, 0.0, 0.0, MS)
+    assert joystick_side.step(push, 0.0, 0.0, MS) == (0.0, 0.0)
+    force = joystick_side.step(push, 0.0, 0.0, MS)
     assert force == pytest.approx((-0.6 * model.rate_n_s / 1000, 0.8 * model.rate_n_s / 1000))
     for _ in range(100):
-        force = master.step(push, 0.0, 0.0, MS)
+        force = joystick_side.step(push, 0.0, 0.0, MS)
     assert force == pytest.approx((-5.4, 7.2))
-    forces = [master.step(None, 0.0, 0.0, MS)[1] for _ in range(2000)]
+    forces = [joystick_side.step(None, 0.0, 0.0, MS)[1] for _ in range(2000)]
     assert all(later <= earlier + 1e-9 for earlier, later in pairwise(forces))
     assert forces[-1] < 0.01
 
@@ -214,7 +214,7 @@ class Rail:
 @pytest.mark.parametrize("advances_ns", [[MS], [1_020_000], [980_000, 1_050_000], [MS, MS, 4 * MS]])
 def test_a_cycle_that_is_late_is_not_felt_as_a_jerk(advances_ns: list[int]) -> None:
     handle, now_ns = Rail(), 0
-    side = MasterSide(handle=handle)
+    side = JoystickSide(handle=handle)
     for k in range(400):
         now_ns += advances_ns[k % len(advances_ns)]
         side.handle_datagram(pack_feedback(k, Feedback(0.0, 0.0, 0, False)), now_ns)
@@ -224,10 +224,10 @@ def test_a_cycle_that_is_late_is_not_felt_as_a_jerk(advances_ns: list[int]) -> N
 
 def moving_along(fx_n: float, fy_n: float, credit_j: float) -> tuple[float, float]:
     """What is displayed of a force to a handle that moves with 0.3 m/s along +x."""
-    master = MasterController(MasterModel(damping_n_s_m=0.0, rate_n_s=1e6))
-    master.port.credit_j = credit_j
-    master.step(None, 0.0, 0.0, MS)
-    return master.step(Feedback(fx_n, fy_n, 0, True), 3e-4, 0.0, MS)
+    joystick_side = JoystickController(JoystickControllerModel(damping_n_s_m=0.0, rate_n_s=1e6))
+    joystick_side.port.credit_j = credit_j
+    joystick_side.step(None, 0.0, 0.0, MS)
+    return joystick_side.step(Feedback(fx_n, fy_n, 0, True), 3e-4, 0.0, MS)
 
 
 def test_at_the_joystick_only_the_force_along_the_motion_is_cut() -> None:
@@ -242,15 +242,15 @@ def test_at_the_joystick_only_the_force_along_the_motion_is_cut() -> None:
 
 def test_a_hand_that_gives_way_at_once_gets_no_more_than_the_credit() -> None:
     for credit_j in (0.0, 1e-5, 1e-4, 1e-3):
-        master = MasterController(MasterModel(rate_n_s=1e6))
-        master.port.credit_j = credit_j
+        joystick_side = JoystickController(JoystickControllerModel(rate_n_s=1e6))
+        joystick_side.port.credit_j = credit_j
         x_m = v_m_s = 0.0
         for k in range(100):
-            master.step(Feedback(10.0, 0.0, 0, True), x_m, 0.0, MS)
+            joystick_side.step(Feedback(10.0, 0.0, 0, True), x_m, 0.0, MS)
             # At rest first, then as fast as the controller is promised at most.
-            v_m_s += master.model.acceleration_m_s2 * 1e-3 if 50 <= k < 60 else 0.0
+            v_m_s += joystick_side.model.acceleration_m_s2 * 1e-3 if 50 <= k < 60 else 0.0
             x_m += v_m_s * 1e-3
-            assert master.observed_uj >= -1.0
+            assert joystick_side.observed_uj >= -1.0
 
 
 @pytest.mark.parametrize(
@@ -265,34 +265,36 @@ def test_a_hand_that_gives_way_at_once_gets_no_more_than_the_credit() -> None:
 def test_without_a_command_to_follow_the_robot_holds_and_its_press_decays(
     command: Command | None,
 ) -> None:
-    slave, robot = SlaveController(x_m=0.085), Robot(x_m=0.061)
+    robot_side, robot = RobotController(x_m=0.085), Robot(x_m=0.061)
     places, forces = [], []
     for _ in range(3000):
-        drive = slave.step(command, robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s, MS)
+        drive = robot_side.step(command, robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s, MS)
         robot.step(*drive, MS)
         places.append(robot.x_m)
         forces.append(robot.force_n)
-    assert slave.holding
+    assert robot_side.holding
     assert max(forces) > 5.0
     assert forces[-1] < 0.2
     assert 0.059 < min(places[500:]) <= max(places) < 0.08
-    assert slave.observed_uj >= 0.0
+    assert robot_side.observed_uj >= 0.0
 
 
 def test_a_reference_that_may_not_move_pulls_no_more_than_its_spring() -> None:
     # Of the step the part to the left brings energy and the part upwards costs some. With the force
     # to the left cut to its limit the one pays no more for the other, and there is no credit.
-    slave = SlaveController()
-    force = slave.step(Command(-0.05, 0.1, 0), -0.05, -0.02, 0.0, 0.0, MS)
+    robot_side = RobotController()
+    force = robot_side.step(Command(-0.05, 0.1, 0), -0.05, -0.02, 0.0, 0.0, MS)
     assert force == pytest.approx((30.0, 20.0))
-    assert (slave.reference_x_m, slave.reference_y_m) == (0.0, 0.0)
-    assert (slave.energy_out_uj, slave.energy_in_uj) == (0, 0)
+    assert (robot_side.reference_x_m, robot_side.reference_y_m) == (0.0, 0.0)
+    assert (robot_side.energy_out_uj, robot_side.energy_in_uj) == (0, 0)
 
 
 def test_a_command_outside_the_board_is_followed_to_its_edge() -> None:
-    slave, robot = SlaveController(), Robot(board=Board(WallModel(stiffness_n_m=0.0)))
+    robot_side, robot = RobotController(), Robot(board=Board(WallModel(stiffness_n_m=0.0)))
     for k in range(4000):
         command = Command(-9.0, 9.0, 20_000 * k)
-        drive = slave.step(command, robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s, MS)
+        drive = robot_side.step(command, robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s, MS)
         robot.step(*drive, MS)
-    assert (slave.reference_x_m, slave.reference_y_m) == pytest.approx((-0.15, 0.10), abs=1e-6)
+    assert (robot_side.reference_x_m, robot_side.reference_y_m) == pytest.approx(
+        (-0.15, 0.10), abs=1e-6
+    )

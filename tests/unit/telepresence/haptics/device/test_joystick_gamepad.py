@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from telepresence.haptics.bilateral import MasterSide, SlaveSide
+from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.device.gamepad import feed, find_gamepads, open_gamepad
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import FELT_BY_NOBODY_N, Operation
 from telepresence.haptics.device.spec import check_joystick
 from telepresence.haptics.device.states import State
 from telepresence.haptics.device.stick import RUMBLE_NS, Axis, RumbleMeter, Stick
-from telepresence.haptics.joystick_controller import MasterModel
+from telepresence.haptics.joystick_controller import JoystickControllerModel
 
 KEYS = frozenset({0x130, 0x131, 0x133, 0x134, 0x136})
 AXES = (Axis(128, 0, 255, 15), Axis(0, -32768, 32767, 128))
@@ -73,7 +73,10 @@ def test_a_jump_of_the_stick_is_no_jump_of_the_handle(jumps):
         for _ in range(cycles):
             stick.advance(NS_PER_MS)
             x, y, vx, vy = stick.reading()[:4]
-            assert hypot(vx - before[2], vy - before[3]) <= MasterModel().acceleration_m_s2 * 1e-3
+            assert (
+                hypot(vx - before[2], vy - before[3])
+                <= JoystickControllerModel().acceleration_m_s2 * 1e-3
+            )
             assert hypot(vx, vy) < 3.0
             assert (x - before[0], y - before[1]) == pytest.approx((vx * 1e-3, vy * 1e-3))
             # It does not swing beyond where the stick has ever been.
@@ -86,7 +89,7 @@ def test_a_jump_of_the_stick_is_no_jump_of_the_handle(jumps):
 @pytest.mark.parametrize("release_ms", [0, 16, 64])
 def test_a_stick_that_is_let_go_of_at_a_wall_takes_no_energy_that_is_not_there(release_ms):
     device = Pad()
-    space, ground = MasterSide(handle=OperatedHandle(device)), SlaveSide()
+    space, ground = JoystickSide(handle=OperatedHandle(device)), RobotSide()
     device.stick.handle_event(1, 0x136, 1)
     for cycle in each_cycle(space, ground, count=3700, delay_ms=10):
         since = (cycle - 700) % 1500

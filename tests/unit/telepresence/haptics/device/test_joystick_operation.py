@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.bilateral import MasterSide, SlaveSide
+from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.device.device import Reading
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import Operation
@@ -295,29 +295,31 @@ def test_a_sensor_that_fails_is_noticed_in_the_very_cycle():
 def test_the_samples_carry_its_state_and_the_fatal_one_is_final():
     device = SimulatedDevice(FAULTS["unplugged"], hand=Hand())
     handle = OperatedHandle(device)
-    master, slave = MasterSide(handle=handle), SlaveSide()
+    joystick_side, robot_side = JoystickSide(handle=handle), RobotSide()
     seen, lights = [], set()
     pushed_after = 0.0
     for millisecond in range(1, 10_000):
         now_ns = millisecond * NS_PER_MS
-        master.handle_cycle(now_ns, NS_PER_MS)
-        slave.handle_cycle(now_ns, NS_PER_MS)
-        sample = master.poll_transmit(now_ns)
+        joystick_side.handle_cycle(now_ns, NS_PER_MS)
+        robot_side.handle_cycle(now_ns, NS_PER_MS)
+        sample = joystick_side.poll_transmit(now_ns)
         value = unpack_command(sample).value
         if value.state not in seen:
             seen.append(value.state)
         assert value.halted == (value.state >= State.HALTED)
-        slave.handle_datagram(sample, now_ns)
-        answer = slave.poll_transmit(now_ns)
-        master.handle_datagram(answer, now_ns)
-        feedback = master.link.latest(now_ns)
+        robot_side.handle_datagram(sample, now_ns)
+        answer = robot_side.poll_transmit(now_ns)
+        joystick_side.handle_datagram(answer, now_ns)
+        feedback = joystick_side.link.latest(now_ns)
         if feedback is not None:
             handle.handle_feedback(feedback)
-        lights.add((device.leds, slave.lit))
+        lights.add((device.leds, robot_side.lit))
         if millisecond > 8_010:
-            pushed_after = max(pushed_after, abs(master.force_x_n), abs(master.force_y_n))
+            pushed_after = max(
+                pushed_after, abs(joystick_side.force_x_n), abs(joystick_side.force_y_n)
+            )
     assert seen == [0, 1, 2, 3, 7]
     assert pushed_after == 0.0
     # The LED that the robot has lit is lit on the joystick too.
     assert (0b001, 0) in lights
-    assert master.controller.least_observed_uj >= -1
+    assert joystick_side.controller.least_observed_uj >= -1
