@@ -152,6 +152,9 @@ class PlayoutBuffer:
             self._begin(min(self._blocks), now_ns)
         elif media < self._next:
             self._next = media
+            if self._free_ns is not None and self._offset_ns is not None:
+                # It may be due before the sound that was given out so far has ended.
+                self._offset_ns = max(self._offset_ns, self._free_ns - _ns(media))
         if len(self._blocks) > self._max_blocks:
             oldest = min(self._blocks)
             self._pass(oldest, self._blocks.pop(oldest).samples)
