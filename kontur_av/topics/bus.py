@@ -31,11 +31,14 @@ import iceoryx2 as iox2
 import numpy as np
 from numpy.typing import NDArray
 
+from kontur_av.errors import ConfigError
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, check_size
 from kontur_av.topics.bell import Bell, Ear, Sleeper
 from kontur_av.topics.session_files import (
     bell_path,
+    choose_session,
     make_session_root,
+    sessions,
     shared_memory_prefix,
     topics_root,
 )
@@ -269,9 +272,27 @@ class TopicBus:
             .create(iox2.ServiceType.Ipc)
         )
         self._session = session
+        self._config = config
+        self._joined = False
         self._ports: list[Any] = []
         self._bells: list[Bell] = []
         self._readers: list[Reader] = []
+
+    @classmethod
+    def join(cls, session: str | None = None) -> Self:
+        """The bus of a session that runs already; None: of the only one, a setup's name: of its.
+
+        A topic that the session does not have is a ConfigError then, and nothing is left behind.
+        ConfigError, with the sessions that run, if there is no such session.
+        """
+        bus = cls(choose_session(session, sessions()))
+        bus._joined = True
+        return bus
+
+    def topics(self) -> list[str]:
+        """The topics of the session at present, by name."""
+        found: list[Any] = iox2.Service.list(self._config, iox2.ServiceType.Ipc)
+        return sorted(service.name().to_string() for service in found)
 
     def writer(self, topic: str, *, max_octets: int, wake: bool = True) -> Writer:
         """A writer for samples of up to `max_octets` octets.
@@ -297,8 +318,9 @@ class TopicBus:
         """A reader that keeps at most `depth` unread samples; beyond that the oldest goes."""
         if not 1 <= depth <= _MAX_DEPTH:
             raise ValueError(f"depth {depth}: from 1 to {_MAX_DEPTH}")
+        service = self._data_service(topic)
         ear = Ear(bell_path(self._session, topic))
-        subscriber = self._data_service(topic).subscriber_builder().buffer_size(depth).create()
+        subscriber = service.subscriber_builder().buffer_size(depth).create()
         reader = Reader(subscriber, ear)
         self._readers.append(reader)
         return reader
@@ -329,7 +351,7 @@ class TopicBus:
         self.close()
 
     def _data_service(self, topic: str) -> Any:
-        return (
+        service = (
             self._node.service_builder(iox2.ServiceName.new(topic))
             .publish_subscribe(iox2.Slice[ctypes.c_uint8])
             .user_header(_Header)
@@ -340,8 +362,16 @@ class TopicBus:
             .subscriber_max_borrowed_samples(_MAX_LEASES)
             .history_size(1)
             .enable_safe_overflow(True)
-            .open_or_create()
         )
+        if not self._joined:
+            return service.open_or_create()
+        try:
+            return service.open()
+        except iox2.PublishSubscribeOpenError:
+            known = ", ".join(self.topics()) or "none"
+            raise ConfigError(
+                f"session {self._session} has no topic {topic}: it has {known}"
+            ) from None
 
 
 class Waiter:

@@ -6,6 +6,7 @@ import re
 import shutil
 import stat
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
@@ -51,6 +52,39 @@ def remove_session(session: str) -> int:
 def shared_memory(session: str) -> list[Path]:
     """What a session has in shared memory at present."""
     return list(_SHARED_MEMORY.glob(f"{shared_memory_prefix(session)}*"))
+
+
+def sessions() -> list[str]:
+    """This user's sessions that have something in shared memory, by name."""
+    root = user_root()
+    names = [path.name for path in root.iterdir() if path.is_dir()] if root.is_dir() else []
+    return sorted(name for name in names if not name.startswith(".") and shared_memory(name))
+
+
+def choose_session(name: str | None, running: Sequence[str], how: str = "") -> str:
+    """The session of `running` that `name` means: its name, or the name of its setup.
+
+    None: the only session. how: how the user names one, for the error.
+    ConfigError, with the running ones, if it means none or several.
+    """
+    if not running:
+        called = f" {name}" if name else ""
+        raise ConfigError(
+            f"no session{called} is running here: start one with "
+            "`kontur-av stream --setup spacejustin`, "
+            f"or set TMPDIR as it has it ({user_root()} has none)"
+        )
+    if name is None:
+        chosen = list(running)
+    elif name in running:
+        chosen = [name]
+    else:
+        chosen = [session for session in running if session.startswith(f"{name}-")]
+    if not chosen:
+        raise ConfigError(f"no session {name} is running: choose one of {', '.join(running)}{how}")
+    if len(chosen) > 1:
+        raise ConfigError(f"several sessions are running: choose one of {', '.join(chosen)}{how}")
+    return chosen[0]
 
 
 def bell_path(session: str, topic: str) -> Path:

@@ -42,7 +42,11 @@ class Microphone:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """It has no options."""
+    """No options; a text that says what is listed."""
+    parser.description = (
+        "List cameras (V4L2), microphones (ALSA) and built-in scenes, each as "
+        "`kontur-av stream --source NAME=SPEC` takes it."
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -46,7 +46,12 @@ Check = tuple[str, Callable[[], Verdict]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """It has no options."""
+    """No options; a text that says what the verdicts mean."""
+    parser.description = (
+        "Try what a session needs: code a picture, publish through shared memory, keep a 1 kHz "
+        "schedule. One line a check: ok; missing (a session cannot run); advice (it runs, and "
+        "something is left to gain). Exit code 1 if anything is missing."
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,7 +10,13 @@ from pipelines.runtime.control import ask
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The camera, and the session where several run."""
     parser.add_argument("camera", metavar="CAMERA", help="for example stereo, static or head")
-    parser.add_argument("--session", metavar="NAME", help="where several sessions are running")
+    parser.description = (
+        "Ask the ground to send another camera's pictures up, and wait for its acknowledgement. "
+        "Exit code 1 if it refuses or no answer comes."
+    )
+    parser.add_argument(
+        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,8 +12,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
-from kontur_av.errors import ConfigError
-from kontur_av.topics.session_files import session_root
+from kontur_av.topics.session_files import choose_session, session_root
 
 _SOCKET = "console"
 #: How long a console may take beside what it says that it has to wait; then nobody is there.
@@ -33,19 +32,17 @@ def running_sessions() -> list[str]:
 
 
 def ask(request: dict[str, Any], session: str | None = None) -> dict[str, Any]:
-    """The running session's answer; ConfigError when there is no session to ask, or several."""
-    sessions = running_sessions() if session is None else [session]
-    alive = [(name, link) for name in sessions if (link := _connect(console_path(name)))]
-    if not alive:
-        root = session_root("any").parent
-        raise ConfigError(
-            f"no session{f' {session}' if session else ''} is running here: start one with "
-            f"`kontur-av stream --setup spacejustin`, or set TMPDIR as it has it ({root} has none)"
-        )
-    if len(alive) > 1:
-        names = ", ".join(name for name, _ in alive)
-        raise ConfigError(f"several sessions are running: choose one of {names} with --session")
-    with alive[0][1] as link:
+    """The answer of the session that `session` means (`choose_session`), or of the only one.
+
+    ConfigError when there is no such session, or several.
+    """
+    links = {name: link for name in running_sessions() if (link := _connect(console_path(name)))}
+    try:
+        chosen = links.pop(choose_session(session, list(links), " with --session"))
+    finally:
+        for other in links.values():
+            other.close()
+    with chosen as link:
         try:
             link.sendall(json.dumps(request).encode() + b"\n")
             lines = link.makefile("rb")

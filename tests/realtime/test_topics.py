@@ -51,6 +51,25 @@ def test_latest_gives_the_newest_and_next_gives_each_in_turn(session):
         assert seen == [(0, 0), (1, 1), (2, 2)]
 
 
+def test_a_guest_joins_what_is_there_and_leaves_nothing_where_nothing_is(session):
+    with TopicBus(session) as bus:
+        writer = bus.writer("pictures", max_octets=16)
+        setup = session.rpartition("-")[0]
+        with TopicBus.join(setup) as guest:
+            assert guest.topics() == ["pictures"]
+            reader = guest.reader("pictures")
+            writer.publish_octets(b"there", stamp(0))
+            assert reader.next().octets() == b"there"
+            before = sorted(shared_memory(session))
+            with pytest.raises(ConfigError, match="no topic sounds: it has pictures"):
+                guest.reader("sounds")
+            assert sorted(shared_memory(session)) == before
+    absent = f"{session}-not"
+    with pytest.raises(ConfigError, match=f"no session {absent} is running"):
+        TopicBus.join(absent)
+    assert not shared_memory(absent) and not session_root(absent).exists()
+
+
 def test_sound_comes_back_as_it_went_in(session):
     with TopicBus(session) as bus:
         writer = bus.writer("voice", max_octets=1920)

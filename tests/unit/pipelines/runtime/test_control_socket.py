@@ -59,6 +59,22 @@ def test_the_only_session_is_asked(console):
     assert asked == [{"select": "static"}]
 
 
+def test_a_setups_name_will_do_where_one_session_has_it(console):
+    asked = console("taskboard-41", b'{"ok": true}\n')
+    console("spacejustin-42", b"")
+    assert ask({"select": "static"}, "taskboard") == {"ok": True}
+    assert asked == [{"select": "static"}]
+
+
+def test_a_name_that_no_session_has_is_told_with_those_that_run(console):
+    console("taskboard-41", b"")
+    console("taskboard-42", b"")
+    with pytest.raises(ConfigError, match=r"no session lab is running: .*taskboard-42"):
+        ask({"select": "static"}, "lab")
+    with pytest.raises(ConfigError, match=r"several .* taskboard-41, taskboard-42 with --session"):
+        ask({"select": "static"}, "taskboard")
+
+
 def test_of_several_sessions_one_has_to_be_named(console):
     console("one", b'{"ok": true}\n')
     asked = console("two", b'{"ok": true}\n')
