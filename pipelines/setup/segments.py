@@ -1,0 +1,42 @@
+"""The two places of a session, and the two ways between them."""
+
+from enum import Enum
+
+
+class Segment(Enum):
+    """Where a process runs."""
+
+    GROUND = "ground"
+    SPACE = "space"
+
+    @property
+    def transmits(self) -> "Direction":
+        """The direction in which its gateway sends frames."""
+        return Direction.UPLINK if self is Segment.GROUND else Direction.DOWNLINK
+
+    @property
+    def peer(self) -> "Segment":
+        """The other one."""
+        return Segment.SPACE if self is Segment.GROUND else Segment.GROUND
+
+
+class Direction(Enum):
+    """A direction of the radio link."""
+
+    UPLINK = "uplink"
+    DOWNLINK = "downlink"
+
+    @property
+    def sender(self) -> Segment:
+        """The segment whose gateway sends the frames."""
+        return Segment.GROUND if self is Direction.UPLINK else Segment.SPACE
+
+    @property
+    def receiver(self) -> Segment:
+        """The segment whose gateway receives them."""
+        return self.sender.peer
+
+    @property
+    def opposite(self) -> "Direction":
+        """The other one."""
+        return Direction.DOWNLINK if self is Direction.UPLINK else Direction.UPLINK

@@ -1,0 +1,51 @@
+"""The table of a session: a row for every process, stream and topic.
+
+Launcher, simulation, ports, report and documents derive from it. It says in which segment a process
+runs. Processes of one segment share topics; what crosses to the other segment is a stream of the
+radio link. The one exception is `robot/state`, from which the built-in scenes draw the simulated
+world; without it they show a scripted motion.
+
+`topology_of(setup)` builds it. `streams.py` lists what the link carries, with ports; `processes.py`
+lists the processes with their topics. A new process is a new row there and a module in
+`pipelines.parts`.
+"""
+
+from pipelines.setup.segments import Direction, Segment
+from pipelines.topology.build import topology_of
+from pipelines.topology.rows import (
+    LOOP_PRIORITY,
+    VOICE_PRIORITY,
+    CameraRow,
+    HapticRow,
+    InputRow,
+    Kind,
+    LinkRow,
+    MediaRow,
+    ProcessRow,
+    Stage,
+    StreamRow,
+    TopicRow,
+)
+from pipelines.topology.streams import TELECOMMAND, TELEMETRY
+from pipelines.topology.table import Topology
+
+__all__ = [
+    "LOOP_PRIORITY",
+    "TELECOMMAND",
+    "TELEMETRY",
+    "VOICE_PRIORITY",
+    "CameraRow",
+    "Direction",
+    "HapticRow",
+    "InputRow",
+    "Kind",
+    "LinkRow",
+    "MediaRow",
+    "ProcessRow",
+    "Segment",
+    "Stage",
+    "StreamRow",
+    "TopicRow",
+    "Topology",
+    "topology_of",
+]

@@ -1,0 +1,39 @@
+"""Builds the table of a setup."""
+
+from dataclasses import replace
+
+from pipelines.setup.segments import Direction
+from pipelines.setup.table import Setup
+from pipelines.topology.processes import process_rows, topic_rows
+from pipelines.topology.streams import (
+    LAUNCHER_OFFSET,
+    camera_row,
+    input_rows,
+    link_row,
+    stream_rows,
+)
+from pipelines.topology.table import Topology
+from telepresence.haptics.device.spec import SIMULATED
+
+
+def topology_of(setup: Setup, *, joystick: str = SIMULATED, snapshots: bool = False) -> Topology:
+    """The table of a session of `setup`.
+
+    joystick: SPEC of the joystick. snapshots: with the process that keeps pictures as files.
+    """
+    streams = Topology(
+        setup=setup,
+        processes=(),
+        topics=(),
+        streams=tuple(row for direction in Direction for row in stream_rows(setup, direction)),
+        links=tuple(link_row(setup, direction) for direction in Direction),
+        inputs=tuple(input_rows(setup)),
+        cameras=tuple(camera_row(name) for name in setup.cameras),
+        launcher_port=setup.base_port + LAUNCHER_OFFSET,
+    )
+    processes = process_rows(streams, joystick=joystick, snapshots=snapshots)
+    return replace(
+        streams,
+        processes=processes,
+        topics=tuple(topic_rows(replace(streams, processes=processes))),
+    )

@@ -1,0 +1,242 @@
+"""The processes of a session, with their topics."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from pipelines.setup.segments import Segment
+from pipelines.setup.table import STEREO, STEREO_INPUTS, VideoStream
+from pipelines.topology.rows import (
+    LOOP_PRIORITY,
+    VOICE_PRIORITY,
+    Kind,
+    MediaRow,
+    ProcessRow,
+    Stage,
+    TopicRow,
+)
+from pipelines.topology.streams import STEREO_TOPIC
+from pipelines.topology.table import Topology
+
+#: The state of the robot, from which the built-in scenes draw.
+ROBOT_TOPIC = "robot/state"
+#: What goes up: the picture of the camera that is selected.
+SELECTED_TOPIC = "selected/uplink_video"
+
+
+def process_rows(session: Topology, *, joystick: str, snapshots: bool) -> tuple[ProcessRow, ...]:
+    """The processes, in the order in which they are started, of a table that has none yet."""
+    rows = [*_ground(session), *_space(session, joystick)]
+    if snapshots:
+        rows.append(_snapshots(session))
+    rows.sort(key=lambda row: row.stage)
+    return tuple(_with_streams(row, session) for row in rows)
+
+
+def topic_rows(session: Topology) -> Iterable[TopicRow]:
+    """The topics of a table that has its processes."""
+    samples = {
+        ROBOT_TOPIC: "instant, place of the tip, force and contact",
+        STEREO_TOPIC: "two pictures side by side",
+        SELECTED_TOPIC: "picture of the selected camera",
+    }
+    for row in session.inputs:
+        video = isinstance(session.media(row.stream).stream, VideoStream)
+        samples[row.topic] = "captured picture" if video else "20 ms of captured sound"
+    for link in session.links:
+        samples[link.backlog_topic] = "what waits in the gateway, state of the radio"
+    for media in session.media_streams:
+        video = media.kind is Kind.VIDEO
+        samples[media.received_topic] = "decoded picture" if video else "decoded sound"
+        if media.displayed_topic is not None:
+            samples[media.displayed_topic] = "picture, marked where it is stale"
+        if media.lag_topic is not None:
+            samples[media.lag_topic] = "how late the newest picture was shown"
+    for process in session.processes:
+        for name in process.writes:
+            yield TopicRow(
+                name=name,
+                writer=process.name,
+                readers=tuple(row.name for row in session.processes if name in row.reads),
+                sample=samples[name],
+            )
+
+
+def _ground(session: Topology) -> Iterable[ProcessRow]:
+    setup = session.setup
+    yield _gateway(session, Segment.GROUND)
+    yield ProcessRow(
+        name="robot",
+        segment=Segment.GROUND,
+        stage=Stage.LINK,
+        run="pipelines.parts.haptic_ends:run_robot",
+        priority=LOOP_PRIORITY,
+        writes=(ROBOT_TOPIC,),
+        what="1 kHz loop of the robot and its task board",
+    )
+    video = session.media(setup.uplink_video.name)
+    for name in video.inputs:
+        yield _capture(session, name)
+    if STEREO in setup.cameras:
+        yield ProcessRow(
+            name="stereo",
+            segment=Segment.GROUND,
+            stage=Stage.RELAY,
+            run="pipelines.parts.stereo:run_stereo",
+            reads=tuple(session.input(name).topic for name in STEREO_INPUTS),
+            writes=(STEREO_TOPIC,),
+            what="merges the robot's two cameras into one picture",
+        )
+    yield ProcessRow(
+        name="selector",
+        segment=Segment.GROUND,
+        stage=Stage.RELAY,
+        run="pipelines.parts.selector:run_selector",
+        reads=(*(camera.topic for camera in session.cameras), ROBOT_TOPIC),
+        writes=(SELECTED_TOPIC,),
+        what="forwards the camera that telecommands select",
+    )
+    yield _send(video, SELECTED_TOPIC)
+    if setup.uplink_voice is not None:
+        yield from _say(session, setup.uplink_voice.name)
+    yield from _end(session, Segment.GROUND)
+
+
+def _space(session: Topology, joystick: str) -> Iterable[ProcessRow]:
+    setup = session.setup
+    yield _gateway(session, Segment.SPACE)
+    yield ProcessRow(
+        name="joystick",
+        segment=Segment.SPACE,
+        stage=Stage.LINK,
+        run="pipelines.parts.haptic_ends:run_joystick",
+        arguments={"spec": joystick},
+        priority=LOOP_PRIORITY,
+        what="1 kHz loop of the operator's joystick",
+    )
+    yield ProcessRow(
+        name="console",
+        segment=Segment.SPACE,
+        stage=Stage.LINK,
+        run="pipelines.parts.console:run_console",
+        what="sends telecommands, answers `kontur-av select`",
+    )
+    yield from _end(session, Segment.SPACE)
+    for stream in (setup.downlink_video, setup.downlink_voice):
+        if stream is not None:
+            yield from _say(session, stream.name)
+
+
+def _gateway(session: Topology, segment: Segment) -> ProcessRow:
+    link = session.link(segment.transmits)
+    return ProcessRow(
+        name=link.sender,
+        segment=segment,
+        stage=Stage.LINK,
+        run="pipelines.parts.gateway:run_gateway",
+        arguments={"segment": segment},
+        priority=LOOP_PRIORITY,
+        writes=(link.backlog_topic,),
+        what="1 kHz slots: this segment's end of the radio link",
+    )
+
+
+def _capture(session: Topology, name: str) -> ProcessRow:
+    row = session.input(name)
+    media = session.media(row.stream)
+    video = media.kind is Kind.VIDEO
+    return ProcessRow(
+        name=row.process,
+        segment=media.direction.sender,
+        stage=Stage.SOURCE,
+        run=f"pipelines.parts.capture:{'run_camera' if video else 'run_microphone'}",
+        arguments={"name": name, "stream": media.stream} if video else {"name": name},
+        priority=0 if video else VOICE_PRIORITY,
+        reads=(ROBOT_TOPIC,),
+        writes=(row.topic,),
+        what="captures pictures" if video else "captures sound",
+    )
+
+
+def _say(session: Topology, stream: str) -> Iterable[ProcessRow]:
+    """A stream with one input, from capture to sender."""
+    media = session.media(stream)
+    (name,) = media.inputs
+    yield _capture(session, name)
+    yield _send(media, session.input(name).topic)
+
+
+def _send(media: MediaRow, topic: str) -> ProcessRow:
+    video = media.kind is Kind.VIDEO
+    return ProcessRow(
+        name=media.sender,
+        segment=media.direction.sender,
+        stage=Stage.SENDER,
+        run="pipelines.parts.video_send:run_video_send"
+        if video
+        else "pipelines.parts.voice_send:run_voice_send",
+        arguments={"stream": media.stream, "topic": topic},
+        priority=0 if video else VOICE_PRIORITY,
+        reads=(topic, media.backlog_topic) if video else (topic,),
+        what="encodes and sends pictures" if video else "encodes and sends sound",
+    )
+
+
+def _end(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
+    """Where the pictures and sounds for a segment's people are received and shown."""
+    rows = [row for row in session.media_streams if row.direction.receiver is segment]
+    lag_topics = tuple(row.lag_topic for row in rows if row.lag_topic is not None)
+    shown = tuple(row.displayed_topic for row in rows if row.displayed_topic is not None)
+    for row in rows:
+        video = row.kind is Kind.VIDEO
+        yield ProcessRow(
+            name=row.receiver,
+            segment=segment,
+            stage=Stage.RECEIVER,
+            run="pipelines.parts.video_receive:run_video_receive"
+            if video
+            else "pipelines.parts.voice_receive:run_voice_receive",
+            arguments={"stream": row.stream},
+            priority=0 if video else VOICE_PRIORITY,
+            reads=() if video else lag_topics,
+            writes=(row.received_topic,),
+            what="receives and decodes pictures" if video else "receives and decodes sound",
+        )
+    if rows:
+        yield ProcessRow(
+            name=rows[0].display,
+            segment=segment,
+            stage=Stage.SINK,
+            run="pipelines.parts.display:run_display",
+            arguments={"streams": tuple(row.stream for row in rows)},
+            priority=VOICE_PRIORITY,
+            reads=tuple(row.received_topic for row in rows),
+            writes=(*shown, *lag_topics),
+            what="shows pictures and plays sounds",
+        )
+
+
+def _snapshots(session: Topology) -> ProcessRow:
+    shown = [row.displayed_topic for row in session.media_streams]
+    stereo = (STEREO_TOPIC,) if STEREO in session.setup.cameras else ()
+    return ProcessRow(
+        name="snapshots",
+        segment=None,
+        stage=Stage.SINK,
+        run="pipelines.parts.snapshots:run_snapshots",
+        reads=(*(topic for topic in shown if topic is not None), *stereo),
+        what="keeps what is shown as PNG files",
+    )
+
+
+def _with_streams(row: ProcessRow, session: Topology) -> ProcessRow:
+    """The row with the streams and the ports of its process."""
+    radio = [link.port for link in session.links if link.receiver == row.name]
+    out = {link.direction for link in session.links if link.sender == row.name}
+    entries = [stream.entry_port for stream in session.streams if stream.direction in out]
+    exits = [stream.exit_port for stream in session.streams if stream.receiver == row.name]
+    return replace(
+        row,
+        sends=tuple(stream.name for stream in session.streams if stream.sender == row.name),
+        receives=tuple(stream.name for stream in session.streams if stream.receiver == row.name),
+        ports=(*radio, *entries, *exits),
+    )

@@ -1,0 +1,123 @@
+"""The whole table, and how to look a row up."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from pipelines.setup.segments import Direction, Segment
+from pipelines.setup.table import Setup
+from pipelines.topology.rows import (
+    CameraRow,
+    HapticRow,
+    InputRow,
+    Kind,
+    LinkRow,
+    MediaRow,
+    ProcessRow,
+    StreamRow,
+    TopicRow,
+)
+from telepresence.link.flows import Flow
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topology:
+    """All processes, streams and topics of a session of `setup`.
+
+    processes: in the order in which they are started. streams: by direction, and within one by
+    priority. Lookups by name raise KeyError for a name that the session does not have.
+    """
+
+    setup: Setup
+    processes: tuple[ProcessRow, ...]
+    streams: tuple[StreamRow, ...]
+    topics: tuple[TopicRow, ...]
+    links: tuple[LinkRow, ...]
+    inputs: tuple[InputRow, ...]
+    cameras: tuple[CameraRow, ...]
+    launcher_port: int
+
+    def process(self, name: str) -> ProcessRow:
+        """The process `name`."""
+        return self._processes[name]
+
+    def processes_of(self, segments: Iterable[Segment]) -> tuple[ProcessRow, ...]:
+        """What a machine starts on which these segments run."""
+        here = {None, *segments}
+        return tuple(row for row in self.processes if row.segment in here)
+
+    def stream(self, name: str) -> StreamRow:
+        """The stream `name`, of whatever kind."""
+        return self._streams[name]
+
+    @cached_property
+    def media_streams(self) -> tuple[MediaRow, ...]:
+        """The pictures and voices, in the setup's order."""
+        return tuple(self.media(stream.name) for stream in self.setup.streams)
+
+    def media(self, name: str) -> MediaRow:
+        """The picture or voice `name`."""
+        row = self._streams[name]
+        if not isinstance(row, MediaRow):
+            raise KeyError(name)
+        return row
+
+    @cached_property
+    def haptics(self) -> tuple[HapticRow, ...]:
+        """The haptic samples, up first."""
+        return tuple(row for row in self.streams if isinstance(row, HapticRow))
+
+    def haptic(self, key: str) -> HapticRow:
+        """The haptic samples "up" or "down"."""
+        return next(row for row in self.haptics if row.key == key)
+
+    def flows(self, direction: Direction) -> tuple[Flow, ...]:
+        """What the link carries in a direction; a flow's place is its number on the link."""
+        rows = (row for row in self.streams if row.direction is direction)
+        return tuple(row.flow for row in rows if row.flow is not None)
+
+    def link(self, direction: Direction) -> LinkRow:
+        """A direction of the radio link."""
+        return next(row for row in self.links if row.direction is direction)
+
+    def gateway(self, segment: Segment) -> ProcessRow:
+        """The gateway of a segment."""
+        return self.process(self.link(segment.transmits).sender)
+
+    def sender_of(self, stream: str) -> ProcessRow:
+        """The process that sends a picture or a voice."""
+        return self.process(self.media(stream).sender)
+
+    def receiver_of(self, stream: str) -> ProcessRow:
+        """The process that receives a picture or a voice."""
+        return self.process(self.media(stream).receiver)
+
+    def input(self, name: str) -> InputRow:
+        """The input `name`."""
+        return next(row for row in self.inputs if row.name == name)
+
+    def input_process(self, name: str) -> ProcessRow:
+        """The process that captures the input `name`."""
+        return self.process(self.input(name).process)
+
+    def camera(self, name: str) -> CameraRow:
+        """What can be selected under `name`."""
+        return next(row for row in self.cameras if row.name == name)
+
+    def topic(self, name: str) -> TopicRow:
+        """The topic `name`."""
+        return next(row for row in self.topics if row.name == name)
+
+    def shown_with(self, voice: str) -> MediaRow | None:
+        """The picture that is shown where a voice is heard."""
+        display = self.media(voice).display
+        shown = (row for row in self.media_streams if row.display == display)
+        return next((row for row in shown if row.kind is Kind.VIDEO), None)
+
+    @cached_property
+    def _processes(self) -> Mapping[str, ProcessRow]:
+        return {row.name: row for row in self.processes}
+
+    @cached_property
+    def _streams(self) -> Mapping[str, StreamRow]:
+        return {row.name: row for row in self.streams}

@@ -1,0 +1,158 @@
+"""The table of a session agrees with itself, and its ports are those that users know."""
+
+import inspect
+from collections import Counter
+from dataclasses import replace
+from pkgutil import resolve_name
+
+import pytest
+
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.setup.table import PORTS, Setup
+from pipelines.topology import (
+    Direction,
+    Kind,
+    MediaRow,
+    Segment,
+    Topology,
+    topology_of,
+)
+
+SPACEJUSTIN = topology_of(BUILT_IN["spacejustin"], snapshots=True)
+
+
+def every_setup() -> list[Setup]:
+    """The built-in ones, and one with each optional stream left out."""
+    whole = BUILT_IN["spacejustin"]
+    return [
+        *BUILT_IN.values(),
+        replace(whole, uplink_voice=None),
+        replace(whole, downlink_video=None),
+        replace(whole, downlink_voice=None),
+        replace(whole, cameras=("static",)),
+    ]
+
+
+@pytest.fixture(params=every_setup(), ids=lambda setup: f"{len(setup.streams)}-{setup.cameras[0]}")
+def session(request) -> Topology:
+    return topology_of(request.param, snapshots=True)
+
+
+def test_names_are_unique(session):
+    for rows in (session.processes, session.streams, session.topics, session.inputs):
+        assert max(Counter(row.name for row in rows).values()) == 1
+
+
+def test_every_topic_that_is_read_has_a_writer(session):
+    written = {row.name for row in session.topics}
+    assert {topic for row in session.processes for topic in row.reads} <= written
+    for topic in session.topics:
+        assert topic.name in session.process(topic.writer).writes
+        assert all(topic.name in session.process(name).reads for name in topic.readers)
+        assert topic.sample
+
+
+def test_topics_stay_in_a_segment_but_for_the_simulated_world(session):
+    crossing = {
+        topic.name
+        for topic in session.topics
+        for reader in topic.readers
+        if session.process(reader).segment not in (None, session.process(topic.writer).segment)
+    }
+    assert crossing <= {"robot/state"}
+
+
+def test_every_port_is_unique_and_within_the_session(session):
+    ports = [port for row in session.processes for port in row.ports]
+    ports.append(session.launcher_port)
+    assert max(Counter(ports).values()) == 1
+    base = session.setup.base_port
+    assert set(ports) <= set(range(base, base + PORTS))
+
+
+def test_every_stream_runs_from_a_sender_to_a_receiver_in_the_other_segment(session):
+    for row in session.streams:
+        gateway = session.gateway(row.direction.sender)
+        assert row.entry_port in gateway.ports
+        if row.kind is Kind.MAINTENANCE:
+            assert row.sender is None and row.receiver is None
+            continue
+        sender, receiver = session.process(row.sender), session.process(row.receiver)
+        assert sender.segment is row.direction.sender and row.name in sender.sends
+        assert receiver.segment is row.direction.receiver and row.name in receiver.receives
+        assert row.exit_port in receiver.ports
+
+
+def test_every_function_exists_and_takes_its_arguments(session):
+    for row in session.processes:
+        signature = inspect.signature(resolve_name(row.run))
+        signature.bind(None, **row.arguments)
+
+
+def test_consumers_start_before_producers(session):
+    order = [row.name for row in session.processes]
+    for row in session.media_streams:
+        assert order.index(row.display) < order.index(row.receiver) < order.index(row.sender)
+        for name in row.inputs:
+            assert order.index(row.sender) < order.index(session.input(name).process)
+
+
+def test_a_media_stream_leads_to_its_other_rows(session):
+    for row in session.media_streams:
+        assert row.stream in session.setup.streams
+        rtcp = session.stream(row.rtcp)
+        assert (rtcp.kind, rtcp.direction) == (Kind.RTCP, row.direction)
+        if row.feedback is not None:
+            feedback = session.stream(row.feedback)
+            assert (feedback.kind, feedback.direction) == (Kind.FEEDBACK, row.direction.opposite)
+            assert (feedback.sender, feedback.receiver) == (row.receiver, row.sender)
+        assert session.topic(row.received_topic).readers == (row.display,)
+
+
+def test_the_ports_are_those_that_users_know():
+    known = {
+        "uplink_haptic": (27002, 27005),
+        "telemetry": (27030, 27031),
+        "uplink_voice": (27014, 27016),
+        "uplink_voice_rtcp": (27015, 27017),
+        "uplink_video": (27010, 27012),
+        "uplink_video_rtcp": (27011, 27013),
+        "feedback_downlink_video": (27028, 27029),
+        "uplink_maintenance": (27034, 27036),
+        "downlink_haptic": (27004, 27003),
+        "telecommand": (27032, 27033),
+        "downlink_voice": (27022, 27024),
+        "downlink_voice_rtcp": (27023, 27025),
+        "downlink_video": (27018, 27020),
+        "downlink_video_rtcp": (27019, 27021),
+        "feedback_uplink_video": (27026, 27027),
+        "downlink_maintenance": (27037, 27039),
+    }
+    # In order of priority, which is also the order of the flows' numbers on the link.
+    found = {row.name: (row.entry_port, row.exit_port) for row in SPACEJUSTIN.streams}
+    assert list(found.items()) == list(known.items())
+    assert [link.port for link in SPACEJUSTIN.links] == [27001, 27000]
+    assert SPACEJUSTIN.launcher_port == 27006
+
+
+def test_lookups_find_what_belongs_together():
+    assert SPACEJUSTIN.sender_of("uplink_video").name == "uplink_video_send"
+    assert SPACEJUSTIN.receiver_of("downlink_voice").name == "downlink_voice_receive"
+    assert SPACEJUSTIN.gateway(Segment.SPACE).name == "space_gateway"
+    assert SPACEJUSTIN.input_process("head").name == "camera_head"
+    assert SPACEJUSTIN.input_process("iss_camera").name == "iss_camera"
+    assert SPACEJUSTIN.camera("stereo").inputs == ("left", "right")
+    assert SPACEJUSTIN.haptic("up").direction is Direction.UPLINK
+    picture = SPACEJUSTIN.shown_with("downlink_voice")
+    assert isinstance(picture, MediaRow) and picture.name == "downlink_video"
+    without = topology_of(replace(SPACEJUSTIN.setup, downlink_video=None))
+    assert without.shown_with("downlink_voice") is None
+    with pytest.raises(KeyError):
+        SPACEJUSTIN.media("telemetry")
+
+
+def test_each_segment_can_be_started_alone():
+    parts = [SPACEJUSTIN.processes_of([segment]) for segment in Segment]
+    names = [{row.name for row in rows} for rows in parts]
+    assert names[0] & names[1] == {"snapshots"}
+    assert names[0] | names[1] == {row.name for row in SPACEJUSTIN.processes}
