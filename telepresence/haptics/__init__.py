@@ -1,1 +1,1 @@
-"""The hand: the 12-octet haptic sample, the joystick, the robot and their 1 kHz loops."""
+"""Haptics: the 12-octet sample, joystick, robot, and their controllers at 1 kHz."""

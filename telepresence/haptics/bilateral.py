@@ -1,7 +1,8 @@
-"""The two sides of the bilateral exchange, each with all that one cycle of a millisecond does.
+"""The two sides of the bilateral exchange, each with everything that it does in one 1 ms cycle.
 
-A side is a core: in each cycle `handle_datagram` for all that has come, `handle_cycle`, then send
-what `poll_transmit` gives. Both in one process, with a channel between them, are the whole loop.
+A side is a core. In each cycle, call `handle_datagram` for every datagram received, then
+`handle_cycle`, then send what `poll_transmit` returns. Two sides in one process, with a channel
+between them, form the whole control loop.
 """
 
 from collections.abc import Sequence
@@ -17,17 +18,18 @@ from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
 from telepresence.haptics.sample import MODE_IMPEDANCE, STATE_HALTED, Command, Feedback
 
-#: Of a time that was missed (the process stood still) so much is made up for.
+#: Longest interval that one call simulates. After a stall, the rest is dropped.
 _MAX_ADVANCE_NS = 50 * NS_PER_MS
-#: As in `sample`: spares the samples' own way to be made.
+#: Skips `Command.__new__`, which is one more Python call a thousand times a second.
 _tuple = tuple.__new__
 
 
 class Handle(Protocol):
-    """What a joystick side moves: a joystick with a hand on it, simulated or real.
+    """The handle of a joystick with a hand on it, simulated or real.
 
-    x_m, y_m: where it is. force_limit_n: what its motors can give now. dead_man, buttons, state:
-    what the samples tell of them.
+    x_m, y_m: position (m).
+    force_limit_n: the force that its motors can exert now (N).
+    dead_man, buttons, state: the values that the command samples carry.
     """
 
     x_m: float
@@ -38,27 +40,27 @@ class Handle(Protocol):
     state: int
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
-        """Exert this force (N, N), and be where the handle is `dt_ns` (at most 1 ms) later."""
+        """Apply this force (N, N) for `dt_ns` (at most 1 ms) and update the position."""
 
 
 class HeldJoystick(Joystick):
-    """The simulated joystick in a simulated hand: `Handle`."""
+    """The simulated joystick in a simulated hand; a `Handle`."""
 
     def __init__(self, model: JoystickModel | None = None, *, hand: Hand | None = None) -> None:
         self.hand = hand = hand or Hand()
         super().__init__(model, x_m=hand.x_m, y_m=hand.y_m)
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
-        """Move on by `dt_ns` with this force of the motors."""
+        """Advance by `dt_ns` with this motor force (N, N)."""
         hand = self.hand
         hand_x, hand_y = hand.force(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s, dt_ns)
         self.push(fx_n, fy_n, hand_x, hand_y, hand.mass_kg, dt_ns)
 
 
 class _Side:
-    """What both sides have: the link, the time of a cycle, and the report.
+    """The common part of both sides: the link, the timing of a cycle, and the report.
 
-    force_x_n, force_y_n: what the controller exerts now.
+    force_x_n, force_y_n: the force that the controller exerts now (N).
     """
 
     link: HapticLink[Any, Any]
@@ -68,16 +70,16 @@ class _Side:
         self.force_x_n = self.force_y_n = 0.0
         self._restarts = 0
         self._acted = 0
-        # Looked up once: they are called a thousand times a second.
+        # Bound once, because they are called a thousand times a second.
         self.handle_datagram = self.link.handle_datagram
         self.poll_transmit = self.link.poll_transmit
 
     def _cycle(self, heard: Any, dt_ns: int) -> None:
-        """Move on by `dt_ns`, at most 1 ms, with the peer's newest sample or None."""
+        """Advance by `dt_ns`, at most 1 ms, with the peer's newest sample, or None."""
         raise NotImplementedError
 
     def _advance(self, now_ns: int, advance_ns: int) -> bool:
-        """Move on by `advance_ns`, of more than 50 ms only 50 ms; whether the controller acted."""
+        """Advance by `advance_ns`, at most 50 ms; return whether the controller acted."""
         link, controller = self.link, self.controller
         if link.restarts != self._restarts:
             self._restarts = link.restarts
@@ -93,7 +95,7 @@ class _Side:
         return acted
 
     def report(self) -> dict[str, int]:
-        """Energies (µJ) and counters by name; `least_uj` is the least the observer ever said."""
+        """Energies (µJ) and counters by name; `least_uj` is the observer's lowest value."""
         controller = self.controller
         return {
             "energy_in_uj": controller.energy_in_uj,
@@ -109,10 +111,12 @@ class _Side:
 class JoystickSide(_Side):
     """The joystick's side: handle, controller and link.
 
-    passive: without, the controller only observes. script, hand: of the simulated hand. handle:
-    instead of the simulated joystick in that hand. model: of the controller.
+    passive: if False, the passivity controller only observes.
+    script, hand: intended movement and muscles of the simulated hand.
+    handle: used instead of the simulated joystick in that hand.
+    model: parameters of the controller.
 
-    force_x_n, force_y_n: what is displayed now. handle.x_m …: see `Handle` and `Joystick`.
+    force_x_n, force_y_n: the force displayed now (N). For `handle`, see `Handle` and `Joystick`.
     """
 
     def __init__(
@@ -132,7 +136,7 @@ class JoystickSide(_Side):
         super().__init__()
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
-        """One cycle, which moves the handle on by `advance_ns`; of more than 50 ms only 50 ms."""
+        """Run one cycle, which advances the handle by `advance_ns`, at most 50 ms."""
         acted = self._advance(now_ns, advance_ns)
         handle, controller = self.handle, self.controller
         state = handle.state
@@ -153,7 +157,7 @@ class JoystickSide(_Side):
             return
         handle, controller = self.handle, self.controller
         controller.limit_n = handle.force_limit_n
-        # The handle's way since the last step took as long as that one, not as long as this one.
+        # The handle covered its last distance in the previous step's time, not in this step's.
         fx, fy = controller.step(feedback, handle.x_m, handle.y_m, self._last_ns)
         self._last_ns = dt_ns
         self.force_x_n, self.force_y_n = fx, fy
@@ -163,11 +167,13 @@ class JoystickSide(_Side):
 class RobotSide(_Side):
     """The robot's side: robot, board, controller and link.
 
-    passive: without, the controller only observes. board: what the tip can touch. robot: instead
-    of the default one. model: of the controller.
+    passive: if False, the passivity controller only observes.
+    board: what the tip can touch.
+    robot: used instead of the default robot.
+    model: parameters of the controller.
 
-    force_x_n, force_y_n: the coordinating force. robot.x_m, robot.push_x_n …: see `Robot`. In
-    another mode than impedance the robot does what that says, and the operator feels nothing.
+    force_x_n, force_y_n: the coordinating force (N). For `robot`, see `Robot`.
+    Outside impedance mode the robot follows its own mode, and the operator feels nothing.
     """
 
     def __init__(
@@ -188,7 +194,7 @@ class RobotSide(_Side):
         super().__init__()
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
-        """One cycle, which moves the robot on by `advance_ns`; of more than 50 ms only 50 ms."""
+        """Run one cycle, which advances the robot by `advance_ns`, at most 50 ms."""
         acted = self._advance(now_ns, advance_ns)
         robot, controller = self.robot, self.controller
         contact = robot.contact

@@ -1,16 +1,16 @@
 """The task board as the tip feels it: a wall with the LED targets, a spring, a contour to follow.
 
-All lengths in metres, in the board's coordinates (see `telepresence.world.state`). Each element
-pushes on the tip; the forces add up.
+All lengths are in metres, in the board's coordinates (see `telepresence.world.state`). Each
+element exerts a force on the tip; the forces add up.
 """
 
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from math import atan2, cos, hypot, sin, sqrt, tau
 
-#: The contact wall: this line of the task board, which the tip touches from smaller x.
+#: The contact wall is the line x = WALL_X_M. The tip reaches it from smaller x.
 WALL_X_M = 0.06
-#: Centres of the LED targets: three on the wall, two for the eye.
+#: Centres of the LED targets: three on the wall, two that only the cameras see.
 LEDS_M: tuple[tuple[float, float], ...] = (
     (WALL_X_M, -0.05),
     (WALL_X_M, 0.0),
@@ -18,15 +18,16 @@ LEDS_M: tuple[tuple[float, float], ...] = (
     (-0.06, 0.05),
     (-0.06, -0.05),
 )
-#: Touching within this distance of an LED's centre lights it.
+#: A contact within this distance of an LED's centre lights the LED.
 LED_REACH_M = 0.012
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WallModel:
-    """A one-sided spring and damper (Kelvin-Voigt contact that never pulls), all chosen.
+    """A one-sided spring and damper: a Kelvin-Voigt contact that never pulls. All values chosen.
 
-    stiffness_n_m: up to 5000. friction: Coulomb, along the wall, smoothed over `stick_m_s`.
+    stiffness_n_m: 0 to 5000.
+    friction: Coulomb coefficient along the wall, smoothed over `stick_m_s`.
     """
 
     x_m: float = WALL_X_M
@@ -42,8 +43,10 @@ class WallModel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SpringModel:
-    """A soft plate at the left edge that springs back, without loss: x below `x_m`, |y| within
-    `half_height_m`. All chosen."""
+    """A soft, lossless plate at the left edge: x below `x_m`, |y| within `half_height_m`.
+
+    All values chosen.
+    """
 
     x_m: float = -0.115
     half_height_m: float = 0.02
@@ -52,10 +55,10 @@ class SpringModel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ContourModel:
-    """A groove of `half_width_m` along the drawn curve, whose walls push the tip to its middle.
+    """A groove of `half_width_m` along the drawn curve; its walls push the tip to its middle.
 
-    Its potential is depth_j * (1 - (d / half_width)^2)^2 below the board's, with the distance d
-    from the curve: force and its slope are continuous at the edges. All chosen.
+    The potential lies depth_j * (1 - (d / half_width)^2)^2 below the board's, where d is the
+    distance from the curve. Force and stiffness are continuous at the edges. All values chosen.
     """
 
     half_width_m: float = 0.008
@@ -64,7 +67,7 @@ class ContourModel:
 
 
 def contour_point(t: float) -> tuple[float, float]:
-    """The point of the drawn curve at the angle `t` (rad): x and y (m)."""
+    """Return the point (x, y) of the drawn curve (m) at the angle `t` (rad)."""
     return (
         -0.045 + 0.068 * cos(t) - 0.008 * cos(3.0 * t),
         0.070 * sin(t) + 0.006 * sin(3.0 * t),
@@ -72,8 +75,8 @@ def contour_point(t: float) -> tuple[float, float]:
 
 
 def led_at(x_m: float, y_m: float) -> int | None:
-    """Index into LEDS_M of the target that a tip lights which touches at (x_m, y_m)."""
-    # No two targets are within reach of one place.
+    """Return the index into LEDS_M of the target that a contact at (x_m, y_m) lights, or None."""
+    # The targets are too far apart for one contact to reach two of them.
     for index, (led_x, led_y) in enumerate(LEDS_M):
         dx, dy = x_m - led_x, y_m - led_y
         if dx * dx + dy * dy <= LED_REACH_M * LED_REACH_M:
@@ -83,7 +86,7 @@ def led_at(x_m: float, y_m: float) -> int | None:
 
 @dataclass(slots=True)
 class _Rays:
-    """How far the curve lies from its centre, by the direction: a table of one turn."""
+    """The curve's distance from its centre by direction: a table of one turn."""
 
     radii: list[float] = field(default_factory=list)
 
@@ -97,7 +100,7 @@ class _Rays:
             self.radii.append(rays[bisect_right(angles, tau * k / self.STEPS) % len(rays)][1])
 
     def at(self, angle: float) -> tuple[float, float]:
-        """The radius (m) in the direction `angle` (rad), and its slope (m/rad)."""
+        """Return the radius (m) in the direction `angle` (rad), and its slope (m/rad)."""
         place = (angle % tau) * (self.STEPS / tau)
         index = min(int(place), self.STEPS - 1)
         low, high = self.radii[index], self.radii[index + 1]
@@ -105,10 +108,12 @@ class _Rays:
 
 
 class Board:
-    """What the tip can touch; `press` gives the force on it.
+    """Everything that the tip can touch.
 
-    After `press`: wall_n: the wall's push, >= 0; rub_n: the friction along it (signed along y);
-    touching: the tip is in the wall or in the spring. spring, contour: None leaves them out.
+    spring, contour: None leaves the element out.
+
+    `press` sets these: wall_n: normal force of the wall (N), >= 0. rub_n: friction along the wall
+    (N), signed along y. touching: whether the tip is in the wall or in the spring.
     """
 
     def __init__(
@@ -125,19 +130,19 @@ class Board:
         self.rub_n = 0.0
         self.touching = False
         self._wall_x = self.wall.x_m
-        # Right of this there is nothing but the wall.
+        # To the right of this line there is only the wall.
         self._left_x = 0.03 if spring or contour else -1.0
         self._rays = _Rays() if contour else None
 
     def press(self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float) -> tuple[float, float]:
-        """The board's force on the tip (N, N), which is at (x_m, y_m) and moves."""
+        """Return the board's force on the tip (N, N) at (x_m, y_m) with this velocity (m/s)."""
         self.touching = False
         depth = x_m - self._wall_x
         if depth > 0.0:
             wall = self.wall
             push = wall.stiffness_n_m * depth + wall.damping_n_s_m * vx_m_s
             push = push if push > 0.0 else 0.0
-            # Coulomb friction, smoothed around standstill so that a step can't overshoot it.
+            # Coulomb friction, smoothed around standstill so that one step cannot overshoot it.
             rub = -wall.friction * push * vy_m_s / (abs(vy_m_s) + wall.stick_m_s)
             self.wall_n, self.rub_n, self.touching = push, rub, True
             return -push, rub

@@ -1,17 +1,18 @@
-"""Which samples need not be sent, because nobody would feel the difference: send on delta.
+"""Perceptual deadband: do not send samples whose difference the operator cannot feel.
 
-A sample is left out while what it says lies within a deadband around what was sent last; the
-receiver holds that. The band grows with the value itself (Weber's law: P. Hinterseer, S. Hirche,
-S. Chaudhuri, E. Steinbach, M. Buss, "Perception-based data reduction and transmission of haptic
-data in telepresence and teleaction systems", IEEE Trans. Signal Processing 56, 2008: a band of
-10 % of a force is not noticed). In two dimensions it is a disc: a force may also turn by what it
-may grow. Of a position it grows with its velocity, because a fast hand is not a precise one (J.
-Kammerl et al., "Perception-based data reduction for haptic force-feedback signals using
-velocity-adaptive deadbands", Presence 19, 2010, for forces).
+A sample is left out while its value lies within a deadband around the value sent last. The
+receiver holds that value.
 
-None of this can make the exchange active. A receiver that holds a value does what it does with a
-sample that was lost: the observers see the energy that really flows at their own port, and credit
-comes from the running totals of the samples that did come.
+The band grows with the value, by Weber's law: a change of 10 % of a force is not noticed
+(P. Hinterseer, S. Hirche, S. Chaudhuri, E. Steinbach, M. Buss, "Perception-based data reduction and
+transmission of haptic data in telepresence and teleaction systems", IEEE Trans. Signal Processing
+56, 2008). In two dimensions the band is a disc, so the direction may change by as much as the size.
+The band of a position grows with its velocity, because fast movements are less precise (J. Kammerl
+et al., "Perception-based data reduction for haptic force-feedback signals using velocity-adaptive
+deadbands", Presence 19, 2010, for forces).
+
+The deadband cannot make the exchange active. A sample left out affects the receiver exactly like a
+lost one. Each observer measures the energy at its own port, and credit comes from running totals.
 """
 
 from math import sqrt
@@ -19,41 +20,41 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_MS
 
-#: Of the force that was sent last.
+#: Share of the force sent last.
 FORCE_SHARE = 0.10
-#: Below this a difference of forces is not felt, however small the force (chosen: a third of what
-#: the friction of a good handle hides).
+#: A smaller difference of forces is not felt, even around zero. Chosen: a third of what the
+#: friction of a good handle hides.
 FORCE_FLOOR_N = 0.1
-#: A tenth of the smallest difference of length that fingers tell (1 mm: N. Durlach et al.,
-#: "Manual discrimination and identification of length by the finger-span method", Perception &
-#: Psychophysics 46, 1989), because it is multiplied by the stiffness of a contact.
+#: A tenth of the smallest difference of length that fingers can tell, because the stiffness of a
+#: contact multiplies it (1 mm: N. Durlach et al., "Manual discrimination and identification of
+#: length by the finger-span method", Perception & Psychophysics 46, 1989).
 POSITION_FLOOR_M = 0.1e-3
-#: Where the hand was so long ago is where it is, for a hand that moves (chosen).
+#: A moving hand may differ by the distance that it covers in this time (chosen).
 POSITION_LAG_NS = NS_PER_MS
-#: Energy that is granted since the last sample is the peer's to spend, and what it lacks it can't
-#: do (measured: docs/deadband.md). The robot spends more of it than the hand.
+#: Energy granted since the last sample that may be held back. The peer cannot act on credit that
+#: it has not received (measured: docs/deadband.md). The robot spends more of it than the hand.
 COMMAND_ENERGY_UJ = 50
 FEEDBACK_ENERGY_UJ = 500
-#: A peer is silent after 20 ms: so two samples in a row may be lost.
+#: The peer counts as silent after 20 ms, so two samples in a row may still be lost.
 LONGEST_PAUSE_NS = 6 * NS_PER_MS
-#: A cycle that begins a little early is still the last one of the pause.
+#: A cycle that begins a little early still ends the pause.
 _EARLY_NS = NS_PER_MS // 2
-#: Velocity is taken over no shorter time: a cycle that came late is followed by one too soon.
+#: Shortest interval for a velocity: a late cycle is followed by one that is too soon.
 _SHORTEST_NS = NS_PER_MS // 2
 
-#: Places in both kinds of value.
+#: Indices of `acted` and `halted`, the same in `Command` and `Feedback`.
 _ACTED, _HALTED = 6, 7
 
 
 class Deadband:
-    """Says of each sample what is to be sent of it. A core: it is told the time.
+    """Decides for each sample whether to send it. Call `handle_sample` once a cycle.
 
-    share: of the value last sent by which the next one may differ. lag_ns: it may also differ by
-    what it moves in this time. floor: or by this, in the value's unit. energy_uj: so much that is
-    granted is not kept back.
+    share: band as a share of the value sent last.
+    lag_ns: the band also grows by the distance moved in this time.
+    floor: smallest band, in the value's unit.
+    energy_uj: newly granted energy (µJ) that forces a sample out.
 
-    Ask `handle_sample` once a cycle, and send what it gives. left_out: samples that were not
-    sent, of `samples`.
+    samples: samples offered so far. left_out: how many of them were not sent.
     """
 
     def __init__(self, *, share: float, lag_ns: int, floor: float, energy_uj: int) -> None:
@@ -72,11 +73,11 @@ class Deadband:
         self._last_ns = 0
 
     def handle_sample(self, value: Any, holding: bool, now_ns: int) -> Any:
-        """What is to be sent of `value`, a `Command` or a `Feedback` of `sample`; None if nothing.
+        """Return the sample to send for `value` (a `Command` or a `Feedback`), or None.
 
-        holding: the flag that goes with it. Where that, contact, state, mode, buttons, LED or a
-        fault differ from what was sent last, it is sent. It says that the passivity controller
-        acted also where that was at a sample that was left out.
+        holding: the flag that goes with the sample. A change of `holding`, contact, state, mode,
+        buttons, LED or `halted` is always sent. `acted` is also set if the passivity controller
+        acted during a sample that was left out.
         """
         self.samples += 1
         sent = self._sent
@@ -111,7 +112,7 @@ class Deadband:
 
 
 def command_deadband() -> Deadband:
-    """For the joystick's positions (m)."""
+    """Return the deadband for the joystick's positions (m)."""
     return Deadband(
         share=0.0,
         lag_ns=POSITION_LAG_NS,
@@ -121,5 +122,5 @@ def command_deadband() -> Deadband:
 
 
 def feedback_deadband() -> Deadband:
-    """For the robot's forces (N)."""
+    """Return the deadband for the robot's forces (N)."""
     return Deadband(share=FORCE_SHARE, lag_ns=0, floor=FORCE_FLOOR_N, energy_uj=FEEDBACK_ENERGY_UJ)

@@ -1,9 +1,9 @@
-"""A simulated human hand on the handle: where it means to be, and how hard it holds on to that.
+"""A simulated human hand on the handle: the position it intends, and how stiffly it holds it.
 
-The intention is a script: a table of waypoints, joined by movements of least jerk (T. Flash and
-N. Hogan, "The coordination of arm movements", J. Neurosci. 5, 1985). Muscles are a spring and a
-damper between handle and intention: the hand is passive around it (N. Hogan, "Controlling
-impedance at the man/machine interface", ICRA 1989).
+The intended position follows a table of waypoints, joined by minimum-jerk movements (T. Flash and
+N. Hogan, "The coordination of arm movements", J. Neurosci. 5, 1985). The muscles are a spring and a
+damper between the handle and the intended position. The hand is passive around that position
+(N. Hogan, "Controlling impedance at the man/machine interface", ICRA 1989).
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 
 
 class Waypoint(NamedTuple):
-    """Be at (x_m, y_m) `move_ns` after the waypoint before, then stay for `stay_ns`."""
+    """Reach (x_m, y_m) `move_ns` after the previous waypoint, then stay for `stay_ns`."""
 
     x_m: float
     y_m: float
@@ -23,10 +23,10 @@ class Waypoint(NamedTuple):
 
 
 def _tap(y_m: float) -> tuple[Waypoint, ...]:
-    """2 s: across to `y_m` before the wall at x = 0.06 m, press there, and back from the wall."""
+    """2 s: approach the wall at x = 0.06 m at the height `y_m`, press, and retreat."""
     return (
         Waypoint(0.040, y_m, 350 * NS_PER_MS, 0),
-        # No multiple of a camera's period, or every touch would wait as long for its picture.
+        # Not a multiple of a camera's period, so that the touches sample all its phases.
         Waypoint(0.085, y_m, 500 * NS_PER_MS, 757 * NS_PER_MS),
         Waypoint(0.040, y_m, 400 * NS_PER_MS, 0),
     )
@@ -36,7 +36,7 @@ def _tap(y_m: float) -> tuple[Waypoint, ...]:
 TAP_TARGETS = (*_tap(-0.050), *_tap(0.0), *_tap(0.050), *_tap(0.0))
 
 #: Approach the wall, press on the lowest LED target, slide along the wall to the middle and the
-#: upper one, let go and come back: 9 s, one contact.
+#: upper target, release and return: 9 s, one contact.
 PRESS_AND_SLIDE = (
     Waypoint(0.000, -0.050, 1_200 * NS_PER_MS, 400 * NS_PER_MS),
     Waypoint(0.085, -0.050, 1_400 * NS_PER_MS, 800 * NS_PER_MS),
@@ -49,11 +49,13 @@ PRESS_AND_SLIDE = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HandModel:
-    """What the arm behind the hand is made of.
+    """Parameters of the arm behind the hand.
 
-    stiffness_n_m, damping_n_s_m: of the muscles. mass_kg: of the hand, what moves with the handle.
-    The range is that of T. Tsuji et al., "Human hand impedance characteristics during maintained
-    posture", Biol. Cybern. 72, 1995: some 100 to 800 N/m, damping ratio 0.2 to 0.9; the mass of a
+    stiffness_n_m, damping_n_s_m: muscles.
+    mass_kg: the part of the hand that moves with the handle.
+
+    The range follows T. Tsuji et al., "Human hand impedance characteristics during maintained
+    posture", Biol. Cybern. 72, 1995: about 100 to 800 N/m, damping ratio 0.2 to 0.9. The mass of a
     hand without its arm is chosen.
     """
 
@@ -62,7 +64,7 @@ class HandModel:
     mass_kg: float
 
 
-#: A hand that lets itself be led, and one that holds tight.
+#: A hand that yields, and one that holds tight.
 SOFT_GRIP = HandModel(stiffness_n_m=250.0, damping_n_s_m=15.0, mass_kg=0.2)
 FIRM_GRIP = HandModel(stiffness_n_m=700.0, damping_n_s_m=35.0, mass_kg=0.4)
 
@@ -70,9 +72,10 @@ GRIPS = {"soft": SOFT_GRIP, "firm": FIRM_GRIP}
 
 
 class Hand:
-    """The hand; `force` moves its intention on and says how it pulls at the handle.
+    """The simulated hand. `force` advances its intended position and returns its force.
 
-    model: `SOFT_GRIP` unless another is given. x_m, y_m, vx_m_s, vy_m_s: the intention.
+    model: `SOFT_GRIP` by default.
+    x_m, y_m, vx_m_s, vy_m_s: intended position and velocity.
     """
 
     def __init__(
@@ -88,18 +91,18 @@ class Hand:
         self._stiffness, self._damping = model.stiffness_n_m, model.damping_n_s_m
         self._index = 0
         self._into_ns = 0
-        #: How long the present point takes.
+        #: Duration of the current waypoint.
         self._point_ns = script[0].move_ns + script[0].stay_ns
 
     @property
     def period_ns(self) -> int:
-        """How long the script takes before it begins again."""
+        """Duration of the script before it begins again."""
         return sum(point.move_ns + point.stay_ns for point in self.script)
 
     def force(
         self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float, dt_ns: int
     ) -> tuple[float, float]:
-        """The hand's force on the handle (N, N), which is at (x_m, y_m), `dt_ns` later."""
+        """Advance by `dt_ns`; return the force (N, N) on a handle at (x_m, y_m)."""
         self._into_ns += dt_ns
         while self._into_ns >= self._point_ns:
             self._into_ns -= self._point_ns

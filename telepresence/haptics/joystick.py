@@ -1,9 +1,9 @@
 """A simulated joystick with two degrees of freedom and force feedback.
 
-The handle is a point mass with viscous and Coulomb friction, stops at the ends of its workspace,
-and motors that get warm. Kontur-2's joystick has two degrees of freedom, a dead-man button and a
-temperature supervision (C. Riecke et al., "Kontur-2 mission: the DLR force feedback joystick for
-space telemanipulation from the ISS", i-SAIRAS 2016); the numbers here are this project's own.
+The handle is a point mass with viscous and Coulomb friction and end stops; its motors heat up.
+Kontur-2's joystick has two degrees of freedom, a dead-man button and a temperature supervision
+(C. Riecke et al., "Kontur-2 mission: the DLR force feedback joystick for space telemanipulation
+from the ISS", i-SAIRAS 2016). The numbers here are this project's own.
 """
 
 from dataclasses import dataclass
@@ -15,16 +15,19 @@ from telepresence.haptics.sample import STATE_APPLICATION
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JoystickModel:
-    """What the simulated joystick is made of; all of it chosen, in the range of desktop devices.
+    """Parameters of the simulated joystick, all chosen in the range of desktop devices.
 
-    mass_kg: felt at the handle. viscous_n_s_m, coulomb_n: friction; the latter is smoothed around
-    standstill over `stick_m_s`. force_limit_n: what cold motors give, of the force's size.
-    half_width_m, half_height_m: the workspace; the stops beyond are springs of stop_n_m with the
-    damping stop_n_s_m, and only push.
-    ambient_c: where the temperature begins. heat_k_n2: by how much a force of 1 N warms the motors
-    in the end (it goes with the square of the current). warm_s: time constant of that.
-    derate_from_c, derate_to_c, derated: between these temperatures the limit falls from the whole
-    to this share of it.
+    mass_kg: effective mass at the handle.
+    viscous_n_s_m, coulomb_n: friction. Coulomb friction is smoothed around standstill over
+    `stick_m_s`.
+    force_limit_n: magnitude of the force that cold motors can exert.
+    half_width_m, half_height_m: the workspace. Its stops are one-sided springs (stop_n_m) with
+    damping (stop_n_s_m).
+    ambient_c: initial temperature.
+    heat_k_n2: final temperature rise for a constant 1 N; it grows with the force squared.
+    warm_s: time constant of the temperature.
+    derate_from_c, derate_to_c, derated: the force limit falls linearly between these temperatures
+    to the share `derated`.
     """
 
     mass_kg: float = 0.4
@@ -45,12 +48,14 @@ class JoystickModel:
 
 
 class Joystick:
-    """The joystick's state; `push` moves it on.
+    """State of the simulated joystick; `push` advances it.
 
-    x_m, y_m: the handle; vx_m_s, vy_m_s: its velocity. motor_x_n, motor_y_n: the force that the
-    motors exert on it. temperature_c: of the motors. force_limit_n: what they can give at that
-    temperature. work_j: what they have done at the handle so far.
-    dead_man, buttons, state: what the samples tell of them; somebody else sets them.
+    x_m, y_m, vx_m_s, vy_m_s: position and velocity of the handle.
+    motor_x_n, motor_y_n: force of the motors on the handle.
+    temperature_c: temperature of the motors.
+    force_limit_n: the force that the motors can exert at that temperature.
+    work_j: work that the motors have done at the handle so far.
+    dead_man, buttons, state: the values that samples carry; the caller sets them.
     """
 
     def __init__(
@@ -66,7 +71,7 @@ class Joystick:
         self.dead_man = True
         self.buttons = 0
         self.state = STATE_APPLICATION
-        # Looked up at once, not one by one: `push` is called a thousand times a second.
+        # Unpacked in one step, because `push` is called a thousand times a second.
         self._constants = (
             model.viscous_n_s_m,
             model.coulomb_n,
@@ -86,9 +91,10 @@ class Joystick:
         hand_kg: float,
         dt_ns: int,
     ) -> None:
-        """Move on by `dt_ns`, at most 1 ms, with these forces of the motors and of the hand (N).
+        """Advance by `dt_ns`, at most 1 ms, with these forces of the motors and of the hand (N).
 
-        hand_kg: what moves along with the handle. The motors give no more than `force_limit_n`.
+        hand_kg: the hand's mass, which moves with the handle. The motors' force is cut to
+        `force_limit_n`.
         """
         viscous, coulomb, stick, width, height, heat, ambient = self._constants
         dt_s = dt_ns / NS_PER_S
@@ -111,7 +117,7 @@ class Joystick:
         if not (-width <= x <= width and -height <= y <= height):
             force_x += self._stop(x, vx, width)
             force_y += self._stop(y, vy, height)
-        # Semi-implicit Euler: the new velocity moves the handle, which keeps the springs stable.
+        # Semi-implicit Euler moves the handle with the new velocity, which keeps springs stable.
         per_kg = dt_s / (model.mass_kg + hand_kg)
         vx += force_x * per_kg
         vy += force_y * per_kg
@@ -121,7 +127,7 @@ class Joystick:
         self.work_j += (motor_x_n * vx + motor_y_n * vy) * dt_s
 
     def _stop(self, at_m: float, v_m_s: float, end_m: float) -> float:
-        """The push of the stop at ±end_m."""
+        """Return the force of the stop at ±end_m (N)."""
         model = self.model
         if at_m > end_m:
             return min(0.0, model.stop_n_m * (end_m - at_m) - model.stop_n_s_m * v_m_s)

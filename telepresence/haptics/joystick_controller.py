@@ -1,16 +1,18 @@
-"""The controller at the joystick: it displays the robot's force and keeps that passive.
+"""The controller at the joystick: it displays the robot's force and keeps the display passive.
 
-The port is the handle: the force that the motors hold for a cycle, and the way that the handle
-goes in it. Both are known exactly one cycle later, so the observer is true in sampled time. What
-the next cycle may give out is bounded beforehand: the handle goes on as it went, give or take what
-its greatest acceleration makes of that in one cycle. If that could be more than the credit, the
-part of the force along the motion is scaled down (a passivity controller of the impedance type).
-Nothing is ever added, so there is no gain that could grow at low speed. What was cut comes back
-slowly, and only along the force that is wanted by then.
+The port is the handle. Its energy in one cycle is the force that the motors hold, times the
+distance that the handle moves. Both are known exactly one cycle later, so the observer is exact in
+sampled time.
 
-The robot's force and the damping that the hand always feels are bounded one after the other. Were
-only their sum bounded, a hand on its way back from a wall would pay with its damping for the force
-that still pushes it along, and the robot would get nothing to follow it with.
+The energy of the next cycle is bounded in advance. The handle moves on at its present velocity,
+plus or minus what its greatest acceleration can change in one cycle. If that could cost more than
+the credit, the part of the force along the motion is scaled down. This is a passivity controller
+of the impedance type. It only scales and adds no damping, so no gain grows at low speed. The force
+that was cut returns slowly, and only towards the force that is wanted by then.
+
+The robot's force and the damping are bounded one after the other. If only their sum were bounded, a
+hand that leaves a wall would lose its damping to pay for the force that still pushes it. The robot
+would then receive no energy with which to follow.
 """
 
 from dataclasses import dataclass
@@ -21,8 +23,8 @@ from telepresence.haptics.passivity import Port, PortFigures
 from telepresence.haptics.sample import Feedback
 
 _CYCLE_S = NS_PER_MS / NS_PER_S
-#: Half a count of the energy in a sample, which nobody can tell from none. Without it a hand that
-#: begins slowly would feel no damping, give no energy, and so never begin to move the robot.
+#: Half a count of the energy in a sample, too little for anybody to measure. Without it a hand that
+#: starts slowly would feel no damping, grant no energy, and never start to move the robot.
 _ROUNDING_J = 0.5e-6
 
 
@@ -30,17 +32,21 @@ _ROUNDING_J = 0.5e-6
 class JoystickControllerModel:
     """Parameters of the controller at the joystick; all of them chosen.
 
-    force_scale: displayed force over the robot's. damping_n_s_m: what the hand always feels; the
-    energy that it takes out of the hand is what moves the robot while nothing is touched.
-    rate_n_s: the displayed force grows no faster: no blow on resumption. relax_s: without samples
-    it decays with this time constant. acceleration_m_s2: the handle never has more: it bounds how
-    far the next cycle can differ from the last. horizon: the credit must last for so many cycles
-    at the present speed, so that a force that can't be paid for fades instead of breaking off.
-    reserved: of the reserve only this share pays for the force over a horizon: the rest is for the
-    damping. regain_n_s: how fast a force comes back that was scaled down: faster, it would buzz.
-    velocity_s: time constant of the velocity that the damping uses. reserve_j, limit_j: `Port`.
-    keep_j, return_s: credit beyond the first goes back to the robot with this time constant: it
-    moves what a hand at rest has no use for.
+    force_scale: displayed force over the robot's force.
+    damping_n_s_m: damping that the hand always feels. The energy that it takes out of the hand
+    moves the robot in free space.
+    rate_n_s: fastest rise of the displayed force, so that it does not jump after an interruption.
+    relax_s: time constant with which the force decays without samples.
+    acceleration_m_s2: greatest acceleration of the handle; it bounds the next cycle's distance.
+    horizon: number of cycles at the present speed for which the credit must last. A force that
+    becomes too expensive then fades instead of breaking off.
+    reserved: share of the reserve that may pay for the force over a horizon. The damping uses the
+    rest.
+    regain_n_s: how fast the force returns after a cut; a faster return would buzz.
+    velocity_s: time constant of the velocity that the damping uses.
+    reserve_j, limit_j: see `Port`.
+    keep_j, return_s: credit above `keep_j` returns to the robot with this time constant, because a
+    hand at rest has no use for it.
     """
 
     force_scale: float = 1.0
@@ -59,10 +65,11 @@ class JoystickControllerModel:
 
 
 class JoystickController(PortFigures):
-    """`step` once a millisecond gives the force on the handle; it is held until the next step.
+    """Call `step` once a millisecond; it returns the force on the handle until the next step.
 
-    passive: without, the same controller only observes. limit_n: of the force, by what the motors
-    can give now; set it before a step. acted: cycles in which the passivity controller cut.
+    passive: if False, the controller only observes.
+    limit_n: the force (N) that the motors can exert now; set it before a step.
+    acted: number of cycles in which the passivity controller cut the force.
     """
 
     def __init__(
@@ -78,11 +85,11 @@ class JoystickController(PortFigures):
         self._last: tuple[float, float] | None = None
         self._goal_x = self._goal_y = 0.0
         self._fx = self._fy = 0.0
-        #: Of that, the robot's force.
+        #: The robot's share of the force.
         self._gx = self._gy = 0.0
         self._regaining = False
         self._vx = self._vy = 0.0
-        # Looked up at once, not one by one: `step` is called a thousand times a second.
+        # Unpacked in one step, because `step` is called a thousand times a second.
         self._constants = (
             model.force_scale,
             model.damping_n_s_m,
@@ -93,27 +100,28 @@ class JoystickController(PortFigures):
 
     @property
     def robot_force_n(self) -> tuple[float, float]:
-        """Of the force that is exerted now, the robot's; the rest is damping."""
+        """The part of the present force (N, N) that is the robot's; the rest is damping."""
         return self._gx, self._gy
 
     def handle_restart(self) -> None:
-        """The peer began anew."""
+        """The peer restarted."""
         self.port.handle_restart()
 
     def step(
         self, feedback: Feedback | None, x_m: float, y_m: float, dt_ns: int
     ) -> tuple[float, float]:
-        """The force on the handle (N, N) from now on, `dt_ns` after the step before.
+        """Return the force on the handle (N, N) from now on, `dt_ns` after the previous step.
 
-        feedback: the newest sample, None if there is no fresh one. x_m, y_m: where the handle is.
-        The first step gives none.
+        feedback: the newest sample, or None if no sample is fresh.
+        x_m, y_m: position of the handle (m).
+        The first step returns no force.
         """
         scale, damping, rate, velocity_s, margin = self._constants
         dt_s = dt_ns / NS_PER_S
         port, last = self.port, self._last
         self._last = (x_m, y_m)
         if last is None:
-            # How fast the handle goes is not known yet, so what a force would cost isn't either.
+            # The velocity is not known yet, so neither is the energy that a force would cost.
             return 0.0, 0.0
         dx, dy = x_m - last[0], y_m - last[1]
         fx, fy = self._fx, self._fy
@@ -124,7 +132,7 @@ class JoystickController(PortFigures):
             port.handle_total(feedback[2], dt_ns)
             surplus_j = port.credit_j - self.model.keep_j
             if surplus_j > 0.0 and self.passive:
-                port.give_back(surplus_j * dt_s / (dt_s + self.model.return_s))
+                port.return_credit(surplus_j * dt_s / (dt_s + self.model.return_s))
         if feedback is None or feedback[7]:
             keep = max(0.0, 1.0 - dt_s / self.model.relax_s)
             self._goal_x *= keep
@@ -157,7 +165,7 @@ class JoystickController(PortFigures):
             gx, gy, bx, by = gx * share, gy * share, bx * share, by * share
 
         if self.passive:
-            # The way of the next cycle, if the handle goes on as it went.
+            # The distance of the next cycle at the present velocity.
             ahead = _CYCLE_S / dt_s
             dx *= ahead
             dy *= ahead
@@ -183,11 +191,11 @@ class JoystickController(PortFigures):
         return self._fx, self._fy
 
     def _regained(self, gx: float, gy: float, most: float, slow: float) -> tuple[float, float]:
-        """(gx, gy) on its way back to the goal: along that by at most `slow`, and what it has
-        across it or beyond it less by at most `most`.
+        """Move (gx, gy) back to the goal: along the goal by at most `slow`, else by at most `most`.
 
-        Without the second a cut would turn the force instead of taking from it: the rest, across
-        the motion, would stay while the goal changes, and grow into the wall in the end.
+        The second limit removes the part across the goal or beyond it. If that part stayed, a cut
+        would turn the force instead of reducing it. It would remain across the motion while the
+        goal changes, and finally push into the wall.
         """
         goal_x, goal_y = self._goal_x, self._goal_y
         size = goal_x * goal_x + goal_y * goal_y
@@ -207,8 +215,11 @@ class JoystickController(PortFigures):
     def _cut(
         self, gx: float, gy: float, dx: float, dy: float, left_j: float, spend_j: float
     ) -> tuple[float, float]:
-        """The force scaled down: along (dx, dy) to what `spend_j` pays for over the horizon, and
-        as a whole so that no way within the margin of (dx, dy) costs more than `left_j`."""
+        """Scale the force down so that the credit pays for it.
+
+        Its part along (dx, dy) is cut to what `spend_j` pays for over the horizon. The whole force
+        is then cut so that no movement within the margin of (dx, dy) costs more than `left_j`.
+        """
         margin = self._constants[4]
         flow_j = gx * dx + gy * dy
         if flow_j > 0.0 and flow_j * self.model.horizon > spend_j:

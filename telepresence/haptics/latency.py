@@ -1,4 +1,4 @@
-"""How long each sample was on its way: both ends' stamps, matched by sequence number."""
+"""One-way delay of haptic samples: the stamps of both ends, matched by sequence number."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 
-#: Half a turn of the sequence numbers at 1 kHz: beyond that a match would be a guess.
+#: Half a wrap of the sequence numbers at 1 kHz; a match across more would be ambiguous.
 _TURN_NS = 30 * NS_PER_S
 
 _NEVER_NS = -(1 << 62)
@@ -16,13 +16,15 @@ _PENDING_DEPTH = 65536
 class LatencyMatcher:
     """Joins the stamps of both ends, which arrive in batches from two processes, in any order.
 
-    The instants are on one clock. `pending` received stamps wait for the sender's batch, at
-    most 65536 of them (the oldest goes) and at most `patience_ns`; `unmatched` counts those
-    that waited in vain.
+    All instants are on one clock.
 
-    Samples are received in the order in which they were sent. So a sender's stamp that is no newer
-    than the last one matched is none of a later sample's, even if it has the same number: a sender
-    that was started again begins at 0.
+    pending: received stamps that wait for the sender's batch, for at most `patience_ns`. Beyond
+    65536 the oldest is dropped.
+    unmatched: stamps that waited in vain.
+
+    Samples are received in the order in which they were sent. A sender's stamp that is not newer
+    than the last match therefore belongs to no later sample, even if the numbers are equal. This
+    matters after a restart of the sender, which begins at 0 again.
     """
 
     def __init__(self, *, patience_ns: int = 5 * NS_PER_S) -> None:
@@ -37,24 +39,24 @@ class LatencyMatcher:
         return len(self._pending)
 
     def handle_sent(self, stamps: Iterable[tuple[int, int]]) -> None:
-        """(sequence, instant in ns) pairs of the sender: `HapticLink.take_sent_stamps`."""
+        """Add (sequence, instant in ns) pairs from `HapticLink.take_sent_stamps`."""
         for sequence, sent_ns in stamps:
             self._sent_ns[sequence] = sent_ns
 
     def handle_received(self, stamps: Iterable[tuple[int, int]]) -> None:
-        """(sequence, instant in ns) pairs of the receiver: `HapticLink.take_received_stamps`."""
+        """Add (sequence, instant in ns) pairs from `HapticLink.take_received_stamps`."""
         self._pending.extend(stamps)
         while len(self._pending) > _PENDING_DEPTH:
             self._pending.popleft()
             self.unmatched += 1
 
     def sent_ns(self, sequence: int) -> int | None:
-        """When the newest sample of this number was sent, as far as its sender has told."""
+        """When the newest sample with this number was sent; None if no stamp has arrived."""
         sent_ns = self._sent_ns[sequence]
         return None if sent_ns == _NEVER_NS else sent_ns
 
     def take_matches_ns(self, now_ns: int) -> list[tuple[int, int]]:
-        """(instant of reception, delay) in ns of the samples that have both their stamps by now."""
+        """Take (instant of reception, delay) in ns of all samples that have both stamps now."""
         matches: list[tuple[int, int]] = []
         waiting: deque[tuple[int, int]] = deque()
         for sequence, received_ns in self._pending:

@@ -1,4 +1,4 @@
-"""One end of the haptic exchange, as the loop at 1 kHz uses it: no queue, the newest wins."""
+"""One end of the haptic exchange at 1 kHz. There is no queue: the newest sample wins."""
 
 from collections import deque
 from collections.abc import Callable
@@ -33,27 +33,27 @@ __all__ = [
 Out = TypeVar("Out")
 In = TypeVar("In")
 
-#: After this long without a sample the peer counts as silent: 20 slots.
+#: Without a sample for this long, the peer counts as silent: 20 slots.
 MAX_AGE_NS = 20 * NS_PER_MS
 
-#: Sequence numbers this far behind the newest are told apart as late or repeated, one by one.
+#: Up to this many numbers behind the newest, late and repeated samples are told apart.
 _WINDOW = 64
 _WINDOW_MASK = (1 << _WINDOW) - 1
 
-#: A path may deliver in bursts: a number may run this far ahead of the time that has passed.
+#: How far a number may run ahead of the time that passed, because paths deliver in bursts.
 _SLACK = 1000
 
-#: So many samples in a row that fit no delay, but each other, are a peer that began anew
-#: (RFC 3550 appendix A.1 asks for two; a third costs 1 ms and spares a false alarm).
+#: After this many consecutive samples outside every plausible delay, assume that the peer restarted
+#: (RFC 3550 appendix A.1 asks for two; a third costs 1 ms and avoids false alarms).
 _RESTART_RUN = 3
 
-#: Stamps kept for a latency meter that does not fetch them; then the oldest go.
+#: Stamps kept for a latency meter; beyond that the oldest are dropped.
 _STAMPS_DEPTH = 8192
 
 
 @dataclass(frozen=True, slots=True)
 class PeerFound:
-    """Samples arrive (again), `now_ns`."""
+    """Samples arrive, for the first time or again; noticed at `now_ns`."""
 
     now_ns: int
 
@@ -68,7 +68,7 @@ class PeerLost:
 
 @dataclass(frozen=True, slots=True)
 class PeerRestarted:
-    """The peer's sequence numbers begin anew, `now_ns`."""
+    """The peer's sequence numbers began again; noticed at `now_ns`."""
 
     now_ns: int
 
@@ -77,17 +77,24 @@ HapticEvent = PeerFound | PeerLost | PeerRestarted
 
 
 class HapticLink(Generic[Out, In]):
-    """Sends one kind of sample, receives the other; see `joystick_link` and `robot_link`.
+    """Sends one kind of sample and receives the other; see `joystick_link` and `robot_link`.
 
-    In each cycle: `handle_datagram` for all that has arrived, `latest` into the controller,
-    its answer into `handle_local`, then `poll_transmit` and send what it gives.
+    In each cycle: call `handle_datagram` for every datagram received, pass `latest` to the
+    controller, pass its answer to `handle_local`, then send what `poll_transmit` returns.
 
-    Counters: sent; received (samples that were the newest when they came); late (older than
-    the newest, unused); repeated (or older than the first one); garbage; restarts (of the peer);
-    lost (sequence numbers that have not come so far; a late one is taken off again).
-    deadband: leaves out what the peer would not feel. A sample that is left out has no sequence
-    number, so it is not missed.
-    `peer_holds`: the newest sample said that the peer hears nothing from this end.
+    deadband: leaves out samples whose difference the peer would not feel. A sample left out has no
+    sequence number, so it does not count as lost.
+
+    Counters:
+    sent: samples sent.
+    received: samples that were the newest when they arrived.
+    late: samples older than the newest; not used.
+    repeated: samples seen before, or older than the first.
+    garbage: datagrams that are no valid sample.
+    restarts: restarts of the peer.
+    lost: sequence numbers not received so far; a late arrival reduces it.
+
+    peer_holds: the newest sample says that the peer receives nothing from this end.
     """
 
     def __init__(
@@ -119,18 +126,17 @@ class HapticLink(Generic[Out, In]):
         self._strange_run = 0
         self._hearing = False
         self._events: deque[HapticEvent] = deque(maxlen=64)
-        # Kept objects have each millisecond begin in memory that no cache has, so there are few:
-        # the numbers of what was sent follow from `sent`, and of what was received come sequence
-        # number, instant, sequence number, instant …
+        # Each kept object would take memory that no cache holds, so keep few: numbers sent follow
+        # from `sent`; what was received is stored flat as sequence number, instant, ...
         self._sent_ns: deque[int] = deque(maxlen=_STAMPS_DEPTH)
         self._received_stamps: deque[int] = deque(maxlen=2 * _STAMPS_DEPTH)
 
     def handle_local(self, value: Out, now_ns: int) -> None:
-        """`value` is what this end has to say; one that was not sent yet is replaced."""
+        """Set the value to send next; it replaces one that was not sent yet."""
         self._local = value
 
     def handle_datagram(self, data: bytes, now_ns: int) -> None:
-        """`data` arrived. Garbage is counted; this never raises."""
+        """A datagram arrived. Garbage is counted; this never raises."""
         try:
             sequence, flags, value = self._unpack(data)
         except ProtocolError:
@@ -158,14 +164,16 @@ class HapticLink(Generic[Out, In]):
                 self._events.append(PeerFound(now_ns))
 
     def latest(self, now_ns: int) -> In | None:
-        """The newest sample, or None when there is none or it is older than `max_age_ns`."""
+        """The newest sample, or None if there is none or it is older than `max_age_ns`."""
         if self._newest is None or now_ns - self._newest_ns > self.max_age_ns:
             return None
         return self._newest
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The 12 octets to send now; None when there is nothing new since the last call, or
-        nothing that the peer would feel."""
+        """Return the 12 octets to send now, or None.
+
+        None: there is nothing new since the last call, or nothing that the peer would feel.
+        """
         if self._hearing and now_ns - self._newest_ns > self.max_age_ns:
             self._hearing = False
             self._events.append(PeerLost(now_ns, self._newest_ns))
@@ -186,15 +194,15 @@ class HapticLink(Generic[Out, In]):
         return data
 
     def poll_timeout(self) -> int | None:
-        """When `poll_transmit` should be called even if there is nothing to send."""
+        """When to call `poll_transmit` even without a value to send, or None."""
         return self._newest_ns + self.max_age_ns + 1 if self._hearing else None
 
     def next_event(self) -> HapticEvent | None:
-        """What happened, oldest first; None when nothing did."""
+        """The oldest event that was not fetched yet, or None."""
         return self._events.popleft() if self._events else None
 
     def take_sent_stamps(self) -> list[tuple[int, int]]:
-        """(sequence, instant in ns) of what was sent since the last call, for a latency meter."""
+        """Take (sequence, instant in ns) of the samples sent since the last call."""
         first = self.sent - len(self._sent_ns)
         taken = [
             (sequence % SEQUENCE_MODULUS, instant_ns)
@@ -204,14 +212,17 @@ class HapticLink(Generic[Out, In]):
         return taken
 
     def take_received_stamps(self) -> list[tuple[int, int]]:
-        """(sequence, instant in ns) of what was received, and was the newest, since last time."""
+        """Take (sequence, instant in ns) of the samples received since the last call.
+
+        Only samples that were the newest on arrival have a stamp.
+        """
         flat = iter(self._received_stamps)
         taken = list(zip(flat, flat, strict=True))
         self._received_stamps.clear()
         return taken
 
     def report(self) -> dict[str, int]:
-        """The counters by name."""
+        """Return the counters by name."""
         left_out = {} if self.deadband is None else {"left_out": self.deadband.left_out}
         return {
             **left_out,
@@ -225,7 +236,7 @@ class HapticLink(Generic[Out, In]):
         }
 
     def _accept(self, sequence: int, now_ns: int) -> bool:
-        """Whether a sample that is not just the next one is to be used."""
+        """Whether to use a sample whose number is not the next one."""
         if self._newest is None:
             self._begin(sequence)
             return True
@@ -236,7 +247,7 @@ class HapticLink(Generic[Out, In]):
         if ahead > SEQUENCE_MODULUS - _WINDOW:
             self._count_late(SEQUENCE_MODULUS - ahead)
             return False
-        # The peer sends at most one sample a millisecond, so time bounds how far it can be.
+        # The peer sends at most one sample a millisecond, so time bounds how far it can be ahead.
         if ahead <= (now_ns - self._newest_ns) // NS_PER_MS + _SLACK:
             self.lost += ahead - 1
             self._newest_sequence = sequence
@@ -247,7 +258,7 @@ class HapticLink(Generic[Out, In]):
 
     def _begin(self, sequence: int) -> None:
         self._newest_sequence = sequence
-        # Nothing before the first sample is missed: all of it counts as seen.
+        # Nothing before the first sample is missing, so all of it counts as seen.
         self._seen = _WINDOW_MASK
         self._strange_run = 0
 
@@ -276,7 +287,7 @@ class HapticLink(Generic[Out, In]):
 def joystick_link(
     *, max_age_ns: int = MAX_AGE_NS, deadband: bool = False
 ) -> HapticLink[Command, Feedback]:
-    """The end at the joystick: sends commands, receives feedback."""
+    """Return the joystick's end: it sends commands and receives feedback."""
     band = command_deadband() if deadband else None
     return HapticLink(pack_command, read_feedback, max_age_ns=max_age_ns, deadband=band)
 
@@ -284,6 +295,6 @@ def joystick_link(
 def robot_link(
     *, max_age_ns: int = MAX_AGE_NS, deadband: bool = False
 ) -> HapticLink[Feedback, Command]:
-    """The end at the robot: sends feedback, receives commands."""
+    """Return the robot's end: it sends feedback and receives commands."""
     band = feedback_deadband() if deadband else None
     return HapticLink(pack_feedback, read_command, max_age_ns=max_age_ns, deadband=band)

@@ -1,19 +1,21 @@
-"""Passivity in the time domain: what has flowed through a port, and what it may still give out.
+"""Time-domain passivity: the energy that flowed through a port, and the energy it may give out.
 
-The network between hand and robot has two ports. At each, the energy is split by the sign of the
-power: what flows into the network and what flows out of it. Each end tells the other by a running
-total what it has granted; out of a port may flow what the other one has granted, and no more. Then
-all energy that leaves the network has entered it before, whatever the delay, and each end can see
-to its half of that alone (J. Artigas, C. Preusche, G. Hirzinger, "Time domain passivity for delayed
-haptic telepresence with energy reference", IROS 2007; J.-H. Ryu, J. Artigas, C. Preusche, "A
-passive bilateral control scheme for a teleoperator with time-varying communication delay",
-Mechatronics 20, 2010; J. Artigas et al., "Kontur-2: force-feedback teleoperation from the
-International Space Station", ICRA 2016).
+The network between hand and robot has two ports. At each port, energy is split by the sign of the
+power into energy that enters the network and energy that leaves it. Each end sends a running total
+of the energy it has granted to the other. A port may give out only what the other end has granted.
+All energy that leaves the network has then entered it before, whatever the delay. Each end can
+ensure its half of that alone.
 
-Two things here go beyond the papers. A port keeps the first of what flows in for itself, until it
-has a small reserve; only the rest is granted. So a hand that rests against a wall is not left
-without force, and no joule is spent twice. And credit has a limit: what lies beyond is forgotten
-(dissipated), or an hour of free motion would pay for a minute of instability.
+Sources: J. Artigas, C. Preusche, G. Hirzinger, "Time domain passivity for delayed haptic
+telepresence with energy reference", IROS 2007; J.-H. Ryu, J. Artigas, C. Preusche, "A passive
+bilateral control scheme for a teleoperator with time-varying communication delay", Mechatronics 20,
+2010; J. Artigas et al., "Kontur-2: force-feedback teleoperation from the International Space
+Station", ICRA 2016.
+
+Two things here are additions to the papers. A port keeps the first energy that enters until it has
+a small reserve, and grants only the rest. A hand that rests against a wall thus keeps its force,
+and no joule is spent twice. Credit is also limited, and the excess counts as dissipated. Without
+the limit, an hour of free motion would pay for a minute of instability.
 """
 
 from math import inf
@@ -29,16 +31,20 @@ _NS_PER_S = 1e9
 class Port:
     """The energies of one port (J), and the credit that it may give out.
 
-    in_j, out_j: what has flowed into the network here, and out of it; both only grow.
-    granted_j: what of `in_j` the peer may give out. kept_j: what of it this port may give out.
-    received_j: what the peer's totals have brought. forgotten_j: credit beyond the limit.
-    returned_j: credit that was granted to the peer again. credit_j: received + kept - forgotten -
-    returned - out: the passivity observer of this port. least_j: the least it ever was.
-    refused: totals that no peer could have reached in the time: no credit.
+    in_j, out_j: energy that entered and left the network here; both only grow.
+    granted_j: the part of `in_j` that the peer may give out.
+    kept_j: the part of `in_j` that this port may give out.
+    received_j: credit from the peer's totals.
+    forgotten_j: credit dropped above the limit.
+    returned_j: credit granted back to the peer.
+    credit_j: received + kept - forgotten - returned - out, the passivity observer of this port.
+    least_j: lowest value of `credit_j` so far.
+    refused: totals that no peer could have reached in the time; they give no credit.
 
-    reserve_j: up to this much credit is kept of what flows in. limit_j: more credit is forgotten.
-    peer_power_w, patience_ns: the peer can't have taken in more than this power gives in the time
-    since its last total and so much more, which is what the path may compress the time by.
+    reserve_j: incoming energy is kept until the credit reaches this value.
+    limit_j: credit above this value is dropped.
+    peer_power_w, patience_ns: a total may grow by at most this power over the time since the last
+    total plus `patience_ns`. The patience allows for a path that compresses time.
     """
 
     def __init__(
@@ -68,7 +74,7 @@ class Port:
 
     @classmethod
     def observing(cls) -> "Port":
-        """One that only observes: it keeps nothing and forgets nothing."""
+        """Return a port that only observes: it keeps nothing and has no limit."""
         return cls(reserve_j=-inf, limit_j=inf)
 
     @property
@@ -77,7 +83,7 @@ class Port:
         return int(self.granted_j * _UJ_PER_J)
 
     def handle_flow(self, energy_j: float) -> None:
-        """`energy_j` has flowed out of the network here; in, if it is negative."""
+        """Count `energy_j` that left the network here, or entered it if negative."""
         if energy_j > 0.0:
             self.out_j += energy_j
             self.credit_j = credit = self.credit_j - energy_j
@@ -97,10 +103,10 @@ class Port:
                 self.granted_j -= energy_j + lack
 
     def handle_total(self, total_uj: int, dt_ns: int) -> None:
-        """The newest sample of the peer says `total_uj` (0..2^32-1); `dt_ns` have passed.
+        """Take the total of the peer's newest sample, 0 to 2^32-1 µJ; `dt_ns` have passed.
 
-        The first total is where counting begins. So is one that the peer can't have reached in
-        the time: it began anew, or it is garbage.
+        The first total only starts the count. So does a total that the peer cannot have reached in
+        the time: the peer restarted, or the total is garbage.
         """
         silent_ns = self._silent_ns + dt_ns
         self._silent_ns = 0
@@ -113,7 +119,7 @@ class Port:
         gained_uj = (total_uj - before_uj) & _MASK
         most_j = self.peer_power_w * (silent_ns + self.patience_ns) / _NS_PER_S
         gained_j = gained_uj * _J_PER_UJ
-        # After a silence in which the total may have wrapped nothing can be said about it.
+        # After a silence long enough for the total to wrap, its growth is ambiguous.
         if gained_j > most_j or most_j >= ENERGY_MODULUS_UJ * _J_PER_UJ:
             self.refused += 1
             return
@@ -123,8 +129,8 @@ class Port:
             self.forgotten_j += credit - self.limit_j
             self.credit_j = self.limit_j
 
-    def give_back(self, energy_j: float) -> None:
-        """So much of the credit is not needed here: the peer may give it out."""
+    def return_credit(self, energy_j: float) -> None:
+        """Grant `energy_j` of this port's credit back to the peer."""
         self.credit_j -= energy_j
         self.returned_j += energy_j
         self.granted_j += energy_j
@@ -134,42 +140,42 @@ class Port:
         self._silent_ns += dt_ns
 
     def handle_restart(self) -> None:
-        """The peer began anew: its next total is where counting begins."""
+        """The peer restarted: its next total starts the count again."""
         self._total_uj = None
 
 
 class PortFigures:
-    """What both controllers tell of their port; all energies in µJ."""
+    """The figures that both controllers report of their port; all energies in µJ."""
 
     port: Port
     acted: int
 
     @property
     def energy_in_uj(self) -> int:
-        """What has flowed into the network here."""
+        """Energy that entered the network here."""
         return int(self.port.in_j * _UJ_PER_J)
 
     @property
     def energy_out_uj(self) -> int:
-        """What has flowed out of the network here."""
+        """Energy that left the network here."""
         return int(self.port.out_j * _UJ_PER_J)
 
     @property
     def granted_uj(self) -> int:
-        """What the peer has been granted: the total that goes into the samples."""
+        """Energy granted to the peer: the total in the samples."""
         return self.port.granted_uj
 
     @property
     def credit_uj(self) -> float:
-        """What may still flow out here."""
+        """Energy that may still leave the network here."""
         return self.port.credit_j * _UJ_PER_J
 
     @property
     def observed_uj(self) -> float:
-        """The passivity observer: the credit. Below 0 the port has given what nobody granted."""
+        """The passivity observer. Below 0 the port has given out energy that nobody granted."""
         return self.port.credit_j * _UJ_PER_J
 
     @property
     def least_observed_uj(self) -> float:
-        """The least that the observer ever said."""
+        """The observer's lowest value so far."""
         return self.port.least_j * _UJ_PER_J

@@ -1,7 +1,7 @@
-"""A simulated robot with two degrees of freedom, and the modes in which its joints are driven.
+"""A simulated robot with two degrees of freedom, and the control modes of its joints.
 
-Two joints, each of which moves the tip along one axis of the board through a lever; gravity and
-the coupling between them are compensated, so the tip is a point mass with the joints' friction.
+Each of two joints moves the tip along one axis of the board through a lever. Gravity and the
+coupling between the joints are compensated, so the tip is a point mass with the joints' friction.
 """
 
 from dataclasses import dataclass
@@ -21,12 +21,13 @@ MODE_NAMES = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotModel:
-    """What the simulated robot is made of; all of it chosen.
+    """Parameters of the simulated robot; all of them chosen.
 
-    mass_kg: felt at the tip. lever_m: from joint to tip: a torque of 1 N m is a force of 1 / lever.
-    friction_n_s_m: of the joints, at the tip. force_limit_n: of the joints, at the tip, per axis.
-    brake_n_s_m: when the robot is off. hold_n_m, hold_n_s_m: spring and damper of the position
-    mode. position_m_s: how fast that goes.
+    mass_kg: effective mass at the tip.
+    lever_m: from joint to tip; a torque of 1 N m gives a force of 1 / lever.
+    friction_n_s_m, force_limit_n: of the joints, at the tip, per axis.
+    brake_n_s_m: damping while the robot is off.
+    hold_n_m, hold_n_s_m, position_m_s: spring, damper and speed in position mode.
     """
 
     mass_kg: float = 0.5
@@ -40,15 +41,18 @@ class RobotModel:
 
 
 class Robot:
-    """The robot's state; `step` moves it on.
+    """State of the simulated robot; `step` advances it.
 
-    x_m, y_m: the tip; vx_m_s, vy_m_s: its velocity. push_x_n, push_y_n: the board's force on the
-    tip, as the force sensor measures it. force_n: of that the wall's push, >= 0. contact: the tip
-    touches the wall or the spring. mode: MODE_…. work_j: what the joints have done at the tip.
+    x_m, y_m, vx_m_s, vy_m_s: position and velocity of the tip.
+    push_x_n, push_y_n: the board's force on the tip, as a force sensor measures it.
+    force_n: normal force of the wall, >= 0.
+    contact: the tip touches the wall or the spring.
+    mode: one of MODE_....
+    work_j: work that the joints have done at the tip.
 
-    In the mode "torque" it does what `set_torque` said, in "position" it goes to `set_position`
-    and stays there, in "impedance" a spring and a damper pull the tip to `set_impedance`'s centre.
-    Who knows the force on the tip beforehand (the bilateral controller does) gives it to `step`.
+    In torque mode it applies `set_torque`; in position mode it moves to `set_position` and stays.
+    In impedance mode a spring and a damper pull the tip to the centre given to `set_impedance`.
+    A caller that computes the force itself, such as the bilateral controller, calls `step`.
     """
 
     def __init__(
@@ -76,16 +80,16 @@ class Robot:
         self._limit, self._friction = self.model.force_limit_n, self.model.friction_n_s_m
 
     def set_off(self) -> None:
-        """No torque; the brakes hold."""
+        """Switch to off: no torque; the brakes hold."""
         self.mode = MODE_OFF
 
     def set_torque(self, first_n_m: float, second_n_m: float) -> None:
-        """The torques of the two joints (N m); the first moves the tip along x."""
+        """Apply torques to the joints (N m); the first joint moves the tip along x."""
         self.mode = MODE_TORQUE
         self._torque_x, self._torque_y = first_n_m, second_n_m
 
     def set_position(self, x_m: float, y_m: float) -> None:
-        """Go there at `position_m_s`, and stay."""
+        """Move to (x_m, y_m) at `position_m_s`, and stay there."""
         if self.mode != MODE_POSITION:
             self._setpoint_x, self._setpoint_y = self.x_m, self.y_m
         self.mode = MODE_POSITION
@@ -94,13 +98,13 @@ class Robot:
     def set_impedance(
         self, x_m: float, y_m: float, stiffness_n_m: float, damping_n_s_m: float
     ) -> None:
-        """A spring and a damper from the tip to (x_m, y_m), which is at rest."""
+        """Pull the tip to the resting point (x_m, y_m) with a spring and a damper."""
         self.mode = MODE_IMPEDANCE
         self._target_x, self._target_y = x_m, y_m
         self._stiffness, self._damping = stiffness_n_m, damping_n_s_m
 
     def drive(self, dt_ns: int) -> None:
-        """Move on by `dt_ns`, at most 1 ms, as the mode says."""
+        """Advance by `dt_ns`, at most 1 ms, as the mode requires."""
         mode = self.mode
         if mode == MODE_TORQUE:
             lever = self.model.lever_m
@@ -130,7 +134,7 @@ class Robot:
         )
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
-        """Move on by `dt_ns`, at most 1 ms, with this force of the joints on the tip (N, N)."""
+        """Advance by `dt_ns`, at most 1 ms, with this force of the joints on the tip (N, N)."""
         if dt_ns > NS_PER_MS:
             raise ValueError(f"a step is at most {NS_PER_MS} ns, not {dt_ns}")
         dt_s = dt_ns / NS_PER_S
@@ -141,7 +145,7 @@ class Robot:
         x, y, vx, vy = self.x_m, self.y_m, self.vx_m_s, self.vy_m_s
         board = self.board
         push_x, push_y = self._press(x, y, vx, vy)
-        # Semi-implicit Euler: the new velocity moves the tip, which keeps the springs stable.
+        # Semi-implicit Euler moves the tip with the new velocity, which keeps the springs stable.
         per_kg = dt_s / self.model.mass_kg
         vx += (fx_n + push_x - friction * vx) * per_kg
         vy += (fy_n + push_y - friction * vy) * per_kg

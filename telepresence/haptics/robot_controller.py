@@ -1,11 +1,13 @@
-"""The controller at the robot: it pulls the tip to where the hand is and keeps that passive.
+"""The controller at the robot: it pulls the tip to the hand's position and keeps that passive.
 
-A reference follows the received positions; a spring and a damper between reference and tip make
+A reference follows the received positions. A spring and a damper between reference and tip give
 the force on the tip (impedance control: N. Hogan, "Impedance Control", J. Dyn. Sys. Meas. Control
-107, 1985). The port is the reference: the coordinating force, and the way that the reference goes.
-A step that would cost more than the credit is scaled down, in the direction of the force alone, to
-what the credit pays (a passivity controller of the admittance type). What the reference then lacks
-of the way is made up as soon as there is credit, because positions, not velocities, are received.
+107, 1985). The port is the reference: its energy is the coordinating force times the distance that
+the reference moves.
+
+A step that would cost more than the credit is scaled down to what the credit pays. Only its part
+along the force is scaled. This is a passivity controller of the admittance type. The reference
+catches up when there is credit again, because samples carry positions, not velocities.
 """
 
 from dataclasses import dataclass
@@ -15,7 +17,7 @@ from kontur_av.clock import NS_PER_S
 from telepresence.haptics.passivity import Port, PortFigures
 from telepresence.haptics.sample import STATE_APPLICATION, Command
 
-#: A step that dissipates less is none.
+#: A step that dissipates less counts as no step.
 _NO_COST_J = 1e-18
 
 
@@ -24,13 +26,15 @@ class RobotControllerModel:
     """Parameters of the controller at the robot; all of them chosen.
 
     stiffness_n_m, damping_n_s_m: between reference and tip; critically damped for 0.5 kg.
-    force_limit_n: of the coordinating force, per axis. follow_s: time constant with which the
-    reference follows the received position: it smooths the steps of 20 µm, and of a jittery path.
-    speed_m_s, acceleration_m_s2: of the reference, also when it makes up for what it lacks.
-    relax_s: without commands the reference goes to the tip with this time constant, so that what
-    the tip presses with decays. half_width_m, half_height_m: the reference stays on the board.
-    reserve_j, limit_j: `Port`; the reserve is what the moving tip carries: what braking it gives
-    back pays for the next movement.
+    force_limit_n: of the coordinating force, per axis.
+    follow_s: time constant with which the reference follows the received position. It smooths the
+    steps of 20 µm and the jitter of the path.
+    speed_m_s, acceleration_m_s2: limits of the reference, also while it catches up.
+    relax_s: without commands the reference moves to the tip with this time constant, so that the
+    tip's pressure decays.
+    half_width_m, half_height_m: the reference stays within the board.
+    reserve_j, limit_j: see `Port`. The reserve is about the energy of the moving tip; the energy
+    recovered by braking pays for the next movement.
     """
 
     stiffness_n_m: float = 1000.0
@@ -47,10 +51,12 @@ class RobotControllerModel:
 
 
 class RobotController(PortFigures):
-    """`step` once a millisecond gives the force on the tip; it is held until the next step.
+    """Call `step` once a millisecond; it returns the force on the tip until the next step.
 
-    passive: without, the same controller only observes. reference_x_m, reference_y_m: where the
-    tip is to be. holding: it follows nothing. acted: steps that the passivity controller cut.
+    passive: if False, the controller only observes.
+    reference_x_m, reference_y_m: the position that the tip is pulled to.
+    holding: the reference follows no command.
+    acted: number of steps that the passivity controller cut.
     """
 
     def __init__(
@@ -70,7 +76,7 @@ class RobotController(PortFigures):
         self.holding = True
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
-        # Looked up at once, not one by one: `step` is called a thousand times a second.
+        # Unpacked in one step, because `step` is called a thousand times a second.
         self._constants = (
             model.stiffness_n_m,
             model.damping_n_s_m,
@@ -83,13 +89,13 @@ class RobotController(PortFigures):
         )
 
     def handle_restart(self) -> None:
-        """The peer began anew."""
+        """The peer restarted."""
         self.port.handle_restart()
 
     def release(self, x_m: float, y_m: float) -> None:
-        """Something else drives the robot, whose tip is at (x_m, y_m): the reference goes along.
+        """Another mode drives the robot: move the reference to the tip at (x_m, y_m).
 
-        The spring's energy is lost, which no port gives out.
+        The spring's energy is lost; no port gives it out.
         """
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
@@ -104,11 +110,11 @@ class RobotController(PortFigures):
         vy_m_s: float,
         dt_ns: int,
     ) -> tuple[float, float]:
-        """The force on the tip (N, N) from now on, `dt_ns` after the step before.
+        """Return the force on the tip (N, N) from now on, `dt_ns` after the previous step.
 
-        command: the newest sample, None if there is no fresh one; one whose dead-man button is
-        not pressed, or whose joystick is not in its application, moves nothing either.
-        x_m, y_m, vx_m_s, vy_m_s: where the tip is and how it moves.
+        command: the newest sample, or None if no sample is fresh. A command moves nothing unless
+        its dead-man button is pressed and its joystick is in the application.
+        x_m, y_m, vx_m_s, vy_m_s: position and velocity of the tip.
         """
         stiffness, damping, limit, follow_s, speed, acceleration, width, height = self._constants
         dt_s = dt_ns / NS_PER_S
@@ -141,7 +147,7 @@ class RobotController(PortFigures):
             vx = self._vx + change_x * share
             vy = self._vy + change_y * share
 
-        # The force is linear in the step of the reference: f = still + gain * d.
+        # The force is linear in the step d of the reference: f = still + gain * d.
         dx, dy = vx * dt_s, vy * dt_s
         gain = stiffness + damping / dt_s
         still_x = stiffness * (reference_x - x_m) - damping * vx_m_s
@@ -156,7 +162,7 @@ class RobotController(PortFigures):
         if not (-limit <= fx <= limit and -limit <= fy <= limit):
             fx, fy = _within(fx, limit), _within(fy, limit)
             if self.passive and fx * dx + fy * dy > port.credit_j:
-                # The reference stays, so the force is that of a reference that stays.
+                # The reference stays, so use the force of a resting reference.
                 dx = dy = vx = vy = 0.0
                 fx, fy = _within(still_x, limit), _within(still_y, limit)
         port.handle_flow(fx * dx + fy * dy)
@@ -167,10 +173,10 @@ class RobotController(PortFigures):
     def _cut(
         self, still_x: float, still_y: float, dx: float, dy: float, gain: float
     ) -> tuple[float, float]:
-        """The step of the reference, scaled along the force so that it costs just the credit.
+        """Scale the step of the reference along the force so that it costs exactly the credit.
 
-        The part across the force (that of the whole step) costs nothing together with none of the
-        part along it; with a share s of that the step costs s*b + s^2*a.
+        The part of the step across the force is orthogonal to it and costs nothing. With a share s
+        of the part along the force, the step costs s*b + s^2*a.
         """
         credit = max(0.0, self.port.credit_j)
         fx, fy = still_x + gain * dx, still_y + gain * dy
@@ -181,7 +187,7 @@ class RobotController(PortFigures):
         if a < _NO_COST_J:
             return 0.0, 0.0
         b = along * (still_x * along_x + still_y * along_y)
-        # A hair less than the root: rounding must not cost what is not there.
+        # Slightly less than the root, so that rounding cannot cost more than the credit.
         share = (sqrt(b * b + 4.0 * a * credit) - b) / (2.0 * a) * (1.0 - 1e-9)
         share = min(1.0, max(0.0, share))
         lacking = (1.0 - share) * along

@@ -12,17 +12,24 @@ All numbers are big-endian (network order), signed ones in two's complement.
 | 6..7 | command: position y; feedback: force y, signed | 20 µm; 2 mN | as above |
 | 8..11 | energy granted by the sender's port, unsigned, wraps | 1 µJ | 0..4294.967295 J |
 
-Flags, from the most significant bit: 0x80 the sample is a feedback (else a command); 0x20 the
-sender is halted or has a fault; 0x10 the dead-man button is pressed (command); 0x08 the sender's
-passivity controller acted since its last sample; 0x04 the sender hears nothing from its peer and
-holds; 0x02 a value was out of range and was cut to its limit; 0x01 the robot touches something
-(feedback). 0x40 is sent as 0 and ignored, and so is a flag of the other direction.
+Flags, from the most significant bit:
+
+- 0x80: the sample is a feedback, else a command.
+- 0x40: sent as 0 and ignored.
+- 0x20: the sender is halted or has a fault.
+- 0x10: the dead-man button is pressed (command).
+- 0x08: the sender's passivity controller acted since its last sample.
+- 0x04: the sender receives nothing from its peer and holds.
+- 0x02: a value was out of range and was cut to its limit.
+- 0x01: the robot touches something (feedback).
+
+A flag of the other direction is ignored.
 
 A position or a force is rounded to the nearest count and saturates at ±32767 counts; -32768 is
-never sent. The energy is rounded down, so that nothing is promised that is not there, and wraps.
-It is a running total, like the position: any one sample heals the loss of those before.
+never sent. The energy is rounded down, so that no energy is promised that does not exist.
+Positions and energies are running totals, so any sample makes up for the loss of those before it.
 
-The layout is this project's own: the Kontur-2 papers give the size of a sample, not its inside.
+The layout is this project's own: the Kontur-2 papers give the size of a sample, not its fields.
 """
 
 import struct
@@ -32,7 +39,7 @@ from kontur_av.errors import ProtocolError
 
 SAMPLE_OCTETS = 12
 SEQUENCE_MODULUS = 1 << 16
-#: Energy totals wrap at so many µJ.
+#: Energy totals wrap at this value.
 ENERGY_MODULUS_UJ = 1 << 32
 
 POSITION_M = 20e-6
@@ -64,21 +71,25 @@ MODE_IMPEDANCE = 3
 
 _LAYOUT = struct.Struct(">HBBhhI")
 _pack, _unpack = _LAYOUT.pack, _LAYOUT.unpack
-#: A NamedTuple's own way to be made is one more call in Python: a thousand times a second.
+#: Skips the NamedTuple's own `__new__`, which is one more Python call a thousand times a second.
 _tuple = tuple.__new__
 _LIMIT = 32767
 _NEVER = -32768
-#: What is nearer to this than to the limit would round beyond it.
+#: Counts from here on would round beyond the limit.
 _EDGE = 32767.5
 _ENERGY_MASK = ENERGY_MODULUS_UJ - 1
 
 
 class Command(NamedTuple):
-    """Where the joystick's handle is: the way down.
+    """The joystick's state, sent to the robot.
 
-    x_m, y_m: position (m). energy_uj: what the port at the joystick has granted so far (µJ); any
-    integer >= 0 to send, 0..2^32-1 as received. dead_man: its button is pressed. state: 0..7, one
-    of STATE_…. buttons: 4 bits. acted: the passivity controller acted since the last sample.
+    x_m, y_m: position of the handle (m).
+    energy_uj: energy that the joystick's port has granted so far (µJ). To send: any integer >= 0;
+    as received: 0 to 2^32-1.
+    dead_man: the dead-man button is pressed.
+    state: one of STATE_..., 0 to 7.
+    buttons: 4 bits.
+    acted: the passivity controller acted since the last sample.
     halted: halted or in fault.
     """
 
@@ -93,12 +104,14 @@ class Command(NamedTuple):
 
 
 class Feedback(NamedTuple):
-    """The force that the environment exerts on the robot's tip: the way up.
+    """The force of the environment on the robot's tip, sent to the joystick.
 
-    fx_n, fy_n: force (N); a wall that is met while moving towards +x gives a negative `fx_n`.
-    energy_uj: what the port at the robot has granted so far (µJ); any integer >= 0 to send,
-    0..2^32-1 as received. contact: the tip touches something. mode: one of MODE_…. lit: index of
-    the LED target that is lit, 0..14, or None. acted, halted: as in `Command`.
+    fx_n, fy_n: force (N). A wall met while moving towards +x gives a negative `fx_n`.
+    energy_uj: energy that the robot's port has granted so far (µJ), with the range as in `Command`.
+    contact: the tip touches something.
+    mode: one of MODE_....
+    lit: index of the lit LED target, 0 to 14, or None.
+    acted, halted: as in `Command`.
     """
 
     fx_n: float
@@ -112,7 +125,7 @@ class Feedback(NamedTuple):
 
 
 class CommandSample(NamedTuple):
-    """A received command with its sequence number (0..65535) and its flags octet."""
+    """A received command with its sequence number (0 to 65535) and its flags octet."""
 
     sequence: int
     flags: int
@@ -120,7 +133,7 @@ class CommandSample(NamedTuple):
 
 
 class FeedbackSample(NamedTuple):
-    """A received feedback with its sequence number (0..65535) and its flags octet."""
+    """A received feedback with its sequence number (0 to 65535) and its flags octet."""
 
     sequence: int
     flags: int
@@ -128,9 +141,9 @@ class FeedbackSample(NamedTuple):
 
 
 def pack_command(sequence: int, command: Command, holding: bool = False) -> bytes:
-    """The 12 octets of `command`; `sequence` is taken modulo 65536, the energy modulo 2^32.
+    """Return the 12 octets of `command`; `sequence` and the energy wrap.
 
-    A value that is not a number is a bug of the caller: ValueError.
+    Raises ValueError for a value that is not a number, which is a bug of the caller.
     """
     x_m, y_m, energy_uj, dead_man, state, buttons, acted, halted = command
     flags = FLAG_HOLDING if holding else 0
@@ -141,7 +154,7 @@ def pack_command(sequence: int, command: Command, holding: bool = False) -> byte
     if halted:
         flags |= FLAG_HALTED
     a, b = x_m / POSITION_M, y_m / POSITION_M
-    # One comparison for the ordinary case; a NaN fails it as well and is refused by round().
+    # One comparison for the usual case. A NaN fails it too, and round() then raises.
     if not (-_EDGE < a < _EDGE and -_EDGE < b < _EDGE):
         flags |= FLAG_SATURATED
         a, b = _saturated(a), _saturated(b)
@@ -152,9 +165,9 @@ def pack_command(sequence: int, command: Command, holding: bool = False) -> byte
 
 
 def pack_feedback(sequence: int, feedback: Feedback, holding: bool = False) -> bytes:
-    """The 12 octets of `feedback`; `sequence` is taken modulo 65536, the energy modulo 2^32.
+    """Return the 12 octets of `feedback`; `sequence` and the energy wrap.
 
-    A value that is not a number is a bug of the caller: ValueError.
+    Raises ValueError for a value that is not a number, which is a bug of the caller.
     """
     fx_n, fy_n, energy_uj, contact, mode, lit, acted, halted = feedback
     flags = FLAG_FEEDBACK | FLAG_HOLDING if holding else FLAG_FEEDBACK
@@ -175,17 +188,17 @@ def pack_feedback(sequence: int, feedback: Feedback, holding: bool = False) -> b
 
 
 def unpack_command(data: bytes) -> CommandSample:
-    """The command in `data`; ProtocolError when it isn't exactly one command sample."""
+    """Parse `data`; ProtocolError unless it is exactly one command sample."""
     return CommandSample(*read_command(data))
 
 
 def unpack_feedback(data: bytes) -> FeedbackSample:
-    """The feedback in `data`; ProtocolError when it isn't exactly one feedback sample."""
+    """Parse `data`; ProtocolError unless it is exactly one feedback sample."""
     return FeedbackSample(*read_feedback(data))
 
 
 def read_command(data: bytes) -> tuple[int, int, Command]:
-    """`unpack_command` as a plain tuple, for the loop at 1 kHz."""
+    """Like `unpack_command`, but returns a plain tuple for the loop at 1 kHz."""
     if len(data) != SAMPLE_OCTETS:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
     sequence, flags, octet, x, y, energy_uj = _unpack(data)
@@ -207,7 +220,7 @@ def read_command(data: bytes) -> tuple[int, int, Command]:
 
 
 def read_feedback(data: bytes) -> tuple[int, int, Feedback]:
-    """`unpack_feedback` as a plain tuple, for the loop at 1 kHz."""
+    """Like `unpack_feedback`, but returns a plain tuple for the loop at 1 kHz."""
     if len(data) != SAMPLE_OCTETS:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
     sequence, flags, octet, fx, fy, energy_uj = _unpack(data)

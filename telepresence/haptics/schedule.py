@@ -4,14 +4,14 @@ from kontur_av.clock import NS_PER_MS
 
 
 class PeriodicSchedule:
-    """Deadlines at `start_ns + k * period_ns`; a cycle that is missed is skipped and counted.
+    """Deadlines at `start_ns + k * period_ns`; a missed cycle is skipped and counted.
 
-    The caller sleeps until `next_deadline_ns`, then calls `handle_wakeup` with the present
-    instant, and then does one cycle's work.
+    The caller sleeps until `next_deadline_ns`, calls `handle_wakeup` with the present instant, and
+    then does one cycle's work.
 
     next_deadline_ns: when to wake next.
-    cycles: how many cycles were done. slips: how many were skipped.
-    advance_ns: how far the schedule moved with the last wake-up: one period, or more after slips.
+    cycles: cycles done. slips: cycles skipped.
+    advance_ns: time covered by the last wake-up: one period, or more after slips.
     """
 
     def __init__(self, *, start_ns: int, period_ns: int = NS_PER_MS) -> None:
@@ -24,11 +24,10 @@ class PeriodicSchedule:
         self.slips = 0
 
     def handle_wakeup(self, now_ns: int) -> int:
-        """How late this wake-up is (ns). Negative: too early, sleep on, nothing has changed.
+        """Return how late this wake-up is (ns); negative if it is too early and nothing changed.
 
-        A wake-up that is a whole period or more too late does one cycle only, and the next
-        deadline is the first that still lies ahead: a burst of catching up would be more than
-        the radio could have sent.
+        A wake-up that is a period or more late does one cycle only. The next deadline is the first
+        one ahead, because a burst of catching up would send more than the radio can carry.
         """
         lateness_ns = now_ns - self.next_deadline_ns
         if lateness_ns < 0:
@@ -44,5 +43,5 @@ class PeriodicSchedule:
         return lateness_ns
 
     def poll_timeout(self) -> int:
-        """The same as `next_deadline_ns`, under the name that all cores share."""
+        """Same as `next_deadline_ns`, under the name that all cores share."""
         return self.next_deadline_ns

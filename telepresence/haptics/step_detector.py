@@ -1,9 +1,9 @@
-"""Finds the instants at which a received force steps: the stylus meets something.
+"""Detects steps of the received force: the stylus meets something.
 
-The force is compared with what it was before, which is followed slowly: what presses all the time
-does not hide a step. A step is counted once the force has grown by the threshold, and dated at the
-first of the samples that led there. Where samples say whether the robot touches something, only a
-change with contact counts, and no earlier than the contact.
+The force is compared with a slowly following baseline, so constant pressure hides no step. A step
+counts once the force has grown by the threshold. Its instant is that of the first sample of the
+rise. If samples carry the contact flag, only a change during contact counts, and the step is not
+dated before the contact.
 """
 
 from collections import deque
@@ -11,30 +11,30 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS
 
-#: A change of so much is a step (N). Chosen: a hundred counts of a sample.
+#: A change of this size is a step (N). Chosen: a hundred counts of a sample.
 THRESHOLD_N = 0.2
-#: Less than this is noise: ten counts of a sample.
+#: A smaller change is noise: ten counts of a sample.
 _NOISE_N = 0.02
-#: What was there before is followed with this time constant.
+#: Time constant of the baseline.
 _FOLLOW_NS = 50 * NS_PER_MS
-#: A rise that takes longer is no step.
+#: A rise that takes longer is not a step.
 _LONGEST_RISE_NS = 100 * NS_PER_MS
-#: After a contact there is none for so long, or the next one is the same: it bounces.
+#: After a contact no other one counts for this long, because contacts bounce.
 APART_NS = 100 * NS_PER_MS
 
 
 class Step(NamedTuple):
-    """The force stepped at `instant_ns`, by `rise_n` (N) when it was noticed."""
+    """The force stepped at `instant_ns`; `rise_n` is its change (N) at detection."""
 
     instant_ns: int
     rise_n: float
 
 
 class StepDetector:
-    """Takes every force sample in order, at any rate from 10 Hz on; drain `next_event`.
+    """Takes every force sample in order, at 10 Hz or more. Fetch steps with `next_event`.
 
-    A core of the loop at 1 kHz: a sample without a step costs less than a microsecond. Of the steps
-    that nobody drained it keeps the newest 256.
+    It runs in the loop at 1 kHz: a sample without a step costs less than a microsecond. At most
+    256 steps wait to be fetched; beyond that the oldest is dropped.
     """
 
     def __init__(self, *, threshold_n: float = THRESHOLD_N) -> None:
@@ -43,7 +43,7 @@ class StepDetector:
         self._base_y = 0.0
         self._last_ns: int | None = None
         self._rising_ns: int | None = None
-        #: Until the force has come to rest there is no next step.
+        #: The next step counts only after the force has come to rest.
         self._armed = True
         self._calm_ns: int | None = None
         self._events: deque[Step] = deque(maxlen=256)
@@ -51,7 +51,7 @@ class StepDetector:
     def handle_sample(
         self, now_ns: int, fx_n: float, fy_n: float = 0.0, contact: bool | None = None
     ) -> None:
-        """The force (N) of a sample at `now_ns`; contact: None where nothing says so."""
+        """Take the force (N) of a sample at `now_ns`; contact: None if the sample does not say."""
         last_ns = self._last_ns
         if last_ns is None:
             last_ns, self._base_x, self._base_y = now_ns, fx_n, fy_n
@@ -69,7 +69,7 @@ class StepDetector:
             return
         self._calm_ns = None
         if not self._armed:
-            # Held as it is: what is pressed longer is no new step.
+            # The baseline still follows: holding the pressure is not another step.
             self._base_x += dx * share
             self._base_y += dy * share
             if contact is None and change < self._threshold / 4:
@@ -80,7 +80,7 @@ class StepDetector:
         if change >= self._threshold:
             before = self._base_x * self._base_x + self._base_y * self._base_y
             if contact is None and fx_n * fx_n + fy_n * fy_n < before:
-                # It let go.
+                # The contact ended.
                 self._rising_ns, self._base_x, self._base_y = None, fx_n, fy_n
                 return
             self._events.append(Step(self._rising_ns, change**0.5))
@@ -90,7 +90,7 @@ class StepDetector:
             self._base_x, self._base_y = fx_n, fy_n
 
     def next_event(self) -> Step | None:
-        """The next step, oldest first; None when there is none."""
+        """The oldest step that was not fetched yet, or None."""
         return self._events.popleft() if self._events else None
 
     def _rest(self, now_ns: int) -> None:

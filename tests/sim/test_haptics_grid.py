@@ -85,7 +85,7 @@ def test_what_is_given_back_is_no_longer_there() -> None:
     for step in range(200):
         port.handle_flow(0.003 if step % 3 == 0 else -0.004)
         port.handle_total(900 * step, MS)
-        port.give_back(0.2 * port.credit_j)
+        port.return_credit(0.2 * port.credit_j)
         had_j = port.in_j + port.received_j
         assert port.granted_j + port.credit_j + port.out_j + port.forgotten_j == pytest.approx(
             had_j, abs=1e-12

@@ -1,7 +1,7 @@
-"""Where the middle of the workspace is: the handle is pushed to its end stops, hands off.
+"""Calibration: finds the middle of the workspace by pushing the handle to its end stops.
 
-A handle's encoders count from where they were switched on. A stick that springs back to its
-middle has no motors: it is left alone for a moment, and where it rests is the middle.
+A handle's encoders count from their position at power-on. A stick without motors springs back to
+its middle; it is left alone for a moment, and its rest position is the middle.
 """
 
 from typing import NamedTuple
@@ -17,22 +17,22 @@ from telepresence.haptics.device.script import (
     travel,
 )
 
-#: What the handle is pushed with; enough for its friction, and harmless for fingers. Chosen.
+#: Force of the push (N): more than the handle's friction, and harmless for fingers. Chosen.
 PUSH_N = 5.0
 _SPEED_M_S = 0.6
-#: How far a measured width may be from the one in the facts: beyond it an encoder or an axis is
-#: not what it should be. Chosen.
+#: Tolerated difference between the measured half width and the nominal one, as a share. A larger
+#: one means a faulty encoder or a blocked axis. Chosen.
 TOLERANCE = 0.08
 _REST_NS = 300 * NS_PER_MS
-#: A stick that rests off its electrical middle by more is held by somebody.
+#: A stick that rests farther from its electrical middle is being held.
 _REST_SHARE = 0.15
 
 
 class Calibration(NamedTuple):
-    """What was found: subtract (x_m, y_m) from what the encoders say.
+    """The result: subtract (x_m, y_m) from the encoders' positions.
 
-    half_width_m, half_height_m: as measured, or as the facts say where nothing can be measured.
-    problem: one line that says why it failed; "" if it passed.
+    half_width_m, half_height_m: measured, or nominal if nothing can be measured.
+    problem: one line that says why the calibration failed; "" if it passed.
     """
 
     x_m: float = 0.0
@@ -43,7 +43,7 @@ class Calibration(NamedTuple):
 
 
 def calibrate(facts: DeviceFacts) -> Script[Calibration]:
-    """The script that calibrates a device with these facts."""
+    """Return the script that calibrates a device with these facts."""
     return _with_motors(facts) if facts.has_force else _without_motors(facts)
 
 

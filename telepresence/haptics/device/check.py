@@ -1,4 +1,4 @@
-"""What a functional check says: figures, each with the limits that it was held to."""
+"""Result of a functional check: figures, each with its limits."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,9 +8,9 @@ from telepresence.haptics.device.script import Script
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One measured quantity with its limits; None is no limit on that side.
+    """One measured quantity with its limits; None means no limit on that side.
 
-    value: None when it could not be measured, which has failed unless nothing limits it.
+    value: None if it could not be measured. That counts as failed if there is a limit.
     """
 
     name: str
@@ -21,14 +21,14 @@ class Figure:
 
     @property
     def passed(self) -> bool:
-        """Whether it is within its limits."""
+        """Whether the value is within its limits."""
         if self.value is None:
             return self.least is None and self.most is None
         above = self.least is None or self.value >= self.least
         return above and (self.most is None or self.value <= self.most)
 
     def as_dict(self) -> dict[str, Any]:
-        """For the report."""
+        """Return the figure for the report."""
         return {
             "name": self.name,
             "value": _rounded(self.value),
@@ -45,10 +45,10 @@ def _rounded(value: float | None) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """What a check found.
+    """Result of one functional check.
 
-    trouble: one line that says why it ended early; "" if it went to its end. skipped: one line
-    that says what the device lacks for it; a skipped check has neither passed nor failed.
+    trouble: one line that says why the check ended early; "" if it was completed.
+    skipped: one line that says what the device lacks. A skipped check neither passed nor failed.
     """
 
     name: str
@@ -58,16 +58,16 @@ class CheckResult:
 
     @property
     def passed(self) -> bool:
-        """Every figure within its limits, and no trouble."""
+        """Whether every figure is within its limits and there was no trouble."""
         return not self.skipped and not self.trouble and all(f.passed for f in self.figures)
 
     @property
     def failed(self) -> bool:
-        """It was done, and did not pass."""
+        """Whether the check was done and did not pass."""
         return not self.skipped and not self.passed
 
     def as_dict(self) -> dict[str, Any]:
-        """For the report."""
+        """Return the result for the report."""
         return {
             "name": self.name,
             "passed": None if self.skipped else self.passed,

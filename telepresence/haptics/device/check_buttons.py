@@ -1,7 +1,7 @@
-"""Buttons and LEDs: each LED asks for its button, which a person then presses and lets go.
+"""Buttons and LEDs: each LED lights up to ask a person to press and release its button.
 
-A device without LEDs is asked for in words. The dead-man button comes last: all LEDs ask for it
-to be pressed if it was not, to be let go, and to be pressed again.
+Without LEDs the prompt asks in words. The dead-man button comes last. It must be seen released and
+pressed; all LEDs together ask for a press.
 """
 
 from kontur_av.clock import NS_PER_S
@@ -11,12 +11,12 @@ from telepresence.haptics.device.script import IDLE, Cycle, Output, Script
 
 NAME = "buttons"
 
-#: A person has so long for each press, and for letting go.
+#: Time that a person has for each press and for each release.
 PATIENCE_NS = 4 * NS_PER_S
 
 
 def buttons_check(facts: DeviceFacts) -> CheckScript:
-    """The script; as long as the person takes, at most 8 s a button."""
+    """Return the script; its duration depends on the person, at most 8 s a button."""
     cycle: Cycle = yield IDLE
     figures: list[Figure] = []
     for index in range(facts.buttons):
@@ -25,7 +25,7 @@ def buttons_check(facts: DeviceFacts) -> CheckScript:
         pressed, wrong = False, 0
         for wanted in (bit, 0):
             words = f"press button {index + 1}" if wanted else f"let go of button {index + 1}"
-            # The light goes off with the press: that is how a person sees that it was noticed.
+            # The LED goes out with the press, which shows the person that it was noticed.
             output = Output(leds=leds if wanted else 0, prompt=words)
             cycle, came, others = yield from _await_buttons(cycle, output, bit, wanted)
             wrong |= others
@@ -38,7 +38,7 @@ def buttons_check(facts: DeviceFacts) -> CheckScript:
         ]
     all_leds = (1 << facts.leds) - 1
     seen = 0
-    # What it is now is not asked for twice: hands may be off, or on.
+    # Begin with the opposite of the present state, so that both states are seen.
     for wanted_on in (False, True) if cycle.reading.dead_man else (True, False, True):
         words = "press the dead-man button" if wanted_on else "let go of the dead-man button"
         output = Output(leds=all_leds if wanted_on else 0, prompt=words)

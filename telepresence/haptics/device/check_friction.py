@@ -1,7 +1,7 @@
-"""Friction: what force keeps the handle moving, at two speeds, to and fro, on each axis.
+"""Friction: the force that keeps the handle moving, at two speeds, in both directions and axes.
 
-The motors keep a speed; what they need for it, once it is steady, is friction alone. From two
-speeds come its two parts: Coulomb friction, the same at any speed, and viscous friction.
+The motors hold a speed; the force that this takes in steady motion is friction alone. Two speeds
+separate Coulomb friction, the same at any speed, from viscous friction.
 """
 
 from kontur_av.clock import NS_PER_S
@@ -12,19 +12,19 @@ from telepresence.haptics.device.script import IDLE, SERVO, Cycle, Output, Scrip
 NAME = "friction"
 
 _SPEEDS_M_S = (0.06, 0.18)
-#: The way of a run, and the part of it that is measured, as shares of the half workspace.
+#: Travel of a run and its measured part, as shares of the half workspace.
 _RUN = 0.7
 _MEASURED = 0.4
-#: The speed's controller: it has settled within the run-up on any handle from 0.2 to 1 kg. Chosen.
+#: Gains of the speed controller; it settles during the run-up for handles of 0.2 to 1 kg. Chosen.
 _GAIN_N_S_M = 15.0
 _INTEGRAL_N_M = 150.0
-#: What is still healthy, as shares of the nominal value, with what the measurement may err. Chosen.
+#: Healthy range as shares of the nominal value, with a margin for measurement errors. Chosen.
 _LEAST, _MOST = 0.4, 1.6
 _COULOMB_MARGIN_N, _VISCOUS_MARGIN_N_S_M = 0.05, 0.5
 
 
 def friction_check(facts: DeviceFacts) -> CheckScript:
-    """The script; about 13 s."""
+    """Return the script; it takes about 13 s."""
     cycle: Cycle = yield IDLE
     if not facts.has_force:
         return CheckResult(NAME, skipped="this device has no motors to move it with")
@@ -76,7 +76,7 @@ def friction_check(facts: DeviceFacts) -> CheckScript:
 def _run(
     cycle: Cycle, axis: int, speed_m_s: float, half_m: float
 ) -> Script[tuple[Cycle, float | None]]:
-    """Keep `speed_m_s` along `axis`: the mean force in the middle of the way (N)."""
+    """Hold `speed_m_s` along `axis`; return the mean force in the middle of the travel (N)."""
     sign = 1 if speed_m_s > 0 else -1
     until_ns = cycle.now_ns + round(2 * 2 * _RUN * half_m / abs(speed_m_s) * NS_PER_S) + NS_PER_S
     last_ns = cycle.now_ns

@@ -1,10 +1,11 @@
-"""Virtual spring: does the handle feel as stiff as it was asked to be?
+"""Virtual spring: is the displayed stiffness the commanded one?
 
-A spring that only the motors make, with the handle's own mass on it, swings. Turning points follow
-each other after half a period, π/ω; Coulomb friction takes from the swing but not from its period
-(the handle swings about the ends of a dead band), and what viscous friction takes is known. So
-the stiffness that is really displayed, m (ω² + (b/2m)²), comes from times alone: motors that give
-less force than they are told would pass any check in which force is compared with force.
+The motors display a spring, on which the handle's mass oscillates. Its turning points are half a
+period apart, π/ω. Coulomb friction reduces the amplitude but not the period, because the handle
+oscillates about the ends of a dead band. The effect of viscous friction is known.
+
+The displayed stiffness, m (ω² + (b/2m)²), thus follows from times alone. A check that compares
+commanded forces would miss motors that exert less force than commanded.
 """
 
 from math import pi
@@ -18,16 +19,16 @@ NAME = "spring"
 
 STIFFNESS_N_M = 200.0
 _DISPLACED_M = 0.03
-#: The first turn follows the release, in which the motors' force steps; these follow it.
+#: Turning points used. The first one follows the release, where the motors' force steps.
 _TURNS = 5
 _PATIENCE_NS = 2 * NS_PER_S
 _TOLERANCE = 0.1
-#: It may rest anywhere in the dead band of its friction, and a little beside it.
+#: The handle may rest anywhere in the dead band of its friction, plus this margin.
 _REST_MARGIN_M = 0.001
 
 
 def spring_check(facts: DeviceFacts) -> CheckScript:
-    """The script; about 4 s."""
+    """Return the script; it takes about 4 s."""
     cycle: Cycle = yield IDLE
     if not facts.has_force:
         return CheckResult(NAME, skipped="this device has no motors to make a spring with")
@@ -42,7 +43,7 @@ def spring_check(facts: DeviceFacts) -> CheckScript:
             )
         cycle, turns_s = yield from _swing(cycle, axis)
         stiffness = _stiffness(turns_s, facts)
-        # Nothing is in the way of the spring now: where the handle stands, it is pulled no more.
+        # The handle has come to rest, so it must lie within the dead band of its friction.
         rest_m = cycle.reading.place(axis)
         band_m = 1.6 * facts.coulomb_n / STIFFNESS_N_M + _REST_MARGIN_M
         figures += [
@@ -60,7 +61,7 @@ def spring_check(facts: DeviceFacts) -> CheckScript:
 
 
 def _swing(cycle: Cycle, axis: int) -> Script[tuple[Cycle, list[float]]]:
-    """Let the handle swing on the spring until it rests: the instants (s) of its turning points."""
+    """Let the handle oscillate until it rests; return the instants (s) of its turning points."""
     turns_s: list[float] = []
     began_ns = cycle.now_ns
     before, before_ns = 0.0, cycle.now_ns

@@ -1,4 +1,4 @@
-"""Workspace: how far the handle goes to each side, pushed there or moved by a person."""
+"""Workspace: how far the handle moves to each side, pushed by motors or moved by a person."""
 
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
@@ -8,16 +8,16 @@ from telepresence.haptics.device.script import IDLE, Cycle, Output, push_to_stop
 NAME = "workspace"
 
 _PUSH_N = 4.0
-#: How far an end may be from where it is due, as a share of the half workspace. Chosen.
+#: Accepted distance of an end, as a share of the nominal half workspace. Chosen.
 _LEAST, _MOST = 0.95, 1.05
-#: A stick need only come near its nominal end: its mechanics and its numbers differ a little.
+#: A stick must only come near its nominal end, because sticks vary in mechanics and range.
 _STICK_SHARE = 0.9
 _PATIENCE_NS = 15 * NS_PER_S
 _SIDES = (("left", (-1, 0)), ("right", (1, 0)), ("lower", (0, -1)), ("upper", (0, 1)))
 
 
 def workspace_check(facts: DeviceFacts) -> CheckScript:
-    """The script; about 6 s with motors, until all was reached, or 15 s, without."""
+    """Return the script: about 6 s with motors; without, until all ends are reached or 15 s."""
     return _pushed(facts) if facts.has_force else _moved(facts)
 
 

@@ -1,7 +1,7 @@
 """The functional checks of a joystick, and the core that runs them one after another.
 
-Each is an application: the device is calibrated and in the state for it, and is supervised all
-the while. A halt or an error ends the check with the reason as its trouble.
+Each check is an application: the device is calibrated first and supervised throughout. A halt or
+an error ends the check, with its reason as the trouble.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,10 +18,10 @@ from telepresence.haptics.device.check import CheckResult, CheckScript
 from telepresence.haptics.device.device import DeviceFacts, JoystickDevice
 from telepresence.haptics.device.operation import Operation
 from telepresence.haptics.device.script import Output, ScriptRun
-from telepresence.haptics.device.states import State
+from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
 
-#: Every check by its name, in the order in which all are done.
+#: Every check by its name, in the order in which they run.
 CHECKS: Mapping[str, Callable[[DeviceFacts], CheckScript]] = MappingProxyType(
     {
         check_workspace.NAME: check_workspace.workspace_check,
@@ -31,14 +31,15 @@ CHECKS: Mapping[str, Callable[[DeviceFacts], CheckScript]] = MappingProxyType(
     }
 )
 
-#: Whoever is not ready for a check by then never will be; three tries at the calibration included.
+#: Longest wait for a device to become ready, which covers three attempts at the calibration.
 _READY_NS = 40 * NS_PER_S
 
 
 class CheckBench:
-    """Calibrates `device` and does the checks called `names`: `handle_cycle` until `done`.
+    """Calibrates `device` and runs the checks in `names`: call `handle_cycle` until `done`.
 
-    results: one for each check that is over. prompt: what a person shall do now, "" for nothing.
+    results: one for each finished check.
+    prompt: what a person should do now; "" for nothing.
     """
 
     def __init__(
@@ -58,25 +59,25 @@ class CheckBench:
 
     @property
     def done(self) -> bool:
-        """Whether every check has its result."""
+        """Whether every check has a result."""
         return not self._names
 
     @property
     def current(self) -> str:
-        """The check that is under way or comes next; "" when all are done."""
+        """The check that runs or comes next; "" when all are done."""
         return self._names[0] if self._names else ""
 
     @property
     def prompt(self) -> str:
-        """What a person shall do now; "" for nothing."""
+        """What a person should do now; "" for nothing."""
         return self.operation.prompt
 
     def handle_cycle(self, now_ns: int, dt_ns: int) -> None:
-        """One cycle, after which the device moves on by `dt_ns`."""
+        """Run one cycle, then advance the device by `dt_ns`."""
         operation = self.operation
         reading = operation.handle_reading(now_ns)
         output = Output()
-        if operation.state is State.APPLICATION and self._names:
+        if operation.state is JoystickState.APPLICATION and self._names:
             if self._run is None:
                 self._run = ScriptRun(CHECKS[self._names[0]](operation.facts))
             output = self._run.handle_reading(reading, now_ns)
@@ -84,12 +85,12 @@ class CheckBench:
             if self._run.result is not None:
                 self._finish(self._run.result, now_ns)
         elif self._names:
-            self._handle_absence(now_ns)
+            self._handle_not_ready(now_ns)
         operation.handle_force(output.x_n, output.y_n, output.leds)
         self._device.advance(dt_ns)
 
-    def _handle_absence(self, now_ns: int) -> None:
-        """The device is not in the application: during a check that is its end."""
+    def _handle_not_ready(self, now_ns: int) -> None:
+        """The device is not in the application; a check that runs ends here."""
         operation = self.operation
         reason = operation.trouble or f"the device stays in the state {operation.state.words}"
         if self._run is not None:

@@ -1,7 +1,7 @@
 """A game controller as a joystick, through evdev: the shell around `Stick`.
 
-It has no motors that push: the robot's force is heard as its rumble, if it has one. Its stick
-springs back to its middle by itself.
+It has no motors that push. If it can rumble, the rumble shows the robot's force. Its stick springs
+back to its middle by itself.
 """
 
 import os
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from telepresence.haptics.device.device import DeviceFacts, Reading
-from telepresence.haptics.device.states import State
+from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import (
     ABS_X,
     ABS_Y,
@@ -28,13 +28,13 @@ from telepresence.haptics.device.stick import (
     Stick,
 )
 
-#: The force at which a rumble is at its strongest (N). Chosen.
+#: The force at which the rumble is strongest (N). Chosen.
 _FULL_RUMBLE_N = 8.0
-#: Buttons of gamepads and joysticks lie here: a mouse or a touchscreen has none of them.
+#: Codes of gamepad and joystick buttons; a mouse or a touchscreen has none of them.
 _FIRST_BUTTON, _LAST_BUTTON = 0x120, 0x13F
 
 
-class Found(NamedTuple):
+class FoundGamepad(NamedTuple):
     """A controller at `path`; problem: one line that says why it cannot be used, or ""."""
 
     path: str
@@ -42,37 +42,37 @@ class Found(NamedTuple):
     problem: str = ""
 
 
-def find_gamepads(folder: Path = Path("/dev/input")) -> list[Found]:
-    """The controllers in `folder`, by number, and what may be one but cannot be opened."""
+def find_gamepads(folder: Path = Path("/dev/input")) -> list[FoundGamepad]:
+    """List the controllers in `folder` by number, and devices that cannot be opened."""
     evdev = _library()
     found = []
     nodes = sorted(folder.glob("event*"), key=lambda node: (len(node.name), node.name))
     for node in nodes:
         if not os.access(node, os.R_OK):
             problem = "not permitted: add yourself to the group input and log in again"
-            found.append(Found(str(node), "", problem))
+            found.append(FoundGamepad(str(node), "", problem))
             continue
         try:
             device = evdev.InputDevice(str(node))
         except OSError as error:
-            found.append(Found(str(node), "", f"cannot be opened: {error.strerror}"))
+            found.append(FoundGamepad(str(node), "", f"cannot be opened: {error.strerror}"))
             continue
         with suppress(OSError):
             if _is_stick(device):
-                found.append(Found(str(node), device.name))
+                found.append(FoundGamepad(str(node), device.name))
         device.close()
     return found
 
 
 def open_gamepad(path: str = "", folder: Path = Path("/dev/input")) -> "GamepadDevice":
-    """The controller at `path`, or the first; ConfigError, one line, if there is none."""
+    """Open the controller at `path`, or the first one; ConfigError if there is none."""
     evdev = _library()
     if not path:
         usable = [one for one in find_gamepads(folder) if not one.problem]
         if not usable:
             raise ConfigError(
                 "no game controller here: plug one in (`kontur-av joystick list` shows what is "
-                "there), or take sim"
+                "there), or use sim"
             )
         path = usable[0].path
     try:
@@ -95,7 +95,7 @@ def open_gamepad(path: str = "", folder: Path = Path("/dev/input")) -> "GamepadD
 
 
 class GamepadDevice:
-    """One open controller. `device`: an `evdev.InputDevice`, which this closes."""
+    """One open controller. `device` is an `evdev.InputDevice`, which `close` closes."""
 
     def __init__(self, device: Any) -> None:
         capabilities = device.capabilities(absinfo=True)
@@ -118,28 +118,28 @@ class GamepadDevice:
         return self._stick.facts
 
     def read(self) -> Reading:
-        """Take all events that have come; where the stick is."""
+        """Process all pending events, then return the reading."""
         feed(self._stick, self._device)
         if self._stick.needs_state and self._stick.present:
             self._ask_state()
         return self._stick.reading()
 
     def set_zero(self, x_m: float, y_m: float) -> None:
-        """What reads (x_m, y_m) now reads 0 from now on."""
+        """Make the present position (x_m, y_m) the middle."""
         self._stick.handle_zero(x_m, y_m)
 
     def write_force(self, x_n: float, y_n: float) -> None:
-        """Felt as a rumble, without its direction, on a controller that has one."""
+        """Show the size of the force as rumble, on a controller that has it."""
         self._force_n = hypot(x_n, y_n)
 
     def write_leds(self, mask: int) -> None:
-        """Nothing: a controller's LEDs say which player it is, and are the kernel's."""
+        """Do nothing: the kernel uses a controller's LEDs for the player number."""
 
-    def show_state(self, state: State) -> None:
-        """Nothing: it has no light of its own for that."""
+    def show_state(self, state: JoystickState) -> None:
+        """Do nothing: a controller has no light for the state."""
 
     def advance(self, dt_ns: int) -> None:
-        """`dt_ns` pass."""
+        """`dt_ns` pass; update the filter and the rumble."""
         self._stick.advance(dt_ns)
         if self._stick.facts.rumble:
             magnitude = self._meter.handle_force(self._force_n, dt_ns)
@@ -147,7 +147,7 @@ class GamepadDevice:
                 self._rumble(magnitude)
 
     def close(self) -> None:
-        """Stop to shake, and let the device go."""
+        """Stop the rumble and close the device."""
         if self._effect >= 0:
             self._rumble(0)
         self._device.close()
@@ -173,14 +173,14 @@ class GamepadDevice:
                 )
             ),
         )
-        # A pad that is being unplugged; the next reading says so.
+        # Writing fails while a controller is being unplugged; the next reading reports that.
         with suppress(OSError):
             self._effect = self._device.upload_effect(effect)
             self._device.write(EV_FF, self._effect, 1 if magnitude else 0)
 
 
 def feed(stick: Stick, device: Any) -> None:
-    """Hand `stick` all events that `device` (an `evdev.EventIO`) has now."""
+    """Pass all events that `device` (an `evdev.EventIO`) has now to `stick`."""
     try:
         for event in device.read():
             stick.handle_event(event.type, event.code, event.value)

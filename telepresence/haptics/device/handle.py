@@ -1,4 +1,4 @@
-"""The joystick in operation as the handle that the bilateral controller works with."""
+"""Adapts a joystick in operation to the `Handle` that the bilateral controller uses."""
 
 from collections import deque
 from typing import Any
@@ -6,22 +6,24 @@ from typing import Any
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.operation import Operation
-from telepresence.haptics.device.states import State
+from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.sample import Feedback
 
-#: Only here is a reading a place: before, the encoders' zero is anywhere.
-_PLACED = (State.CALIBRATED, State.APPLICATION, State.HALTED)
-#: A silence is counted in seconds: that the robot is heard is told no more often than this.
+#: Only in these states is a reading a calibrated position.
+_PLACED = (JoystickState.CALIBRATED, JoystickState.APPLICATION, JoystickState.HALTED)
+#: Shortest interval between reports that the robot was heard; silence is counted in seconds.
 _HEARD_NS = 20 * NS_PER_MS
 
 
 class OperatedHandle:
     """`telepresence.haptics.bilateral.Handle` on a `JoystickDevice`, through its `Operation`.
 
-    x_m, y_m: the calibrated place, at rest as long as there is none. force_limit_n: 0 outside the
-    application and while the dead-man button is let go. dead_man, buttons, state: what the samples
-    say. Its time is what `step` is told, so that it runs on virtual time as well.
+    x_m, y_m: calibrated position; it rests while there is no calibration.
+    force_limit_n: 0 outside the application and while the dead-man button is released.
+    dead_man, buttons, state: the values that the command samples carry.
+
+    Its time is the sum of what `step` was told, so it runs on virtual time too.
     """
 
     def __init__(self, device: JoystickDevice, *, limits: Limits | None = None) -> None:
@@ -31,8 +33,8 @@ class OperatedHandle:
         self.force_limit_n = 0.0
         self.dead_man = False
         self.buttons = 0
-        self.state = int(State.INIT)
-        self._known = State.INIT
+        self.state = int(JoystickState.INIT)
+        self._known = JoystickState.INIT
         self._placed = False
         self._leds = 0
         self._heard_ns = 0
@@ -41,11 +43,11 @@ class OperatedHandle:
 
     @property
     def now_ns(self) -> int:
-        """How much time its steps have taken so far."""
+        """The sum of all steps so far."""
         return self._now_ns
 
     def handle_feedback(self, feedback: Feedback) -> None:
-        """A fresh sample of the robot: it is heard, and its LED is lit on the joystick too."""
+        """Take a fresh sample: note that the robot was heard, and light the same LED here."""
         now_ns = self._now_ns
         if now_ns >= self._heard_ns:
             self._heard_ns = now_ns + _HEARD_NS
@@ -54,7 +56,7 @@ class OperatedHandle:
         self._leds = 0 if lit is None else 1 << lit
 
     def report(self) -> dict[str, Any]:
-        """`Operation.report`, and `log`: the last 20 transitions, `s` after the handle began."""
+        """`Operation.report`, and `log`: the last 20 transitions, `s` in seconds of `now_ns`."""
         while (transition := self.operation.next_event()) is not None:
             self._log.append(
                 {
@@ -67,7 +69,7 @@ class OperatedHandle:
         return {**self.operation.report(), "log": list(self._log)}
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
-        """Exert this force (N, N), and be where the handle is `dt_ns` later."""
+        """Apply this force (N, N) for `dt_ns`, then read the handle."""
         operation = self.operation
         operation.handle_force(fx_n, fy_n, self._leds)
         self.device.advance(dt_ns)

@@ -1,8 +1,8 @@
-"""The joystick in operation: its states, its supervision, and who has its motors at the moment.
+"""The joystick in operation: its states, its supervision, and the control of its motors.
 
-In each cycle: `handle_reading`, then the controller's force into `handle_force`, then let the
-device `advance`. Left alone, it goes from init over its self-test and its calibration into the
-application, and back into it after a halt whose cause is gone.
+In each cycle: call `handle_reading`, pass the controller's force to `handle_force`, then let the
+device `advance`. By default it goes from init through self-test and calibration to the application
+by itself. It returns there after a halt once the cause is gone.
 """
 
 from math import isfinite
@@ -12,38 +12,46 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.calibration import Calibration, calibrate
 from telepresence.haptics.device.device import JoystickDevice, Reading
 from telepresence.haptics.device.script import IDLE, ScriptRun
-from telepresence.haptics.device.states import REQUESTS, Event, State, StateMachine, Transition
-from telepresence.haptics.device.supervision import Limits, Supervisor, Verdict
+from telepresence.haptics.device.states import (
+    REQUESTS,
+    JoystickEvent,
+    JoystickState,
+    StateMachine,
+    Transition,
+)
+from telepresence.haptics.device.supervision import Health, JoystickSupervisor, Limits
 
-#: A sensor that is read this often without a fault has passed its self-test.
+#: The self-test passes after this many readings without a fault.
 _SELF_TEST_CYCLES = 20
-#: What goes wrong by itself is tried again after so long, and, where motors push, so often.
+#: Delay before an automatic retry after an error, and the number of retries on motors.
 _RETRY_NS = NS_PER_S
 _RETRIES = 3
-#: After a halt or a release of the dead-man button the force comes back over this time.
+#: After a halt or a release of the dead-man button the force returns over this time.
 _RETURN_NS = 300 * NS_PER_MS
-#: What a controller may ask of a handle without motors. Nothing of it is felt, but the energies on
-#: the way to the robot are those of a hand that feels it. Chosen.
-FELT_BY_NOBODY_N = 10.0
+#: Force limit for a handle without motors. Nobody feels this force, but the energies sent to the
+#: robot must be those of a hand that feels it. Chosen.
+UNFELT_FORCE_LIMIT_N = 10.0
 
-#: As long as nothing but the sensors can have changed, only they are judged in each cycle; the
-#: rest, which counts in seconds and minutes, is looked at so often.
-_LOOK_NS = 10 * NS_PER_MS
+#: Full supervision runs at this interval. Between, only the sensors are compared with their limits,
+#: because everything else changes within seconds or minutes.
+_CHECK_NS = 10 * NS_PER_MS
 
-#: What is refused as long as the supervisor has a reason to halt.
-_NEED_HEALTH = (Event.CALIBRATE, Event.START, Event.RESUME)
+#: Requests that are refused while the supervisor has a reason to halt.
+_NEED_HEALTH = (JoystickEvent.CALIBRATE, JoystickEvent.START, JoystickEvent.RESUME)
 
-_WELL, _APPLICATION = Verdict.WELL, State.APPLICATION
+_OK, _APPLICATION = Health.OK, JoystickState.APPLICATION
 
 
 class Operation:
-    """Runs one `device`; the reading that it gives is calibrated.
+    """Runs one `device`.
 
-    automatic: make the requests itself that lead into the application, and back into it.
-    hands_off: the application is a functional check: its script moves the handle, the dead-man
-    button gives it no force, and no peer is expected.
-    reading: the newest, calibrated. force_limit_n: what the controller may ask for until the next
-    reading, per axis (N). Outside the application it is 0.
+    automatic: make the requests that lead into the application, and back into it, by itself.
+    hands_off: the application is a functional check. Its script moves the handle, the force does
+    not depend on the dead-man button, and no peer is expected.
+
+    reading: the newest reading; its position is calibrated once `calibration` is set.
+    force_limit_n: the force (N) that the controller may use until the next reading, per axis; 0
+    outside the application.
     """
 
     def __init__(
@@ -58,7 +66,7 @@ class Operation:
         self.device = device
         self.facts = device.facts
         self.machine = StateMachine(now_ns)
-        self.supervisor = Supervisor(limits)
+        self.supervisor = JoystickSupervisor(limits)
         self.calibration: Calibration | None = None
         self.reading = Reading(0.0, 0.0, 0.0, 0.0, dead_man=False)
         self.force_limit_n = 0.0
@@ -66,89 +74,91 @@ class Operation:
         self.released = 0
         self._automatic = automatic
         self._hands_off = hands_off
-        self._most_n = self.facts.force_limit_n if self.facts.has_force else FELT_BY_NOBODY_N
+        self._full_force_n = (
+            self.facts.force_limit_n if self.facts.has_force else UNFELT_FORCE_LIMIT_N
+        )
         self._run: ScriptRun[Calibration] | None = None
         self._output = IDLE
         self._leds = -1
-        self._shown: State | None = None
+        self._shown: JoystickState | None = None
         self._cycles = 0
         self._retries = 0
         self._tried_ns = now_ns
         self._held_since_ns: int | None = None
-        #: The force is back in full since the dead-man button was pressed.
-        self._returned = False
-        #: Until then the sensors alone are judged, by these limits: see `Supervisor.sensible`.
-        self._look_ns = 0
-        self._sensible = self.supervisor.sensible
+        #: The full force has returned since the dead-man button was pressed.
+        self._force_restored = False
+        #: Until then only the sensors are compared with `_plausible`; see `JoystickSupervisor`.
+        self._check_ns = 0
+        self._plausible = self.supervisor.plausible
 
     @property
-    def state(self) -> State:
-        """Where it stands."""
+    def state(self) -> JoystickState:
+        """The state that the joystick is in."""
         return self.machine.state
 
     @property
     def reason(self) -> str:
-        """Why it stands there, in one line; "" if that needs no words."""
+        """Why it is in that state, in one line; "" if there is nothing to say."""
         return self.machine.reason
 
     @property
     def given_up(self) -> bool:
-        """Whether it has tried by itself often enough: a person must do something now.
+        """Whether the automatic retries have ended, so that a person must act.
 
-        With motors it tries no more. A calibration without them pushes nobody: it goes on trying,
-        until the stick is let go of.
+        With motors the number of retries is limited. A calibration without motors pushes nobody, so
+        it is repeated until the stick is released.
         """
-        if self.state in (State.CALIBRATION_ERROR, State.RECOVERABLE):
+        if self.state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE):
             return not self._automatic or self._retries >= _RETRIES
-        return self.state is State.FATAL
+        return self.state is JoystickState.FATAL
 
     @property
     def trouble(self) -> str:
-        """One line about what keeps it from the application; "" when nothing does."""
+        """One line that says what keeps it from the application; "" if nothing does."""
         reason = self.machine.reason or self.supervisor.reason
         return f"{self.state.words}: {reason}" if reason else ""
 
     @property
     def halted(self) -> bool:
-        """Whether it can do nothing for the application until something has changed."""
-        return self.machine.state >= State.HALTED
+        """Whether the application must wait until something has changed."""
+        return self.machine.state >= JoystickState.HALTED
 
     def handle_heard(self, now_ns: int) -> None:
-        """There is a fresh sample of the peer."""
+        """A fresh sample of the peer has arrived."""
         self.supervisor.handle_heard(now_ns)
 
-    def handle_request(self, event: Event, now_ns: int, reason: str = "") -> str:
-        """A person asks for `event`: "" if it was done, else one line that says why not."""
+    def handle_request(self, event: JoystickEvent, now_ns: int, reason: str = "") -> str:
+        """Carry out a person's request; return "" or one line that says why it was refused."""
         if event not in REQUESTS:
-            return f"{event.value}: nothing that can be asked for"
-        self._look_ns = 0
-        verdict = self.supervisor.verdict
-        if event in _NEED_HEALTH and verdict is not Verdict.WELL:
+            return f"{event.value}: not a request"
+        self._check_ns = 0
+        health = self.supervisor.health
+        if event in _NEED_HEALTH and health is not Health.OK:
             return f"{event.value}: not yet, {self.supervisor.reason}"
-        if event is Event.ACKNOWLEDGE and verdict in (Verdict.FAULT, Verdict.FATAL):
+        if event is JoystickEvent.ACKNOWLEDGE and health in (Health.FAULT, Health.FATAL):
             return f"{event.value}: not while {self.supervisor.reason}"
         refusal = self.machine.handle_event(event, now_ns, reason)
         if refusal:
             return refusal
         self._run = None
-        if event is Event.CALIBRATE:
+        if event is JoystickEvent.CALIBRATE:
             self._forget_calibration()
             self._run = ScriptRun(calibrate(self.facts))
-        elif event in (Event.RESUME, Event.START):
+        elif event in (JoystickEvent.RESUME, JoystickEvent.START):
             self.supervisor.forget_silence()
             self._held_since_ns = None
-            self._returned = False
-            # All is well again: what goes wrong next is tried as often as the first time.
+            self._force_restored = False
+            # The joystick is in order again, so later errors get all retries.
             self._retries = 0
-        self.supervisor.expects_peer = not self._hands_off and event is Event.START
+        self.supervisor.expects_peer = not self._hands_off and event is JoystickEvent.START
         return ""
 
     def handle_reading(self, now_ns: int) -> Reading:
-        """Read the device, judge what it says, and go on with what is under way."""
+        """Read the device, supervise the reading, and continue what is in progress."""
         self.reading = reading = self.device.read()
-        if now_ns < self._look_ns:
+        if now_ns < self._check_ns:
             x_m, y_m, vx_m_s, vy_m_s, _, dead_man, _, present = reading
-            reach_x, reach_y, speed = self._sensible
+            reach_x, reach_y, speed = self._plausible
             if (
                 dead_man
                 and present
@@ -158,26 +168,26 @@ class Operation:
                 and -speed <= vy_m_s <= speed
             ):
                 return reading
-        self._look_ns = 0
+        self._check_ns = 0
         supervisor, machine = self.supervisor, self.machine
-        # Compared by identity, and nothing looked up twice.
-        verdict = supervisor.handle_reading(reading, now_ns)
-        if verdict is not _WELL:
-            self._handle_verdict(verdict, now_ns)
+        # Runs at 1 kHz: compare by identity and look nothing up twice.
+        health = supervisor.handle_reading(reading, now_ns)
+        if health is not _OK:
+            self._handle_health(health, now_ns)
         if machine.state is not _APPLICATION:
             self.force_limit_n = 0.0
-            self._go_on(reading, now_ns)
-        elif self._returned and reading.dead_man:
-            self.force_limit_n = self._most_n * supervisor.share
-            self._look_ns, self._sensible = now_ns + _LOOK_NS, supervisor.sensible
+            self._continue_startup(reading, now_ns)
+        elif self._force_restored and reading.dead_man:
+            self.force_limit_n = self._full_force_n * supervisor.share
+            self._check_ns, self._plausible = now_ns + _CHECK_NS, supervisor.plausible
         else:
-            self._allow(reading, now_ns)
+            self._update_force_limit(reading, now_ns)
         return reading
 
     def handle_force(self, x_n: float, y_n: float, leds: int = 0) -> None:
-        """What the application wants the motors and the LEDs to do; cut to what is allowed."""
+        """Set the force (N, N) and the LEDs that the application wants, within the limits."""
         state = self.machine.state
-        if state is State.APPLICATION:
+        if state is JoystickState.APPLICATION:
             limit_n = self.force_limit_n
             if not (-limit_n <= x_n <= limit_n and -limit_n <= y_n <= limit_n):
                 x_n = _cut(x_n, limit_n)
@@ -193,11 +203,11 @@ class Operation:
             self.device.write_leds(leds)
 
     def next_event(self) -> Transition | None:
-        """The next transition, or None."""
+        """The oldest transition that was not fetched yet, or None."""
         return self.machine.next_event()
 
     def report(self) -> dict[str, Any]:
-        """State, reason, temperatures (°C), counters."""
+        """Return state, reason, temperatures (°C) and counters."""
         supervisor, calibration = self.supervisor, self.calibration
         return {
             "device": self.facts.name,
@@ -224,9 +234,9 @@ class Operation:
             ],
         }
 
-    def _allow(self, reading: Reading, now_ns: int) -> None:
-        """In the application, not in the hand yet, or no more: how much force there may be."""
-        self._returned = False
+    def _update_force_limit(self, reading: Reading, now_ns: int) -> None:
+        """Set the force limit in the application: none without the dead-man button, then a ramp."""
+        self._force_restored = False
         if not reading.dead_man and not self._hands_off:
             if self._held_since_ns is not None:
                 self.released += 1
@@ -236,40 +246,40 @@ class Operation:
         if self._held_since_ns is None:
             self._held_since_ns = now_ns
         held_ns = now_ns - self._held_since_ns
-        self._returned = held_ns >= _RETURN_NS
+        self._force_restored = held_ns >= _RETURN_NS
         share = min(1.0, held_ns / _RETURN_NS)
-        self.force_limit_n = self._most_n * self.supervisor.share * share
+        self.force_limit_n = self._full_force_n * self.supervisor.share * share
 
-    def _handle_verdict(self, verdict: Verdict, now_ns: int) -> None:
+    def _handle_health(self, health: Health, now_ns: int) -> None:
         machine, reason = self.machine, self.supervisor.reason
         state = machine.state
-        if verdict is Verdict.FATAL:
-            if state is not State.FATAL:
-                machine.handle_event(Event.FATAL_FAULT, now_ns, reason)
-        elif verdict is Verdict.FAULT:
-            if state not in (State.RECOVERABLE, State.FATAL):
-                machine.handle_event(Event.FAULT, now_ns, reason)
-                # It will be calibrated anew, and a place that is no place is no fault meanwhile.
+        if health is Health.FATAL:
+            if state is not JoystickState.FATAL:
+                machine.handle_event(JoystickEvent.FATAL_FAULT, now_ns, reason)
+        elif health is Health.FAULT:
+            if state not in (JoystickState.RECOVERABLE, JoystickState.FATAL):
+                machine.handle_event(JoystickEvent.FAULT, now_ns, reason)
+                # The next calibration replaces this one; until then a position is no fault.
                 self._forget_calibration()
-        elif state in (State.APPLICATION, State.CALIBRATED):
-            machine.handle_event(Event.HALT, now_ns, reason)
+        elif state in (JoystickState.APPLICATION, JoystickState.CALIBRATED):
+            machine.handle_event(JoystickEvent.HALT, now_ns, reason)
         elif self._run is not None:
-            machine.handle_event(Event.CALIBRATION_FAILED, now_ns, reason)
+            machine.handle_event(JoystickEvent.CALIBRATION_FAILED, now_ns, reason)
         if machine.state is not state:
             self._run = None
             self._output = IDLE
             self.prompt = ""
             self.supervisor.expects_peer = False
 
-    def _go_on(self, raw: Reading, now_ns: int) -> None:
-        """Outside the application: self-test, calibration, and what comes by itself."""
+    def _continue_startup(self, raw: Reading, now_ns: int) -> None:
+        """Outside the application: continue self-test or calibration, or make a request."""
         machine = self.machine
         state = machine.state
         self._output = IDLE
-        if state is State.INIT:
+        if state is JoystickState.INIT:
             self._cycles += 1
             if self._cycles >= _SELF_TEST_CYCLES:
-                machine.handle_event(Event.SELF_TEST_PASSED, now_ns)
+                machine.handle_event(JoystickEvent.SELF_TEST_PASSED, now_ns)
         elif self._run is not None:
             self._output = self._run.handle_reading(raw, now_ns)
             self.prompt = self._output.prompt
@@ -278,35 +288,35 @@ class Operation:
                 self._run = None
                 self.prompt = ""
                 if found.problem:
-                    machine.handle_event(Event.CALIBRATION_FAILED, now_ns, found.problem)
+                    machine.handle_event(JoystickEvent.CALIBRATION_FAILED, now_ns, found.problem)
                 else:
                     self.calibration = found
                     self.device.set_zero(found.x_m, found.y_m)
                     self.supervisor.set_workspace(found.half_width_m, found.half_height_m)
-                    machine.handle_event(Event.CALIBRATION_PASSED, now_ns)
+                    machine.handle_event(JoystickEvent.CALIBRATION_PASSED, now_ns)
         elif self._automatic:
-            self._ask_by_itself(state, now_ns)
+            self._request_next(state, now_ns)
 
     def _forget_calibration(self) -> None:
         self.calibration = None
         self.supervisor.forget_workspace()
 
-    def _ask_by_itself(self, state: State, now_ns: int) -> None:
-        if state is State.STANDBY:
-            self.handle_request(Event.CALIBRATE, now_ns)
-        elif state is State.CALIBRATED:
-            self.handle_request(Event.START, now_ns)
-        elif state is State.HALTED:
-            if self.supervisor.verdict is Verdict.WELL:
-                self.handle_request(Event.RESUME, now_ns)
+    def _request_next(self, state: JoystickState, now_ns: int) -> None:
+        if state is JoystickState.STANDBY:
+            self.handle_request(JoystickEvent.CALIBRATE, now_ns)
+        elif state is JoystickState.CALIBRATED:
+            self.handle_request(JoystickEvent.START, now_ns)
+        elif state is JoystickState.HALTED:
+            if self.supervisor.health is Health.OK:
+                self.handle_request(JoystickEvent.RESUME, now_ns)
         elif (
-            state in (State.CALIBRATION_ERROR, State.RECOVERABLE)
+            state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE)
             and (self._retries < _RETRIES or not self.facts.has_force)
             and now_ns - max(self.machine.since_ns, self._tried_ns) >= _RETRY_NS
         ):
             self._tried_ns = now_ns
-            # Refused as long as the cause is there: then it was no try.
-            if not self.handle_request(Event.ACKNOWLEDGE, now_ns):
+            # A refused request is not an attempt: its cause is still there.
+            if not self.handle_request(JoystickEvent.ACKNOWLEDGE, now_ns):
                 self._retries += 1
 
 

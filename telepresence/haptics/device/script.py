@@ -1,8 +1,8 @@
-"""What a calibration and the functional checks are written as: a script that runs a cycle a time.
+"""Scripts: calibration and functional checks written as generators, one cycle per step.
 
-A script is a generator. It yields what the device shall do until the next cycle, and is sent what
-the sensors then say. So a movement reads from top to bottom, and still nobody waits: the caller
-decides what drives it, a loop at 1 kHz or virtual time.
+A script yields what the device should do until the next cycle, and receives what the sensors then
+measure. A movement thus reads from top to bottom, but nothing blocks. The caller decides what
+drives the script: a loop at 1 kHz or virtual time.
 """
 
 from collections.abc import Generator
@@ -17,7 +17,7 @@ Result = TypeVar("Result")
 
 
 class Output(NamedTuple):
-    """What the device shall do: a force (N) and a mask of LEDs; prompt: what a person shall do."""
+    """A force (N, N) and LEDs for the device; prompt: what a person should do."""
 
     x_n: float = 0.0
     y_n: float = 0.0
@@ -26,7 +26,7 @@ class Output(NamedTuple):
 
 
 class Cycle(NamedTuple):
-    """What the script is sent: the sensors' reading at `now_ns`."""
+    """What the script receives: the sensors' reading at `now_ns`."""
 
     reading: Reading
     now_ns: int
@@ -38,9 +38,9 @@ IDLE = Output()
 
 
 class ScriptRun(Generic[Result]):
-    """A script on its way: `handle_reading` in each cycle until `result` is there.
+    """A script in progress: call `handle_reading` in each cycle until `result` is set.
 
-    result: what the script returned; None while it runs, and for good after `abort`.
+    result: the script's return value; None while it runs, and after `abort`.
     """
 
     def __init__(self, script: Script[Result]) -> None:
@@ -51,11 +51,11 @@ class ScriptRun(Generic[Result]):
 
     @property
     def done(self) -> bool:
-        """Whether the script has ended, or was ended."""
+        """Whether the script has ended or was aborted."""
         return self._done
 
     def handle_reading(self, reading: Reading, now_ns: int) -> Output:
-        """One cycle: what the device shall do until the next."""
+        """Run one cycle; return what the device should do until the next one."""
         if self._done:
             return IDLE
         try:
@@ -69,24 +69,24 @@ class ScriptRun(Generic[Result]):
             return IDLE
 
     def abort(self) -> None:
-        """End it where it stands, without a result."""
+        """End the script without a result."""
         self._script.close()
         self._done = True
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Servo:
-    """A spring and a damper that the motors make, with which a script moves the handle.
+    """A spring and a damper, made by the motors, with which a script moves the handle.
 
-    Well damped with any handle between 0.2 and 1 kg, and stable at 1 kHz: the product of damping
-    and period stays far below the mass. Chosen.
+    Well damped for handles of 0.2 to 1 kg, and stable at 1 kHz: damping times period stays far
+    below the mass. Chosen.
     """
 
     stiffness_n_m: float = 300.0
     damping_n_s_m: float = 20.0
 
     def force(self, reading: Reading, x_m: float, y_m: float) -> tuple[float, float]:
-        """The force (N) that pulls the handle to (x_m, y_m) and rest."""
+        """Return the force (N, N) that pulls the handle to rest at (x_m, y_m)."""
         k, d = self.stiffness_n_m, self.damping_n_s_m
         return (
             k * (x_m - reading.x_m) - d * reading.vx_m_s,
@@ -96,18 +96,18 @@ class Servo:
 
 SERVO = Servo()
 
-#: At rest: slower than this, for this long.
+#: At rest means slower than this for this long.
 _REST_M_S = 0.005
 _REST_NS = 40 * NS_PER_MS
-#: Slower than this a handle that is not there yet is held by friction.
+#: A slower handle that is not at its target is stuck by friction.
 _SLOW_M_S = 0.01
-#: A pull that grows by this much a second overcomes friction without a blow.
+#: Growth of the additional force (N/s) that overcomes friction without a jerk.
 _CREEP_N_S = 10.0
 _NEAR_M = 0.002
 
 
 def wait(cycle: Cycle, duration_ns: int) -> Script[Cycle]:
-    """Do nothing for so long; gives the last cycle."""
+    """Do nothing for `duration_ns`; return the last cycle."""
     until_ns = cycle.now_ns + duration_ns
     while cycle.now_ns < until_ns:
         cycle = yield IDLE
@@ -123,10 +123,10 @@ def travel(
     force_n: float = inf,
     patience_ns: int = 3 * NS_PER_S,
 ) -> Script[tuple[Cycle, bool]]:
-    """Bring the handle to (x_m, y_m), in encoder counts; whether it got there and stands.
+    """Move the handle to (x_m, y_m) in encoder coordinates; return whether it rests there.
 
-    The place it is pulled to moves at `speed_m_s`; what friction holds back at the end is made up
-    for by a force that grows slowly. Neither that nor the whole is more than `force_n`.
+    The setpoint moves at `speed_m_s`. At the end, a slowly growing force overcomes friction. The
+    whole force never exceeds `force_n`.
     """
     to_x, to_y = cycle.reading.x_m, cycle.reading.y_m
     extra_x = extra_y = 0.0
@@ -169,17 +169,16 @@ def push_to_stop(
     speed_m_s: float = 0.25,
     patience_ns: int = 2 * NS_PER_S,
 ) -> Script[tuple[Cycle, Reading]]:
-    """Push along one axis until the handle stands; the reading there.
+    """Push along one axis until the handle stands still; return the reading there.
 
-    direction: one of (±1, 0), (0, ±1). The push is taken back by a damper, so that the handle does
-    not reach the stop faster than about `speed_m_s`. The other axis is held where it is. All
-    together is `force_n` at most, also against a hand.
+    direction: (±1, 0) or (0, ±1). A damper limits the speed at the stop to about `speed_m_s`. The
+    other axis is held in place. The whole force is at most `force_n`, even against a hand.
     """
     start = cycle.reading
     along_x, along_y = direction
     damper = force_n / speed_m_s
     until_ns = cycle.now_ns + patience_ns
-    # A push needs a while before it moves anything: rest does not count at once.
+    # The handle does not move at once, so standstill does not count at first.
     still_since_ns = cycle.now_ns + 2 * _REST_NS
     while cycle.now_ns < until_ns:
         reading = cycle.reading
@@ -196,7 +195,7 @@ def push_to_stop(
 
 
 def _at_most(x_n: float, y_n: float, force_n: float) -> tuple[float, float]:
-    """This force (N), its size cut to `force_n`."""
+    """Return this force (N, N) with its size cut to `force_n`."""
     size = hypot(x_n, y_n)
     if size <= force_n:
         return x_n, y_n

@@ -1,8 +1,8 @@
-"""A simulated joystick as a device: mechanics, motors, sensors, and the faults it may have.
+"""A simulated joystick as a device: mechanics, motors, sensors, and possible faults.
 
-Mechanics and motors are those of `telepresence.haptics.joystick`, a hand is that of
-`telepresence.haptics.hand`. Where there is no hand, fingers are on the buttons all the same, and
-answer the LEDs as the check of the buttons asks for.
+The mechanics are those of `telepresence.haptics.joystick`, the hand that of
+`telepresence.haptics.hand`. Without a hand, simulated fingers still answer the LEDs, as the check
+of the buttons asks.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import DeviceFacts, Reading
-from telepresence.haptics.device.states import State
+from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.joystick import Joystick, JoystickModel
 
@@ -34,10 +34,14 @@ _NEVER_NS = 1 << 62
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Faults:
-    """What may be broken. stuck: an axis, 0 or 1, that does not move. friction: how many times the
-    due one. motor_gain: how much of the force that they are told the motors give. dead_button:
-    its index, -1 for none. heat_c: by how much the motors are hotter than they should be.
-    lost_ns: how long after it was switched on the plug is pulled.
+    """The faults of a simulated joystick; the defaults are a healthy one.
+
+    stuck: axis 0 or 1 that does not move; -1 for none.
+    friction: Coulomb friction over the nominal one.
+    motor_gain: exerted over commanded force.
+    dead_button: index of a button that does not react; -1 for none.
+    heat_c: additional initial temperature of the motors (K).
+    lost_ns: when the device is unplugged, after power-on.
     """
 
     stuck: int = -1
@@ -48,7 +52,7 @@ class Faults:
     lost_ns: int = _NEVER_NS
 
 
-#: Faults by the name that a device's SPEC has for them, `sim:NAME`.
+#: Faults by their names in a SPEC, `sim:NAME`.
 FAULTS: Mapping[str, Faults] = MappingProxyType(
     {
         "stuck-x": Faults(stuck=0),
@@ -61,17 +65,17 @@ FAULTS: Mapping[str, Faults] = MappingProxyType(
     }
 )
 
-#: How long a person takes to see a light and press: simple reactions take 0.2 to 0.3 s (R. D. Luce,
-#: "Response Times", 1986).
+#: Time that a person takes to see an LED and press: simple reactions take 0.2 to 0.3 s
+#: (R. D. Luce, "Response Times", 1986).
 _REACTION_NS = 250 * NS_PER_MS
-#: How long a hand takes to close around the handle. Chosen.
+#: Time that a hand takes to close around the handle. Chosen.
 _GRIP_NS = 400 * NS_PER_MS
-#: Of a time that was missed (the process stood still) so much is made up for.
+#: Longest interval that one call simulates. After a stall, the rest is dropped.
 _MAX_ADVANCE_NS = 50 * NS_PER_MS
 
 
 class Fingers:
-    """A person who presses the button whose LED is lit, and the dead-man button when all are.
+    """A person who presses the button whose LED is lit, and the dead-man button when all are lit.
 
     buttons, dead_man: what is pressed now.
     """
@@ -97,11 +101,11 @@ class Fingers:
 
 
 class SimulatedDevice:
-    """`Joystick` with sensors, buttons, LEDs, and perhaps a hand.
+    """`Joystick` with sensors, buttons and LEDs, and optionally a hand.
 
-    hand: takes the handle, and presses the dead-man button, as long as the joystick is in the
-    application; without one nobody does. start_m: where the handle is when it is switched on: its
-    encoders begin to count there. stuck: an axis that does not move from now on, -1 for none.
+    hand: holds the handle and presses the dead-man button while the joystick is in the application.
+    start_m: position of the handle at power-on, where the encoders begin to count.
+    stuck: an axis that does not move from now on; -1 for none.
     """
 
     facts = FACTS
@@ -130,7 +134,7 @@ class SimulatedDevice:
         self._now_ns = 0
 
     def read(self) -> Reading:
-        """What the encoders, the buttons and the thermometer say."""
+        """Return what the encoders, the buttons and the thermometer measure."""
         joystick, fingers = self.joystick, self.fingers
         held = self._held_ns >= 0 or fingers.dead_man
         reading = (
@@ -143,31 +147,31 @@ class SimulatedDevice:
             joystick.temperature_c,
             self._now_ns < self._lost_ns,
         )
-        # Spares a NamedTuple's own way to be made, which is one more call in Python.
+        # Skips `Reading.__new__`, which is one more Python call a thousand times a second.
         return tuple.__new__(Reading, reading)
 
     def set_zero(self, x_m: float, y_m: float) -> None:
-        """What reads (x_m, y_m) now reads 0 from now on."""
+        """Make the present position (x_m, y_m) the middle."""
         self._zero_x += x_m
         self._zero_y += y_m
 
     def write_force(self, x_n: float, y_n: float) -> None:
-        """The motors' force (N); `Joystick` cuts it."""
+        """Set the motors' force (N, N); `Joystick` limits it."""
         gain = self._gain
         self._force_x_n, self._force_y_n = gain * x_n, gain * y_n
 
     def write_leds(self, mask: int) -> None:
-        """Light these LEDs; whose fingers are on the buttons sees them."""
+        """Light the LEDs in `mask`; the simulated fingers see them."""
         self.leds = mask
         self.fingers.handle_leds(mask)
 
-    def show_state(self, state: State) -> None:
-        """The hand takes the handle in the application, and lets go outside it."""
+    def show_state(self, state: JoystickState) -> None:
+        """Let the hand take the handle in the application, and release it elsewhere."""
         if self.hand is not None:
-            self._held_ns = 0 if state is State.APPLICATION else -1
+            self._held_ns = 0 if state is JoystickState.APPLICATION else -1
 
     def advance(self, dt_ns: int) -> None:
-        """`dt_ns` pass."""
+        """Simulate `dt_ns`, at most 50 ms."""
         self._now_ns += dt_ns
         if self.hand is None:
             self.fingers.advance(dt_ns)
@@ -180,7 +184,7 @@ class SimulatedDevice:
             remaining_ns -= NS_PER_MS
 
     def close(self) -> None:
-        """No force and no light."""
+        """Switch off force and LEDs."""
         self.write_force(0.0, 0.0)
         self.write_leds(0)
 
@@ -192,7 +196,7 @@ class SimulatedDevice:
             hand_x, hand_y = hand.force(x, y, vx, vy, dt_ns)
             hand_kg = hand.mass_kg
             if self._held_ns < _GRIP_NS:
-                # Fingers close; nobody snatches.
+                # The fingers close gradually, so the force does not jump.
                 self._held_ns += dt_ns
                 grip = self._held_ns / _GRIP_NS
                 hand_x *= grip

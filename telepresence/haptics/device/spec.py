@@ -19,7 +19,7 @@ GAME_CONTROLLER = "evdev"
 
 
 def check_joystick(spec: str) -> None:
-    """ConfigError, one line, if `spec` names no joystick that can be opened now."""
+    """Raise ConfigError if `spec` names no joystick that can be opened now."""
     if not is_simulated(spec):
         open_device(spec).close()
     else:
@@ -27,14 +27,14 @@ def check_joystick(spec: str) -> None:
 
 
 def is_simulated(spec: str) -> bool:
-    """Whether `spec` is a simulated joystick, which knows virtual time."""
+    """Whether `spec` names a simulated joystick, which runs on virtual time."""
     return spec.partition(":")[0] == SIMULATED
 
 
 def open_device(spec: str, *, hand: Hand | None = None) -> JoystickDevice:
-    """The joystick that `spec` names; ConfigError if there is none.
+    """Open the joystick that `spec` names; ConfigError if there is none.
 
-    hand: what holds a simulated one in the application.
+    hand: holds a simulated joystick in the application.
     """
     kind, _, rest = spec.partition(":")
     if kind == SIMULATED:

@@ -1,11 +1,11 @@
-"""The states of the joystick, and which event leads from which to which: nothing else does.
+"""The states of the joystick, and the table of all allowed transitions.
 
-States and errors as the Kontur-2 joystick has them (C. Riecke et al., "Kontur-2 mission: the DLR
-force feedback joystick for space telemanipulation from the ISS", i-SAIRAS 2016); the table of
+The states and errors are those of the Kontur-2 joystick (C. Riecke et al., "Kontur-2 mission: the
+DLR force feedback joystick for space telemanipulation from the ISS", i-SAIRAS 2016). The table of
 transitions is this project's own. A state's number travels in octet 3 of each command sample.
 
-Force is given in `APPLICATION` only, and by the calibration in `STANDBY`. `FATAL` is final: what
-leads out of it is a new start of the process, which begins with the self-test.
+There is force only in `APPLICATION`, and during the calibration in `STANDBY`. `FATAL` is final:
+only a restart of the process leaves it, and that begins with the self-test.
 """
 
 from collections import deque
@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 
-class State(IntEnum):
-    """What the joystick is in; the number is the one that is sent."""
+class JoystickState(IntEnum):
+    """The state of the joystick; its number is sent in samples."""
 
     INIT = 0
     STANDBY = 1
@@ -29,24 +29,24 @@ class State(IntEnum):
 
     @property
     def words(self) -> str:
-        """The state in a sentence: "standby", "calibration error"."""
+        """The state in words, such as "calibration error"."""
         return _WORDS[self]
 
 
 _WORDS = {
-    State.INIT: "init",
-    State.STANDBY: "standby",
-    State.CALIBRATED: "calibrated",
-    State.APPLICATION: "application",
-    State.HALTED: "halted",
-    State.CALIBRATION_ERROR: "calibration error",
-    State.RECOVERABLE: "recoverable error",
-    State.FATAL: "fatal error",
+    JoystickState.INIT: "init",
+    JoystickState.STANDBY: "standby",
+    JoystickState.CALIBRATED: "calibrated",
+    JoystickState.APPLICATION: "application",
+    JoystickState.HALTED: "halted",
+    JoystickState.CALIBRATION_ERROR: "calibration error",
+    JoystickState.RECOVERABLE: "recoverable error",
+    JoystickState.FATAL: "fatal error",
 }
 
 
-class Event(Enum):
-    """What may happen: requests of a person first, then what the joystick finds by itself."""
+class JoystickEvent(Enum):
+    """What can happen: requests of a person first, then what the joystick itself detects."""
 
     CALIBRATE = "calibrate"
     START = "start"
@@ -62,17 +62,24 @@ class Event(Enum):
     FATAL_FAULT = "fatal fault"
 
 
-#: What a person may ask for; all else is found by the joystick itself.
+#: What a person may request; the joystick itself detects everything else.
 REQUESTS = frozenset(
-    {Event.CALIBRATE, Event.START, Event.STOP, Event.HALT, Event.RESUME, Event.ACKNOWLEDGE}
+    {
+        JoystickEvent.CALIBRATE,
+        JoystickEvent.START,
+        JoystickEvent.STOP,
+        JoystickEvent.HALT,
+        JoystickEvent.RESUME,
+        JoystickEvent.ACKNOWLEDGE,
+    }
 )
 
 
-def _table() -> dict[tuple[State, Event], State]:
-    s, e = State, Event
+def _table() -> dict[tuple[JoystickState, JoystickEvent], JoystickState]:
+    s, e = JoystickState, JoystickEvent
     table = {
         (s.INIT, e.SELF_TEST_PASSED): s.STANDBY,
-        # While it calibrates it stays in standby: what it reads is no position yet.
+        # It stays in standby while it calibrates, because its readings are no positions yet.
         (s.STANDBY, e.CALIBRATE): s.STANDBY,
         (s.STANDBY, e.CALIBRATION_PASSED): s.CALIBRATED,
         (s.STANDBY, e.CALIBRATION_FAILED): s.CALIBRATION_ERROR,
@@ -81,53 +88,57 @@ def _table() -> dict[tuple[State, Event], State]:
         (s.CALIBRATED, e.HALT): s.HALTED,
         (s.APPLICATION, e.STOP): s.CALIBRATED,
         (s.APPLICATION, e.HALT): s.HALTED,
-        # Never straight back into the application: force comes after a request for it.
+        # Never straight back into the application: force requires a request.
         (s.HALTED, e.RESUME): s.CALIBRATED,
         (s.CALIBRATION_ERROR, e.CALIBRATE): s.STANDBY,
         (s.CALIBRATION_ERROR, e.ACKNOWLEDGE): s.STANDBY,
-        # A sensor that was wrong once is calibrated anew before it is believed.
+        # After a sensor fault, calibrate again before the sensor is trusted.
         (s.RECOVERABLE, e.ACKNOWLEDGE): s.STANDBY,
     }
-    for state in State:
-        if state is not State.FATAL:
+    for state in JoystickState:
+        if state is not JoystickState.FATAL:
             table[state, e.FATAL_FAULT] = s.FATAL
     for state in (s.INIT, s.STANDBY, s.CALIBRATED, s.APPLICATION, s.HALTED, s.CALIBRATION_ERROR):
         table[state, e.FAULT] = s.RECOVERABLE
     return table
 
 
-#: Where each event leads from each state; what is not in it is refused.
-TRANSITIONS: Mapping[tuple[State, Event], State] = MappingProxyType(_table())
+#: The next state for each state and event. Any other event is refused.
+TRANSITIONS: Mapping[tuple[JoystickState, JoystickEvent], JoystickState] = MappingProxyType(
+    _table()
+)
 
 
 class Transition(NamedTuple):
-    """The state `before`, and `after`, the event at `now_ns`; reason: one line, may be empty."""
+    """The step from state `before` to `after` at `now_ns`; reason: one line, may be empty."""
 
     now_ns: int
-    before: State
-    event: Event
-    after: State
+    before: JoystickState
+    event: JoystickEvent
+    after: JoystickState
     reason: str
 
 
 class StateMachine:
-    """Where the joystick stands, and how it came there.
+    """The state of the joystick, and how it was reached.
 
-    state; since_ns: when it was entered; reason: why, in one line, "" if that needs no words.
-    entered: how many transitions there were. refused: events that the table does not have.
-    `next_event` gives the transitions; of 64 that nobody fetches the oldest go.
+    state: the present state. since_ns: when it was entered.
+    reason: why it was entered, in one line; "" if there is nothing to say.
+    entered: number of transitions. refused: events without an entry in the table.
+
+    At most 64 transitions wait for `next_event`; beyond that the oldest is dropped.
     """
 
     def __init__(self, now_ns: int = 0) -> None:
-        self.state = State.INIT
+        self.state = JoystickState.INIT
         self.since_ns = now_ns
         self.reason = ""
         self.entered = 0
         self.refused = 0
         self._transitions: deque[Transition] = deque(maxlen=64)
 
-    def handle_event(self, event: Event, now_ns: int, reason: str = "") -> str:
-        """Go where `event` leads: "" if it was allowed, else one line that says why not."""
+    def handle_event(self, event: JoystickEvent, now_ns: int, reason: str = "") -> str:
+        """Take the transition for `event`; return "" or one line that says why it is refused."""
         after = TRANSITIONS.get((self.state, event))
         if after is None:
             self.refused += 1
@@ -138,14 +149,14 @@ class StateMachine:
         return ""
 
     def next_event(self) -> Transition | None:
-        """The next transition, or None."""
+        """The oldest transition that was not fetched yet, or None."""
         return self._transitions.popleft() if self._transitions else None
 
-    def _refusal(self, event: Event) -> str:
+    def _refusal(self, event: JoystickEvent) -> str:
         state = self.state
-        if state is State.FATAL:
+        if state is JoystickState.FATAL:
             why = f": {self.reason}" if self.reason else ""
-            return f"{event.value}: refused after a fatal error{why}; start the process anew"
+            return f"{event.value}: refused after a fatal error{why}; restart the process"
         allowed = [other.value for (at, other) in TRANSITIONS if at is state and other in REQUESTS]
-        offer = f"allowed there: {', '.join(allowed)}" if allowed else "nothing can be asked there"
+        offer = f"allowed there: {', '.join(allowed)}" if allowed else "no request is allowed there"
         return f"{event.value}: not in the state {state.words}; {offer}"

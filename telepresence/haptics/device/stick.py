@@ -1,10 +1,11 @@
-"""What a game controller's events say: a core that is handed them as Linux has them.
+"""A game controller's stick and buttons: a core that receives events as Linux delivers them.
 
-Codes and their meaning: the kernel's `linux/input-event-codes.h` and "Linux Gamepad
-Specification" (Documentation/input/gamepad.rst). A stick gives numbers of 8 to 16 bits at 125 to
-1000 Hz, and springs back within a few milliseconds when it is let go: that would be a blow to the
-robot, and more than the bilateral controller's bound of the next cycle allows for. So a handle with
-a hand's speed and acceleration follows the stick.
+Codes and meanings follow the kernel's `linux/input-event-codes.h` and the "Linux Gamepad
+Specification" (Documentation/input/gamepad.rst).
+
+A stick reports 8 to 16 bits at 125 to 1000 Hz, and springs back within a few milliseconds when
+released. Such a jump would hit the robot hard and break the bilateral controller's bound for the
+next cycle. A filter with a hand's speed and acceleration therefore follows the stick.
 """
 
 from math import sqrt
@@ -17,27 +18,27 @@ EV_SYN, EV_KEY, EV_ABS, EV_FF = 0x00, 0x01, 0x03, 0x15
 SYN_DROPPED = 3
 ABS_X, ABS_Y = 0x00, 0x01
 FF_RUMBLE = 0x50
-#: South, east, west, north of a gamepad; of a joystick the buttons under the thumb.
+#: Gamepad: south, east, west, north. Joystick: the buttons under the thumb.
 _PAD_BUTTONS = (0x130, 0x131, 0x134, 0x133)
 _PAD_DEAD_MAN = 0x136  # BTN_TL, the left shoulder
 _STICK_BUTTONS = (0x121, 0x122, 0x123, 0x124)
 _STICK_DEAD_MAN = 0x120  # BTN_TRIGGER
 
-#: What the full travel of a stick becomes: the simulated joystick's workspace.
+#: Workspace that the stick's full travel is mapped to.
 HALF_WIDTH_M, HALF_HEIGHT_M = 0.1, 0.08
-#: The last part of the way is gone with this time constant. Chosen: shorter than anybody notices,
-#: longer than between two reports of a pad.
+#: Time constant of the last part of the filter's travel. Chosen: too short to be noticed, longer
+#: than the interval between two reports of a controller.
 TAU_S = 0.015
-#: On each axis. Both together stay below `JoystickControllerModel.acceleration_m_s2`.
+#: Per axis. Both axes together stay below `JoystickControllerModel.acceleration_m_s2`.
 ACCELERATION_M_S2 = 100.0
 SPEED_M_S = 2.0
-#: It brakes a little sooner than it has to: a cycle's rounding must not make it overshoot.
+#: Deceleration for planning; it leaves room for rounding within a cycle, so nothing overshoots.
 _BRAKING_M_S2 = 0.8 * ACCELERATION_M_S2
 _CYCLE_S = NS_PER_MS / NS_PER_S
 
 
 class Axis(NamedTuple):
-    """What the kernel says of an axis: its range, and what around the middle means nothing."""
+    """The kernel's description of an axis: its range, and the flat part around the middle."""
 
     value: int
     least: int
@@ -48,10 +49,12 @@ class Axis(NamedTuple):
 class Stick:
     """The left stick and the buttons of one controller, from its events.
 
-    axes: what the kernel says of ABS_X and ABS_Y. keys: codes of all buttons that it has.
-    Full travel is ±0.1 m along x and ±0.08 m along y, and up is +y. The dead-man button is the left
-    shoulder (of a joystick: the trigger); a controller without it is held always.
-    `needs_state`: events were lost, so ask the kernel and call `handle_state`.
+    axes: the kernel's description of ABS_X and ABS_Y. keys: codes of all buttons.
+
+    Full travel is ±0.1 m along x and ±0.08 m along y, with +y up. The dead-man button is the left
+    shoulder (on a joystick: the trigger). A controller without one counts as always held.
+
+    needs_state: events were lost; query the kernel and call `handle_state`.
     """
 
     def __init__(
@@ -82,7 +85,7 @@ class Stick:
         self._zero_x = self._zero_y = 0.0
 
     def handle_event(self, kind: int, code: int, value: int) -> None:
-        """One event of the controller; what it does not know is ignored."""
+        """Take one event of the controller; unknown events are ignored."""
         if kind == EV_ABS:
             if code in (ABS_X, ABS_Y):
                 self._raw[code] = value
@@ -97,7 +100,7 @@ class Stick:
             self.needs_state = True
 
     def handle_state(self, x: int, y: int, pressed: frozenset[int]) -> None:
-        """What the kernel says of the axes and of the buttons that are pressed now."""
+        """Set the axes' raw values and the codes of the pressed buttons, as the kernel has them."""
         self.needs_state = False
         self._raw = [x, y]
         self._to_x, self._to_y = self._places()
@@ -106,16 +109,16 @@ class Stick:
             self._dead_man = self._dead_man_code in pressed
 
     def handle_zero(self, x_m: float, y_m: float) -> None:
-        """What reads (x_m, y_m) now reads 0 from now on."""
+        """Make the present position (x_m, y_m) the middle."""
         self._zero_x += x_m
         self._zero_y += y_m
 
     def handle_gone(self) -> None:
-        """It was unplugged."""
+        """The controller was unplugged."""
         self.present = False
 
     def reading(self) -> Reading:
-        """Where the filter is now, and the buttons."""
+        """Return the filtered position and the buttons."""
         return Reading(
             self._x - self._zero_x,
             self._y - self._zero_y,
@@ -128,7 +131,7 @@ class Stick:
         )
 
     def advance(self, dt_ns: int) -> None:
-        """`dt_ns` pass."""
+        """Advance the filter by `dt_ns`."""
         if dt_ns <= 0:
             return
         left_s = dt_ns / NS_PER_S
@@ -142,13 +145,13 @@ class Stick:
 
     def _places(self) -> tuple[float, float]:
         x, y = (_share(axis, raw) for axis, raw in zip(self._axes, self._raw, strict=True))
-        # Down is positive in the kernel, up in the workspace.
+        # The kernel counts down as positive, the workspace up.
         return x * HALF_WIDTH_M, -y * HALF_HEIGHT_M
 
 
 def _velocity(velocity: float, way: float, dt_s: float) -> float:
-    """The velocity (m/s) after `dt_s` of what still has `way` (m) to go, and moves so fast now."""
-    # Below this the time constant brakes less than the limit allows, beyond it the limit does.
+    """Return the velocity (m/s) after `dt_s`, with `way` (m) left to the target."""
+    # Within `near`, the time constant brakes less than the limit allows; beyond, the limit rules.
     near = _BRAKING_M_S2 * TAU_S * TAU_S
     size = abs(way)
     wanted = size / TAU_S if size <= near else sqrt(_BRAKING_M_S2 * (2.0 * size - near))
@@ -159,10 +162,10 @@ def _velocity(velocity: float, way: float, dt_s: float) -> float:
 
 
 def _share(axis: Axis, raw: int) -> float:
-    """`raw` as a share of the travel, -1 to 1, without the flat part around the middle."""
+    """Map `raw` to the travel, -1 to 1, without the flat part around the middle."""
     half = (axis.most - axis.least) / 2
     if half <= 0:
-        # It says no range, as a device of uinput may: it cannot tell where it is.
+        # An axis without a range, as on some uinput devices, has no known position.
         return 0.0
     off = raw - (axis.most + axis.least) / 2
     flat = min(axis.flat, half / 2)
@@ -172,18 +175,18 @@ def _share(axis: Axis, raw: int) -> float:
     return min(share, 1.0) if off > 0 else -min(share, 1.0)
 
 
-#: Changes are so far apart at least, and an effect is never older: well below `RUMBLE_NS`.
+#: Shortest interval between changes, and longest age of an effect; well below `RUMBLE_NS`.
 _APART_NS = 50 * NS_PER_MS
 _ANEW_NS = 500 * NS_PER_MS
-#: An effect plays for so long at most: a process that is killed leaves no pad shaking.
+#: Longest play time of an effect: if the process is killed, the rumble ends soon.
 RUMBLE_NS = 1000 * NS_PER_MS
 
 
 class RumbleMeter:
-    """How strongly to shake for a force: changes of a tenth, and not more often than a pad hears.
+    """Rumble strength for a force: changes of at least a tenth, at a rate that controllers accept.
 
-    `handle_force` gives the magnitude to set, 0 to 65535, or None when the old one will do. An
-    effect ends by itself: as long as there is one, it is set anew every half second.
+    `handle_force` returns the magnitude to set, 0 to 65535, or None to keep the present one. An
+    effect ends by itself, so it is renewed every half second.
     """
 
     def __init__(self, full_n: float) -> None:
@@ -192,11 +195,11 @@ class RumbleMeter:
         self._age_ns = _ANEW_NS
 
     def handle_force(self, force_n: float, dt_ns: int) -> int | None:
-        """`force_n` (N, >= 0) is to be felt; `dt_ns` have passed since the last call."""
+        """Take the force (N, >= 0) to show; `dt_ns` have passed since the last call."""
         self._age_ns += dt_ns
         share = min(force_n / self._full_n, 1.0)
         if share == 0.0:
-            # Off is off at once.
+            # Switch off at once.
             if self._shown == 0.0:
                 return None
         else:

@@ -1,9 +1,9 @@
-"""What is watched while the joystick runs, and what follows from it.
+"""What the supervision of a running joystick monitors, and how it reacts.
 
 | what | warning | less force | halted | error |
 |---|---|---|---|---|
 | motor temperature | `warn_c` | from `warn_c` on, linearly | `halt_c`, until `cool_c` | |
-| dead-man button | | none while it is let go | | |
+| dead-man button | | none while it is released | | |
 | communication | | the controller's own decay | `silence_ns` without a sample | |
 | place | | | | `outside_m` beyond the workspace |
 | velocity | | | | faster than any hand: `speed_m_s` |
@@ -17,30 +17,32 @@ from math import inf, isfinite
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import Reading
 
-#: Motors get warm in minutes: their thermometer is looked at so often.
-_LOOK_NS = 20 * NS_PER_MS
+#: Interval between readings of the thermometer, because motors heat up in minutes.
+_CHECK_NS = 20 * NS_PER_MS
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """What is still allowed. All chosen: a motor's winding of class B bears 130 °C, a hand that
-    touches the housing for ten minutes 48 °C (ISO 13732-1), and between lie the case and time.
+    """Limits of the supervision; all chosen.
+
+    They lie below what a winding of class B bears (130 °C). They exceed what a hand may touch for
+    ten minutes (48 °C, ISO 13732-1), because the housing stays cooler than the motors.
     """
 
     warn_c: float = 60.0
     halt_c: float = 80.0
     cool_c: float = 55.0
-    least_share: float = 0.25  # of the force limit that is left just below `halt_c`
+    least_share: float = 0.25  # of the force limit, just below `halt_c`
     silence_ns: int = 5 * NS_PER_S
     outside_m: float = 0.01
     speed_m_s: float = 8.0
 
     def __post_init__(self) -> None:
         if not self.cool_c < self.warn_c < self.halt_c:
-            raise ValueError("temperatures rise from cool_c over warn_c to halt_c")
+            raise ValueError("cool_c < warn_c < halt_c is required")
 
     def share(self, temperature_c: float | None) -> float:
-        """The share of the force limit that is left at this temperature, 0 to 1."""
+        """Return the share of the force limit, 0 to 1, that is left at this temperature."""
         if temperature_c is None or temperature_c <= self.warn_c:
             return 1.0
         if temperature_c >= self.halt_c:
@@ -49,33 +51,34 @@ class Limits:
         return 1.0 - (1.0 - self.least_share) * into
 
 
-class Verdict(Enum):
-    """How bad it is."""
+class Health(Enum):
+    """Severity of what the supervisor found."""
 
-    WELL = 0
+    OK = 0
     HALT = 1
     FAULT = 2
     FATAL = 3
 
 
-class Supervisor:
-    """Looks at each reading. `verdict` and `reason` (one line) say what it thinks of the newest.
+class JoystickSupervisor:
+    """Judges each reading. `health` and `reason` (one line) describe the newest one.
 
-    expects_peer: whether silence counts; set it. share: of the force limit, what heat has left.
-    warnings: how often `warn_c` was passed. hottest_c: the highest temperature so far, None
-    without a sensor.
+    expects_peer: whether silence of the peer counts; set by the caller.
+    share: share of the force limit that the temperature leaves.
+    warnings: how often `warn_c` was passed.
+    hottest_c: highest temperature so far; None without a sensor.
     """
 
     def __init__(self, limits: Limits | None = None) -> None:
         self.limits = limits or Limits()
-        self.verdict = Verdict.WELL
+        self.health = Health.OK
         self.reason = ""
         self.share = 1.0
         self.expects_peer = False
         self.warnings = 0
         self.hottest_c: float | None = None
         self._temperature_c: float | None = None
-        self._look_ns = 0
+        self._check_ns = 0
         self._hot = False
         self._heard_ns: int | None = None
         self._silent = False
@@ -83,8 +86,8 @@ class Supervisor:
         self.forget_workspace()
 
     @property
-    def sensible(self) -> tuple[float, float, float]:
-        """Farthest place along x and along y (m), and the highest speed (m/s), that make sense."""
+    def plausible(self) -> tuple[float, float, float]:
+        """Limits of plausible readings: |x| and |y| (m), and the speed per axis (m/s)."""
         return self._reach_x_m, self._reach_y_m, self._speed_m_s
 
     def handle_heard(self, now_ns: int) -> None:
@@ -93,23 +96,23 @@ class Supervisor:
         self._silent = False
 
     def forget_silence(self) -> None:
-        """The silence counts anew from the next reading on: nothing was expected until now."""
+        """Restart the silence timer at the next reading."""
         self._heard_ns = None
 
     def set_workspace(self, half_width_m: float, half_height_m: float) -> None:
-        """From now on the place is judged: the handle is calibrated to these half widths."""
+        """Judge positions from now on: the handle is calibrated to these half widths."""
         self._half_m = (half_width_m, half_height_m)
         self._reach_x_m = half_width_m + self.limits.outside_m
         self._reach_y_m = half_height_m + self.limits.outside_m
 
     def forget_workspace(self) -> None:
-        """What is read is no place until the next calibration."""
+        """Do not judge positions until the next calibration."""
         self.set_workspace(inf, inf)
 
-    def handle_reading(self, reading: Reading, now_ns: int) -> Verdict:
+    def handle_reading(self, reading: Reading, now_ns: int) -> Health:
         """Judge `reading`."""
         x_m, y_m, vx_m_s, vy_m_s, _, _, temperature_c, present = reading
-        # One comparison each for the ordinary case; what is not a number fails it as well.
+        # One comparison each for the usual case; a NaN fails it as well.
         reach_x, reach_y, speed = self._reach_x_m, self._reach_y_m, self._speed_m_s
         if not (
             present
@@ -120,8 +123,8 @@ class Supervisor:
             and (temperature_c is None or isfinite(temperature_c))
         ):
             return self._judge_sensors(reading)
-        if temperature_c is not None and now_ns >= self._look_ns:
-            self._look_ns = now_ns + _LOOK_NS
+        if temperature_c is not None and now_ns >= self._check_ns:
+            self._check_ns = now_ns + _CHECK_NS
             self._handle_temperature(temperature_c)
         if self.expects_peer:
             if self._heard_ns is None:
@@ -129,12 +132,12 @@ class Supervisor:
             elif now_ns - self._heard_ns > self.limits.silence_ns:
                 self._silent = True
         if self._hot or self._silent:
-            if self.verdict is not Verdict.HALT:
-                self._say(Verdict.HALT, self._why_halt())
-            return Verdict.HALT
-        if self.verdict is not Verdict.WELL:
-            self._say(Verdict.WELL, "")
-        return Verdict.WELL
+            if self.health is not Health.HALT:
+                self._set_health(Health.HALT, self._halt_reason())
+            return Health.HALT
+        if self.health is not Health.OK:
+            self._set_health(Health.OK, "")
+        return Health.OK
 
     def _handle_temperature(self, temperature_c: float) -> None:
         limits, before_c = self.limits, self._temperature_c
@@ -149,7 +152,7 @@ class Supervisor:
         elif temperature_c < limits.cool_c:
             self._hot = False
 
-    def _why_halt(self) -> str:
+    def _halt_reason(self) -> str:
         if self._hot:
             return (
                 f"the motors were at {self._temperature_c:.0f} °C: they may go on below "
@@ -157,23 +160,23 @@ class Supervisor:
             )
         return f"no sample from the robot for {self.limits.silence_ns / NS_PER_S:g} s"
 
-    def _judge_sensors(self, reading: Reading) -> Verdict:
+    def _judge_sensors(self, reading: Reading) -> Health:
         if not reading.present:
-            return self._say(Verdict.FATAL, "the device is gone: plug it in and start anew")
+            return self._set_health(Health.FATAL, "the device is gone: plug it in and restart")
         for axis, half_m in enumerate(self._half_m):
             name, place_m, speed_m_s = "xy"[axis], reading.place(axis), reading.speed(axis)
             if not (isfinite(place_m) and isfinite(speed_m_s)):
-                return self._say(Verdict.FAULT, f"axis {name} reads no number")
+                return self._set_health(Health.FAULT, f"axis {name} reads no number")
             if abs(place_m) > half_m + self.limits.outside_m:
-                return self._say(
-                    Verdict.FAULT,
+                return self._set_health(
+                    Health.FAULT,
                     f"axis {name} reads {place_m * 1e3:+.0f} mm, the workspace ends at "
                     f"±{half_m * 1e3:.0f} mm",
                 )
         if reading.temperature_c is not None and not isfinite(reading.temperature_c):
-            return self._say(Verdict.FAULT, "the thermometer reads no number")
-        return self._say(Verdict.FAULT, "the handle reads faster than a hand can move it")
+            return self._set_health(Health.FAULT, "the thermometer reads no number")
+        return self._set_health(Health.FAULT, "the handle reads faster than a hand can move it")
 
-    def _say(self, verdict: Verdict, reason: str) -> Verdict:
-        self.verdict, self.reason = verdict, reason
-        return verdict
+    def _set_health(self, health: Health, reason: str) -> Health:
+        self.health, self.reason = health, reason
+        return health

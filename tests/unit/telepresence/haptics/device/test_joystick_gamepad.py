@@ -15,9 +15,9 @@ from kontur_av.errors import ConfigError
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.device.gamepad import feed, find_gamepads, open_gamepad
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.operation import FELT_BY_NOBODY_N, Operation
+from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, Operation
 from telepresence.haptics.device.spec import check_joystick
-from telepresence.haptics.device.states import State
+from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import RUMBLE_NS, Axis, RumbleMeter, Stick
 from telepresence.haptics.joystick_controller import JoystickControllerModel
 
@@ -98,7 +98,7 @@ def test_a_stick_that_is_let_go_of_at_a_wall_takes_no_energy_that_is_not_there(r
             device.stick.handle_event(3, 0, round(127.5 + 127.5 * max(share, 0.0)))
     assert ground.controller.energy_out_uj > 10_000
     assert space.report()["least_uj"] >= -1 and ground.report()["least_uj"] >= -1
-    assert space.handle.operation.state is State.APPLICATION
+    assert space.handle.operation.state is JoystickState.APPLICATION
 
 
 def test_the_dead_man_button_is_the_left_shoulder_or_the_trigger_or_always():
@@ -169,25 +169,25 @@ def run(operation, milliseconds, now_ns=0):
 def test_a_stick_at_rest_is_calibrated_and_needs_its_dead_man_button():
     operation = Operation(Pad())
     now_ns = run(operation, 500)
-    assert operation.state is State.APPLICATION
+    assert operation.state is JoystickState.APPLICATION
     assert operation.force_limit_n == 0.0
     operation.device.stick.handle_event(1, 0x136, 1)
     run(operation, 500, now_ns)
     # Nobody feels it, but the energies are those of a hand that does.
-    assert operation.force_limit_n == FELT_BY_NOBODY_N
+    assert operation.force_limit_n == UNFELT_FORCE_LIMIT_N
 
 
 def test_a_stick_that_is_held_is_not_calibrated():
     operation = Operation(Pad(), automatic=True)
     operation.device.stick.handle_event(3, 0, 200)
     run(operation, 500)
-    assert operation.state is State.CALIBRATION_ERROR
+    assert operation.state is JoystickState.CALIBRATION_ERROR
     assert "does not rest at its middle (+" in operation.reason
     # It pushes nobody: it is tried until the stick is let go of.
     now_ns = run(operation, 20_000, 500 * NS_PER_MS)
     operation.device.stick.handle_event(3, 0, 128)
     run(operation, 2_000, now_ns)
-    assert operation.state is State.APPLICATION
+    assert operation.state is JoystickState.APPLICATION
 
 
 def test_no_controller_is_one_line(tmp_path):

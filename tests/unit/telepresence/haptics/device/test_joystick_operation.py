@@ -13,7 +13,7 @@ from telepresence.haptics.device.device import Reading
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import Operation
 from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
-from telepresence.haptics.device.states import Event, State
+from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.sample import Feedback, unpack_command
@@ -41,7 +41,7 @@ class Session:
 
     def into_application(self):
         self.run(4)
-        assert self.operation.state is State.APPLICATION
+        assert self.operation.state is JoystickState.APPLICATION
         return self
 
 
@@ -61,7 +61,7 @@ def test_without_a_calibration_there_is_no_place_and_no_force_for_the_controller
     places = set()
 
     def look():
-        if session.operation.state < State.CALIBRATED:
+        if session.operation.state < JoystickState.CALIBRATED:
             places.add((session.handle.x_m, session.handle.y_m, session.handle.force_limit_n))
 
     session.run(4, each=look)
@@ -92,13 +92,13 @@ def test_a_hand_in_the_way_of_the_calibration_is_pushed_with_no_more_than_its_fi
 def test_a_released_dead_man_button_takes_the_force_and_its_return_is_slow():
     session = Session().into_application()
     assert session.handle.force_limit_n == FACTS.force_limit_n
-    session.device.show_state(State.HALTED)  # the hand lets go
+    session.device.show_state(JoystickState.HALTED)  # the hand lets go
     session.run(0.002, force=(3.0, 0.0))
     assert not session.handle.dead_man
     assert session.handle.force_limit_n == 0.0
     session.run(0.002, force=(3.0, 0.0))
     assert session.device.joystick.motor_x_n == 0.0
-    session.device.show_state(State.APPLICATION)
+    session.device.show_state(JoystickState.APPLICATION)
     session.run(0.1)
     assert 0.0 < session.handle.force_limit_n < FACTS.force_limit_n / 2
     session.run(0.3)
@@ -118,16 +118,18 @@ def test_heat_warns_then_weakens_then_halts_until_it_is_cool():
     assert 0.25 < report["force_share"] < 1.0
     joystick.temperature_c = 80.5
     session.run(0.1, force=(5.0, 0.0))
-    assert session.operation.state is State.HALTED
+    assert session.operation.state is JoystickState.HALTED
     assert joystick.motor_x_n == 0.0
     assert "80 °C" in session.operation.reason or "81 °C" in session.operation.reason
-    assert "not yet" in session.operation.handle_request(Event.RESUME, session.handle.now_ns)
+    assert "not yet" in session.operation.handle_request(
+        JoystickEvent.RESUME, session.handle.now_ns
+    )
     joystick.temperature_c = 60.0
     session.run(0.1)
-    assert session.operation.state is State.HALTED
+    assert session.operation.state is JoystickState.HALTED
     joystick.temperature_c = 50.0
     session.run(0.5)
-    assert session.operation.state is State.APPLICATION
+    assert session.operation.state is JoystickState.APPLICATION
     # Each time is a warning, also one that is not as hot as the last.
     joystick.temperature_c = 65.0
     session.run(0.1)
@@ -142,12 +144,12 @@ def test_a_thermometer_that_reads_no_number_is_an_error_and_frees_no_force():
     for wrong_c in (nan, inf, -inf):
         joystick.temperature_c = wrong_c
         session.run(0.02, force=(500.0, 0.0))
-        assert session.operation.state is State.RECOVERABLE
+        assert session.operation.state is JoystickState.RECOVERABLE
         assert session.operation.reason == "the thermometer reads no number"
         assert session.handle.force_limit_n == 0.0
         joystick.temperature_c = 23.0
         session.run(6)
-        assert session.operation.state is State.APPLICATION
+        assert session.operation.state is JoystickState.APPLICATION
         assert session.handle.force_limit_n == FACTS.force_limit_n
 
 
@@ -156,13 +158,13 @@ def test_silence_halts_it_and_the_first_sample_brings_it_back():
     session = Session(limits=limits).into_application()
     session.robot = False
     session.run(1.1)
-    assert session.operation.state is State.HALTED
+    assert session.operation.state is JoystickState.HALTED
     assert session.operation.reason == "no sample from the robot for 1 s"
     session.run(3)
     assert session.operation.machine.entered == 5
     session.robot = True
     session.run(0.01)
-    assert session.operation.state is State.APPLICATION
+    assert session.operation.state is JoystickState.APPLICATION
 
 
 def test_a_person_may_halt_and_resume_and_is_told_why_not():
@@ -178,29 +180,29 @@ def test_a_person_may_halt_and_resume_and_is_told_why_not():
             operation.device.advance(NS_PER_MS)
 
     run(30)
-    assert operation.state is State.STANDBY
-    assert "not in the state standby" in operation.handle_request(Event.HALT, now_ns)
-    assert not operation.handle_request(Event.CALIBRATE, now_ns)
+    assert operation.state is JoystickState.STANDBY
+    assert "not in the state standby" in operation.handle_request(JoystickEvent.HALT, now_ns)
+    assert not operation.handle_request(JoystickEvent.CALIBRATE, now_ns)
     run(4000)
-    assert operation.state is State.CALIBRATED
-    assert not operation.handle_request(Event.START, now_ns)
-    assert not operation.handle_request(Event.HALT, now_ns, "lunch")
+    assert operation.state is JoystickState.CALIBRATED
+    assert not operation.handle_request(JoystickEvent.START, now_ns)
+    assert not operation.handle_request(JoystickEvent.HALT, now_ns, "lunch")
     assert operation.reason == "lunch"
-    assert "nothing that can be asked" in operation.handle_request(Event.FAULT, now_ns)
+    assert "not a request" in operation.handle_request(JoystickEvent.FAULT, now_ns)
     run(100)
-    assert operation.state is State.HALTED
-    assert not operation.handle_request(Event.RESUME, now_ns)
-    assert operation.state is State.CALIBRATED
+    assert operation.state is JoystickState.HALTED
+    assert not operation.handle_request(JoystickEvent.RESUME, now_ns)
+    assert operation.state is JoystickState.CALIBRATED
 
 
 def test_a_handle_beyond_its_workspace_is_an_error_that_a_calibration_mends():
     session = Session().into_application()
     session.device.set_zero(0.3, 0.0)  # an encoder that has jumped
     session.run(0.01)
-    assert session.operation.state is State.RECOVERABLE
+    assert session.operation.state is JoystickState.RECOVERABLE
     assert "the workspace ends at ±151 mm" in session.operation.reason
     session.run(6)
-    assert session.operation.state is State.APPLICATION
+    assert session.operation.state is JoystickState.APPLICATION
     joystick = session.device.joystick
     assert abs(session.handle.x_m - joystick.x_m) < 0.002
 
@@ -212,23 +214,23 @@ def test_a_fault_that_is_gone_is_mended_however_long_it_was_and_however_often(se
     for _ in range(5):
         session.device.read = lambda: read()._replace(x_m=nan)
         session.run(seconds)
-        assert session.operation.state is State.RECOVERABLE
+        assert session.operation.state is JoystickState.RECOVERABLE
         session.device.read = read
         session.run(6)
-        assert session.operation.state is State.APPLICATION
+        assert session.operation.state is JoystickState.APPLICATION
 
 
 def test_motors_that_push_in_vain_give_up_after_three_more_tries():
     session = Session(SimulatedDevice(FAULTS["stuck-x"]))
     session.run(30)
-    assert session.operation.state is State.CALIBRATION_ERROR and session.operation.given_up
+    assert session.operation.state is JoystickState.CALIBRATION_ERROR and session.operation.given_up
     events = [entry["event"] for entry in session.handle.report()["log"]]
     assert events.count("calibrate") == 4
 
 
 def into_application():
     operation, now_ns = Operation(SimulatedDevice()), 0
-    while operation.state is not State.APPLICATION:
+    while operation.state is not JoystickState.APPLICATION:
         now_ns += NS_PER_MS
         operation.handle_reading(now_ns)
         operation.handle_force(0.0, 0.0)
@@ -268,17 +270,17 @@ def test_whatever_the_sensors_say_force_stays_within_what_is_allowed(script, cal
         operation.handle_force(force_n, -force_n)
         device.advance(NS_PER_MS)
         wanted = max(abs(device._force_x_n), abs(device._force_y_n))
-        if operation.state is State.APPLICATION:
+        if operation.state is JoystickState.APPLICATION:
             assert wanted <= operation.force_limit_n <= FACTS.force_limit_n
             assert operation.reading.dead_man or wanted == 0.0
-        elif operation.state is not State.STANDBY:
+        elif operation.state is not JoystickState.STANDBY:
             assert wanted == 0.0
         return operation.state
 
     for reading, cycles, force_n in script:
         for _ in range(cycles):
             state = cycle(reading, force_n)
-        assert reading.present or state is State.FATAL
+        assert reading.present or state is JoystickState.FATAL
 
 
 def test_a_sensor_that_fails_is_noticed_in_the_very_cycle():
@@ -288,7 +290,7 @@ def test_a_sensor_that_fails_is_noticed_in_the_very_cycle():
         wrong = session.device.read()._replace(vx_m_s=100.0)
         session.device.read = lambda wrong=wrong: wrong
         session.run(0.001)
-        assert session.operation.state is not State.APPLICATION
+        assert session.operation.state is not JoystickState.APPLICATION
         assert session.handle.force_limit_n == 0.0
 
 
@@ -306,7 +308,7 @@ def test_the_samples_carry_its_state_and_the_fatal_one_is_final():
         value = unpack_command(sample).value
         if value.state not in seen:
             seen.append(value.state)
-        assert value.halted == (value.state >= State.HALTED)
+        assert value.halted == (value.state >= JoystickState.HALTED)
         robot_side.handle_datagram(sample, now_ns)
         answer = robot_side.poll_transmit(now_ns)
         joystick_side.handle_datagram(answer, now_ns)

@@ -4,10 +4,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from telepresence.haptics import sample
-from telepresence.haptics.device.states import REQUESTS, TRANSITIONS, Event, State, StateMachine
+from telepresence.haptics.device.states import (
+    REQUESTS,
+    TRANSITIONS,
+    JoystickEvent,
+    JoystickState,
+    StateMachine,
+)
 
 
-@given(st.lists(st.sampled_from(Event), max_size=60))
+@given(st.lists(st.sampled_from(JoystickEvent), max_size=60))
 def test_no_sequence_of_events_leads_outside_the_table(events):
     machine, fatal = StateMachine(), False
     for number, event in enumerate(events):
@@ -21,54 +27,56 @@ def test_no_sequence_of_events_leads_outside_the_table(events):
             assert machine.state is before
             assert event.value in refusal
             assert refusal.count("\n") == 0
-        fatal = fatal or machine.state is State.FATAL
-        assert not fatal or machine.state is State.FATAL
+        fatal = fatal or machine.state is JoystickState.FATAL
+        assert not fatal or machine.state is JoystickState.FATAL
     assert machine.entered + machine.refused == len(events)
 
 
 def test_force_only_after_a_calibration_and_a_request():
     # Every way into the application, back to its beginning.
-    assert {before for (before, _), after in TRANSITIONS.items() if after is State.APPLICATION} == {
-        State.CALIBRATED
-    }
-    ways = {way for way, after in TRANSITIONS.items() if after is State.CALIBRATED}
+    assert {
+        before for (before, _), after in TRANSITIONS.items() if after is JoystickState.APPLICATION
+    } == {JoystickState.CALIBRATED}
+    ways = {way for way, after in TRANSITIONS.items() if after is JoystickState.CALIBRATED}
     assert ways == {
-        (State.STANDBY, Event.CALIBRATION_PASSED),
-        (State.APPLICATION, Event.STOP),
-        (State.HALTED, Event.RESUME),
+        (JoystickState.STANDBY, JoystickEvent.CALIBRATION_PASSED),
+        (JoystickState.APPLICATION, JoystickEvent.STOP),
+        (JoystickState.HALTED, JoystickEvent.RESUME),
     }
     # What is halted was calibrated.
-    assert {before for (before, _), after in TRANSITIONS.items() if after is State.HALTED} == {
-        State.CALIBRATED,
-        State.APPLICATION,
+    assert {
+        before for (before, _), after in TRANSITIONS.items() if after is JoystickState.HALTED
+    } == {
+        JoystickState.CALIBRATED,
+        JoystickState.APPLICATION,
     }
 
 
 def test_every_state_but_the_fatal_one_can_be_left_by_a_request_or_by_itself():
-    for state in State:
+    for state in JoystickState:
         ways = {event for (before, event) in TRANSITIONS if before is state}
-        if state is State.FATAL:
+        if state is JoystickState.FATAL:
             assert not ways
         else:
-            assert ways & (REQUESTS | {Event.SELF_TEST_PASSED})
-            assert Event.FATAL_FAULT in ways
+            assert ways & (REQUESTS | {JoystickEvent.SELF_TEST_PASSED})
+            assert JoystickEvent.FATAL_FAULT in ways
 
 
 def test_a_refusal_says_what_is_allowed():
     machine = StateMachine()
-    machine.handle_event(Event.SELF_TEST_PASSED, 1)
-    assert machine.handle_event(Event.START, 2) == (
+    machine.handle_event(JoystickEvent.SELF_TEST_PASSED, 1)
+    assert machine.handle_event(JoystickEvent.START, 2) == (
         "start: not in the state standby; allowed there: calibrate"
     )
-    machine.handle_event(Event.FATAL_FAULT, 3, "smoke")
-    assert "smoke" in machine.handle_event(Event.ACKNOWLEDGE, 4)
-    assert machine.next_event().event is Event.SELF_TEST_PASSED
+    machine.handle_event(JoystickEvent.FATAL_FAULT, 3, "smoke")
+    assert "smoke" in machine.handle_event(JoystickEvent.ACKNOWLEDGE, 4)
+    assert machine.next_event().event is JoystickEvent.SELF_TEST_PASSED
     assert machine.next_event().reason == "smoke"
     assert machine.next_event() is None
 
 
 def test_the_numbers_are_those_that_the_samples_carry():
-    assert [state.value for state in State] == [
+    assert [state.value for state in JoystickState] == [
         sample.STATE_INIT,
         sample.STATE_STANDBY,
         sample.STATE_CALIBRATED,
