@@ -1,20 +1,17 @@
 """Watch a radio profile for ten minutes: elevation, delay, and what gets lost when.
 
 Run it: python samples/plot_pass.py [--radio iss-pass] [--seed 1] [--seconds 600] [--picture x.png]
-It prints a table by minute, for uplink and downlink, and draws a picture if told so.
+It prints a table by minute, for uplink and downlink. `--picture` also draws a chart, with
+matplotlib: pip install 'kontur-av[bench]'.
 """
 
 import argparse
 
-import cv2
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import load_radio
-
-BLUE, ORANGE, GREY, BLACK = (180, 110, 30), (30, 120, 230), (200, 200, 200), (40, 40, 40)
-LEFT, WIDTH, HEIGHT, GAP = 80, 800, 150, 50
 
 
 def watch(profile, link, seed, seconds):
@@ -40,37 +37,31 @@ def longest_outage_s(whole):
     return (np.diff(hits).max() - 1) / 1000
 
 
-def panel(picture, row, title, top, seconds, curves):
-    """One diagram: curves of (x in s, y from 0 to `top`, colour)."""
-    bottom = (row + 1) * (HEIGHT + GAP)
-    cv2.rectangle(picture, (LEFT, bottom - HEIGHT), (LEFT + WIDTH, bottom), GREY, 1)
-    cv2.putText(picture, title, (LEFT, bottom - HEIGHT - 8), 0, 0.5, BLACK, 1, cv2.LINE_AA)
-    for part in (0, 0.5, 1):
-        at = (LEFT - 50, round(bottom - part * HEIGHT) + 5)
-        cv2.putText(picture, f"{part * top:g}", at, 0, 0.45, BLACK, 1, cv2.LINE_AA)
-    for minute in range(seconds // 60 + 1):
-        x = LEFT + round(WIDTH * minute * 60 / seconds)
-        cv2.line(picture, (x, bottom - HEIGHT), (x, bottom), GREY, 1)
-        cv2.putText(picture, str(minute), (x - 4, bottom + 18), 0, 0.45, BLACK, 1, cv2.LINE_AA)
-    for x, y, colour in curves:
-        points = np.stack([LEFT + WIDTH * x / seconds, bottom - HEIGHT * np.clip(y / top, 0, 1)], 1)
-        cv2.polylines(picture, [points.round().astype(np.int32)], False, colour, 1, cv2.LINE_AA)
-
-
 def draw(path, seconds, elevations_deg, delay_ms, losses):
-    picture = np.full((3 * (HEIGHT + GAP) + 40, LEFT + WIDTH + 30, 3), 255, np.uint8)
-    second = np.arange(seconds)
-    curves = []
+    """Elevation, delay and losses over the minutes of the pass, one below the other."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 6), dpi=150, layout="constrained")
+    above, middle, below = figure.subplots(3, sharex=True)
+    minutes = np.arange(seconds) / 60
     if elevations_deg:
-        shown = np.array(elevations_deg[:seconds])
-        curves = [(np.arange(len(shown)), shown, BLUE)]
-    panel(picture, 0, "elevation, degrees over minutes", 90, seconds, curves)
-    top = 10 * float(np.ceil(max(delay_ms.max(), 1) / 10))
-    panel(picture, 1, "delay one way, ms", top, seconds, [(second, delay_ms[::1000], BLUE)])
-    title = "frames lost in each second, %: uplink blue, downlink orange"
-    curves = [(second, loss, colour) for loss, colour in zip(losses, (BLUE, ORANGE), strict=True)]
-    panel(picture, 2, title, 100, seconds, curves)
-    cv2.imwrite(path, picture)
+        shown = elevations_deg[:seconds]
+        above.plot(minutes[: len(shown)], shown, label="elevation")
+    middle.plot(minutes, delay_ms[::1000], label="one-way delay")
+    for label, loss in zip(("uplink", "downlink"), losses, strict=True):
+        below.plot(minutes, loss, label=label, linewidth=1)
+    below.set_xlabel("time, min")
+    for axes, unit, top in (
+        (above, "elevation, degrees", 90),
+        (middle, "one-way delay, ms", 1.1 * max(delay_ms.max(), 1)),
+        (below, "frames lost in each second, %", 100),
+    ):
+        axes.set_ylabel(unit, fontsize="small")
+        axes.set_ylim(0, top)
+        axes.grid(alpha=0.4)
+        if axes.lines:
+            axes.legend(loc="lower center", fontsize="small")
+    figure.savefig(path)
 
 
 def main():

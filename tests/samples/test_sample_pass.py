@@ -24,4 +24,4 @@ def test_sample_shows_the_pass_and_draws_it(tmp_path):
     # In the first minute the signal comes and goes, in the second it stays.
     assert 10 < float(first[-4]) < 90
     assert float(second[-4]) < 1
-    assert cv2.imread(str(picture)).shape == (640, 910, 3)
+    assert cv2.imread(str(picture)).shape == (900, 1200, 3)

@@ -18,11 +18,11 @@ from rich.table import Table
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import MAX_READERS
+from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
 from pipelines.bench.fanout.gstreamer import ShmSinkWay, lacking
 from pipelines.bench.fanout.run import PICTURES_HZ, FanOut, fan_out
 from pipelines.bench.fanout.ways import HEIGHT, WIDTH, QueueWay, TopicWay, Way
-from pipelines.bench.plot import check_plot, plot_distributions
 from pipelines.report.report_file import check_writable, write_report
 
 _READERS = (1, 4, 8, 16)
@@ -68,7 +68,8 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         write_report(args.report, {"runs": figures, "skipped": missing})
     if args.plot is not None:
-        plot_distributions(args.plot, _panels(found, readers), unit="ms")
+        panels = _panels(found, readers)
+        save(distributions(panels, axis="ms", columns=2, logarithmic=True), args.plot)
     return 0
 
 

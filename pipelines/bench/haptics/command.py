@@ -9,16 +9,16 @@ from typing import Any
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
+from pipelines.bench.charts import check_plot, save
 from pipelines.bench.console import open_console
 from pipelines.bench.haptics.cell import Cell, full_grid, read_cell, small_grid
+from pipelines.bench.haptics.charts import chart
 from pipelines.bench.haptics.claims import Claim, claims, needed
 from pipelines.bench.haptics.figures import Figures
 from pipelines.bench.haptics.grid import processors, run_grid
 from pipelines.bench.haptics.map import StabilityMap
 from pipelines.bench.haptics.plan import plan
-from pipelines.bench.haptics.plot import plot
 from pipelines.bench.haptics.run import run_cell
-from pipelines.bench.plot import check_plot
 from pipelines.report.report_file import check_writable, write_report
 
 _GRIDS = {"small": small_grid, "full": full_grid}
@@ -107,7 +107,7 @@ def _plot(
         ]
         courses.append((cell, plan(cell, args.seconds), traces[0], traces[1]))
     maps = [] if chosen else [(_WITHOUT, StabilityMap(without)), (_WITH, StabilityMap(with_))]
-    plot(args.plot, courses, maps)
+    save(chart(courses, maps), args.plot)
 
 
 def _report(

@@ -11,8 +11,9 @@ from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
+from pipelines.bench.charts import check_plot, save
 from pipelines.bench.console import open_console
-from pipelines.bench.latency.plot import plot_leads
+from pipelines.bench.latency.charts import lead_chart
 from pipelines.bench.latency.runs import (
     VIRTUAL_CLOCK,
     Clock,
@@ -22,7 +23,6 @@ from pipelines.bench.latency.runs import (
     virtual_run,
 )
 from pipelines.bench.latency.targets import MEANT_FOR, Verdict, judge
-from pipelines.bench.plot import check_plot
 from pipelines.commands.session_options import (
     add_deadband_argument,
     add_radio_argument,
@@ -124,7 +124,8 @@ def run(args: argparse.Namespace) -> int:
         console.print(failure, markup=False)
     if args.plot is not None:
         shown = {label: lead["lead_ms"] for label, lead in leads.items() if lead is not None}
-        plot_leads(args.plot, shown, {f"noticed from {_NOTICED_MS:g} ms on": _NOTICED_MS})
+        limits = {f"noticeable from {_NOTICED_MS:g} ms": _NOTICED_MS}
+        save(lead_chart(shown, limits), args.plot)
     if args.report is not None:
         figures = {
             "setup": setup.name,

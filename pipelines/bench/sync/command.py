@@ -16,9 +16,9 @@ from rich.table import Table
 from kontur_av.clock import NS_PER_MS
 from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
+from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
 from pipelines.bench.latency.runs import live_run
-from pipelines.bench.plot import check_plot, plot_distributions
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
 from pipelines.commands.simulate import simulate
 from pipelines.commands.stream import check_sources
@@ -294,4 +294,4 @@ def _plot(path: Path, pairs: Mapping[str, Sequence[float]], title: str) -> None:
         for pair, values in pairs.items()
         if values
     }
-    plot_distributions(path, {f"skew, either way: {title}": curves}, unit="ms")
+    save(distributions({title: curves}, axis="skew (absolute value), ms"), path)

@@ -23,8 +23,8 @@ from rich.table import Table
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
+from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
-from pipelines.bench.plot import check_plot, plot_distributions
 from pipelines.bench.video.clips import FOOTAGE, SCENE, Clip, clips
 from pipelines.bench.video.contenders import CONTENDERS, ContenderError, missing
 from pipelines.bench.video.figures import Figures
@@ -111,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
                 who: latencies for who, (_, latencies) in measured.items()
             }
             if args.plot is not None:
-                plot_distributions(args.plot, panels, unit="ms")
+                save(distributions(panels, axis="capture to displayed, ms"), args.plot)
     return 1 if failed else 0
 
 

@@ -11,8 +11,8 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.sources.source import BLOCK_NS
+from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
-from pipelines.bench.plot import check_plot, plot_distributions
 from pipelines.bench.voice.gstreamer import Peer, listen_live, missing
 from pipelines.bench.voice.network import BURST_PACKETS, Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track, pesq_is_there, quality, speech_track
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         write_report(args.report, {"speech_s": track.blocks * BLOCK_NS / 1e9, "voice": figures})
     if args.plot is not None:
-        plot_distributions(args.plot, panels, unit="ms")
+        save(distributions(panels, axis="mouth to ear, ms"), args.plot)
     return 0
 
 

@@ -1,0 +1,48 @@
+"""Charts of the benches: what they show, and what `--plot` refuses."""
+
+from math import nan
+
+import cv2
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.bench.charts import check_plot, distributions, save
+from pipelines.cli import main
+
+
+def test_a_distribution_ends_at_100_percent_and_says_its_unit(tmp_path):
+    panels = {"one": {"a": [3.0, 1.0, 2.0, nan], "b": []}, "two": {"c": []}, "three": {"d": [1.0]}}
+    figure = distributions(panels, axis="delay, ms", columns=2)
+    first, second, third, unused = figure.axes
+    (line,) = first.lines
+    assert list(line.get_xdata()) == [1.0, 2.0, 3.0]
+    assert list(line.get_ydata())[-1] == 100
+    assert (first.get_title(), first.get_xlabel()) == ("one", "delay, ms")
+    assert [text.get_text() for text in second.texts] == ["nothing was measured"]
+    assert third.get_legend() is not None
+    assert not unused.get_visible()
+    save(figure, tmp_path / "chart.png")
+    assert cv2.imread(str(tmp_path / "chart.png")).shape[2] == 3
+
+
+def test_an_outlier_does_not_compress_the_curves():
+    figure = distributions({"one": {"a": [*[10.0] * 999, 5000.0]}}, axis="ms")
+    assert figure.axes[0].get_xlim()[1] == pytest.approx(10.5)
+
+
+def test_a_chart_that_cannot_be_written_is_refused(tmp_path):
+    for name in ("chart.jpg", "nowhere/chart.png"):
+        with pytest.raises(ConfigError, match="--plot"):
+            check_plot(tmp_path / name)
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(ConfigError, match="cannot be written"):
+        save(distributions({"one": {"a": [1.0]}}, axis="ms"), tmp_path / "folder.png")
+
+
+def test_without_matplotlib_plot_names_the_extra(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("pipelines.bench.charts.find_spec", lambda name: None)
+    plot = str(tmp_path / "lead.png")
+    assert main(["bench", "latency", "--no-live", "--seconds", "1", "--plot", plot]) == 2
+    error = capsys.readouterr().err
+    assert "pip install 'kontur-av[bench]'" in error
+    assert error.count("\n") == 1
