@@ -102,7 +102,7 @@ def test_the_command_writes_its_figures(tmp_path, capsys, monkeypatch):
         assert row["mouth_to_ear_ms"]["p99"] <= 60
         assert (row["pesq"] is not None) == voice.pesq_is_there()
     assert "no GStreamer: left out by --no-live" in capsys.readouterr().out
-    assert cv2.imread(str(plot)).shape[1] == 900
+    assert cv2.imread(str(plot)).shape[1] == 1200
 
 
 def test_what_is_missing_is_a_line(monkeypatch, capsys):
