@@ -54,6 +54,7 @@ SHELLS = {
     "pipelines/commands/common.py": "addresses, files and signals of a command",
     "pipelines/runtime/control.py": "the control socket",
     "pipelines/runtime/datagrams.py": "the sockets of a gateway",
+    "pipelines/runtime/gateway_ports.py": "the sockets of a gateway",
     "pipelines/commands/devices.py": "asks the system for its devices",
     "pipelines/commands/doctor.py": "asks the system for everything",
     "kontur_av/streams/doorbell.py": "a file descriptor",

@@ -1,0 +1,89 @@
+"""The UDP ports of one end of the link, and what waits in them."""
+
+import select
+from collections.abc import Iterable, Iterator
+
+from pipelines.runtime.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
+from pipelines.runtime.process import LOOPBACK, Segment
+from pipelines.setup.table import Setup
+from telepresence.link.frame import MAX_PACKET_OCTETS
+from telepresence.link.gateway import Gateway
+
+
+class GatewayPorts:
+    """The sockets of one end, and what strangers have sent to them."""
+
+    def __init__(
+        self, setup: Setup, segment: Segment, gateway: Gateway, addresses: EndAddresses
+    ) -> None:
+        ports = setup.ports
+        if segment is Segment.GROUND:
+            radio, peer = ports.ground_radio, ports.space_radio
+            haptic_entry, haptic_exit = ports.ground_haptic, ports.robot
+        else:
+            radio, peer = ports.space_radio, ports.ground_radio
+            haptic_entry, haptic_exit = ports.space_haptic, ports.joystick
+
+        def entry(port: int) -> Inlet:
+            return Inlet((addresses.apps_bind, port), addresses.apps)
+
+        def exit_to(port: int) -> Outlet:
+            return outlet(addresses.apps_bind, (addresses.apps, port))
+
+        self.radio, self._not_peer = open_peer(
+            (addresses.bind, radio), addresses.peer or (LOOPBACK, peer)
+        )
+        self._radio_octets = gateway.receiver.profile.frame_octets + 1
+        self._haptic_octets = gateway.sender.profile.insert_octets + 1
+        self.to_peer = Outlet(self.radio)
+        self._haptic = entry(haptic_entry)
+        self._fetch_haptic = self._haptic.receive
+        more_haptic = select.epoll()
+        more_haptic.register(self._haptic.udp.fileno(), select.EPOLLIN)
+        self._more_haptic = more_haptic.poll
+        self.to_haptic_end = exit_to(haptic_exit)
+        self._entries = {flow.name: entry(ports.entry(flow.name)) for flow in gateway.sender.flows}
+        self.exits = {flow.name: exit_to(ports.exit(flow.name)) for flow in gateway.receiver.flows}
+        self._radio_strangers = 0
+        self._flow_by_fd = {inlet.udp.fileno(): name for name, inlet in self._entries.items()}
+        flow_ports = select.epoll()
+        for fd in (*self._flow_by_fd, self._not_peer.fileno()):
+            flow_ports.register(fd, select.EPOLLIN)
+        #: Which of the flows' ports have something: one question for all of them, because an empty
+        #: socket takes longer to say that it is empty.
+        self.poll_flows = flow_ports.poll
+
+    def frame(self) -> bytes | None:
+        """The next frame of the peer, or None."""
+        return receive(self.radio, self._radio_octets)
+
+    def datagrams(self, ready: list[tuple[int, int]]) -> Iterator[tuple[str, bytes | None]]:
+        """What waits in the flows' ports, one of each port in turn; `ready`: from `poll_flows`."""
+        flow_by_fd, entries = self._flow_by_fd, self._entries
+        while ready:
+            for fd, _events in ready:
+                flow = flow_by_fd.get(fd)
+                if flow is not None:
+                    yield flow, entries[flow].receive(MAX_PACKET_OCTETS + 1)
+                else:
+                    self._radio_strangers += receive(self._not_peer, 1) is not None
+                    yield "radio", None
+            ready = self.poll_flows(0)
+
+    def samples(self) -> Iterable[bytes | None]:
+        """What waits in the haptic port; None for a stranger's datagram."""
+        sample = self._fetch_haptic(self._haptic_octets)
+        # There is nearly always one, hardly ever a second.
+        if sample is None:
+            return ()
+        return self._all_samples(sample) if self._more_haptic(0) else (sample,)
+
+    def _all_samples(self, first: bytes) -> Iterator[bytes | None]:
+        yield first
+        while self._more_haptic(0):
+            yield self._fetch_haptic(self._haptic_octets)
+
+    def strangers(self) -> dict[str, int]:
+        """Datagrams of strangers by port."""
+        counts = {"radio": self._radio_strangers, "haptic": self._haptic.strangers}
+        return counts | {name: inlet.strangers for name, inlet in self._entries.items()}

@@ -1,0 +1,101 @@
+"""What a gateway tells the sender of video: how often, how rounded, and only when it changes."""
+
+from itertools import pairwise
+from random import Random
+
+from telepresence.link.backlog import FREED_STEP_BPS, TELL_NS, Backlog, BacklogTeller
+from telepresence.link.flows import Level, packet_flow
+from telepresence.link.virtual import VirtualLink
+
+MS = 1_000_000
+SLOTS = 4000
+
+
+def truth(gateway):
+    """What a sender would be told at once and exactly."""
+    return Backlog(
+        gateway.sender.waiting_octets(Level.VIDEO),
+        gateway.contacts,
+        gateway.supervisor.signal,
+        gateway.freed_bps,
+    )
+
+
+def rounded(backlog):
+    return backlog._replace(freed_bps=backlog.freed_bps // FREED_STEP_BPS * FREED_STEP_BPS)
+
+
+def session(seed=1):
+    """Four seconds with video and with samples left out: (instant, truth, what was told)."""
+    link = VirtualLink(
+        uplink_flows=[packet_flow("picture", Level.VIDEO)],
+        downlink_flows=[packet_flow("command", Level.TMTC)],
+    )
+    chance = Random(seed)
+    teller = BacklogTeller(link.ground)
+    told = []
+    for slot in range(SLOTS):
+        # A picture now and then, one second without samples, and one with nothing new at all.
+        busy = slot < 3000
+        if busy and chance.random() < 0.02:
+            link.ground.handle_datagram("picture", bytes(chance.randrange(50, 900)), link.now_ns)
+        if not busy or (slot < 2000 and chance.random() < 0.7):
+            link.ground.handle_haptic(bytes(12), link.now_ns)
+        now_ns = link.now_ns
+        for _ in link.step():
+            pass
+        told.append((now_ns, truth(link.ground), teller.poll_transmit(now_ns)))
+    return told
+
+
+def test_at_most_every_four_milliseconds_and_only_a_change():
+    messages = [(now_ns, message) for now_ns, _, message in session() if message is not None]
+    assert len(messages) > 200
+    for (earlier_ns, earlier), (later_ns, later) in pairwise(messages):
+        assert later_ns - earlier_ns >= 4 * MS == TELL_NS
+        assert later != earlier
+    # Now and then something changes as soon as it may be told again.
+    assert min(b[0] - a[0] for a, b in pairwise(messages)) == 4 * MS
+
+
+def test_what_is_freed_is_rounded_down():
+    messages = [(true, message) for _, true, message in session() if message is not None]
+    freed = {message.freed_bps for _, message in messages}
+    assert len(freed) > 10
+    assert all(bps % 1000 == 0 for bps in freed)
+    for true, message in messages:
+        assert 0 <= true.freed_bps - message.freed_bps < 1000
+        assert message == rounded(true)
+    # Not every value is a round one: without rounding this test would see nothing.
+    assert any(true.freed_bps % 1000 for true, _ in messages)
+
+
+def test_no_change_is_told_later_than_four_milliseconds_after_it():
+    known = None
+    wrong_since_ns = None
+    for now_ns, true, message in session():
+        known = message or known
+        if known == rounded(true):
+            wrong_since_ns = None
+        elif wrong_since_ns is None:
+            wrong_since_ns = now_ns
+        else:
+            assert now_ns - wrong_since_ns < 4 * MS
+
+
+def test_nothing_is_told_while_nothing_changes():
+    # In the last second every slot has a sample; from when the window holds no other, all is still.
+    told = session()
+    quiet_ns = (SLOTS + 10) * MS
+    for now_ns, true, _ in reversed(told):
+        if rounded(true) != rounded(told[-1][1]):
+            break
+        quiet_ns = now_ns
+    last_ns = max(now_ns for now_ns, _, message in told if message is not None)
+    assert last_ns < quiet_ns + 4 * MS
+    assert quiet_ns < SLOTS * MS
+
+
+def test_the_first_slot_tells_how_things_are():
+    _, true, message = session()[0]
+    assert message == rounded(true)

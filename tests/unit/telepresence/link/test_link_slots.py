@@ -1,0 +1,156 @@
+"""When an end of the link wakes, and what a slot does in which order."""
+
+import random
+from itertools import pairwise
+
+import pytest
+
+from telepresence.link.flows import Level, packet_flow
+from telepresence.link.gateway import Gateway
+from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.radio import RadioPath
+from telepresence.link.slots import FIGURES_NS, MOST_DATAGRAMS, GatewaySlots, WakeMargin
+
+MS = 1_000_000
+US = 1000
+
+
+def make_gateway(delay_ns=0):
+    return Gateway(
+        transmit=UPLINK,
+        transmit_flows=[packet_flow("picture", Level.VIDEO)],
+        receive=DOWNLINK,
+        receive_flows=[packet_flow("command", Level.TMTC)],
+        master=True,
+        life=1,
+        now_ns=0,
+        radio=RadioPath(delay_ns=delay_ns),
+    )
+
+
+def make_slots(first_ns=0, delay_ns=0):
+    gateway = make_gateway(delay_ns)
+    return gateway, GatewaySlots(gateway, first_ns=first_ns)
+
+
+def late(margin, lateness_ns):
+    """How many of the wake-ups came after the deadline that the margin was for."""
+    missed = 0
+    for late_ns in lateness_ns:
+        missed += late_ns > margin.ns
+        margin.handle_wakeup(late_ns)
+    return missed
+
+
+def test_one_wake_up_in_four_is_later_than_the_margin():
+    chance = random.Random(1)
+    wakes = [round(chance.gauss(25 * US, 5 * US)) for _ in range(20_000)]
+    margin = WakeMargin()
+    late(margin, wakes[:2000])
+    missed = late(margin, wakes[2000:])
+    assert 0.23 < missed / 18_000 < 0.27
+    # The 75th percentile of that distribution is 28.4 µs.
+    assert 25 * US < margin.ns < 32 * US
+
+
+def test_the_margin_follows_the_machine_and_stays_small():
+    margin = WakeMargin()
+    late(margin, [10 * US] * 5000)
+    assert 9 * US < margin.ns < 13 * US
+    # Held up for milliseconds again and again: no margin would help.
+    late(margin, [3000 * US] * 5000)
+    assert margin.ns == 60 * US
+    late(margin, [0] * 5000)
+    assert margin.ns == 0
+
+
+def test_it_wakes_as_much_before_a_slot_as_it_has_learned():
+    gateway, slots = make_slots(first_ns=MS)
+    assert slots.wake_ns == slots.deadline_ns == slots.poll_timeout() == MS
+    for slot in range(1, 1001):
+        # Ready 20 µs after it asked to be woken.
+        ready_ns = slots.wake_ns + 20 * US
+        slots.handle_ready(ready_ns)
+        assert slots.handle_slot([], max(ready_ns, slots.deadline_ns)) >= 0
+        while gateway.poll_transmit(slots.deadline_ns) is not None:
+            pass
+        assert slots.deadline_ns == (slot + 1) * MS
+    assert 19 * US <= slots.deadline_ns - slots.poll_timeout() <= 21 * US
+
+
+def test_it_wakes_for_the_radio_between_two_slots():
+    gateway, slots = make_slots(delay_ns=300 * US)
+    slots.handle_slot([], 0)
+    assert slots.poll_timeout() == 300 * US
+    assert gateway.poll_transmit(300 * US) is not None
+    assert slots.poll_timeout() == MS
+
+
+def test_the_newest_sample_goes_and_the_others_are_counted():
+    gateway, slots = make_slots()
+    samples = [bytes([number] * UPLINK.insert_octets) for number in range(3)]
+    slots.handle_slot([samples[0], None, samples[1], samples[2]], 0)
+    assert samples[2] in gateway.poll_transmit(0)
+    assert gateway.sender.haptic_superseded == 2
+
+
+def test_a_slot_takes_no_more_than_its_share_and_leaves_the_rest_where_it_is():
+    gateway, slots = make_slots()
+    waiting = [("picture", bytes(10))] * (MOST_DATAGRAMS + 5)
+
+    def port():
+        while waiting:
+            yield waiting.pop()
+
+    slots.handle_datagrams(port(), 0)
+    assert len(waiting) == 5
+    assert gateway.sender.waiting_octets(Level.VIDEO) == 10 * MOST_DATAGRAMS
+    # What strangers send takes time as well, and no more of it.
+    waiting += [("radio", None)] * 100
+    slots.handle_datagrams(port(), MS)
+    assert len(waiting) == 105 - MOST_DATAGRAMS
+    assert gateway.sender.waiting_octets(Level.VIDEO) == 10 * MOST_DATAGRAMS
+
+
+def test_before_its_instant_there_is_no_slot_and_late_ones_are_skipped():
+    gateway, slots = make_slots(first_ns=MS)
+    assert slots.handle_slot([bytes(12)], MS - 1) == -1
+    assert gateway.poll_transmit(MS) is None
+    assert slots.handle_slot([], 3 * MS + 1) == 2 * MS + 1
+    assert slots.schedule.slips == 2
+    assert slots.deadline_ns == 4 * MS
+
+
+def test_a_late_slot_delays_no_message():
+    _, slots = make_slots()
+    chance = random.Random(2)
+    told = []
+    for slot in range(100):
+        slots.handle_datagrams([("picture", bytes(200))], slot * MS)
+        slots.handle_slot([], slot * MS + chance.randrange(100 * US))
+        if slots.poll_backlog() is not None:
+            told.append(slot)
+    assert told == list(range(0, 100, 4))
+
+
+@pytest.mark.parametrize("heard", [True, False])
+def test_figures_wait_for_a_frame_of_the_peer_as_long_as_there_is_a_peer(heard):
+    _, slots = make_slots()
+    done = []
+    for slot in range(500):
+        now_ns = slot * MS
+        slots.handle_slot([], now_ns)
+        if slots.poll_figures(now_ns, heard=False):
+            done.append(now_ns)
+        if heard and slots.poll_figures(now_ns + 400 * US, heard=True):
+            done.append(now_ns + 400 * US)
+    assert {at % MS for at in done} == ({400 * US} if heard else {0})
+    assert all(b - a >= FIGURES_NS for a, b in pairwise(done))
+    assert len(done) == (5 if heard else 2)
+
+
+def test_no_figures_are_begun_shortly_before_a_slot():
+    _, slots = make_slots()
+    slots.handle_slot([], 0)
+    assert not slots.poll_figures(600 * US, heard=True)
+    assert slots.poll_figures(400 * US, heard=True)
