@@ -21,13 +21,14 @@ from pipelines.commands.session_options import (
     radio_changes,
 )
 from pipelines.parts.gateway import run_gateway
-from pipelines.report.link_report import LinkView, build_link_report, process_of, summary_lines
+from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.report_file import check_writable, write_report
 from pipelines.runtime.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
 from pipelines.runtime.launcher import Launcher, hold_port, launcher_cpu_s
-from pipelines.runtime.process import LOOP_PRIORITY, LOOPBACK, Part, Segment, Stage
+from pipelines.runtime.process import LOOPBACK, Part
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import Setup
+from pipelines.topology import LOOP_PRIORITY, Segment, Stage, topology_of
 
 _ANY = "0.0.0.0"
 
@@ -65,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     launcher = Launcher(
         session="link",
         setup=setup,
-        parts=link_parts(ends, addresses),
+        parts=link_parts(setup, ends, addresses),
         clock=MonotonicClock(),
         seed=args.seed,
         show=screen.show,
@@ -89,11 +90,12 @@ def run(args: argparse.Namespace) -> int:
     return 1 if report["failures"] else 0
 
 
-def link_parts(ends: Sequence[Segment], addresses: EndAddresses) -> list[Part]:
+def link_parts(setup: Setup, ends: Sequence[Segment], addresses: EndAddresses) -> list[Part]:
     """The processes of the link: a gateway an end, and nothing else."""
+    topology = topology_of(setup)
     return [
         Part(
-            process_of(end),
+            topology.gateway(end).name,
             Stage.LINK,
             partial(run_gateway, segment=end, addresses=addresses, tell_backlog=False),
             LOOP_PRIORITY,

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from kontur_av.errors import ConfigError
 from pipelines.runtime.datagrams import EndAddresses
-from pipelines.runtime.process import Segment
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.topology import Segment
 from telepresence.link.flows import Flow, FlowKind
 
 

@@ -27,10 +27,11 @@ from pipelines.report.report_file import check_writable, write_report
 from pipelines.report.session_report import build_report
 from pipelines.report.summary import print_summary
 from pipelines.runtime.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
-from pipelines.runtime.process import Part, Stage
+from pipelines.runtime.process import Part
 from pipelines.runtime.sessions import clear_dead_sessions, hold_session
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import STEREO, Setup, VideoStream
+from pipelines.topology import Stage
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.world import audio_scenes, video_scenes
 

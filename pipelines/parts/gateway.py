@@ -13,8 +13,9 @@ from kontur_av.media import CaptureStamp
 from pipelines.cores.ends import make_gateway
 from pipelines.runtime.datagrams import EndAddresses
 from pipelines.runtime.gateway_ports import GatewayPorts
-from pipelines.runtime.process import Context, Segment
+from pipelines.runtime.process import Context
 from pipelines.setup.names import BACKLOG, backlog_topic
+from pipelines.topology import Segment
 from telepresence.link.backlog import Backlog
 from telepresence.link.gateway import Gateway
 from telepresence.link.receiver import HapticReceived, PacketReceived

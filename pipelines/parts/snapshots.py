@@ -6,9 +6,10 @@ import cv2
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
-from pipelines.runtime.process import PATIENCE_NS, Context, Segment
+from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.names import STEREO_TOPIC, displayed_topic
 from pipelines.setup.table import STEREO
+from pipelines.topology import Segment
 
 _FIRST_NS = NS_PER_S
 _SHORTEST_INTERVAL_NS = 3 * NS_PER_S

@@ -11,9 +11,10 @@ from pipelines.parts.video_receive import run_video_receive
 from pipelines.parts.video_send import run_video_send
 from pipelines.parts.voice_receive import run_voice_receive
 from pipelines.parts.voice_send import run_voice_send
-from pipelines.runtime.process import LOOP_PRIORITY, VOICE_PRIORITY, Part, Segment, Stage
+from pipelines.runtime.process import Part
 from pipelines.setup.names import input_topic
 from pipelines.setup.table import Setup
+from pipelines.topology import LOOP_PRIORITY, VOICE_PRIORITY, Segment, Stage
 from telepresence.haptics.device.spec import SIMULATED
 
 

@@ -22,6 +22,7 @@ from pipelines.report.skew import RECENT_DEPTH, LipSyncShare, Recent, Skew
 from pipelines.report.sync.figures import PERCEIVED, SyncFigures
 from pipelines.report.terms import LONGEST_GAP_NS, Way
 from pipelines.runtime.probe import FLUSH_NS, Message
+from pipelines.topology import Topology
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.sample import SAMPLE_OCTETS
 
@@ -326,10 +327,17 @@ HAPTIC_ENDS = {"up": ("robot", "joystick"), "down": ("joystick", "robot")}
 
 
 class Collector:
-    """Takes every process' messages. `streams` are the names of the setup's media streams."""
+    """Takes the messages of every process of `topology`."""
 
-    def __init__(self, streams: list[str]) -> None:
-        self.streams = {name: StreamFigures() for name in streams}
+    def __init__(self, topology: Topology) -> None:
+        self.topology = topology
+        self.streams = {row.name: StreamFigures() for row in topology.media_streams}
+        #: By process: the stream of which it is one end.
+        self._ends = {
+            process: row.name
+            for row in topology.media_streams
+            for process in (row.sender, row.receiver)
+        }
         self.haptics = {name: HapticFigures() for name in HAPTIC_ENDS}
         self.processes: dict[str, ProcessFigures] = {}
         self.skews = {name: Skew() for name in ("video_haptic", "audio_haptic", "audio_video")}
@@ -383,7 +391,7 @@ class Collector:
         elif kind == "shown":
             self.streams[stream].handle_shown(rows, now_ns)
         else:
-            name = process.removesuffix("_send").removesuffix("_receive")
+            name = self._ends[process]
             if kind == "out":
                 self.streams[name].handle_out(rows)
             elif kind == "tx":

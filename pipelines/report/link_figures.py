@@ -7,14 +7,15 @@ from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
 from pipelines.report.collector import Collector
 from pipelines.setup.table import Setup
+from pipelines.topology import Direction, Segment
 from telepresence.link.profile import LinkProfile
 
 
 def link_figures(setup: Setup, collector: Collector, direction: str) -> dict[str, Any]:
     """One direction of the link, as far as its two gateways have told of it."""
     up = direction == "uplink"
-    near = collector.process("ground_gateway" if up else "space_gateway")
-    far = collector.process("space_gateway" if up else "ground_gateway")
+    link = collector.topology.link(Direction(direction))
+    near, far = collector.process(link.sender), collector.process(link.receiver)
     lives = [link["transmit"] for link in near.links()]
     need = setup.need_up() if up else setup.need_down()
     profile = setup.uplink if up else setup.downlink
@@ -105,17 +106,25 @@ def ledger_percent(octets: Mapping[str, int]) -> dict[str, float]:
 
 def gateway_figures(collector: Collector, end: str) -> dict[str, Any]:
     """What only this end knows: its supervision and its radio of the last life, and strangers."""
-    figures = collector.process(f"{end}_gateway")
+    segment = Segment(end)
+    figures = collector.process(collector.topology.gateway(segment).name)
     last = list(figures.links())[-1:]
     names = ("supervision", "radio")
     told: dict[str, Any] = {name: link[name] for link in last for name in names if name in link}
-    prefix = "strangers_"
-    strangers = {
-        name.removeprefix(prefix): figures.total(name)
-        for name in figures.names()
-        if name.startswith(prefix)
-    }
+    strangers = stranger_counts(collector, segment)
     return {**told, "strangers": strangers, "unsent": figures.total("unsent")}
+
+
+def stranger_counts(collector: Collector, segment: Segment) -> dict[str, int]:
+    """By port of a gateway: the datagrams that came to it from anybody else, where there were any.
+
+    A port is named by what it takes: "radio", "haptic", or the name of a flow.
+    """
+    topology = collector.topology
+    figures = collector.process(topology.gateway(segment).name)
+    flows = (flow.name for flow in topology.flows(segment.transmits))
+    counts = {name: figures.total(f"strangers_{name}") for name in ("radio", "haptic", *flows)}
+    return {name: count for name, count in sorted(counts.items()) if count}
 
 
 def summary_us(histogram: Histogram) -> dict[str, float]:

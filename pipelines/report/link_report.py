@@ -6,18 +6,13 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_S
 from pipelines.report.collector import Collector
-from pipelines.report.link_figures import gateway_figures, link_figures
-from pipelines.runtime.process import Segment
+from pipelines.report.link_figures import gateway_figures, link_figures, stranger_counts
 from pipelines.setup.table import Setup
+from pipelines.topology import Segment
 from telepresence.link.profile import LinkProfile
 
 #: Of the ledger's keys those whose rate is worth a place in a line.
 _LEVELS = ("haptic", "tmtc", "voice", "video", "maintenance")
-
-
-def process_of(end: Segment) -> str:
-    """The gateway process of an end."""
-    return f"{end.value}_gateway"
 
 
 def build_link_report(
@@ -72,7 +67,7 @@ def _failures(
     """What went wrong by the link's own measure: that nobody was heard is the radio's affair."""
     found = []
     for end in ends:
-        name = process_of(end)
+        name = collector.topology.gateway(end).name
         if restarts[name]:
             why = collector.process(name).gauges.get("last_error", "")
             found.append(f"{name}: started again {restarts[name]} times ({why})")
@@ -103,7 +98,7 @@ class LinkView:
         return lines
 
     def _end(self, collector: Collector, end: Segment) -> str:
-        figures = collector.process(process_of(end))
+        figures = collector.process(collector.topology.gateway(end).name)
         link = figures.gauges.get("link")
         if link is None:
             return f"{end.value}: starting"
@@ -115,9 +110,7 @@ class LinkView:
         self._seen[end] = _Seen(sent["frames"], dict(sent["octets"]))
         state = _state(link["supervision"])
         levels = " ".join(f"{name} {rates[name]:.1f}" for name in _LEVELS)
-        strangers = sum(
-            figures.total(name) for name in figures.names() if name.startswith("strangers_")
-        )
+        strangers = sum(stranger_counts(collector, end).values())
         parts = [
             f"{end.value} {state}:",
             f"sends kbit/s {levels},",

@@ -17,7 +17,7 @@ from pipelines.parts.marking import age_words
 from pipelines.report.ages import shown_now
 from pipelines.report.collector import HAPTIC_ENDS
 from pipelines.report.session_report import displayed_frames, haptic_cap_bps, latency_ms
-from pipelines.report.silence import input_process, silences
+from pipelines.report.silence import silences
 from pipelines.runtime.launcher import Launcher
 from pipelines.runtime.probe import FLUSH_NS
 from pipelines.setup.table import VideoStream, VoiceStream
@@ -97,7 +97,9 @@ def _streams(launcher: Launcher) -> Table:
             Text(f"{largest / 1000:.1f}", "bold red" if figures.above_cap_bps[0] > 0 else "green"),
             f"{stream.cap_bps / 1000:g}",
             str(displayed_frames(collector, stream.name)),
-            str(collector.process(f"{stream.name}_receive").total("rtp_lost")),
+            str(
+                collector.process(collector.topology.media(stream.name).receiver).total("rtp_lost")
+            ),
             "-" if newest is None else f"{newest:.1f}",
             f"{figures.latency.percentile(99) / 1e6:.1f}",
             _age(launcher, stream),
@@ -136,7 +138,7 @@ def _inputs(launcher: Launcher) -> list[Text]:
     silent = silences(setup, collector, launcher.clock.now_ns())
     lines = [Text(str(silence), "bold red") for silence in silent]
     for name in setup.inputs:
-        process = input_process(setup, name)
+        process = collector.topology.input(name).process
         fault = collector.process(process).gauges.get("source_fault")
         if fault and all(silence.process != process for silence in silent):
             lines.append(Text(f"{process}: {fault}", "yellow"))
@@ -168,11 +170,12 @@ def _line(launcher: Launcher) -> str:
     for stream in launcher.setup.streams:
         figures = collector.streams[stream.name]
         newest = latency_ms(figures)
+        receiver = collector.topology.media(stream.name).receiver
         parts.append(
             f"{stream.name} {_last_bps(launcher, figures.rate) / 1000:.1f}"
             f"/{stream.cap_bps / 1000:g} kbit/s "
             f"{displayed_frames(collector, stream.name)} shown "
-            f"{collector.process(f'{stream.name}_receive').total('rtp_lost')} lost "
+            f"{collector.process(receiver).total('rtp_lost')} lost "
             f"{'-' if newest is None else f'{newest:.0f}'} ms"
         )
         now_ns = launcher.clock.now_ns()

@@ -15,6 +15,7 @@ from pipelines.report.sync.figures import disagreements
 from pipelines.report.sync.section import sync_section
 from pipelines.report.terms import video_lead
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.topology import Segment
 from telepresence.link.profile import LinkProfile
 
 #: Which process counts what of a stream.
@@ -106,7 +107,7 @@ def build_report(
 
 def _radio_epoch_ns(collector: Collector) -> int:
     """When the radio's time began: with its gateway."""
-    for link in collector.process("ground_gateway").links():
+    for link in collector.process(collector.topology.gateway(Segment.GROUND).name).links():
         if "supervision" in link:
             begun_ns: int = link["supervision"]["begun_ns"]
             return begun_ns
@@ -127,8 +128,8 @@ def _stream(
     stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, seconds: float
 ) -> dict[str, Any]:
     figures = collector.streams[stream.name]
-    sender = collector.process(f"{stream.name}_send")
-    receiver = collector.process(f"{stream.name}_receive")
+    sender = collector.process(collector.topology.media(stream.name).sender)
+    receiver = collector.process(collector.topology.media(stream.name).receiver)
     displayed = displayed_frames(collector, stream.name)
     return {
         "cap_bps": stream.cap_bps,
@@ -239,7 +240,7 @@ def failures(
         if above_bps > 0:
             found.append(f"{stream.name}: {largest_bps:.0f} bit/s in 1 s, above its cap")
         still_ns = stopped_ns(stream, setup, collector)
-        heard_ns = signals_ns["space" if stream.name.startswith("uplink_") else "ground"]
+        heard_ns = signals_ns[collector.topology.media(stream.name).direction.receiver.value]
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
         if long_enough and displayed_frames(collector, stream.name) == 0:
             found.append(f"{stream.name}: nothing was displayed")

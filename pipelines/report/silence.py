@@ -5,19 +5,12 @@ from dataclasses import dataclass
 from kontur_av.clock import NS_PER_S
 from pipelines.report.collector import Collector
 from pipelines.setup.table import (
-    GROUND_MIC,
-    ISS_CAMERA,
-    ISS_MIC,
-    STEREO,
-    STEREO_INPUTS,
     VOICE_PACKETS_PER_S,
     Setup,
     VideoStream,
     VoiceStream,
 )
-
-#: What the streams beside the uplink's video carry; that one carries the selected camera.
-_INPUTS = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
+from pipelines.topology import Segment
 
 #: A picture or a sound that stays out for this long, and for this many periods, is missed.
 MISSED_NS = 2 * NS_PER_S
@@ -45,7 +38,7 @@ def silences(setup: Setup, collector: Collector, now_ns: int | None = None) -> l
     """The inputs that have given nothing for too long by `now_ns`, or by what they told last."""
     found = []
     for name in setup.inputs:
-        process = input_process(setup, name)
+        process = collector.topology.input(name).process
         figures = collector.process(process)
         silent_ns = figures.silent_ns(now_ns)
         video = setup.kind_of(name) == "video"
@@ -53,11 +46,6 @@ def silences(setup: Setup, collector: Collector, now_ns: int | None = None) -> l
             fault = str(figures.gauges.get("source_fault", ""))
             found.append(Silence(process, "picture" if video else "sound", silent_ns, fault))
     return found
-
-
-def input_process(setup: Setup, name: str) -> str:
-    """The process that captures the input `name`."""
-    return f"camera_{name}" if name in setup.camera_inputs else name
 
 
 def missed_ns(stream: VideoStream | VoiceStream) -> int:
@@ -75,7 +63,7 @@ def signal_ns(segment: str, collector: Collector) -> int:
     Without end where no gateway has told of its contacts; 0 where the radio has lost so many frames
     that hardly a picture can have come whole.
     """
-    figures = collector.process(f"{segment}_gateway")
+    figures = collector.process(collector.topology.gateway(Segment(segment)).name)
     link = figures.gauges.get("link", {})
     supervision = link.get("supervision")
     if supervision is None:
@@ -93,17 +81,15 @@ def stopped_ns(stream: VideoStream | VoiceStream, setup: Setup, collector: Colle
     shown_ns = collector.streams[stream.name].last_shown_ns
     if shown_ns is None:
         return 0
-    inputs: tuple[str, ...]
-    if stream.name == "uplink_video":
+    inputs = collector.topology.media(stream.name).inputs
+    if stream.name == setup.uplink_video.name:
         selector = collector.process("selector")
         camera = selector.gauges.get("selected", setup.cameras[0])
-        inputs = STEREO_INPUTS if camera == STEREO else (camera,)
+        inputs = collector.topology.camera(camera).inputs
         shown_ns = max(shown_ns, selector.selected_ns)
-    else:
-        inputs = (_INPUTS[stream.name],)
     longest_ns = 0
     for name in inputs:
-        figures = collector.process(input_process(setup, name))
+        figures = collector.process(collector.topology.input(name).process)
         if figures.captured_ns is not None:
             given_ns = figures.captured_ns - max(shown_ns, figures.gives_since_ns)
             longest_ns = max(longest_ns, given_ns)

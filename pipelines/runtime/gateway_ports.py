@@ -4,8 +4,9 @@ import select
 from collections.abc import Iterable, Iterator
 
 from pipelines.runtime.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
-from pipelines.runtime.process import LOOPBACK, Segment
+from pipelines.runtime.process import LOOPBACK
 from pipelines.setup.table import Setup
+from pipelines.topology import Segment
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import Gateway
 

@@ -24,8 +24,9 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.report.collector import Collector
 from pipelines.runtime.probe import Message, Probe
-from pipelines.runtime.process import LOOPBACK, Context, Part, Stage, become
+from pipelines.runtime.process import LOOPBACK, Context, Part, become
 from pipelines.setup.table import Setup
+from pipelines.topology import Stage, topology_of
 
 #: A process that falls again at once is restarted after this, and twice as late each time after.
 _FIRST_PAUSE_NS = 50 * NS_PER_MS
@@ -92,7 +93,7 @@ class Launcher:
     _stop: bool = False
 
     def __post_init__(self) -> None:
-        self.collector = Collector([stream.name for stream in self.setup.streams])
+        self.collector = Collector(topology_of(self.setup))
         self.children = [Child(part) for part in self.parts]
 
     @property

@@ -8,13 +8,13 @@ import socket
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from enum import Enum, IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from pipelines.runtime.probe import Probe
 from pipelines.setup.table import Setup
+from pipelines.topology import LOOP_PRIORITY, Stage
 
 if TYPE_CHECKING:
     from kontur_av.topics.bus import TopicBus
@@ -24,18 +24,8 @@ MAX_DATAGRAM_OCTETS = 65_535
 #: The longest that a part sleeps before it looks whether it shall end.
 PATIENCE_NS = 100 * NS_PER_MS
 
-#: The 1 kHz loops go first; a voice that is late by milliseconds already needs a larger buffer.
-LOOP_PRIORITY, VOICE_PRIORITY = 10, 5
-
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
-
-
-class Segment(Enum):
-    """Where a process stands."""
-
-    GROUND = "ground"
-    SPACE = "space"
 
 
 @dataclass
@@ -130,20 +120,6 @@ class Context:
         for fill in self._fill:
             fill()
         self.probe.flush(now_ns)
-
-
-class Stage(IntEnum):
-    """Whoever takes is started before whoever gives: then nothing is given to nobody.
-
-    A decoder that misses the first picture of a stream would have to wait for a refresh.
-    """
-
-    LINK = 0
-    SINK = 1
-    RECEIVER = 2
-    SENDER = 3
-    RELAY = 4
-    SOURCE = 5
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from pipelines.cores.gain import gain_of
 from pipelines.cores.receiving import VideoReceiving, VoiceReceiving
 from pipelines.cores.sending import RtpIdentity, VideoSending, VoiceSending
 from pipelines.cores.showing import Showing
-from pipelines.report.silence import input_process
 from pipelines.report.sync.watching import OPERATORS
 from pipelines.setup.table import (
     GROUND_MIC,
@@ -39,6 +38,7 @@ from pipelines.simulation.studio import (
 )
 from pipelines.simulation.telling import Telling
 from pipelines.simulation.workers import Worker, Workers
+from pipelines.topology import Topology
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 
@@ -54,6 +54,7 @@ class Scene:
     """
 
     setup: Setup
+    topology: Topology
     costs: CodingCosts
     seed: int
     agenda: Agenda
@@ -141,7 +142,7 @@ class Media:
             stream.fps,
             agenda=scene.agenda,
             worker=None if spec.startswith("scene:") else studio,
-            probe=scene.telling.probe(input_process(scene.setup, name)),
+            probe=scene.telling.probe(scene.topology.input(name).process),
             state_at=scene.state_at,
             cost_ns=scene.costs.ns("capture"),
             show=show,
@@ -152,7 +153,7 @@ class Media:
     def _video_sender(self, stream: VideoStream, gateway: Gateway, studio: Worker) -> VideoSender:
         scene = self._scene
         profile = scene.setup.profile_of(stream)
-        probe = scene.telling.probe(f"{stream.name}_send")
+        probe = scene.telling.probe(scene.topology.media(stream.name).sender)
         sender = VideoSender(
             stream.name,
             VideoSending(
@@ -177,7 +178,7 @@ class Media:
         spec = scene.setup.source(name)
         studio = scene.workers.start(partial(VoiceStudio, stream, name, spec, scene.start_ns))
         profile = scene.setup.profile_of(stream)
-        probe = scene.telling.probe(f"{stream.name}_send")
+        probe = scene.telling.probe(scene.topology.media(stream.name).sender)
         sender = VoiceSender(
             stream.name,
             VoiceSending(stream, profile, self._identity(stream.name), probe),
@@ -201,7 +202,7 @@ class Media:
 
     def _receive_video(self, stream: VideoStream, showing: Showing) -> VideoReceiver:
         scene = self._scene
-        probe = scene.telling.probe(f"{stream.name}_receive")
+        probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
         far = scene.space if stream is scene.setup.uplink_video else scene.ground
         watched = (stream.width, stream.height) if stream.name in OPERATORS else None
         receiver = VideoReceiver(
@@ -225,7 +226,7 @@ class Media:
         self, stream: VoiceStream, showing: Showing, pictures: VideoReceiver | None
     ) -> None:
         scene = self._scene
-        probe = scene.telling.probe(f"{stream.name}_receive")
+        probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
         receiver = VoiceReceiver(
             stream.name,
             VoiceReceiving(scene.setup, stream, self._clock.from_ntp, probe),

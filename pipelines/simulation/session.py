@@ -26,6 +26,7 @@ from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.media import Consumer, Media, Scene
 from pipelines.simulation.telling import Telling
 from pipelines.simulation.workers import Workers
+from pipelines.topology import Segment, topology_of
 from telepresence.link.gateway import Gateway
 from telepresence.link.receiver import HapticReceived, PacketReceived
 from telepresence.world import WorldState, scripted_state
@@ -68,7 +69,8 @@ class Simulation:
                 f"{slot_ns} and {setup.downlink.slot_ns}"
             )
         self.setup = setup
-        self.collector = Collector([stream.name for stream in setup.streams])
+        self.topology = topology_of(setup)
+        self.collector = Collector(self.topology)
         self._seed = seed
         self._costs = costs or CodingCosts()
         self._agenda = agenda = Agenda()
@@ -79,8 +81,8 @@ class Simulation:
         #: What waits for the next haptic cycle.
         self._samples_up: list[bytes] = []
         self._samples_down: list[bytes] = []
-        self._ground = self._gateway("ground")
-        self._space = self._gateway("space")
+        self._ground = self._gateway(Segment.GROUND)
+        self._space = self._gateway(Segment.SPACE)
         # When the next frame arrives: asked twice a slot, so without a detour.
         self._up_timeout = self._ground.radio.poll_timeout
         self._down_timeout = self._space.radio.poll_timeout
@@ -101,6 +103,7 @@ class Simulation:
         if media:
             scene = Scene(
                 setup=setup,
+                topology=self.topology,
                 costs=self._costs,
                 seed=seed,
                 agenda=agenda,
@@ -218,16 +221,16 @@ class Simulation:
                 if consumer is not None:
                     consumer(event.data, now_ns)
 
-    def _gateway(self, segment: str) -> Gateway:
+    def _gateway(self, segment: Segment) -> Gateway:
         gateway = make_gateway(
             self.setup,
-            ground=segment == "ground",
-            life=self._random(segment).randint(1, 0xFFFF),
+            ground=segment is Segment.GROUND,
+            life=self._random(segment.value).randint(1, 0xFFFF),
             seed=self._seed,
             epoch_ns=_START_NS,
             now_ns=_START_NS,
         )
-        probe = self._probe(f"{segment}_gateway")
+        probe = self._probe(self.topology.gateway(segment).name)
 
         def fill() -> None:
             probe.total("slips", 0)

@@ -14,6 +14,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.session_report import build_report
 from pipelines.setup.setup_file import load_setup, setup_from_table
 from pipelines.setup.table import Ports, Setup
+from pipelines.topology import topology_of
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
@@ -124,7 +125,7 @@ def test_every_key_of_the_report_is_in_the_document():
     setup = load_setup("spacejustin")
     report = build_report(
         setup,
-        Collector([stream.name for stream in setup.streams]),
+        Collector(topology_of(setup)),
         seconds=1,
         cpu_s={"robot": 0.1},
         restarts={"robot": 0},

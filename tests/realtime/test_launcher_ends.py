@@ -11,7 +11,8 @@ PROGRAM = """
 import json, os, signal, sys
 from kontur_av.clock import MonotonicClock
 from pipelines.runtime.launcher import Launcher
-from pipelines.runtime.process import Part, Stage
+from pipelines.runtime.process import Part
+from pipelines.topology import Stage
 from pipelines.setup.built_in import BUILT_IN
 
 def good(context):

@@ -15,7 +15,7 @@ from pipelines.commands.doctor import (
     check_topics,
     doctor,
 )
-from pipelines.runtime.process import LOOP_PRIORITY
+from pipelines.topology import LOOP_PRIORITY
 
 
 def test_on_a_machine_that_runs_the_tests_everything_needed_is_there() -> None:

@@ -7,8 +7,8 @@ from pipelines.cli import main
 from pipelines.commands import link
 from pipelines.commands.link_ports import bound_ports, channels, port_table
 from pipelines.runtime.datagrams import EndAddresses
-from pipelines.runtime.process import Segment
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import Segment
 
 TASKBOARD, SPACEJUSTIN = BUILT_IN["taskboard"], BUILT_IN["spacejustin"]
 GROUND = ["--setup", "taskboard", "--end", "ground"]

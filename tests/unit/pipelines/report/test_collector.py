@@ -12,8 +12,10 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.collector import STAGES, Collector
 from pipelines.report.skew import Skew
 from pipelines.runtime.probe import Message
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import topology_of
 
-STREAMS = ["uplink_video", "uplink_voice"]
+SESSION = topology_of(BUILT_IN["spacejustin"])
 START_NS = 1_000 * NS_PER_S
 
 
@@ -31,7 +33,7 @@ def ms(*values):
 
 @pytest.mark.parametrize("order", list(permutations(range(3))))
 def test_stages_are_joined_by_timestamp_in_whichever_order_they_are_told(order):
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     captured, encoded, sent, received, displayed = ms(0, 5, 12, 30, 47)
     messages = [
         ("uplink_video_send", {"tx": [(77, captured, encoded, sent)]}),
@@ -50,7 +52,7 @@ def test_stages_are_joined_by_timestamp_in_whichever_order_they_are_told(order):
 
 
 def test_a_picture_of_which_one_end_is_unknown_has_a_latency_but_no_stages():
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     captured, displayed = ms(0, 20)
     tell(collector, "space_display", displayed, shown__uplink_video=[(1, captured, displayed)])
     tell(collector, "uplink_video_receive", displayed, rx=[(2, displayed)])
@@ -60,7 +62,7 @@ def test_a_picture_of_which_one_end_is_unknown_has_a_latency_but_no_stages():
 
 
 def test_what_waits_for_its_other_end_is_forgotten_in_time():
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     (sent,) = ms(0)
     tell(collector, "uplink_video_send", sent, tx=[(5, sent, sent, sent)])
     late = sent + 60 * NS_PER_S
@@ -71,7 +73,7 @@ def test_what_waits_for_its_other_end_is_forgotten_in_time():
 
 
 def test_the_capture_time_that_travelled_is_held_against_the_one_stamped():
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     captured, displayed = ms(0, 20)
     tell(collector, "uplink_video_send", displayed, tx=[(9, captured, captured, captured)])
     row = (9, captured + 40_000, displayed)
@@ -94,7 +96,7 @@ def show(collector, stream, at_ms, latency_ms):
 
 
 def test_a_sense_that_is_late_is_positive():
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     feel(collector, 100, 2)
     show(collector, "uplink_voice", 110, 30)
     show(collector, "uplink_video", 120, 52)
@@ -107,7 +109,7 @@ def test_a_sense_that_is_late_is_positive():
 
 
 def test_senses_that_were_silent_are_not_compared():
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     feel(collector, 100, 2)
     show(collector, "uplink_video", 1200, 52)
     collector.handle_end()
@@ -131,7 +133,7 @@ def test_percentiles_of_a_signed_skew_are_those_of_its_values(values):
 
 
 def test_a_process_life_adds_to_its_last():
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     link = {"transmit": {"frames": 10}}
     tell(collector, "ground_gateway", START_NS, totals={"slips": 5}, gauges={"link": link})
     tell(collector, "ground_gateway", START_NS, totals={"slips": 7}, gauges={"link": link})
@@ -150,7 +152,7 @@ CAP_BPS = 90_000
 
 
 def test_the_rate_of_two_lives_of_a_sender_is_one_rate():
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     first, second, overtaken = ms(0, 500, 400)
     tell(
         collector,
@@ -164,7 +166,7 @@ def test_the_rate_of_two_lives_of_a_sender_is_one_rate():
 
 
 def test_a_picture_is_compared_with_the_force_of_its_own_instant():
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     # Half a second of force, told at once, as a process tells it: it comes ever later.
     instants = [(k, START_NS + k * NS_PER_MS) for k in range(500)]
     felt = [(k, sent_ns + (2 + k // 10) * NS_PER_MS) for k, sent_ns in instants]
@@ -186,7 +188,7 @@ def test_a_picture_is_compared_with_the_force_of_its_own_instant():
 
 
 def test_a_robot_that_was_started_again_has_no_latencies_of_its_life_before():
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     for begun_ms, told_ms in ((0, 3000), (5000, 5500)):
         sent = [(k, at) for k, at in enumerate(ms(*range(begun_ms, told_ms)))]
         # Of the first life every tenth is lost. What was received is told first.
@@ -205,7 +207,7 @@ def test_a_robot_that_was_started_again_has_no_latencies_of_its_life_before():
 
 
 def test_force_of_which_the_sender_never_told_is_passed_over():
-    collector = Collector(STREAMS)
+    collector = Collector(SESSION)
     feel(collector, 100, 2)
     (lost_ns,) = ms(200)
     tell(collector, "joystick", lost_ns, haptic_rx=[(200, lost_ns)])

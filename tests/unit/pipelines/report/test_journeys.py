@@ -8,7 +8,10 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.collector import Collector
 from pipelines.runtime.probe import Message
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import topology_of
 
+SESSION = topology_of(BUILT_IN["spacejustin"])
 PERIOD_MS = 40
 
 
@@ -27,7 +30,7 @@ def ns(*values_ms):
 
 @pytest.mark.parametrize("order", list(permutations(range(3))))
 def test_the_way_of_a_picture_is_joined_in_whichever_order_it_is_told(order):
-    collector = Collector(["uplink_video"])
+    collector = Collector(SESSION)
     coding, sent, received, decoded, shown = [], [], [], [], []
     for number in range(3):
         captured = 1000 + PERIOD_MS * number
@@ -55,7 +58,7 @@ def test_the_way_of_a_picture_is_joined_in_whichever_order_it_is_told(order):
 
 
 def test_a_pause_of_the_camera_is_no_period():
-    collector = Collector(["uplink_video"])
+    collector = Collector(SESSION)
     tell(
         collector, "uplink_video_send", coding=[(2, *ns(5000, 5000), 9, 1)], tx=[(2, *ns(5000) * 3)]
     )
@@ -65,7 +68,7 @@ def test_a_pause_of_the_camera_is_no_period():
 
 
 def test_pauses_are_kept_with_their_ends():
-    collector = Collector(["uplink_video"])
+    collector = Collector(SESSION)
     shown = [(number, *ns(at - 40, at)) for number, at in enumerate((100, 1100, 2101, 2140))]
     tell(collector, "space_display", shown__uplink_video=shown[:2])
     tell(collector, "space_display", shown__uplink_video=shown[2:])

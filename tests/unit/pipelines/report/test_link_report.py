@@ -5,10 +5,10 @@ import re
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.collector import Collector
-from pipelines.report.link_report import LinkView, build_link_report, process_of, summary_lines
+from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.runtime.probe import Message
-from pipelines.runtime.process import Segment
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import Segment, topology_of
 from telepresence.link.gateway import Gateway
 
 SETUP = BUILT_IN["taskboard"]
@@ -33,7 +33,7 @@ class Link:
     """Two gateways on virtual time, and a collector that they tell."""
 
     def __init__(self):
-        self.collector = Collector([])
+        self.collector = Collector(topology_of(SETUP))
         self.ends = {end: gateway(end) for end in ENDS}
         self.now_ns = 0
 
@@ -50,10 +50,10 @@ class Link:
             self.now_ns += NS_PER_MS
         for end, core in self.ends.items():
             message = Message({"slips": 2}, {"link": core.report(self.now_ns)}, {})
-            self.collector.handle_message(process_of(end), message, self.now_ns)
+            self.collector.handle_message(f"{end.value}_gateway", message, self.now_ns)
 
     def report(self, ends=ENDS, restarts=0):
-        names = [process_of(end) for end in ends]
+        names = [f"{end.value}_gateway" for end in ends]
         return build_link_report(
             SETUP,
             self.collector,

@@ -11,6 +11,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.live import _age, _inputs, _line, _streams
 from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import topology_of
 
 SETUP = BUILT_IN["taskboard"]
 
@@ -20,7 +21,7 @@ def launcher():
     """A session of ten seconds, as far as a view looks at it."""
     return SimpleNamespace(
         setup=SETUP,
-        collector=Collector([stream.name for stream in SETUP.streams]),
+        collector=Collector(topology_of(SETUP)),
         children=[],
         seconds=10.0,
         clock=SimpleNamespace(now_ns=lambda: 10 * NS_PER_S),

@@ -14,6 +14,7 @@ from pipelines.report.session_report import build_report, failures
 from pipelines.report.silence import silences
 from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import topology_of
 from telepresence.link.gateway import Gateway
 
 SETUP = BUILT_IN["taskboard"]
@@ -22,7 +23,7 @@ PARTS = ("uplink_video_send", "uplink_video_receive", "space_display", "robot", 
 
 def told(octets_a_packet=300, displayed=30, received=1000):
     """A collector after a second of 30 packets."""
-    collector = Collector([stream.name for stream in SETUP.streams])
+    collector = Collector(topology_of(SETUP))
     cap_bps = SETUP.uplink_video.cap_bps
     out = [value for k in range(30) for value in (k * 33 * NS_PER_MS, octets_a_packet, cap_bps)]
     totals = {
@@ -101,7 +102,7 @@ def test_a_hand_that_felt_nothing_is_a_failure():
 
 
 def test_a_session_that_ended_at_once_still_has_a_report():
-    empty = Collector([stream.name for stream in SETUP.streams])
+    empty = Collector(topology_of(SETUP))
     report = json.loads(json.dumps(report_of(empty, seconds=0.0)))
     assert report["streams"]["uplink_video"]["payload_bps_mean"] == 0
     assert report["link"]["uplink"]["frames"] == 0
@@ -212,7 +213,7 @@ def test_a_stream_is_judged_by_the_camera_that_is_selected():
         return collector
 
     setup = BUILT_IN["spacejustin"]
-    collector = Collector([stream.name for stream in setup.streams])
+    collector = Collector(topology_of(setup))
     select(collector, "head", 3)
     run_on(collector, shown_until_s=3, captured_until_s=8, camera="static")
     found = [failure for failure in failures(setup, collector, 8.0) if "uplink_video" in failure]
@@ -270,7 +271,7 @@ def test_the_arithmetic_of_a_direction_adds_up_to_what_it_has():
     for name in ("spacejustin", "taskboard"):
         setup = BUILT_IN[name]
         for direction, profile in (("uplink", setup.uplink), ("downlink", setup.downlink)):
-            lines = link_figures(setup, Collector([]), direction)["arithmetic"]
+            lines = link_figures(setup, Collector(topology_of(setup)), direction)["arithmetic"]
             assert sum(line["bps"] for line in lines) == profile.media_bps
             assert lines[-1]["what"] == "spare"
             assert lines[-1]["bps"] > 0
