@@ -39,14 +39,32 @@ class SceneVideo:
         self._sequence = 0
 
     def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
+        due_ns = self._sleep(timeout_ns)
+        if due_ns is None:
+            return None
+        self._draw(into, self._sequence, due_ns)
+        return self._take(due_ns)
+
+    def skip(self, timeout_ns: int, wanted: Callable[[], bool]) -> CaptureStamp | None:
+        """Wait for the next picture, and go on to the one after it without drawing it.
+
+        None when its instant does not come within `timeout_ns`, or when it is `wanted` by then:
+        `read` gives it.
+        """
+        due_ns = self._sleep(timeout_ns)
+        return None if due_ns is None or wanted() else self._take(due_ns)
+
+    def _sleep(self, timeout_ns: int) -> int | None:
         now_ns = self._clock.now_ns()
         due_ns = self._pace.due_ns(now_ns)
         if due_ns > now_ns + timeout_ns:
             self._clock.sleep_until_ns(now_ns + timeout_ns)
             return None
         self._clock.sleep_until_ns(due_ns)
+        return due_ns
+
+    def _take(self, due_ns: int) -> CaptureStamp:
         stamp = CaptureStamp(due_ns, self._sequence, self._name)
-        self._draw(into, self._sequence, due_ns)
         self._pace.handle_taken()
         self._sequence += 1
         return stamp

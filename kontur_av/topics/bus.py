@@ -113,9 +113,14 @@ class Loan:
 class Writer:
     """Publishes into one topic. Never blocks; the readers' oldest samples give way."""
 
-    def __init__(self, publisher: Any, bell: Bell | None) -> None:
+    def __init__(self, publisher: Any, service: Any, bell: Bell | None) -> None:
         self._publisher = publisher
+        self._service = service
         self._bell = bell
+
+    def has_readers(self) -> bool:
+        """Whether somebody reads the topic. A reader that was killed may count for some time."""
+        return bool(self._service.dynamic_config.number_of_subscribers)
 
     def loan(self, octets: int, width: int = 0, height: int = 0) -> Loan:
         """A buffer of `octets` octets in shared memory."""
@@ -299,9 +304,9 @@ class TopicBus:
 
         wake=False leaves the readers asleep: for state that is polled.
         """
+        service = self._data_service(topic)
         publisher = (
-            self._data_service(topic)
-            .publisher_builder()
+            service.publisher_builder()
             .initial_max_slice_len(max_octets)
             .allocation_strategy(iox2.AllocationStrategy.PowerOfTwo)
             .max_loaned_samples(2)
@@ -312,7 +317,7 @@ class TopicBus:
         self._ports.append(publisher)
         if bell is not None:
             self._bells.append(bell)
-        return Writer(publisher, bell)
+        return Writer(publisher, service, bell)
 
     def reader(self, topic: str, *, depth: int = 1) -> Reader:
         """A reader that keeps at most `depth` unread samples; beyond that the oldest goes."""

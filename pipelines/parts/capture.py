@@ -1,6 +1,6 @@
 """An input's process: from its source into its topic."""
 
-from kontur_av.sources import open_audio, open_video
+from kontur_av.sources import SceneVideo, open_audio, open_video
 from kontur_av.sources.source import BLOCK_SAMPLES
 from pipelines.cores.capturing import Capturing
 from pipelines.parts.robot_state import newest_state
@@ -11,7 +11,10 @@ from telepresence.world import audio_scenes, video_scenes
 
 
 def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
-    """Capture the pictures of the input `name` in the size and rate of `stream`."""
+    """Capture the pictures of the input `name` in the size and rate of `stream`.
+
+    A built-in scene counts its pictures all the time, and draws them while somebody reads them.
+    """
     clock = context.clock
     with context.open_bus() as bus:
         writer = bus.writer(input_topic(name), max_octets=stream.width * stream.height * 3 // 2)
@@ -26,12 +29,18 @@ def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
         )
         capturing = Capturing(context.probe)
         context.on_flush(lambda: capturing.tell(source.faults, source.last_fault))
+        # Drawing is the larger part of a scene's work, and it can wait for a reader.
+        scene = source if isinstance(source, SceneVideo) else None
         loan = writer.loan_picture(stream.width, stream.height)
         while not context.stopping:
-            stamp = source.read(loan.picture, PATIENCE_NS)
+            if scene is not None and not writer.has_readers():
+                stamp = scene.skip(PATIENCE_NS, writer.has_readers)
+            else:
+                stamp = source.read(loan.picture, PATIENCE_NS)
+                if stamp is not None:
+                    loan.publish(stamp)
+                    loan = writer.loan_picture(stream.width, stream.height)
             if stamp is not None:
-                loan.publish(stamp)
-                loan = writer.loan_picture(stream.width, stream.height)
                 capturing.handle_captured(stamp)
             context.tick(clock.now_ns())
         loan.give_back()

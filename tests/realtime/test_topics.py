@@ -124,6 +124,25 @@ def test_a_reader_that_joins_late_sees_the_last_sample(session):
             assert lease.payload.tobytes() == b"87654321"
 
 
+def test_a_reader_of_a_topic_that_rested_begins_with_a_fresh_sample(session):
+    """Like a camera that is drawn only while somebody reads it."""
+    with TopicBus(session) as bus:
+        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+        assert not writer.has_readers()
+        data = np.zeros((72, 64), np.uint8)
+        writer.publish_video(VideoFrame(data, stamp(0)))
+        loan = writer.loan_picture(64, 48)
+        reader = bus.reader("pictures")
+        assert writer.has_readers()
+        assert reader.latest() is None
+        loan.publish(stamp(1))
+        with reader.next() as lease:
+            assert lease.stamp == stamp(1)
+        assert reader.next() is None
+        reader.close()
+        assert not writer.has_readers()
+
+
 def test_a_waiter_wakes_for_a_socket_and_for_a_topic(session):
     read_fd, write_fd = os.pipe()
     with TopicBus(session) as bus:
