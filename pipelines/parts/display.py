@@ -25,7 +25,10 @@ _REDRAW_NS = 100 * NS_PER_MS
 
 
 class _Screen:
-    """What is shown of one video stream, as a topic of its own."""
+    """What is shown of one video stream, as a topic of its own, while somebody reads it.
+
+    A reader that joins sees the next picture, or the next mark: there is one every `_REDRAW_NS`.
+    """
 
     def __init__(self, bus: TopicBus, stream: VideoStream, staleness: Staleness) -> None:
         octets = stream.width * stream.height * 3 // 2
@@ -59,6 +62,8 @@ class _Screen:
     def _draw(self, now_ns: int) -> None:
         assert self._lease is not None
         self._drawn_ns = now_ns
+        if not self._writer.has_readers():
+            return
         frame = self._lease.video()
         loan = self._writer.loan_picture(frame.width, frame.height)
         np.copyto(loan.picture, frame.data)

@@ -9,7 +9,10 @@ from pipelines.setup.table import STEREO_INPUTS
 
 
 def run_stereo(context: Context) -> None:
-    """Left part of the left camera, right part of the right camera, into one topic."""
+    """Left part of the left camera, right part of the right camera, into one topic.
+
+    Pairs are counted all the time, and merged while somebody reads the topic.
+    """
     clock, video = context.clock, context.setup.uplink_video
     pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
 
@@ -26,6 +29,8 @@ def run_stereo(context: Context) -> None:
 
         def publish_pairs() -> None:
             while (pair := pairer.next_event()) is not None:
+                if not writer.has_readers():
+                    continue
                 loan = writer.loan_picture(video.width, video.height)
                 left, right = pair.left, pair.right
                 merge(
