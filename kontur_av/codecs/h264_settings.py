@@ -1,6 +1,6 @@
 """How pictures are coded on a thin channel: in which size, and what x264 is told.
 
-What was tried, and what each thing gave, is in docs/video.md.
+What was tried, and what each thing gave, is in docs/experiments/video.md.
 """
 
 from dataclasses import dataclass, replace

@@ -1,7 +1,7 @@
 """What a video stream gains where slots leave their samples out: its cap rises, by steps.
 
 A new cap costs a key picture, so it is raised late and in steps; but what is there no more must not
-be spent, so it is lowered at once. docs/deadband.md has what that is worth.
+be spent, so it is lowered at once. docs/experiments/deadband.md has what that is worth.
 """
 
 from fractions import Fraction
@@ -15,7 +15,7 @@ from pipelines.setup.table import Setup, VideoStream
 STEADY_NS = 2 * NS_PER_S
 #: After a step that did not last twice as long, up to this.
 MOST_STEADY_NS = 32 * NS_PER_S
-#: A change costs what a step gives in about this time (docs/deadband.md): lasted is longer.
+#: A change costs what a step gives in about this time (docs/experiments/deadband.md).
 LASTED_NS = 10 * NS_PER_S
 #: Of what is free so much stays so: it may fall by 96 bits a millisecond, and its gateway tells
 #: every 4 ms.

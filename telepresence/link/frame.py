@@ -176,7 +176,7 @@ def _halves(tail: bytes) -> tuple[list[int], list[int]]:
     return high, low
 
 
-# The tag octet, which stands wherever no packet goes on by itself (docs/link.md):
+# The tag octet, which stands wherever no packet goes on by itself (docs/link-packets.md):
 # bit 7: the piece's length follows (CLOSED); else it fills the zone to its end.
 # bits 6..3: kind, control or one of rtp_forms; bits 2..0: number of the flow, or what control does.
 CLOSED = 0x80

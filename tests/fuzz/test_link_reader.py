@@ -1,4 +1,4 @@
-"""The invariants of a sender, seen by a reader written from docs/link.md alone.
+"""The invariants of a sender, seen by a reader written from docs/link.md, link-packets.md alone.
 
 In each frame the levels of the pieces only go down, and a piece of a lower level stands only behind
 the ends of all packets of higher levels that waited when the frame began. There is no fill while
@@ -35,7 +35,7 @@ MIDDLE = LinkProfile(name="middle", frame_octets=212, scid=1)
 
 
 class Reader:
-    """The tables of docs/link.md, read as they stand: no loss, no restart, raw packets only."""
+    """The tables of docs/link*.md, read as they stand: no loss, no restart, raw packets only."""
 
     def __init__(self, profile):
         self.short = profile.pointer_in_signaling

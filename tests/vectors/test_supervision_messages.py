@@ -1,4 +1,4 @@
-"""The supervision message octet by octet, as docs/link-contact.md has it."""
+"""The supervision message octet by octet, as docs/link-messages.md has it."""
 
 import pytest
 from hypothesis import given

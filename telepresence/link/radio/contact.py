@@ -6,7 +6,7 @@ The margin of the link in dB, above the level at which one bit in a million is w
     e = exp(−((elevation − horizon) / edge)²)
 
 with F(t) a random curve of mean 0 and variance 1 that depends on the seed and on time only, so
-that both directions fade together. docs/radio.md has the reasons.
+that both directions fade together. docs/radio-model.md has the reasons.
 """
 
 from dataclasses import dataclass

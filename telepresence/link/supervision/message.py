@@ -1,6 +1,6 @@
 """The supervision message: twelve octets that the two ends of the link tell each other.
 
-It takes the first 12 octets of a packet zone (docs/link.md says which code of the first header
+It takes the first 12 octets of a packet zone (docs/link-packets.md says which code of the first header
 pointer shows it). All numbers are big-endian; the layout is this project's own.
 
 octet 0, high 4 bits   version, whose place never changes

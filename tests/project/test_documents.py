@@ -1,0 +1,69 @@
+"""The documents stay short, lead to each other, and name files that exist."""
+
+import re
+
+import pytest
+from places import ROOT
+
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+#: Written by a command, so as long as what they list.
+WRITTEN = {"measurements.md", "python.md"}
+MOST_WORDS = 1000
+README_WORDS, README_LINES = 1500, 200
+MOST_STEPS = 15
+
+
+def words(text: str) -> int:
+    """As `wc -w` counts them, without the blocks that a command writes."""
+    return len(re.sub(r"<!-- generated.*?<!-- /generated.*?-->", "", text, flags=re.DOTALL).split())
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if page.name not in WRITTEN], ids=lambda page: page.name
+)
+def test_a_page_that_explains_is_short(page):
+    assert words(page.read_text(encoding="utf-8")) <= MOST_WORDS
+
+
+def test_the_readme_is_one_page():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.split()) <= README_WORDS
+    assert len(text.splitlines()) <= README_LINES
+
+
+def test_the_index_leads_to_every_page():
+    for index, pages in ((DOCS / "index.md", PAGES), *_experiments()):
+        linked = set(re.findall(r"\]\(([\w-]+\.md)", index.read_text(encoding="utf-8")))
+        assert {page.name for page in pages} - linked - {"index.md"} == set()
+
+
+def _experiments():
+    folder = DOCS / "experiments"
+    return [(folder / "index.md", sorted(folder.glob("*.md")))]
+
+
+def test_each_walk_has_few_steps_and_names_files_that_exist():
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    walks = re.findall(r"^## A walk: (.*?)\n(.*?)(?=^## )", text, re.MULTILINE | re.DOTALL)
+    assert len(walks) == 3
+    for title, steps in walks:
+        numbers = [int(number) for number in re.findall(r"^(\d+)\. ", steps, re.MULTILINE)]
+        assert numbers == list(range(1, len(numbers) + 1)), title
+        assert 0 < len(numbers) <= MOST_STEPS, title
+        files = re.findall(r"`([a-z_]+/[\w./]+\.py)`", steps)
+        assert len(files) >= len(numbers) - 2, title
+        assert [file for file in files if not (ROOT / file).exists()] == []
+        # A class that a step names stands in one of the three packages.
+        for name in re.findall(r"`([A-Z]\w+)`", steps):
+            assert _defined(name), f"{title}: {name}"
+
+
+def _defined(name: str) -> bool:
+    packages = (ROOT / package for package in ("kontur_av", "telepresence", "pipelines"))
+    pattern = re.compile(rf"^class {name}\b", re.MULTILINE)
+    return any(
+        pattern.search(path.read_text(encoding="utf-8"))
+        for package in packages
+        for path in package.rglob("*.py")
+    )
