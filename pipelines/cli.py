@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import platform
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -55,12 +56,23 @@ def _parser(only: str | None = None) -> argparse.ArgumentParser:
     return parser
 
 
+def _check_system(command: str) -> None:
+    """Refuse a command on another system than Linux, before it imports what only Linux has."""
+    system = platform.system()
+    if system != "Linux" and command in _COMMANDS and command != "doctor":
+        raise ConfigError(
+            f"{system} is not supported: kontur-av needs Linux, also in a virtual machine, "
+            "in WSL 2 or in a container"
+        )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 well, 1 something failed, 2 the user's mistake, 130 interrupted."""
     # Before NumPy is loaded: its library's threads would not survive the launcher's forks.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         words = sys.argv[1:] if arguments is None else list(arguments)
+        _check_system(words[0] if words else "")
         args = _parser(words[0] if words else "").parse_args(words)
         result: int = args.run(args)
     except ConfigError as error:

@@ -85,7 +85,11 @@ def _run(check: Callable[[], Verdict]) -> Verdict:
 
 def check_python() -> Verdict:
     # An older Python never comes as far as this: pyproject.toml refuses it.
-    return Verdict("ok", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+    found = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+    if platform.system() != "Linux":
+        mend = "use Linux, also in a virtual machine, in WSL 2 or in a container"
+        return Verdict("missing", found, mend)
+    return Verdict("ok", found)
 
 
 def check_h264() -> Verdict:

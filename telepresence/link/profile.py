@@ -12,7 +12,7 @@ MPDU_HEADER_OCTETS = 2
 #: A supervision message takes the first octets of a packet zone, so no zone is smaller.
 SUPERVISION_OCTETS = 12
 
-#: The pointer holds the positions 0 .. zone - 1, the end, and four codes more (docs/link-packets.md).
+#: The pointer holds the positions 0 .. zone - 1, the end, four codes more (docs/link-packets.md).
 _POINTER_CODES = 4
 _LARGEST_ZONE_OF_SIGNALING_POINTER = (1 << 5) - 1 - _POINTER_CODES
 _LARGEST_ZONE_OF_MPDU_POINTER = (1 << 11) - 1 - _POINTER_CODES

@@ -1,7 +1,7 @@
 """The supervision message: twelve octets that the two ends of the link tell each other.
 
-It takes the first 12 octets of a packet zone (docs/link-packets.md says which code of the first header
-pointer shows it). All numbers are big-endian; the layout is this project's own.
+It takes the first 12 octets of a packet zone; docs/link-packets.md has the code of the first
+header pointer that shows it. All numbers are big-endian; the layout is this project's own.
 
 octet 0, high 4 bits   version, whose place never changes
 octet 0, low 4 bits    kind: 0 ALIVE, 1 CONFIGURE, 2 CONFIRM, 3 REJECT

@@ -1,0 +1,177 @@
+"""Write what documents take from the code.
+
+    python docs/generate.py            docs/python.md, from the docstrings of what is exported
+    python docs/generate.py --run      the README's table, too: a session of 20 s on virtual time
+
+A test holds docs/python.md to the code. griffe reads source text, so the page is the same under
+every Python version.
+"""
+
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import griffe
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("kontur_av", "telepresence", "pipelines")
+HEAD = """# The Python interface
+
+<!-- Written by docs/generate.py from the docstrings: change those, not this page. -->
+
+These names are for users of the library. Import them from the package: `from kontur_av import ...`.
+Other modules are the project's own and may change. Instants are integer nanoseconds of one clock,
+`now_ns`. `samples/` has short scripts that use these names.
+"""
+STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
+
+
+def python_page() -> str:
+    """docs/python.md: every exported name with its signature and docstring."""
+    parts = [HEAD]
+    for package in PACKAGES:
+        module = griffe.load(package, search_paths=[ROOT], resolve_aliases=True)
+        names = sorted(exported(module), key=lambda name: (name.lower(), name))
+        parts.append(f"## `{package}`\n\n{text(module)}\n")
+        if names:
+            links = ", ".join(f"[{name}](#{anchor(name)})" for name in names)
+            parts.append(f"{links}\n")
+        parts += [entry(module[name]) for name in names]
+    return "\n".join(parts)
+
+
+def exported(module: griffe.Object | griffe.Alias) -> list[str]:
+    return [str(name).strip("'\"") for name in module.exports or ()]
+
+
+def anchor(name: str) -> str:
+    """The fragment that GitHub makes of a heading."""
+    return re.sub(r"[^\w -]", "", name.lower()).replace(" ", "-")
+
+
+def entry(member: griffe.Object | griffe.Alias) -> str:
+    """One exported name: its signature, its docstring, and its public methods."""
+    if member.is_attribute:
+        code = f"{member.name} = {member.value}"
+        return f"### {member.name}\n\n```python\n{code}\n```\n\n{text(member)}\n"
+    lines = [f"### {member.name}\n\n```python"]
+    if member.is_function:
+        lines += [signature(member), "```\n", text(member), ""]
+        return "\n".join(lines)
+    bases = ", ".join(str(base) for base in member.bases)
+    lines.append(f"class {member.name}({bases}):" if bases else f"class {member.name}:")
+    public = {
+        name: found
+        for name, found in {**member.inherited_members, **member.members}.items()
+        if name == "__init__" or not name.startswith("_")
+    }
+    for name, found in public.items():
+        if found.is_attribute and found.annotation and "property" not in found.labels:
+            default = f" = {found.value}" if found.value is not None else ""
+            lines.append(f"    {name}: {found.annotation}{default}")
+    init = public.pop("__init__", None)
+    if init is not None and init.is_function and "dataclass" not in member.labels:
+        lines.append("    " + signature(init).replace("\n", "\n    "))
+    lines += ["```\n", text(member), ""]
+    for name, found in public.items():
+        if found.is_function:
+            lines.append(f"- `{name}{arguments(found)}`: {one_paragraph(found)}")
+        elif "property" in found.labels:
+            lines.append(f"- `{name}: {found.annotation}`: {one_paragraph(found)}")
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def arguments(function: griffe.Object | griffe.Alias) -> str:
+    """`(x: int) -> str` as it stands in the source, without self, on one line."""
+    shown = function.signature(return_type=True, name="")
+    return re.sub(r"^\((?:self|cls)(?:, )?", "(", " ".join(shown.split()))
+
+
+def signature(function: griffe.Object | griffe.Alias) -> str:
+    line = f"def {function.name}{arguments(function)}"
+    if len(line) <= 96:
+        return line
+    names, _, result = arguments(function).rpartition(") -> ")
+    inner = ",\n    ".join(_split(names.removeprefix("(")))
+    return f"def {function.name}(\n    {inner},\n) -> {result}"
+
+
+def _split(parameters: str) -> list[str]:
+    """Split at the commas that stand within no bracket."""
+    parts, depth = [""], 0
+    for letter in parameters:
+        depth += (letter in "[({") - (letter in "])}")
+        if letter == "," and not depth:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return [part.strip() for part in parts]
+
+
+def text(found: griffe.Object | griffe.Alias) -> str:
+    """The docstring; its example after `Use::` becomes a block of Python."""
+    docstring = found.docstring.value if found.docstring else ""
+    body = re.sub(
+        r"(\w+)::\n\n((?:    .*\n?|\n)+)",
+        lambda match: f"{match[1]}:\n\n```python\n{_dedent(match[2])}\n```\n",
+        docstring,
+    )
+    return body.strip()
+
+
+def _dedent(block: str) -> str:
+    return "\n".join(line.removeprefix("    ") for line in block.rstrip().splitlines())
+
+
+def one_paragraph(found: griffe.Object | griffe.Alias) -> str:
+    return " ".join(text(found).split())
+
+
+def run_table() -> str:
+    """The README's table of one session, by `kontur-av simulate`."""
+    command = ["simulate", "--setup", "spacejustin", "--seconds", "20", "--radio", "clean"]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "r.json"
+        command += ["--seed", "1", "--report", str(file), "-q"]
+        subprocess.run([sys.executable, "-m", "pipelines.cli", *command], check=True, cwd=ROOT)
+        report = json.loads(file.read_text(encoding="utf-8"))
+    rows = [
+        "| stream | cap | mean | max 1 s | shown/s | lost | p50 | p99 |",
+        "|---|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for name, stream in report["streams"].items():
+        rows.append(
+            STREAM.format(
+                name=name,
+                cap=stream["cap_bps"] // 1000,
+                mean=stream["payload_bps_mean"] / 1000,
+                most=stream["payload_bps_max_1s"] / 1000,
+                shown=f"{stream['displayed_hz']:.1f}",
+                lost=stream["rtp_lost"],
+                p50=stream["latency_ms"]["p50"],
+                p99=stream["latency_ms"]["p99"],
+            )
+        )
+    for name, way in report["haptic"].items():
+        latency = way["latency_ms"]
+        shown = round(way["received"] / report["seconds"])
+        row = f"| haptic_{name} | 96 | 96.0 | | {shown} | {way['lost']} |"
+        rows.append(f"{row} {latency['p50']:.1f} | {latency['p99']:.1f} |")
+    return "\n".join(rows) + "\n"
+
+
+def main() -> None:
+    (ROOT / "docs" / "python.md").write_text(python_page(), encoding="utf-8")
+    if sys.argv[1:] == ["--run"]:
+        readme = ROOT / "README.md"
+        marks = r"(<!-- generated: run -->\n).*?(<!-- /generated -->)"
+        table = run_table()
+        new = re.sub(marks, lambda m: f"{m[1]}{table}{m[2]}", readme.read_text(), flags=re.DOTALL)
+        readme.write_text(new, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

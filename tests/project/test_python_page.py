@@ -1,0 +1,27 @@
+"""docs/python.md is what the docstrings say, and its links lead somewhere."""
+
+import importlib.util
+import re
+
+import pytest
+from places import ROOT
+
+pytest.importorskip("griffe", reason="pip install -e '.[dev]'")
+
+
+def generate():
+    spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_page_is_what_the_docstrings_say():
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    assert page == generate().python_page(), "run: python docs/generate.py"
+
+
+def test_its_links_lead_to_a_heading():
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    headings = {generate().anchor(name) for name in re.findall(r"^#+ (.*)$", page, re.MULTILINE)}
+    assert set(re.findall(r"\]\(#([\w-]+)\)", page)) <= headings
