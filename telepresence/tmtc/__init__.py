@@ -1,4 +1,4 @@
-"""Telecommands and telemetry: CCSDS space packets, and their repetition."""
+"""Telecommands and telemetry: CCSDS space packets, and their retransmission."""
 
 from telepresence.tmtc.exchange import (
     SelectDone,

@@ -1,7 +1,7 @@
-"""Who repeats a telecommand, and who executes it once.
+"""Telecommands over an unreliable path: the sender repeats, the receiver executes once.
 
-The way is not reliable: a telecommand is repeated until it is acknowledged, and its receiver
-executes it once, however often it comes.
+The sender repeats a telecommand until it is acknowledged. The receiver recognizes repetitions,
+executes the telecommand once, and acknowledges each copy.
 """
 
 from collections import OrderedDict, deque
@@ -26,7 +26,7 @@ _ANSWERS_DEPTH = 16
 
 @dataclass(frozen=True, slots=True)
 class SelectDone:
-    """The telecommand was acknowledged: `ok`, or refused. `name` is selected now."""
+    """The telecommand was executed (`ok`) or refused. The camera `name` is selected now."""
 
     name: str
     token: int
@@ -56,12 +56,14 @@ class _Request:
 class TelecommandSender:
     """Repeats one telecommand until it is acknowledged; gives up after `tries`.
 
-    After `select` and each `handle_packet`, send what `poll_transmit` gives until None, ask
-    again at `poll_timeout`, and drain `next_event`. A later `select` supersedes one that is
-    still open: its repetition would undo the later one.
+    After `select` and each `handle_packet`, send what `poll_transmit` returns until it is None.
+    Call it again at `poll_timeout`, and drain `next_event`. A later `select` supersedes an open
+    one, because repeating the earlier one would undo the later one.
 
-    first_token: differs from sender to sender (the shell draws it at random), because the
-    receiver knows a repetition by its token.
+    first_token: the first request's token. The receiver recognizes repetitions by the token, so
+    each sender must start elsewhere; the shell draws it at random.
+
+    Raises ConfigError for less than one try or a timeout that is not positive.
     """
 
     def __init__(
@@ -80,7 +82,7 @@ class TelecommandSender:
         self._events: deque[SelectDone | SelectFailed | Housekeeping] = deque(maxlen=256)
 
     def select(self, name: str, now_ns: int) -> int:
-        """Ask for the camera `name`; the token of the request. ConfigError: see `check_name`."""
+        """Request the camera `name`; return the token. ConfigError: see `check_name`."""
         check_name(name)
         if self._request is not None:
             self._fail(self._request, superseded=True)
@@ -109,7 +111,7 @@ class TelecommandSender:
         )
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The packet to send now, or None. Gives up here when the last try timed out."""
+        """Return the packet to send now, or None. Gives up when the last try timed out."""
         request = self._request
         if request is None or now_ns < request.due_ns:
             return None
@@ -130,7 +132,7 @@ class TelecommandSender:
         return self._request.due_ns if self._request else None
 
     def next_event(self) -> SelectDone | SelectFailed | Housekeeping | None:
-        """What happened, oldest first; None when nothing did."""
+        """The oldest event that was not fetched yet, or None."""
         return self._events.popleft() if self._events else None
 
     def _fail(self, request: _Request, *, superseded: bool) -> None:
@@ -138,12 +140,13 @@ class TelecommandSender:
 
 
 class TelecommandReceiver:
-    """Hands each telecommand out once, acknowledges it every time it comes.
+    """Returns each telecommand once, and acknowledges every copy of it.
 
-    After `handle_packet`: drain `next_event`, do what each `SelectCamera` asks, and say how it
-    went by `handle_result`; then send what `poll_transmit` gives until None. A token is known
-    for `memory_ns`, at most 64 of them. At most 16 answers wait; then the oldest goes (its
-    telecommand will be repeated).
+    After `handle_packet`, drain `next_event`, execute each `SelectCamera`, and report its result
+    with `handle_result`. Then send what `poll_transmit` returns until it is None.
+
+    A token is remembered for `memory_ns`; at most 64 of them. At most 16 answers wait. Beyond that
+    the oldest is dropped and counted, because its telecommand will be repeated.
     """
 
     def __init__(self, *, memory_ns: int = 60 * NS_PER_S) -> None:
@@ -182,7 +185,7 @@ class TelecommandReceiver:
         self._events.append(message)
 
     def handle_result(self, request: SelectCamera, *, ok: bool, selected: str, now_ns: int) -> None:
-        """`request` was done or refused, and the camera `selected` is selected now."""
+        """Report that `request` was executed or refused, and which camera is selected now."""
         answer = SelectAck(selected, request.token, ok)
         key = (request.token, request.name)
         self._known[key] = (now_ns, answer)
@@ -192,11 +195,11 @@ class TelecommandReceiver:
         self._answer(answer)
 
     def handle_housekeeping(self, message: Housekeeping, now_ns: int) -> None:
-        """Send `message`; one that was not sent yet is replaced."""
+        """Send `message`; it replaces one that was not sent yet."""
         self._housekeeping = message
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The telemetry packet to send now, acknowledgements first; None when there is none."""
+        """The telemetry packet to send now, acknowledgements first, or None."""
         message: Message
         if self._answers:
             message = self._answers.popleft()
@@ -209,11 +212,11 @@ class TelecommandReceiver:
         return data
 
     def poll_timeout(self) -> int | None:
-        """Nothing here waits for an instant: always None."""
+        """Always None: nothing here waits for an instant."""
         return None
 
     def next_event(self) -> SelectCamera | None:
-        """The next telecommand to execute; None when there is none."""
+        """The next telecommand to execute, or None."""
         return self._events.popleft() if self._events else None
 
     def _answer(self, answer: SelectAck) -> None:

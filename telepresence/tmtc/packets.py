@@ -1,7 +1,8 @@
-"""Telecommands and telemetry as octets: small messages in CCSDS space packets.
+"""Telecommands and telemetry as small messages in CCSDS space packets.
 
-A packet is at most 20 octets: the primary header (CCSDS 133.0-B-2, clause 4.1.3: version 000,
-type, no secondary header, APID; unsegmented, sequence count; data length), then one message:
+A packet has at most 20 octets. It begins with the primary header (CCSDS 133.0-B-2, clause 4.1.3):
+version 000, type, no secondary header, APID; unsegmented, sequence count; data length. One message
+follows:
 
 | message | octets 6 to the end |
 |---|---|
@@ -37,7 +38,7 @@ _FLAG_CONTACT = 0x01
 
 @dataclass(frozen=True, slots=True)
 class SelectCamera:
-    """Telecommand: send the camera `name` on. `token` (0..65535) names this one request."""
+    """Telecommand: transmit the camera `name`. `token` (0 to 65535) identifies this request."""
 
     name: str
     token: int
@@ -45,7 +46,7 @@ class SelectCamera:
 
 @dataclass(frozen=True, slots=True)
 class SelectAck:
-    """Telemetry: the request `token` was done (`ok`) or refused; `name` is selected now."""
+    """Telemetry: the request `token` was executed (`ok`) or refused; `name` is selected now."""
 
     name: str
     token: int
@@ -66,14 +67,14 @@ Message = SelectCamera | SelectAck | Housekeeping
 
 @dataclass(frozen=True, slots=True)
 class SpacePacket:
-    """One message with the fields of its header that change: count is 0..16383."""
+    """One message with its packet sequence count, 0 to 16383."""
 
     count: int
     message: Message
 
 
 def check_name(name: str) -> None:
-    """ConfigError when no telecommand could carry the camera `name`."""
+    """Raise ConfigError if a telecommand cannot carry the camera `name`."""
     if not (1 <= len(name) <= MAX_NAME_OCTETS and name.isascii() and name.isprintable()):
         raise ConfigError(
             f"camera {name!r}: give it a name of 1 to {MAX_NAME_OCTETS} printable ASCII "
@@ -82,9 +83,10 @@ def check_name(name: str) -> None:
 
 
 def pack_packet(message: Message, count: int) -> bytes:
-    """`message` as a space packet; `count` is taken modulo 16384.
+    """Return `message` as a space packet; `count` is taken modulo 16384.
 
-    A force out of range is cut to its limit. A name that `check_name` refuses is a ConfigError.
+    A force out of range is cut to its limit. Raises ConfigError for a name that `check_name`
+    refuses.
     """
     check_name(message.name)
     name = message.name.encode("ascii")
@@ -99,13 +101,13 @@ def pack_packet(message: Message, count: int) -> bytes:
         counts = max(-32767.0, min(32767.0, message.force_n / FORCE_N))
         flags = _FLAG_CONTACT if message.contact else 0
         body = _HOUSEKEEPING.pack(_HOUSEKEEPING_ID, flags, round(counts)) + name
-    # The length field holds one less than the octets of the data field (clause 4.1.3.5).
+    # The length field holds the length of the data field minus one (clause 4.1.3.5).
     sequence = _UNSEGMENTED | count % _COUNT_MODULUS
     return _HEADER.pack(identification, sequence, len(body) - 1) + body
 
 
 def is_ours(data: bytes) -> bool:
-    """Whether `data` is a space packet of ours by its header; what it says is not looked at."""
+    """Whether the header of `data` is one of this protocol; the message is not checked."""
     if not _HEADER.size < len(data) <= MAX_PACKET_OCTETS:
         return False
     identification, sequence, length = _HEADER.unpack_from(data)
@@ -117,7 +119,7 @@ def is_ours(data: bytes) -> bool:
 
 
 def parse_packet(data: bytes) -> SpacePacket:
-    """The message in `data`; ProtocolError when it is anything but exactly one packet of ours."""
+    """Parse `data`; ProtocolError unless it is exactly one packet of this protocol."""
     if not is_ours(data):
         raise ProtocolError(f"{len(data)} octets that are no space packet of ours")
     identification, sequence, _ = _HEADER.unpack_from(data)

@@ -1,7 +1,7 @@
-"""The simulated task board: what the cameras see and the microphone hears.
+"""The simulated task board: what the cameras see and the microphones hear.
 
-`video_scenes` and `audio_scenes` give the factories behind `scene:NAME`; `DEFAULT_SCENES` says
-which scene each input of a setup shows when the user names nothing else.
+`video_scenes` and `audio_scenes` return the factories behind `scene:NAME`. `DEFAULT_SCENES` maps
+each input of a setup to the scene that it uses by default.
 """
 
 from telepresence.world.scenes import (

@@ -1,15 +1,15 @@
-"""The robot's arm in three dimensions: where its parts are when the tip is at (x, y)."""
+"""The robot's arm in three dimensions: the position of each part for a tip at (x, y)."""
 
 import math
 from dataclasses import replace
 
 from telepresence.world.brush import Brush, Finish, finish, yuv
-from telepresence.world.geometry import Camera, Point
+from telepresence.world.geometry import PinholeCamera, Point
 from telepresence.world.shadow import Shadow
 
 SHOULDER_M = (0.07, 0.46, 0.25)
 LINK_M = 0.29
-#: From the tip of the stylus to the wrist: upright, leaning back a little.
+#: From the stylus's tip to the wrist: upright, leaning back slightly.
 TOOL_M = (0.0, 0.030, 0.190)
 TIP_RADIUS_M = 0.0016
 NECK_RADIUS_M = 0.0055
@@ -19,7 +19,7 @@ FOREARM_RADIUS_M = 0.0210
 UPPER_ARM_RADIUS_M = 0.0270
 ELBOW_RADIUS_M = 0.0330
 
-#: What comes nearer to a camera than this is cut off there.
+#: Parts nearer to a camera than this are clipped.
 NEAREST_M = 0.06
 
 _TIP, _NECK, _BODY, _WRIST, _ELBOW, _SHOULDER = range(6)
@@ -31,7 +31,7 @@ _BAND = finish(yuv(44, 98, 176))
 _STEEL = finish(yuv(150, 156, 162))
 _GRIP = finish(yuv(214, 96, 42))
 _POINT = finish(yuv(255, 255, 248), thin=True)
-#: Hardly wider than the forearm, which is as grey: its chroma would not be told from that.
+#: Almost as wide and as grey as the forearm, so its own chroma would be invisible.
 _WRIST_JOINT = replace(_JOINT, chroma=None)
 
 _Part = tuple[int, int, float, float, Finish]
@@ -63,7 +63,7 @@ _SHADOW_PARTS = tuple(
 
 
 def pose(x_m: float, y_m: float) -> list[Point]:
-    """10 points in metres: the arm with its stylus on the board at (x, y), elbow up and outside."""
+    """Return 10 points (m) of the arm with its stylus at (x, y), elbow up and outside."""
     tip = (x_m, y_m, 0.0)
     wrist = (x_m + TOOL_M[0], y_m + TOOL_M[1], TOOL_M[2])
     across, back, up = (s - w for s, w in zip(SHOULDER_M, wrist, strict=True))
@@ -96,17 +96,17 @@ def _between(a: Point, b: Point, part: float) -> Point:
 class Arm:
     """The arm as one camera sees it.
 
-    above: the camera hangs over the board, so the forearm is nearer to it than the tool.
-    size: pixels; the longer side of the camera's pictures.
+    above: the camera hangs over the board, so it sees the forearm in front of the tool.
+    size: the longer side of the camera's pictures (pixels).
     """
 
-    def __init__(self, camera: Camera, *, above: bool, size: float) -> None:
+    def __init__(self, camera: PinholeCamera, *, above: bool, size: float) -> None:
         self._camera = camera
         self._parts = _FROM_ABOVE if above else _FROM_THE_SIDE
         self._shadow = Shadow(camera, _SHADOW_PARTS, size)
 
     def draw(self, brush: Brush, x_m: float, y_m: float, offset: complex) -> None:
-        """The arm that touches the board at (x, y), and its shadow; offset: pixels, x + iy."""
+        """Draw the arm with its tip at (x, y), and its shadow; offset: x + iy in pixels."""
         camera = self._camera
         places = [camera.place(point) for point in pose(x_m, y_m)]
         wrist, elbow = places[_WRIST], places[_ELBOW]

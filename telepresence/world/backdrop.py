@@ -1,4 +1,4 @@
-"""What stands still in a camera's picture, ready to be copied in one go."""
+"""The static part of a camera's picture, prepared so that one copy draws it."""
 
 import cv2
 import numpy as np
@@ -8,24 +8,25 @@ from kontur_av.media import I420, planes
 
 Image = NDArray[np.uint8]
 
-#: So many copies with noise of their own; the eye sees no pattern in three.
+#: Number of copies, each with its own noise. Three are enough to hide the repetition.
 _NOISES = 3
 _LEVELS = np.array((0, 1, 1, 1, 1, 1, 1, 2), np.uint8)
 
 
 class Backdrop:
-    """A still picture, with a camera's noise in it that is new in each picture.
+    """A static picture with sensor noise that changes from picture to picture.
 
-    image: RGB of shape (height + 2 * margin, width + 2 * margin, 3), where height and width are
-    those of the pictures and `margin` pixels, an even number, are kept on each side for a camera
-    that turns. The noise is drawn once, into a few copies: a picture then costs one copy.
+    image: RGB of shape (height + 2 * margin, width + 2 * margin, 3). Height and width are those of
+    the pictures. `margin` is an even number of pixels on each side, for a camera that turns.
+
+    The noise is added to a few copies in advance, so each picture costs one copy.
     """
 
     def __init__(self, image: Image, margin: int, seed: int) -> None:
         self._margin = margin
         base = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420), np.uint8)
         height, width = image.shape[:2]
-        # The grain that is added is 1 on average.
+        # The noise has a mean of 1; subtracting 1 here keeps the brightness.
         base[:height] = cv2.subtract(base[:height], np.ones((height, width), np.uint8))
         grain = _LEVELS[np.random.default_rng(seed).integers(0, 8, (height, width), np.uint8)]
         self.copies: list[I420] = []
@@ -38,8 +39,8 @@ class Backdrop:
     def copy(self, into: I420, number: int, across: int = 0, down: int = 0) -> None:
         """Write the whole picture `into`, with the noise of picture `number`.
 
-        across, down: where in the larger picture its corner is, each from 0 to twice the margin.
-        Chroma follows in steps of two pixels: finer it is not seen.
+        across, down: corner of the view in the larger picture, each 0 to twice the margin.
+        Chroma moves in steps of two pixels; a finer step would not be visible.
         """
         if not self._margin:
             np.copyto(into, self.copies[number % _NOISES])
@@ -52,9 +53,9 @@ class Backdrop:
 
 
 class Patch:
-    """A piece of a picture that is laid over it.
+    """A small picture that is drawn over a larger one.
 
-    image: RGB, its width and height even. left, top: where its corner is, even numbers.
+    image: RGB with even width and height. left, top: position of its corner, even numbers.
     """
 
     def __init__(self, image: Image, left: int, top: int) -> None:
@@ -62,7 +63,7 @@ class Patch:
         self._planes = planes(np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420), np.uint8))
 
     def lay(self, into: I420, across: int = 0, down: int = 0) -> None:
-        """Copy it into the picture; across, down: as for `Backdrop.copy`."""
+        """Copy the patch into the picture; across, down: as for `Backdrop.copy`."""
         for plane, piece, scale in zip(planes(into), self._planes, (1, 2, 2), strict=True):
             left, top = self._left // scale - across // scale, self._top // scale - down // scale
             (height, width), (rows, columns) = plane.shape, piece.shape

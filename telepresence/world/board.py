@@ -1,4 +1,4 @@
-"""What the board and the table around it look like from above: drawn once, in RGB."""
+"""The board and the table from above, drawn once in RGB."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ Rgb = tuple[int, int, int]
 Image = NDArray[np.uint8]
 _Numbers = NDArray[np.integer | np.floating]
 
-#: Resolution of the drawing and how much of the table it shows, each way from the centre.
+#: Resolution of the drawing, and how far it reaches from the centre.
 PX_PER_M = 2800
 REACH_X_M, REACH_Y_M = 0.32, 0.26
 
@@ -31,17 +31,17 @@ _TRACK: Rgb = (226, 148, 54)
 
 
 def to_px(x_m: float, y_m: float) -> tuple[int, int]:
-    """Board metres -> pixels of the drawing."""
+    """Convert board coordinates (m) to pixels of the drawing."""
     return round((x_m + REACH_X_M) * PX_PER_M), round((REACH_Y_M - y_m) * PX_PER_M)
 
 
 def homography() -> NDArray[np.float64]:
-    """(3, 3): pixels of the drawing -> board metres."""
+    """Return the (3, 3) homography from pixels of the drawing to board coordinates (m)."""
     return np.array(((1 / PX_PER_M, 0, -REACH_X_M), (0, -1 / PX_PER_M, REACH_Y_M), (0, 0, 1.0)))
 
 
 def contour_m() -> NDArray[np.float64]:
-    """(n, 2) metres: the curve that the stylus is to follow, on the left of the wall."""
+    """Return the curve that the stylus follows, to the left of the wall: (240, 2) in metres."""
     t = np.linspace(0, 2 * np.pi, 240)
     return np.stack(
         (
@@ -53,7 +53,7 @@ def contour_m() -> NDArray[np.float64]:
 
 
 def draw_board() -> Image:
-    """The table and the board from above: (height, width, 3) RGB."""
+    """Draw the table and the board from above: (height, width, 3) RGB, uint8."""
     width, height = round(2 * REACH_X_M * PX_PER_M), round(2 * REACH_Y_M * PX_PER_M)
     image = _table(width, height)
     _box(image, -0.5, 0.5, -0.5, 0.5, 0.010, (34, 36, 38), soften_m=0.008)
@@ -82,7 +82,7 @@ def _px(metres: float) -> int:
 
 
 def _table(width: int, height: int) -> Image:
-    """Brushed metal: fine lines along x, darker towards the edges."""
+    """Draw brushed metal: fine lines along x, darker towards the edges."""
     rng = np.random.default_rng(2)
     rough = rng.standard_normal((height // 2, width // 2), np.float32) * 8
     fine = cv2.GaussianBlur(rough, (0, 0), 6, sigmaY=0.8)
@@ -103,13 +103,13 @@ def _box(
     colour: Rgb,
     soften_m: float = 0.0,
 ) -> None:
-    """A rectangle given in parts of the board's size, grown by `grow_m` each way."""
+    """Draw a rectangle given as shares of the board's size, enlarged by `grow_m` on each side."""
     a = to_px(left * BOARD_WIDTH_M - grow_m, top * BOARD_HEIGHT_M + grow_m)
     b = to_px(right * BOARD_WIDTH_M + grow_m, bottom * BOARD_HEIGHT_M - grow_m)
     if not soften_m:
         cv2.rectangle(image, a, b, colour, cv2.FILLED)
         return
-    # What is soft needs no resolution: an eighth of it takes a sixtieth of the time.
+    # A blurred shape needs little resolution; an eighth of it takes a sixtieth of the time.
     height, width = image.shape[:2]
     mask = np.zeros((height // 8, width // 8), np.uint8)
     cv2.rectangle(mask, (a[0] // 8, a[1] // 8), (b[0] // 8, b[1] // 8), 204, cv2.FILLED)
@@ -119,12 +119,12 @@ def _box(
 
 
 def blend(image: Image, over: _Numbers, weight: _Numbers) -> None:
-    """Lay `over` on `image`, with a share of `weight`, (height, width), from 0 to 1.
+    """Blend `over` into `image` with the weights (height, width), 0 to 1.
 
-    over: (height, width, 3), or one colour, (3,). Only where there is any of it is it worked on.
+    over: (height, width, 3), or one colour, (3,). Only the region with weights above 0 changes.
     """
     left, top, columns, rows = cv2.boundingRect((weight > 0).astype(np.uint8))
-    # A few rows at a time: what lies between the steps then stays in the processor's cache.
+    # A few rows at a time, so that intermediate results stay in the processor's cache.
     for row in range(top, top + rows, 16):
         part = slice(row, min(row + 16, top + rows)), slice(left, left + columns)
         share, laid = weight[part][..., None], over if over.ndim == 1 else over[part]
@@ -132,7 +132,7 @@ def blend(image: Image, over: _Numbers, weight: _Numbers) -> None:
 
 
 def _sheen(image: Image) -> None:
-    """The lamp's broad reflection on the panel, from the upper left."""
+    """Draw the lamp's broad reflection on the panel, from the upper left."""
     (x0, y0), (x1, y1) = to_px(-0.146, 0.096), to_px(0.146, -0.096)
     panel = image[y0:y1, x0:x1]
     ys, xs = np.mgrid[0 : y1 - y0, 0 : x1 - x0].astype(np.float32)
@@ -151,7 +151,7 @@ def _screw(image: Image, x: float, y: float) -> None:
 
 
 def _scales(image: Image) -> None:
-    """Ticks every centimetre along the lower and the left edge, longer every five."""
+    """Draw ticks along the lower and the left edge: one a centimetre, a longer one every five."""
     for step in range(-13, 14):
         length = 0.006 if step % 5 == 0 else 0.003
         x = step / 100
@@ -163,7 +163,7 @@ def _scales(image: Image) -> None:
 
 
 def _wall(image: Image) -> None:
-    """The bar that the stylus pushes against: its face at WALL_X_M, lit from the left."""
+    """Draw the bar that the stylus pushes against: its face at WALL_X_M, lit from the left."""
     face = WALL_X_M
     cv2.rectangle(image, to_px(face + 0.004, 0.088), to_px(face + 0.024, -0.090), (36, 42, 50), -1)
     cv2.rectangle(image, to_px(face, 0.090), to_px(face + 0.018, -0.088), (164, 168, 170), -1)
@@ -193,7 +193,7 @@ def _text(image: Image, text: str, x: float, y: float, height_m: float) -> None:
 
 
 def _connectors(image: Image) -> None:
-    """Two sockets and a rotary switch on the right of the wall."""
+    """Draw two sockets and a rotary switch to the right of the wall."""
     for y in (0.050, 0.0):
         centre = to_px(0.119, y)
         cv2.circle(image, centre, _px(0.013), (30, 34, 40), cv2.FILLED, cv2.LINE_AA)

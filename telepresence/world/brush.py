@@ -1,11 +1,11 @@
-"""Drawing straight into the planes of an I420 picture: no RGB in between, no conversion.
+"""Draws directly into the planes of an I420 picture, without a conversion from RGB.
 
-Points are complex numbers, x + iy in pixels of the whole picture: turning and moving a shape
-is then one multiplication and one addition.
+Points are complex numbers, x + iy in pixels of the whole picture, so that rotating and moving a
+shape takes one multiplication and one addition.
 
-A camera shares its processor with twenty processes: what it calls has left the caches since the
-last picture. So the few numbers of a body are turned in plain Python, its outlines in one product
-for all bodies of a picture, and NumPy is called a handful of times in all.
+The code is tuned for cold caches, because a camera shares its processor with twenty processes.
+Plain Python rotates the few numbers of each body. One product computes all outlines of a picture.
+NumPy is called only a handful of times.
 """
 
 from collections.abc import Sequence
@@ -24,12 +24,12 @@ Points = NDArray[np.complexfloating]
 _SHIFT = 4
 _FIXED = 1 << _SHIFT
 
-#: Chroma is coarse anyhow: smoothing its edges would cost and not be seen.
+#: Without anti-aliasing: chroma is coarse, and smooth edges would cost time and not be visible.
 _PLAIN = cv2.LINE_8
 
 
 def yuv(red: int, green: int, blue: int) -> Yuv:
-    """An sRGB colour (0..255 each) in narrow-range BT.601."""
+    """Convert an sRGB colour (0 to 255 each) to narrow-range BT.601."""
     return (
         round(16 + (65.738 * red + 129.057 * green + 25.064 * blue) / 256),
         round(128 + (-37.945 * red - 74.494 * green + 112.439 * blue) / 256),
@@ -38,21 +38,21 @@ def yuv(red: int, green: int, blue: int) -> Yuv:
 
 
 def fixed(points: Points) -> NDArray[np.int32]:
-    """(..., n) complex -> (..., n, 2) of OpenCV's fixed-point pixels (1/16)."""
+    """Convert (..., n) complex points to (..., n, 2) fixed-point pixels of OpenCV (1/16)."""
     pairs = points.astype(np.complex64).view(np.float32).reshape(*points.shape, 2)
     return np.asarray((pairs * _FIXED).astype(np.int32))
 
 
 def fill_mask(mask: NDArray[np.uint8], outline: Points, level: int) -> None:
-    """A convex shape into a plane by itself."""
+    """Fill a convex shape in a single plane."""
     cv2.fillConvexPoly(mask, fixed(outline), level, cv2.LINE_AA, _SHIFT)
 
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """How a body looks: its luma from the dark rim to the highlight, and its chroma.
+    """The appearance of a body: its luma from the dark rim to the highlight, and its chroma.
 
-    chroma: (U, V); None leaves what is there already.
+    chroma: (U, V); None keeps the chroma of the background.
     """
 
     levels: tuple[int, ...]
@@ -60,26 +60,26 @@ class Finish:
 
 
 #: A round rod: begin and end (x + iy), radius at the begin and at the end, all in pixels.
-#: One without length is a sphere.
+#: A rod without length is a sphere.
 Body = tuple[complex, complex, float, float, Finish]
 
-# From the dark rim to the highlight: how broad, how far towards the light, how bright.
+# From the dark rim to the highlight: width, offset towards the light, brightness.
 _PART = np.array((1.0, 0.80, 0.28))
 _OFFSET = np.array((0.0, 0.12, 0.38))
 _GAIN = (0.46, 0.92, 1.20)
 
 _CAP = np.exp(1j * np.linspace(-np.pi / 2, np.pi / 2, 11))
 _CIRCLE = np.exp(2j * np.pi * np.arange(28) / 28)
-#: Where the light comes from in the picture: above, a little from the left.
+#: Direction of the light in the picture: from above, slightly from the left.
 _LIGHT = (-0.5 - 0.87j) / abs(-0.5 - 0.87j)
 _FROM_LIGHT = _LIGHT.conjugate()
 _UPRIGHT = -1j * _LIGHT
 
 
 def _outlines() -> NDArray[np.complex64]:
-    """(2, 3, 2, 11): the outlines of a rod of radius 1 along the x axis.
+    """Return (2, 3, 2, 11): outlines of a rod of radius 1 along the x axis.
 
-    By the side on which the light is, by layer, by half (the end's cap, the begin's cap).
+    Axes: side of the light, layer, half (the cap at the end, the cap at the begin), point.
     """
     halves = np.stack((_CAP, -_CAP))
     sides = np.array((1j, -1j))
@@ -91,7 +91,7 @@ _OUTLINES = _outlines()
 
 
 def finish(colour: Yuv, *, thin: bool = False) -> Finish:
-    """The finish of a matt body of that colour; a thin one has no room for a highlight."""
+    """Return the finish of a matt body; a thin body has no room for a highlight."""
     gains = _GAIN[:-1] if thin else _GAIN
     return Finish(
         tuple(min(235, round(16 + (colour[0] - 16) * gain)) for gain in gains), colour[1:]
@@ -105,13 +105,13 @@ class Brush:
         self.y, self.u, self.v = planes(into)
 
     def shapes(self, outlines: Points, colours: Sequence[Yuv | int]) -> None:
-        """Convex shapes of n points each, one over the other.
+        """Draw convex shapes of n points each, later ones over earlier ones.
 
-        outlines: (shapes, n). colours: a `Yuv` each, or a luma alone: light and shade on what
-        has its colour already.
+        outlines: (shapes, n). colours: for each shape a `Yuv`, or a luma alone, which shades what
+        already has its chroma.
         """
         luma = fixed(outlines)
-        # A chroma sample lies between two luma samples each way: a quarter pixel of its own.
+        # A chroma sample lies between two luma samples in each direction: shift by a quarter.
         chroma = (luma >> 1) - _FIXED // 4
         fill = cv2.fillConvexPoly
         for points, halved, colour in zip(luma, chroma, colours, strict=True):
@@ -123,7 +123,7 @@ class Brush:
             fill(self.v, halved, colour[2], _PLAIN, _SHIFT)
 
     def bodies(self, bodies: Sequence[Body]) -> None:
-        """Round rods, one over the other, lit from above."""
+        """Draw round rods, lit from above, later ones over earlier ones."""
         sizes: list[complex] = []
         centres: list[complex] = []
         sides = []
@@ -151,12 +151,12 @@ class Brush:
 
 
 def disc(centre: complex, radius: float) -> Points:
-    """The outline of a circle."""
+    """Return the outline of a circle."""
     return np.asarray(centre + _CIRCLE * radius)
 
 
 def capsule(begin: complex, end: complex, begin_radius: float, end_radius: float) -> Points:
-    """The outline of a rod with round ends."""
+    """Return the outline of a rod with round ends."""
     along = end - begin
     cap = _CAP * (along / max(abs(along), 1e-9))
     return np.concatenate((end + cap * end_radius, begin - cap * begin_radius))

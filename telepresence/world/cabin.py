@@ -1,7 +1,7 @@
 """The camera in the station: a cosmonaut at the joystick, talking.
 
-The module is drawn once, in RGB. The hand of the clock, a lamp, a pen that floats, the arm at
-the joystick, the head and the mouth move.
+The module is drawn once, in RGB. The moving parts are drawn again: the clock's hands, a lamp, a
+floating pen, the arm at the joystick, the head and the mouth.
 """
 
 import math
@@ -49,7 +49,7 @@ def _shaded(colour: Yuv, gain: float) -> Yuv:
 
 
 _CIRCLE = np.exp(2j * np.pi * np.arange(24) / 24)
-#: The head's ovals: centre, half width, half height; the face's own place is (0, 0).
+#: The ovals of the head: (x, y, half width, half height) relative to the face.
 _FACE = (
     (0, -16, 61, 66),
     (0, 6, 55, 68),
@@ -63,7 +63,7 @@ _FACE = (
     (-21, -6, 10.5, 6.2),
     (21, -6, 10.5, 6.2),
 )
-#: Their colours, then those of the pupils and of the lids; a number is light and shade alone.
+#: Their colours, then those of the pupils and of the lids. A number changes the luma alone.
 _FACE_COLOURS: tuple[Yuv | int, ...] = (
     *(_HAIR, _shaded(_SKIN, 0.80), _SKIN[0], _shaded(_SKIN, 1.06)[0]),
     *(_HAIR, _shaded(_HAIR, 0.8), _shaded(_HAIR, 0.8)),
@@ -73,13 +73,13 @@ _FACE_COLOURS: tuple[Yuv | int, ...] = (
 )
 _MOUTH_COLOURS = (_LIPS, _DARK)
 
-#: What moves slowly (head, pen, clock) is drawn so often only: its largest step, at 8 px/s, is
-#: less than a pixel. The mouth and the hand move with every picture.
+#: Redraw interval of slow parts (head, pen, clock): at 8 px/s they move less than a pixel in it.
+#: The mouth and the hand are drawn in every picture.
 _SLOW_NS = NS_PER_S // 10
 
 
 class CabinView:
-    """The picture of the cabin at one size. `draw` writes a whole picture."""
+    """The picture of the cabin in one size. `draw` writes a whole picture."""
 
     def __init__(self, width: int, height: int) -> None:
         self._scale = min(width / 640, height / 480)
@@ -94,7 +94,7 @@ class CabinView:
         self._place, self._tilt = _NECK, complex(1)
 
     def draw(self, state: WorldState, into: I420, frame: int) -> None:
-        """Write the picture of `state` into `into`; `frame` is the number burned in."""
+        """Write the picture of `state` into `into`; `frame` is the number in its corner."""
         moment = state.time_ns // _SLOW_NS
         if moment != self._drawn:
             self._draw_slow(moment)
@@ -116,7 +116,7 @@ class CabinView:
         return self._origin + place * self._scale
 
     def _bodies(self, brush: Brush, *bodies: Body) -> None:
-        """Draw rods and balls, given in places of 640x480."""
+        """Draw rods and balls, given in coordinates of a 640x480 picture."""
         s, at = self._scale, self._at
         brush.bodies([(at(a), at(b), r * s, q * s, finish) for a, b, r, q, finish in bodies])
 
@@ -128,7 +128,7 @@ class CabinView:
         hands = (
             _hand(seconds / 43_200, 0.5, 2.6),
             _hand(seconds / 3_600, 0.72, 2.0),
-            # It jumps once a second, which an eye can count in the picture.
+            # The second hand jumps, so that a viewer can count seconds in the picture.
             _hand(seconds % 60 / 60, 0.86, 1.2),
         )
         self._shapes(brush, np.array(hands), (_DARK, _DARK, _HAND))
@@ -143,7 +143,7 @@ class CabinView:
 
     def _head(self, brush: Brush, time_ns: int) -> None:
         t = time_ns / NS_PER_S
-        # The head sways slowly, nods a little while it talks, and looks down at the hand.
+        # The head sways slowly, nods slightly while it talks, and looks down at the hand.
         stress = sum(loudness_at("cabin", time_ns - k * _SLOW_NS) for k in range(5)) / 5
         self._tilt = tilt = complex(math.cos(a := 0.05 * math.sin(t / 1.9)), math.sin(a))
         self._place = place = _NECK + complex(
@@ -167,7 +167,7 @@ class CabinView:
         )
 
     def _on_face(self, ovals: Sequence[tuple[float, float, float, float]]) -> Points:
-        """Outlines of (x, y, half width, half height), which turn with the head."""
+        """Return outlines of (x, y, half width, half height), which turn with the head."""
         across, down, half_width, half_height = np.array(ovals).T[..., None]
         shapes = half_width * _CIRCLE.real + 1j * (half_height * _CIRCLE.imag + down - 86) + across
         return np.asarray(shapes * self._tilt + self._place)
@@ -178,7 +178,7 @@ class CabinView:
         self._shapes(brush, self._on_face(ovals), _MOUTH_COLOURS)
 
     def _arm(self, brush: Brush, state: WorldState) -> None:
-        """The right arm and the joystick, deflected as the stylus is."""
+        """Draw the right arm and the joystick, deflected like the stylus."""
         lean = complex(state.x_m / 0.15, -state.y_m / 0.10)
         knob = _JOYSTICK + complex(0, -56) + complex(lean.real * 26, lean.imag * 12)
         elbow = complex(438, 424) + lean.real * 8
@@ -195,7 +195,7 @@ class CabinView:
 
 
 def _fingers() -> Points:
-    """Three fingers around a knob at 0, each a dark outline and what is lit within it."""
+    """Return three fingers around a knob at 0, each a dark outline with a lit inner part."""
     begins = [complex(2, -9 + 8 * k) for k in range(3)]
     outlines = (
         capsule(begin, begin + (13 + 4j), *radii)
@@ -210,7 +210,7 @@ _FINGER_COLOURS = (_shaded(_SKIN, 0.7), _SKIN[0]) * 3
 
 
 def _hand(turn: float, length: float, thickness: float) -> Points:
-    """The outline of one of the clock's hands."""
+    """Return the outline of one of the clock's hands."""
     direction = complex(math.sin(2 * math.pi * turn), -math.cos(2 * math.pi * turn))
     end, side = _CLOCK + direction * _CLOCK_RADIUS * length, direction * 1j * thickness
     back = _CLOCK - direction * 5
@@ -218,7 +218,7 @@ def _hand(turn: float, length: float, thickness: float) -> Points:
 
 
 def _draw_still(width: int, height: int, scale: float, origin: complex) -> Image:
-    """The module's inside as RGB: drawn at twice the size, then made small."""
+    """Draw the inside of the module as RGB: at twice the size, then scaled down."""
     zoom = 2 * scale
     image = np.zeros((height * 2, width * 2, 3), np.uint8)
     ys, xs = np.mgrid[0 : height * 2, 0 : width * 2].astype(np.float32)
@@ -301,7 +301,7 @@ def _draw_still(width: int, height: int, scale: float, origin: complex) -> Image
 
 
 def _window(image: Image, at: object, size: object) -> None:
-    """A round window: the Earth's edge, thin blue air, black above it."""
+    """Draw a round window: the Earth's edge, a thin blue atmosphere, black space."""
     assert callable(at) and callable(size)
     centre, radius = at(100, 92), size(58)
     view = image.copy()

@@ -1,7 +1,7 @@
 """The four cameras on the ground: left and right above the board, static, and the robot's head.
 
-What stands still is drawn once, in RGB and at twice the size; for each picture only the
-light of an LED, the shadow, the arm and the counter are laid over a copy of it.
+The static parts are drawn once, in RGB and at twice the size. Each picture is a copy of them with
+the light of an LED, the shadow, the arm and the counter drawn over it.
 """
 
 import math
@@ -26,17 +26,17 @@ from telepresence.world.board import (
     homography,
 )
 from telepresence.world.brush import Brush
-from telepresence.world.geometry import Camera, looking_at, looking_down
+from telepresence.world.geometry import PinholeCamera, looking_at, looking_down
 from telepresence.world.lettering import Caption
 from telepresence.world.state import LEDS_M, WorldState
 
-#: Half the distance between the eyes of the stereo pair, and their place above the board.
+#: Half the distance between the two eyes of the stereo pair, and their position over the board.
 EYE_X_M, EYE_Y_M, EYE_Z_M = 0.115, -0.055, 0.56
 
 
 @dataclass(frozen=True)
 class _Mount:
-    """How a camera is mounted. sway: the farthest it turns, in pixels of a 640x480 picture."""
+    """The mount of a camera. sway: its largest turn, in pixels of a 640x480 picture."""
 
     from_above: bool
     sway: int = 0
@@ -50,8 +50,8 @@ MOUNTS = {
 }
 
 
-def camera_of(view: str, width: int, height: int) -> Camera:
-    """Where the camera of that name is, for pictures of that size."""
+def camera_of(view: str, width: int, height: int) -> PinholeCamera:
+    """Return the camera `view` for pictures of this size."""
     scale = min(width / 640, height / 480)
     if view in ("left", "right"):
         side = -EYE_X_M if view == "left" else EYE_X_M
@@ -62,7 +62,7 @@ def camera_of(view: str, width: int, height: int) -> Camera:
 
 
 class GroundView:
-    """One camera's picture at one size. `draw` writes a whole picture."""
+    """One camera's picture in one size. `draw` writes a whole picture."""
 
     def __init__(self, view: str, width: int, height: int) -> None:
         self._mount = MOUNTS[view]
@@ -76,13 +76,13 @@ class GroundView:
         if not self._sway:
             for copy in self._backdrop.copies:
                 self._caption.paint(copy)
-        # Each is made when its LED is first lit.
+        # Each patch is made when its LED is lit for the first time.
         self._lights: dict[int, Patch] = {}
 
     def draw(self, state: WorldState, into: I420, frame: int, *, stylus: bool = True) -> None:
-        """Write the picture of `state` into `into`; `frame` is the number burned in.
+        """Write the picture of `state` into `into`; `frame` is the number in its corner.
 
-        stylus: without it, there is no arm either: only the board.
+        stylus: if False, the arm and its shadow are left out.
         """
         across, down = self._turned(state.time_ns)
         self._backdrop.copy(into, frame, across, down)
@@ -100,11 +100,11 @@ class GroundView:
         self._caption.count(brush.y, frame)
 
     def _turned(self, time_ns: int) -> tuple[int, int]:
-        """How far the head has turned: pixels, each from 0 to twice the sway."""
+        """Return the turn of the head in pixels, each 0 to twice the sway."""
         if not self._sway:
             return 0, 0
         t = time_ns / NS_PER_S
-        # It looks around now and then and holds still in between, as heads do.
+        # It glances around now and then and holds still in between, as heads do.
         glance = math.tanh(6 * math.sin(2 * math.pi * t / 11)) * 0.7
         breath = 0.15 * math.sin(2 * math.pi * t / 3.7)
         across = round(self._sway * (1 + glance + breath))
@@ -114,20 +114,20 @@ class GroundView:
 
 @lru_cache(maxsize=1)
 def _board() -> tuple[Image, NDArray[np.float32]]:
-    """The drawing of the board, and how much of it there is: less and less at its edges."""
+    """Return the drawing of the board, and its opacity, which fades out at the edges."""
     board = draw_board()
     alpha = np.zeros(board.shape[:2], np.float32)
     edge = 90
     alpha[edge:-edge, edge:-edge] = 1.0
     alpha = np.asarray(cv2.blur(alpha, (2 * edge - 1, 2 * edge - 1)), np.float32)
-    # Far away the drawing is made much smaller: soften it first, or its lines would crawl.
+    # Distant parts are scaled down a lot. Blur first, or the lines would show aliasing.
     return np.asarray(cv2.GaussianBlur(board, (0, 0), 0.8), np.uint8), alpha
 
 
 def _draw_still(view: str, width: int, height: int, margin: int) -> Image:
-    """All that never moves, as RGB, with `margin` pixels more on each side."""
+    """Draw everything that never moves, as RGB, with `margin` more pixels on each side."""
     camera = camera_of(view, width, height)
-    # Drawn at twice the size and made small: the cheapest good anti-aliasing.
+    # Drawing at twice the size and scaling down is the cheapest good anti-aliasing.
     twice = np.array(((2.0, 0, 2 * margin + 0.5), (0, 2.0, 2 * margin + 0.5), (0, 0, 1.0)))
     size = (2 * (width + 2 * margin), 2 * (height + 2 * margin))
     if MOUNTS[view].from_above:
@@ -144,17 +144,17 @@ def _draw_still(view: str, width: int, height: int, margin: int) -> Image:
 
 
 def _expose(image: Image, view: str) -> Image:
-    """Darker corners, and for each camera its own exposure: no two lenses are alike."""
+    """Darken the corners, and give each camera its own exposure, as real lenses differ."""
     height, width = image.shape[:2]
     ys, xs = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
     gain = {"right": 1.13}.get(view, 1.15) * (1 - 0.13 * (xs**2 + ys**2))
-    # Half a level of noise before rounding, or the slow gradients would show as rings.
+    # Dither before rounding, or the slow gradients would show bands.
     dither = np.random.default_rng(3).random((height, width, 1), np.float32)
     return np.asarray(np.clip(image * gain[..., None] + dither, 0, 255).astype(np.uint8))
 
 
-def _room(camera: Camera, twice: NDArray[np.float64], size: tuple[int, int]) -> Image:
-    """The laboratory behind the table, the table, and the foot of the robot."""
+def _room(camera: PinholeCamera, twice: NDArray[np.float64], size: tuple[int, int]) -> Image:
+    """Draw the laboratory behind the table, the table, and the foot of the robot."""
     width, height = size
     ramp = np.linspace(58, 96, height, dtype=np.float32)[:, None, None]
     tint = np.array((0.94, 0.98, 1.04), np.float32)
@@ -193,7 +193,7 @@ def _column(
     span: tuple[float, float],
     colour: tuple[int, int, int],
 ) -> None:
-    """An upright cylinder, lit from the left."""
+    """Draw an upright cylinder, lit from the left."""
     (x, y), (low, high) = centre, span
     strips = 24
     for k in range(strips):
@@ -207,15 +207,15 @@ def _column(
     cv2.fillConvexPoly(image, lid, [min(255, int(c * 1.05)) for c in colour], cv2.LINE_AA)
 
 
-def _light(still: Image, camera: Camera, lit: int, margin: int) -> Patch:
-    """One LED alight: a bright core, and its light on the panel around."""
+def _light(still: Image, camera: PinholeCamera, lit: int, margin: int) -> Patch:
+    """Return a lit LED: a bright core, and its light on the panel around it."""
     x, y = LEDS_M[lit]
     point = np.array((x, y, 0.0))
     (centre,) = camera.project(point[None]) + margin
-    # The circle on the board is seen as an ellipse: measured along both axes of the board.
+    # The camera sees the circle as an ellipse, measured along both axes of the board.
     rim = camera.project(point + LED_RADIUS_M * np.array(((1.0, 0, 0), (0, 1.0, 0)))) + margin
     basis = np.linalg.inv(np.column_stack((rim[0] - centre, rim[1] - centre)))
-    # Farther away its light is less than half a level.
+    # Farther away its light is below half a level.
     reach = 14 * max(float(np.hypot(*(end - centre))) for end in rim)
     left, top = (max(0, int(value - reach)) & ~1 for value in centre)
     right, bottom = (int(value + reach) for value in centre)
@@ -237,6 +237,6 @@ def _light(still: Image, camera: Camera, lit: int, margin: int) -> Patch:
 
 
 def targets_px(view: str, width: int, height: int) -> NDArray[np.float64]:
-    """(5, 2) pixels: where the LED targets are in the pictures of a camera that does not turn."""
+    """Return the LED targets in pixels, (5, 2), for a camera that does not turn."""
     points = np.array([(x, y, 0.0) for x, y in LEDS_M])
     return camera_of(view, width, height).project(points)

@@ -1,4 +1,4 @@
-"""The name of the camera and the number of the picture, burned into a corner."""
+"""A caption in the picture's corner: the name of the camera and the number of the picture."""
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ _PAPER, _INK = 30, 225
 
 
 def _stamp(text: str, height: int, width: int) -> NDArray[np.uint8]:
-    """`text` in light on dark, (height, width), centred: drawn large, then made small."""
+    """Return `text` in light on dark, (height, width), centred: drawn large, then scaled down."""
     large = np.full((height * 4, width * 4), _PAPER, np.uint8)
     scale, thickness = height * 4 / 31, max(1, round(height * 4 / 11))
     (across, up), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, thickness)
@@ -21,16 +21,16 @@ def _stamp(text: str, height: int, width: int) -> NDArray[np.uint8]:
 
 
 class Caption:
-    """A strip in the lower left corner: the name stands, the counter runs.
+    """A strip in the lower left corner with a fixed name and a running counter.
 
-    The digits are ready-made pictures that are copied, so a counter costs next to nothing.
+    The digits are drawn once and then copied, so the counter costs almost nothing.
     """
 
     def __init__(self, name: str, width: int, height: int) -> None:
         self._row = max(8, round(height / 26.7) & ~1)
         digit = max(5, round(self._row * 0.62))
         self._digit = digit
-        #: (row, 10, digit): a number is then one gathering and one copy.
+        #: (row, 10, digit): a number then takes one gather and one copy.
         self._digits = np.stack([_stamp(str(k), self._row, digit) for k in range(10)], axis=1)
         label = round(self._row * 0.62 * (len(name) + 1)) & ~1
         self._name = _stamp(name.upper(), self._row, label)
@@ -38,11 +38,11 @@ class Caption:
         self._left = 4
         self._counter_left = self._left + label
         self._strip = (label + digit * DIGITS + 5) & ~1
-        # A thumbnail has no room for it, and nobody could read it there.
+        # Left out of thumbnails, where it would be illegible.
         self._fits = self._left + self._strip <= width
 
     def paint(self, picture: I420) -> None:
-        """The strip with the name, without the number: once, into a background."""
+        """Draw the strip with the name but without the number, once, into a background."""
         if not self._fits:
             return
         luma, u, v = planes(picture)
@@ -53,7 +53,7 @@ class Caption:
             chroma[self._top // 2 : bottom // 2, self._left // 2 : right // 2] = 128
 
     def count(self, luma: NDArray[np.uint8], number: int) -> None:
-        """The number of the picture, modulo a million, into the luma plane."""
+        """Draw the number of the picture, modulo a million, into the luma plane."""
         if not self._fits:
             return
         number %= 10**DIGITS

@@ -1,4 +1,4 @@
-"""The names behind `scene:NAME`, and how a process gets a source for one of them."""
+"""The scenes behind `scene:NAME`, and the factories of their sources."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -18,8 +18,8 @@ from telepresence.world.ground_views import GroundView
 from telepresence.world.sound import Room
 from telepresence.world.state import StateAt, WorldState, scripted_state
 
-#: Each camera, and where in a period it captures. The stereo pair captures together; the
-#: others don't all want the processor at the same instant.
+#: Each camera, and its capture phase within a period. The stereo pair captures together; the
+#: others are staggered, so that they do not need the processor at the same instant.
 VIEWS: dict[str, float] = {
     "left": 0.0,
     "right": 0.0,
@@ -28,7 +28,7 @@ VIEWS: dict[str, float] = {
     "cabin": 0.5,
 }
 
-#: What each input of a setup shows or hears when the user names nothing else.
+#: The scene of each input of a setup, unless the user names another source.
 DEFAULT_SCENES: dict[str, str] = {
     "left": "scene:left",
     "right": "scene:right",
@@ -39,7 +39,7 @@ DEFAULT_SCENES: dict[str, str] = {
     "iss_mic": "scene:cabin_voice",
 }
 
-#: Where the stylus's contact with a target is to be seen or heard.
+#: The scenes in which a contact of the stylus with a target can be seen or heard.
 CONTACT_SCENES = frozenset(
     {"scene:left", "scene:right", "scene:static", "scene:head", "scene:ground_voice"}
 )
@@ -54,19 +54,19 @@ def _view(view: str, width: int, height: int) -> GroundView | CabinView:
 
 
 def render(view: str, state: WorldState, into: I420, frame: int = 0) -> None:
-    """Write what the camera `view` sees of `state` into `into`, whole.
+    """Write what the camera `view` sees of `state` into `into`.
 
-    into: shape (height * 3 // 2, width), uint8, C-contiguous. frame: the number burned into
-    the corner. The same arguments give the same picture. The first call for a view and size
-    draws its background (half a second). Raises ConfigError for an unknown view.
+    into: shape (height * 3 // 2, width), uint8, C-contiguous. frame: the number in the corner.
+    Equal arguments give equal pictures. The first call for a view and a size draws its background
+    (half a second). Raises ConfigError for an unknown view.
     """
     _view(view, into.shape[1], into.shape[0] * 2 // 3).draw(state, into, frame)
 
 
 def video_scenes(state_at: StateAt = scripted_state) -> dict[str, VideoSceneFactory]:
-    """The factories for `open_video(..., scenes=...)`.
+    """Return the factories for `open_video(..., scenes=...)`.
 
-    state_at: now_ns -> WorldState, asked once a picture; the robot's newest state goes in here.
+    state_at: now_ns -> WorldState, called once a picture; it returns the robot's newest state.
     """
 
     def factory(view: str, phase: float) -> VideoSceneFactory:
@@ -84,7 +84,7 @@ def video_scenes(state_at: StateAt = scripted_state) -> dict[str, VideoSceneFact
 
 
 def audio_scenes(state_at: StateAt = scripted_state) -> dict[str, AudioSceneFactory]:
-    """The factories for `open_audio(..., scenes=...)`; `state_at` makes the click on the ground."""
+    """Return the factories for `open_audio(..., scenes=...)`; `state_at` triggers the clicks."""
 
     def factory(make_room: Callable[[], Room]) -> AudioSceneFactory:
         def make(name: str, clock: Clock) -> AudioSource:

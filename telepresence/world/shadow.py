@@ -1,16 +1,16 @@
-"""The shadow of the robot's tool on the board, drawn once for each place and then kept."""
+"""The shadow of the robot's tool on the board, drawn once for each position and cached."""
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from telepresence.world.brush import capsule, fill_mask
-from telepresence.world.geometry import Camera
+from telepresence.world.geometry import PinholeCamera
 
-#: How far a shadow falls for each metre of height: the lamp hangs on the upper left.
+#: Displacement of a shadow for each metre of height: the lamp hangs on the upper left.
 SHADOW_X, SHADOW_Y = 0.34, -0.30
 SHADOW_LUMA = 26
-#: The tool is seen from places this far apart as one shape: the error is half a pixel.
+#: Within a cell of this size all positions share one shape; the error is half a pixel.
 _CELL_M = 0.01
 _MOST_KEPT = 1024
 
@@ -18,13 +18,16 @@ _Sprite = tuple[NDArray[np.uint8], int, int]
 
 
 class Shadow:
-    """Darkens the board where the tool keeps the light off; the arm is too high to cast one.
+    """Darkens the board in the tool's shadow; the arm is too high to cast a visible one.
 
     parts: (x, y, z, radius) of the tool from its tip upwards, in metres relative to the tip.
     """
 
     def __init__(
-        self, camera: Camera, parts: tuple[tuple[float, float, float, float], ...], size: float
+        self,
+        camera: PinholeCamera,
+        parts: tuple[tuple[float, float, float, float], ...],
+        size: float,
     ) -> None:
         self._camera = camera
         self._parts = parts
@@ -32,7 +35,7 @@ class Shadow:
         self._sprites: dict[tuple[int, int], _Sprite | None] = {}
 
     def draw(self, luma: NDArray[np.uint8], x_m: float, y_m: float, tip: complex) -> None:
-        """Into the luma plane. x_m, y_m: the tool's tip on the board; tip: its pixel."""
+        """Darken the luma plane. x_m, y_m: the tool's tip on the board; tip: its pixel."""
         cell = round(x_m / _CELL_M), round(y_m / _CELL_M)
         try:
             sprite = self._sprites[cell]
@@ -52,7 +55,7 @@ class Shadow:
             cv2.subtract(lit, shape[y - top : bottom - top, x - left : right - left], dst=lit)
 
     def _make(self, x_m: float, y_m: float) -> _Sprite | None:
-        """How much darker, and where its corner is from the tip; None: nothing to be seen."""
+        """Return the shadow and its corner relative to the tip, or None if it is too large."""
         seen = [
             self._camera.see((x_m + x + SHADOW_X * z, y_m + y + SHADOW_Y * z, 0.0))
             for x, y, z, _ in self._parts
@@ -68,7 +71,7 @@ class Shadow:
                                               every.imag.max() - corner.imag + 9))  # fmt: skip
         if max(columns, rows) > self._largest:
             return None
-        # Soft as it is, half the size is enough.
+        # Half the resolution is enough for a blurred shape.
         mask = np.zeros((rows // 2 + 1, columns // 2 + 1), np.uint8)
         for outline in outlines:
             fill_mask(mask, (outline - corner) * 0.5, SHADOW_LUMA)

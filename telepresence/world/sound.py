@@ -10,7 +10,7 @@ from kontur_av.media import AUDIO_CLOCK_HZ, Pcm
 from telepresence.world.speech import Speaker, position_at, speech
 from telepresence.world.state import StateAt
 
-#: The room's level (RMS of int16) and the click's peak.
+#: RMS levels of the room and the fan, and the peak of the click, all in counts of int16.
 ROOM_LEVEL = 22.0
 FAN_LEVEL = 120.0
 CLICK_PEAK = 16000.0
@@ -22,10 +22,10 @@ _Number = TypeVar("_Number", np.int16, np.float64)
 
 
 class Room:
-    """Sound of one place, block by block: a function of time and of the state of the world.
+    """The sound of one place, block by block; it depends only on time and on the world's state.
 
-    speaker: whose voice. fan: ventilation, as in the station. state_at: given where the click
-    of the stylus is to be heard, else None.
+    speaker: whose voice. fan: add ventilation, as in the station.
+    state_at: where the stylus's clicks come from; None for a place without clicks.
     """
 
     def __init__(self, speaker: Speaker, *, fan: bool, state_at: StateAt | None, seed: int) -> None:
@@ -35,12 +35,12 @@ class Room:
         self._click = _click(seed)
         self._touched_ns: int | None = None
         self._begun = False
-        #: Clicks whose begin was in a block that had been made already.
+        #: Clicks whose begin lay in a block that had been produced already.
         self.late_clicks = 0
         self._tail: NDArray[np.float64] = np.zeros(0)
 
     def fill(self, samples: Pcm, sequence: int, capture_ns: int) -> None:
-        """Write the block whose first sample is captured at `capture_ns` into `samples`."""
+        """Fill `samples` (int16) with the block whose first sample is captured at `capture_ns`."""
         count = len(samples)
         voice = speech(self._speaker)
         mixed = _looped(voice, position_at(self._speaker, capture_ns), count).astype(np.float64)
@@ -56,15 +56,15 @@ class Room:
         sounding = np.zeros(max(count + len(self._click), len(self._tail)))
         sounding[: len(self._tail)] = self._tail
         touched_ns = state.contact_since_ns if state.touched_ns is None else state.touched_ns
-        # The first sample that is not before the contact.
+        # The first sample at or after the contact.
         late_ns = 0 if touched_ns is None else capture_ns - touched_ns
         begin = -(late_ns * AUDIO_CLOCK_HZ // NS_PER_S)
-        # What begins after this block is the next one's.
+        # A click that begins after this block belongs to the next one.
         if touched_ns is not None and touched_ns != self._touched_ns and begin < count:
             if begin >= 0:
                 sounding[begin : begin + len(self._click)] += self._click
             elif self._begun:
-                # Told too late to sound from its begin; what is left of it sounds when it should.
+                # The contact was reported late: play the rest of the click at its right time.
                 self.late_clicks += 1
                 rest = self._click[-begin:]
                 sounding[: len(rest)] += rest
@@ -82,7 +82,7 @@ def _looped(sound: NDArray[_Number], at: int, count: int) -> NDArray[_Number]:
 
 
 def _click(seed: int) -> NDArray[np.float64]:
-    """Steel on steel: two damped tones and a touch of noise."""
+    """Return steel on steel: two damped tones and some noise."""
     t = np.arange(int(CLICK_S * AUDIO_CLOCK_HZ)) / AUDIO_CLOCK_HZ
     noise = np.random.default_rng(seed).normal(0, 0.25, len(t))
     ring = np.sin(2 * np.pi * 2100 * t) + 0.6 * np.sin(2 * np.pi * 3370 * t)
@@ -95,7 +95,7 @@ def _hiss(seed: int) -> NDArray[np.float64]:
 
 
 def _ventilation(seed: int) -> NDArray[np.float64]:
-    """Broad noise, louder towards the low end, and the fans' hum; its ends meet."""
+    """Return noise with more low frequencies, and the fans' hum; it loops without a step."""
     spectrum = np.fft.rfft(np.random.default_rng(seed).normal(0, 1, _NOISE_SAMPLES))
     hertz = np.fft.rfftfreq(_NOISE_SAMPLES, 1 / AUDIO_CLOCK_HZ)
     noise = np.fft.irfft(spectrum / (1 + (hertz / 260) ** 2) ** 0.5, _NOISE_SAMPLES)

@@ -1,7 +1,7 @@
-"""The task board and what happens on it. All lengths in metres, board coordinates.
+"""The state of the task board. All lengths in metres, in the board's coordinates.
 
-The board lies in the plane z = 0; the origin is its centre, x to the right, y up (away from
-whoever stands before it), z towards the viewer.
+The board lies in the plane z = 0. The origin is its centre, x points to the right, y up (away from
+the viewer in front of it), z towards the viewer.
 """
 
 import math
@@ -19,12 +19,15 @@ BOARD_HEIGHT_M = 0.20
 
 @dataclass(frozen=True, slots=True)
 class WorldState:
-    """What the cameras see and the microphone hears at one instant.
+    """What the cameras see and the microphones hear at one instant.
 
-    time_ns: the instant. x_m, y_m: the tip of the stylus. force_n: reaction of the wall, >= 0.
-    contact: the tip pushes against the wall. contact_since_ns: since when, where that is known.
-    touched_ns: when the newest contact began, also if it is over by now: the click in the
-    microphone begins at that very sample.
+    time_ns: the instant.
+    x_m, y_m: tip of the stylus.
+    force_n: reaction of the wall, >= 0.
+    contact: the tip pushes against the wall.
+    contact_since_ns: when the contact began, if known.
+    touched_ns: when the newest contact began, even if it has ended. The microphone's click begins
+    at that sample.
     """
 
     time_ns: int
@@ -36,10 +39,10 @@ class WorldState:
     touched_ns: int | None = None
 
     def at(self, instant_ns: int) -> "WorldState":
-        """What of this was so at `instant_ns` already: a contact that began later was none then.
+        """Return the state without a contact that began after `instant_ns`.
 
-        A camera that asks a moment after its instant of capture would else see a light that was
-        not there yet.
+        A camera asks shortly after its capture instant. It must not show an LED that was lit only
+        in between.
         """
         since_ns = self.contact_since_ns
         if not self.contact or since_ns is None or since_ns <= instant_ns:
@@ -48,7 +51,7 @@ class WorldState:
 
     @property
     def lit(self) -> int | None:
-        """Index into LEDS_M of the target that is lit: touched, in contact. None: all dark."""
+        """Index into LEDS_M of the lit target: touched, in contact. None: all are dark."""
         if not self.contact:
             return None
         distances = [math.hypot(self.x_m - x, self.y_m - y) for x, y in LEDS_M]
@@ -56,7 +59,7 @@ class WorldState:
         return nearest if distances[nearest] <= LED_REACH_M else None
 
 
-#: now_ns -> the state of that instant. The robot's process writes it, the cameras ask for it.
+#: now_ns -> the state at that instant. The robot's process writes it, the cameras read it.
 StateAt = Callable[[int], WorldState]
 
 _TOUR_NS = 12 * NS_PER_S
@@ -66,10 +69,10 @@ _DEEPEST_M = 0.004
 
 
 def scripted_state(now_ns: int) -> WorldState:
-    """What the stylus does when no robot moves it: it follows the contour and taps each target.
+    """Return the stylus's state when no robot moves it.
 
-    A tour of 12 s: three taps, 4 s apart, one on each target of the wall; in between it goes
-    along a Lissajous figure on the left of the wall.
+    It follows a tour of 12 s with three taps, 4 s apart, one on each target of the wall. In between
+    it moves along a Lissajous figure to the left of the wall.
     """
     tour, in_tour_ns = divmod(now_ns, _TOUR_NS)
     leg, in_leg_ns = divmod(in_tour_ns, _TOUR_NS // 3)
@@ -82,7 +85,7 @@ def scripted_state(now_ns: int) -> WorldState:
         since_ns = tour * _TOUR_NS + leg * (_TOUR_NS // 3) + int(press_begin_s * NS_PER_S)
         force_n = _STIFFNESS_N_PER_M * depth
         return WorldState(now_ns, WALL_X_M, target_y, force_n, True, since_ns, since_ns)
-    # Free motion: from the target that was touched to the next one, by way of a loop.
+    # Free motion: a loop from the last target to the next one.
     free_s = leg_s - _PRESS_S
     after = t >= press_begin_s + _PRESS_S
     s = (t - press_begin_s - _PRESS_S if after else t + free_s / 2) / free_s
