@@ -1,7 +1,7 @@
-"""Instants out of content: when a light came on in pictures, when a click began in sound.
+"""Detectors: when a light came on in pictures, and when a click began in sound.
 
-Detectors are told nothing about what they are to find, nor where or when: they are fed with what
-was really shown and heard, and the instants at which that was so.
+Detectors do not know what to expect, nor where or when. Their input is what was really shown or
+played, and the instants of that.
 """
 
 from kontur_av.detect.click import Click, ClickDetector

@@ -1,11 +1,12 @@
-"""Finds clicks in sound: the instant at which a sharp noise begins, to a fraction of a millisecond.
+"""Detects clicks: the onset of a sharp sound, to a fraction of a millisecond.
 
-A click rises within a millisecond out of what was there before, and is over soon. What a voice does
-between 1.7 and 3.9 kHz rises more slowly, or does not end: its fricatives and vowels are told
-apart by that. A plosive may still be taken for a click, so each has a strength. The band is the
-one that is left of a click by voice at 8 kbit/s, where the codec's whole band ends at 4 kHz.
-The instant is the one with the largest contrast between the 2 ms after it and the 10 ms before: a
-codec spreads a weak click's noise up to 6 ms before its begin (pre-echo), but weaker than it.
+A click rises within a millisecond above the background and ends soon. Voice between 1.7 and 3.9 kHz
+rises more slowly (vowels) or does not end (fricatives). A plosive may still pass for a click, so
+each click has a strength. The band is what voice coding at 8 kbit/s leaves of a click; the codec's
+band ends at 4 kHz there.
+
+The onset is the point with the largest contrast between the 2 ms after it and the 10 ms before. A
+codec spreads a weak click's noise up to 6 ms before its onset (pre-echo), but at a lower level.
 """
 
 from collections import deque
@@ -17,34 +18,34 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AUDIO_CLOCK_HZ, Pcm
 
-#: The band of a click, and the filter's length: linear phase, so it delays all by half of it.
+#: The band of a click, and the filter's length. The filter is linear-phase; its delay is half that.
 _BAND_HZ = (1700.0, 3900.0)
 _TAPS = 97
-#: The envelope is worked out at every fourth sample, 12 kHz, and judged in frames of three of these
-#: points, 0.25 ms.
+#: The envelope is computed at every fourth sample (12 kHz) and judged in frames of three of these
+#: points (0.25 ms).
 _STEP = 4
 _POINTS = 3
 _FRAME = _STEP * _POINTS
 
-#: In frames: what came before a click, without the pre-echo; in which time it has its peak; and
-#: when it has to be over.
+#: In frames: the background before a click, without the pre-echo; the time within which a click
+#: peaks; and the time within which it must have ended.
 _BEFORE = (160, 24)
 _RISE = 12
 _OVER = (72, 112)
 _OVER_MIDDLE = (_OVER[1] - _OVER[0]) // 2
-#: Its peak's least ratio to all that came before, and to what is left when it is over.
+#: Least ratio of the peak to the background, and largest ratio of what remains after the end.
 _LEAST_RATIO = 2.0
 _MOST_LEFT = 0.4
-#: Of a frame at a click's begin: its least ratio to all that came before, and to the peak.
+#: For the frame at the onset: least ratio to the background, and to the peak.
 _LEAST_STEP = 1.3
 _LEAST_BEGIN = 0.4
-#: Mean amplitude in the band, in counts of int16: weaker is not looked at (-41 dB of full scale).
+#: Mean amplitude in the band, in counts of int16. Weaker peaks are ignored (-41 dB full scale).
 _LEAST_PEAK = 300.0
-#: After one click none for so long: what follows is its echo.
+#: Frames after a click in which no other one counts, because they hold its echo.
 _REST = 48
 
-#: In points: the begin is looked for from so much before the first loud frame to so much after it,
-#: by what is in so many before and after. Of the peak so much is taken to be there before.
+#: In points: range around the first loud frame in which the onset is searched, and lengths of the
+#: parts before and after that are compared. `_FLOOR` is a background level as a share of the peak.
 _LOOK = (-6, 84)
 _CONTRAST = (120, 24)
 _FLOOR = 0.05
@@ -54,9 +55,11 @@ _FLOOR = 0.05
 class Click:
     """A click began.
 
-    instant_ns: when it was heard. tag: that of its block, and offset_ns: how far into that block
-    it began; below 0 if a block that was told of later shows it. strength: its peak's envelope in
-    the band, in counts of int16. length_ns: how long its block is heard.
+    instant_ns: when its onset was heard.
+    tag: tag of its block.
+    offset_ns: position of the onset in that block; negative if only a later block reveals it.
+    strength: peak of the envelope in the band, in counts of int16.
+    length_ns: duration of its block.
     """
 
     instant_ns: int
@@ -67,21 +70,21 @@ class Click:
 
 
 class ClickDetector:
-    """Takes blocks of sound of any length, mono, 48 kHz; drain `next_event` after each.
+    """Takes mono blocks of any length at 48 kHz; drain `next_event` after each.
 
-    A click is known 30 ms after its begin: it has to be over.
+    A click is reported about 30 ms after its onset, because it must have ended.
     """
 
     def __init__(self) -> None:
         self._kernel = _band_pass()
-        #: What the filter has not passed yet.
+        #: Samples that the filter still needs.
         self._raw: NDArray[np.float32] = np.zeros(_TAPS - 1, np.float32)
-        #: The envelope of what is still of interest: by point, from `_begin` on, and by frame.
+        #: The envelope that is still needed: by point, from `_begin` on, and by frame.
         self._points: NDArray[np.float32] = np.zeros(0, np.float32)
         self._frames: NDArray[np.float32] = np.zeros(0, np.float32)
         #: Blocks: (index of their first sample, instant, tag, samples).
         self._blocks: deque[tuple[int, int, int, int]] = deque()
-        #: In samples, frames, samples.
+        #: `_end` in samples, `_begin` in frames.
         self._end = 0
         self._begin = 0
         self._next_frame = _BEFORE[0]
@@ -89,7 +92,7 @@ class ClickDetector:
         self._events: deque[Click] = deque()
 
     def handle_block(self, samples: Pcm, now_ns: int, tag: int) -> None:
-        """A block whose first sample is heard at `now_ns`. tag: anything that names it."""
+        """Take a block (int16) whose first sample is heard at `now_ns`; tag: identifies it."""
         count = len(samples)
         if not count:
             return
@@ -111,18 +114,18 @@ class ClickDetector:
         self._forget()
 
     def next_event(self) -> Click | None:
-        """The next click, oldest first; None when there is none."""
+        """The oldest click that was not fetched yet, or None."""
         return self._events.popleft() if self._events else None
 
     def _envelope(self, raw: NDArray[np.float32], points: int) -> NDArray[np.float32]:
-        # Rows that overlap, one a point; copied, because BLAS takes no such rows.
+        # Overlapping rows, one a point. They are copied because BLAS cannot use overlapping rows.
         strides = _STEP * raw.itemsize, raw.itemsize
         rows = np.ndarray((points, _TAPS), np.float32, buffer=raw, strides=strides)
         parts = np.ascontiguousarray(rows) @ self._kernel
         return np.asarray(np.abs(parts.view(np.complex64)[:, 0]), np.float32)
 
     def _look(self) -> None:
-        """Judge every frame of which enough is known."""
+        """Judge every frame for which enough later frames are known."""
         before, gap = _BEFORE
         low, high = self._next_frame - self._begin, len(self._frames) - _OVER[1]
         if high <= low:
@@ -130,7 +133,7 @@ class ClickDetector:
         self._next_frame = self._begin + high
         frames = self._frames
         here = frames[low:high]
-        # Most blocks hold no rise: what came before all their frames is louder.
+        # A shortcut: most blocks hold no rise above the background common to all their frames.
         loudest = float(frames[low : high + _RISE - 1].max())
         shared = frames[high - 1 - before : low - gap]
         if loudest <= _LEAST_PEAK or (len(shared) and loudest < _LEAST_RATIO * float(shared.max())):
@@ -150,7 +153,7 @@ class ClickDetector:
                 self._rest_until = self._begin + at + _REST
 
     def _add(self, at: int, peak: float) -> None:
-        """A click with that peak has its first loud frame at index `at`."""
+        """Add a click with this peak whose first loud frame has the index `at`."""
         before, after = _CONTRAST
         first = at * _POINTS + _LOOK[0]
         last = at * _POINTS + _LOOK[1]
@@ -158,7 +161,7 @@ class ClickDetector:
         later = (sums[before + after :] - sums[before:-after]) / after
         sooner = (sums[before:-after] - sums[: -before - after]) / before
         begin = first + 1 + int(np.argmax(later / (sooner + _FLOOR * peak)))
-        # A point's filter ends at its sample: its middle lies half of the filter before.
+        # A point's filter ends at its sample, so its middle lies half the filter earlier.
         sample = self._begin * _FRAME + begin * _STEP - (_TAPS - 1) // 2
         self._events.append(self._click(sample, peak))
 
@@ -171,7 +174,7 @@ class ClickDetector:
         return Click(now_ns + offset_ns, tag, offset_ns, peak, _ns(count))
 
     def _forget(self) -> None:
-        """Drop what no click that is still to be judged can need."""
+        """Drop data that no pending decision needs."""
         drop = self._next_frame - _BEFORE[0] - self._begin
         if drop > 0:
             self._points = self._points[drop * _POINTS :]
@@ -182,7 +185,7 @@ class ClickDetector:
             self._blocks.popleft()
 
 
-#: How long after its begin a click is told, at most, beside the length of a block.
+#: Longest time from the onset to the report of a click, without the length of a block.
 TOLD_AFTER_NS = _OVER[1] * _FRAME * NS_PER_S // AUDIO_CLOCK_HZ + 2 * NS_PER_MS
 
 
@@ -191,7 +194,7 @@ def _ns(samples: int) -> int:
 
 
 def _running_max(values: NDArray[np.float32], width: int) -> NDArray[np.float32]:
-    """The largest of each `width` values in a row, in steps that double what they span."""
+    """Return the maxima of all windows of `width` values, by doubling the spans."""
     span = 1
     while span < width:
         further = min(span, width - span)
@@ -201,8 +204,11 @@ def _running_max(values: NDArray[np.float32], width: int) -> NDArray[np.float32]
 
 
 def _band_pass() -> NDArray[np.float32]:
-    """Windowed sinc, Hamming: 40 dB below the band from 1 kHz down. Shape (taps, 2): both parts of
-    the complex one, whose magnitude is the envelope; of a tone, its mean amplitude."""
+    """Return the complex band-pass as (taps, 2) float32: real and imaginary parts.
+
+    A Hamming-windowed sinc with 40 dB attenuation from 1 kHz down. The magnitude of its output is
+    the envelope, scaled so that a tone gives its mean amplitude.
+    """
     k = np.arange(_TAPS) - (_TAPS - 1) / 2
     low, high = (hertz / AUDIO_CLOCK_HZ for hertz in _BAND_HZ)
     around_zero = (high - low) * np.sinc((high - low) * k) * np.hamming(_TAPS)

@@ -1,10 +1,11 @@
-"""Finds the moment in which a light comes on in pictures, without knowing where it is.
+"""Detects the picture in which a light comes on, without knowing its position.
 
-Of each picture only the mean of some hundred cells is kept: luma and how far the colour is from
-grey. A light adds to both, in a compact patch, from one picture to the next, and stays. What moves
-changes as much, but it leaves a place when it takes another, and its edges brighten on one side
-and darken on the other: what got darker close by is taken off. A cut to another camera changes
-everything, and no light does that.
+Each picture is reduced to the means of some thousand cells: luma plus the colour's distance from
+grey. A light raises both, in a compact patch, from one picture to the next, and stays on.
+
+Moving objects change as much. But they leave one place when they enter another, and their edges
+brighten on one side and darken on the other. So the darkening close by is subtracted. A cut to
+another camera changes everything, which no light does.
 """
 
 from collections import deque
@@ -18,22 +19,22 @@ from kontur_av.media import I420, planes
 
 #: Cells across a picture.
 COLUMNS = 80
-#: A cell belongs to the patch if it rose by so much; one of them has to rise by more. Levels.
+#: Least rise of a cell that belongs to a patch, and of the patch's strongest cell (levels).
 _RISE = 16
 _PEAK_RISE = 30
-#: What is left of a patch when what got darker close by is taken off: in levels times cells, and as
-#: a share. So many cells around the patch are close by.
+#: Least strength of a patch after subtracting the darkening close by, in levels times cells, and
+#: as a share of its rise. `_CLOSE`: how many cells around the patch count as close by.
 _LEAST_STRENGTH = 80
 _LEAST_SHARE = 0.4
 _CLOSE = 5
-#: So much more than the light itself may go on changing close by from the first picture with it to
-#: the second: a small light beside something that moves.
+#: Change close by from the first picture with the light to the second, beyond the strength of the
+#: light, that is tolerated: a small light may lie beside a moving object.
 _MOST_GOING_ON = 600
-#: Of the whole picture a patch has at most this share, and all that changes at most that: a light
-#: may fill the region that is looked at.
+#: Largest share of the whole picture for a patch, and for all changes together. A light may fill
+#: the region of interest.
 _LARGEST_PATCH = 0.08
 _LARGEST_CHANGE = 0.30
-#: So many patches of a picture are looked at, the largest first.
+#: Number of patches examined in each picture, the largest first.
 _PATCHES = 5
 
 Cells = NDArray[np.int16]
@@ -41,7 +42,7 @@ Cells = NDArray[np.int16]
 
 @dataclass(frozen=True, slots=True)
 class Roi:
-    """Where to look: pixels from the left and the top edge; all numbers are made even."""
+    """A region of interest: pixels from the left and the top edge; all numbers are made even."""
 
     left: int
     top: int
@@ -53,9 +54,10 @@ class Roi:
 class Light:
     """A light came on.
 
-    instant_ns, tag: of the first picture that shows it; previous_tag: of the one before, which does
-    not. x, y: the middle of it, as shares of the picture's width and height. strength: how
-    much it adds, in levels times cells, less if the place goes on changing.
+    instant_ns, tag: of the first picture that shows it.
+    previous_tag: of the picture before, which does not.
+    x, y: centre of the light, as shares of the picture's width and height.
+    strength: its rise in levels times cells, reduced if the place goes on changing.
     """
 
     instant_ns: int
@@ -67,38 +69,40 @@ class Light:
 
 
 @dataclass(slots=True)
-class _Seen:
+class _Picture:
     instant_ns: int
     tag: int
     cells: Cells
 
 
 class LightDetector:
-    """Takes every picture that is shown, once; drain `next_event` after each.
+    """Takes every displayed picture once; drain `next_event` after each.
 
-    A light is told with the second picture that shows it. Pictures may come at any rate and pause
-    for as long as they like: only their order counts. roi: look only there.
+    A light is reported with the second picture that shows it. Only the order of the pictures
+    matters; their rate may vary.
+
+    roi: restricts the search to this region.
     """
 
     def __init__(self, *, roi: Roi | None = None, columns: int = COLUMNS) -> None:
         self._roi = roi
         self._columns = columns
-        #: How many times the region goes into the whole picture.
+        #: Area of the whole picture over that of the region.
         self._whole = 1.0
-        self._seen: deque[_Seen] = deque(maxlen=4)
+        self._seen: deque[_Picture] = deque(maxlen=4)
         self._events: deque[Light] = deque()
 
     def handle_picture(self, picture: I420, now_ns: int, tag: int) -> None:
-        """A picture, shape (height * 3 // 2, width), is shown at `now_ns`. tag: names it."""
+        """Take a picture, shape (height * 3 // 2, width), shown at `now_ns`; tag: identifies it."""
         cells = self._cells(picture)
         if self._seen and self._seen[-1].cells.shape != cells.shape:
             self._seen.clear()
-        self._seen.append(_Seen(now_ns, tag, cells))
+        self._seen.append(_Picture(now_ns, tag, cells))
         if len(self._seen) == 4:
             self._look()
 
     def next_event(self) -> Light | None:
-        """The next light, oldest first; None when there is none."""
+        """The oldest light that was not fetched yet, or None."""
         return self._events.popleft() if self._events else None
 
     def _cells(self, picture: I420) -> Cells:
@@ -118,7 +122,7 @@ class LightDetector:
         columns = min(self._columns, width // 4)
         size = columns, max(4, round(columns * height / width))
         luma, u, v = (_means(plane, *size) for plane in every)
-        # In one octet each: the sum is of a light's order only where there is one.
+        # The uint8 sum saturates only for strong colours, which is good enough to find a light.
         grey = np.full_like(u, 128)
         colour = cv2.add(cv2.absdiff(u, grey), cv2.absdiff(v, grey))
         return np.asarray(cv2.add(luma, colour, dtype=cv2.CV_16S), np.int16)
@@ -151,7 +155,7 @@ class LightDetector:
             strength = gain - float(fall[rows, columns].sum())
             if strength < max(_LEAST_STRENGTH, _LEAST_SHARE * gain):
                 continue
-            # A light stays as it is; what moves goes on moving.
+            # A light stays as it is; a moving object goes on moving.
             going_on = float(np.abs(fourth[rows, columns] - third[rows, columns]).sum())
             if going_on > strength + _MOST_GOING_ON:
                 continue
@@ -169,7 +173,7 @@ class LightDetector:
 
 
 def _means(plane: I420, columns: int, rows: int) -> I420:
-    """The mean of each cell. By halves as far as they go: a sixth of the time of one step."""
+    """Return the mean of each cell. Halving first takes a sixth of the time of one resize."""
     while True:
         height, width = plane.shape
         if width < 2 * columns or height < 2 * rows or (width | height) & 1:

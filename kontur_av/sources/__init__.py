@@ -1,4 +1,4 @@
-"""Where pictures and sound come from: files, live pipes, cameras, microphones, scenes."""
+"""Sources of pictures and sound: files, live pipes, cameras, microphones, scenes."""
 
 from kontur_av.sources.scene import SceneAudio, SceneVideo
 from kontur_av.sources.source import (

@@ -14,14 +14,14 @@ from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources.fit import Fitter
 from kontur_av.sources.source import RETRY_NS
 
-#: A driver that has not opened after this never will.
+#: A driver that has not opened the camera after this time is considered hung.
 _OPEN_TIMEOUT_S = 5.0
 
 
 def check_camera(device: str) -> None:
-    """Raise ConfigError, one line that names the mend, where `device` is no usable camera.
+    """Raise ConfigError, with the mend, if `device` is no usable camera.
 
-    Opens it for a moment, as it will be opened later.
+    The check opens the device briefly, in the same way as `CameraVideo`.
     """
     _check_node(device)
     outcome: list[Exception | None] = []
@@ -67,11 +67,13 @@ def _check_node(device: str) -> None:
 class CameraVideo:
     """Pictures of a camera (a `VideoSource`): the newest one, stamped by the driver.
 
-    The driver is asked for the wanted size and rate; what it gives instead is scaled. A driver
-    can hang for ever in a read, so a thread does the reading and `read` waits for it. A camera
-    that goes away is asked for again twice a second.
+    The driver is asked for the wanted size and rate; other sizes are scaled. A driver can hang in a
+    read for ever, so a thread reads and `read` waits for it. A camera that disappears is opened
+    again, twice a second.
 
-    demuxer: FFmpeg's name of the device library; tests put another one in.
+    demuxer: FFmpeg's name of the device library; tests use another one.
+
+    Raises ConfigError if the camera cannot be opened.
     """
 
     def __init__(
@@ -129,14 +131,14 @@ class CameraVideo:
 
     def close(self) -> None:
         self._closed = True
-        # A hung driver must not hang the end of the session: the thread is a daemon.
+        # The thread is a daemon, so a hung driver cannot block the end of the session.
         self._thread.join(timeout=1.0)
 
     def _open(self) -> av.container.InputContainer:
         try:
             return av.open(self._device, format=self._demuxer, options=self._options)
         except (av.FFmpegError, ValueError):
-            # This driver has no such rate: its own is better than nothing.
+            # The driver lacks this size or rate; use its default instead.
             return av.open(self._device, format=self._demuxer)
 
     def _run(self, container: av.container.InputContainer | None) -> None:
@@ -162,7 +164,7 @@ class CameraVideo:
             try:
                 frames = packet.decode()
             except av.FFmpegError as error:
-                # A cable that is bent breaks single MJPEG pictures; the next one may be whole.
+                # A loose cable corrupts single MJPEG pictures; the next one may be whole.
                 self._fault(error)
                 continue
             for frame in frames:
@@ -172,7 +174,7 @@ class CameraVideo:
                         self._arrived.notify()
 
     def _captured_ns(self, packet: "av.Packet[av.VideoStream]", now_ns: int) -> int:
-        """The driver's own stamp, where it is of the monotonic clock; else the arrival."""
+        """The driver's stamp if it is on the monotonic clock, else the time of arrival."""
         if packet.pts is not None and packet.time_base is not None:
             stated_ns = int(packet.pts * packet.time_base * NS_PER_S)
             if 0 <= now_ns - stated_ns < NS_PER_S // 2:

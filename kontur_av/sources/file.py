@@ -1,4 +1,4 @@
-"""Media files, looped, at their own pace."""
+"""Media files, looped, at their own rate."""
 
 import contextlib
 from collections.abc import Callable, Generator, Iterator
@@ -17,15 +17,15 @@ from kontur_av.sources.fit import Fitter
 from kontur_av.sources.pace import Pace
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS
 
-#: Who is later than this does not decode what lies between: the film waits for him.
+#: A reader that is later than this resumes where it stopped, without decoding what it missed.
 CATCH_UP_NS = NS_PER_S
 
-#: A step from one picture to the next that is longer than this is an error in the file.
+#: A longer step between two pictures counts as an error of the file.
 LONGEST_PICTURE_NS = 10 * NS_PER_S
 
 
 def check_file(path: str, kind: Literal["video", "audio"]) -> None:
-    """Raise ConfigError, one line that names the mend, for a file that cannot be played."""
+    """Raise ConfigError, with the mend, if the file cannot be played."""
     wanted = "pictures" if kind == "video" else "sound"
     try:
         with Path(path).open("rb") as file:
@@ -55,7 +55,7 @@ def _stream(
 ) -> av.VideoStream | av.AudioStream | None:
     if kind == "audio":
         return container.streams.audio[0] if container.streams.audio else None
-    # The cover of a record is a video stream too, but not one to watch.
+    # Cover art is a video stream too, but not the one to play.
     moving = (s for s in container.streams.video if not s.disposition & Disposition.attached_pic)
     return next(moving, None)
 
@@ -63,9 +63,11 @@ def _stream(
 class FileVideo:
     """The pictures of a media file (a `VideoSource`), captured at the file's own frame times.
 
-    Decodes one picture ahead, on one thread. The file is opened anew at each end, so that one
-    that was replaced or mended is taken up; while it cannot be read, there are no pictures.
-    A file with a single picture shows it `fps` times a second.
+    It decodes one picture ahead, on one thread. The file is opened again at each end, so that a
+    replaced or repaired file takes effect. While it cannot be read, there are no pictures. A file
+    with a single picture shows it `fps` times a second.
+
+    Raises ConfigError as `check_file` does.
     """
 
     def __init__(
@@ -104,7 +106,7 @@ class FileVideo:
         self._pictures.close()
 
     def _prepare(self) -> tuple[av.VideoFrame, int] | None:
-        """The picture that comes next, scaled, and the instant it is due at."""
+        """Return the next picture, scaled, and the instant at which it is due."""
         while (now_ns := self._clock.now_ns()) >= self._retry_ns:
             item = next(self._pictures, None)
             if item is None:
@@ -124,7 +126,7 @@ class FileVideo:
         return None
 
     def _play(self) -> Generator[tuple[av.VideoFrame, int, Fraction | None] | None]:
-        """All pictures over and over with their media time; None when the file gives none."""
+        """Yield all pictures repeatedly with their media time; None if the file has none."""
         start_ns = 0
         while True:
             faults, shown, time_ns, step_ns = self.faults, 0, 0, self._period_ns
@@ -140,7 +142,7 @@ class FileVideo:
                     begin_s: float | None = None
                     for frame in _decoded(container, stream, self._fault):
                         begin_s = frame.time if begin_s is None else begin_s
-                        # Some files lie about their times: then the nominal rate counts.
+                        # Some files have wrong times; then use the nominal rate.
                         soonest_ns = time_ns + step_ns // 8 if shown else 0
                         time_ns = time_ns + step_ns if shown else 0
                         if frame.time is not None and begin_s is not None:
@@ -165,7 +167,7 @@ class FileVideo:
 
 
 class FileAudio:
-    """The sound of a media file (an `AudioSource`): mono, 48 kHz, without a gap where it loops."""
+    """The sound of a media file (an `AudioSource`): mono, 48 kHz, without a gap at the loop."""
 
     def __init__(self, path: str, *, name: str, clock: Clock) -> None:
         check_file(path, "audio")
@@ -203,7 +205,7 @@ class FileAudio:
         self._blocks.close()
 
     def _play(self) -> Generator[Pcm | None]:
-        """All blocks over and over; None when the file gives no sound."""
+        """Yield all blocks repeatedly; None if the file has no sound."""
         rest = np.zeros(0, np.int16)
         while True:
             heard = 0
@@ -233,7 +235,7 @@ def _decoded(
     stream: av.VideoStream,
     fault: Callable[[Exception], None],
 ) -> Iterator[av.VideoFrame]:
-    """The pictures of one pass; a packet that cannot be decoded is left out."""
+    """Yield the pictures of one pass, without packets that cannot be decoded."""
     stream.codec_context.thread_count = 1
     for packet in container.demux(stream):
         try:
@@ -250,7 +252,7 @@ def _resampled(
     stream: av.AudioStream,
     fault: Callable[[Exception], None],
 ) -> Iterator[Pcm]:
-    """The sound of one pass, in pieces of any length."""
+    """Yield the sound of one pass, in pieces of any length."""
     stream.codec_context.thread_count = 1
     resampler = av.AudioResampler("s16", "mono", AUDIO_CLOCK_HZ)
     for packet in container.demux(stream):

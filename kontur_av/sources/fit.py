@@ -1,4 +1,4 @@
-"""Any decoded picture to I420 of the wanted size: scaled, aspect kept, the rest black."""
+"""Converts decoded pictures to I420 of one size: scaled with their aspect, on black."""
 
 from fractions import Fraction
 from typing import Any
@@ -13,9 +13,9 @@ from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, planes
 def fitted_size(
     width: int, height: int, aspect: Fraction, into_width: int, into_height: int
 ) -> tuple[int, int]:
-    """The largest even size inside the target that keeps the shape of the picture.
+    """Return the largest even size inside the target that keeps the picture's aspect.
 
-    aspect: width of one pixel divided by its height (the sample aspect ratio).
+    aspect: width of one pixel over its height (the sample aspect ratio).
     """
     shape = Fraction(width, height) * aspect
     if shape * into_height >= into_width:
@@ -26,10 +26,12 @@ def fitted_size(
 
 
 class Fitter:
-    """Scales decoded pictures to one size with swscale, and writes them where they are wanted.
+    """Scales decoded pictures to one size with swscale.
 
-    width, height: of the target, in pixels. Two steps, so that the work is done before the
-    instant at which the picture is due: `scale` converts, `write` only copies.
+    width, height: size of the target, in pixels.
+
+    There are two steps, so that the expensive one can run before the picture is due: `scale`
+    converts, `write` only copies.
     """
 
     def __init__(self, width: int, height: int) -> None:
@@ -38,7 +40,7 @@ class Fitter:
         self._scaler = av.video.reformatter.VideoReformatter()
 
     def scale(self, frame: av.VideoFrame, aspect: Fraction | None = None) -> av.VideoFrame:
-        """`frame` in yuv420p, narrow range, at its size inside the target."""
+        """Return `frame` as yuv420p, narrow range, in its size inside the target."""
         shape = aspect if aspect and Fraction(1, 8) < aspect < 8 else Fraction(1)
         width, height = fitted_size(frame.width, frame.height, shape, self._width, self._height)
         return self._scaler.reformat(
@@ -52,7 +54,7 @@ class Fitter:
         )
 
     def write(self, scaled: av.VideoFrame, into: I420) -> None:
-        """Copy what `scale` returned into the middle of `into`, black around it."""
+        """Copy the result of `scale` to the middle of `into`, with black around it."""
         left = (self._width - scaled.width) // 2 & ~1
         top = (self._height - scaled.height) // 2 & ~1
         for index, (plane, target) in enumerate(zip(scaled.planes, planes(into), strict=True)):
@@ -65,7 +67,7 @@ class Fitter:
 
 def _plane_pixels(plane: Any, width: int, height: int) -> NDArray[np.uint8]:
     pixels = np.frombuffer(plane, np.uint8)
-    # The last row may be shorter than the line size in what some decoders hand over.
+    # Some decoders return a last row that is shorter than the line size.
     return np.lib.stride_tricks.as_strided(
         pixels, (height, width), (plane.line_size, 1), writeable=False
     )

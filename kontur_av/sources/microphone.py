@@ -1,8 +1,8 @@
 """A microphone of this machine: ALSA, through the `arecord` of alsa-utils.
 
-FFmpeg's ALSA reader inside PyAV's wheels carries a libasound that was built with a path of
-the machine that built it: it finds neither the system's configuration nor the plug-ins (dmix,
-PipeWire, rate conversion). `arecord` is linked to the system's own library and has both.
+FFmpeg's ALSA reader in PyAV's wheels uses a libasound with the paths of its build machine. It finds
+neither the system's configuration nor the plug-ins (dmix, PipeWire, rate conversion). `arecord` is
+linked to the system's own library and finds both.
 """
 
 import contextlib
@@ -19,17 +19,17 @@ from kontur_av.media import AUDIO_CLOCK_HZ, AudioFrame, CaptureStamp
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS
 
 _BLOCK_OCTETS = 2 * BLOCK_SAMPLES
-#: More than this waiting in the pipe is old sound: the reader was away.
+#: More octets than this in the pipe are old sound, because the reader was away.
 _BACKLOG_OCTETS = 5 * _BLOCK_OCTETS
 _OPEN_TIMEOUT_S = 5.0
-#: So much of what `arecord` says is kept: its last line is wanted.
+#: How much of the messages of `arecord` is kept; only the last line is reported.
 _COMPLAINT_OCTETS = 4096
 
 
 def check_microphone(device: str) -> None:
-    """Raise ConfigError, one line that names the mend, where ALSA cannot open `device`.
+    """Raise ConfigError, with the mend, if ALSA cannot open `device`.
 
-    Opens it for a moment and records a single sample.
+    The check opens the device briefly and records one sample.
     """
     program = _arecord()
     try:
@@ -74,9 +74,11 @@ def _reason(stderr: bytes) -> str:
 class MicrophoneAudio:
     """The sound of a microphone (an `AudioSource`).
 
-    A block is taken to end when its last sample comes out of the pipe; the device's own buffer
-    (10 ms a period) lies before that. Where the device goes away it is opened again twice a
-    second, and in between there is no sound.
+    A block ends when its last sample leaves the pipe. The device's buffer (10 ms a period) is not
+    included in the stamp. A device that disappears is opened again, twice a second; meanwhile there
+    is no sound.
+
+    Raises ConfigError as `check_microphone` does.
     """
 
     def __init__(self, device: str, *, name: str, clock: Clock) -> None:
@@ -131,7 +133,7 @@ class MicrophoneAudio:
             self._stop()
 
     def _listen_to_complaints(self) -> None:
-        # It says a line for every overrun; on a pipe that nobody empties it would stop some day.
+        # arecord writes a line for each overrun. If nobody read them, the full pipe would stop it.
         if self._process is not None and self._process.stderr is not None:
             with contextlib.suppress(OSError):
                 said = os.read(self._process.stderr.fileno(), 1 << 16)

@@ -1,4 +1,4 @@
-"""Absolute deadlines at a fixed rate: late is skipped, never caught up in a burst."""
+"""Absolute deadlines at a fixed rate; missed ones are skipped, never made up in a burst."""
 
 from fractions import Fraction
 
@@ -6,22 +6,22 @@ from kontur_av.clock import NS_PER_S
 
 
 class Pace:
-    """The instants k / rate (+ phase) of a clock, one after the other.
+    """The instants k / rate (+ phase) of a clock, in order.
 
-    The grid hangs on the clock's zero, not on the moment when the source was opened: two
-    cameras of one rate and phase are then captured at the same instants, as if genlocked,
-    although they are separate processes that were started one after the other.
+    The instants derive from the clock's zero, not from the moment when the source was opened. Two
+    cameras with the same rate and phase thus capture at the same instants, as if genlocked,
+    although separate processes run them.
 
     rate_hz: instants a second.
-    phase: where between two instants of phase 0 they lie, 0 <= phase < 1.
-    patience: how many periods late one may be before instants are skipped.
-    skipped: how many instants have been given up so far.
+    phase: offset as a share of the period, 0 <= phase < 1.
+    patience: how many periods late a reader may be before instants are skipped.
+    skipped: instants skipped so far.
     """
 
     def __init__(
         self, rate_hz: Fraction | int, now_ns: int, *, phase: float = 0.0, patience: int = 1
     ) -> None:
-        # A fraction kept as two integers: exact for ever, and no Fraction made at each picture.
+        # A fraction as two integers: exact, and no Fraction object for each picture.
         self._period_ns, self._parts = (Fraction(NS_PER_S) / Fraction(rate_hz)).as_integer_ratio()
         self._phase_ns = int(self._period_ns * Fraction(phase) / self._parts)
         self._patience_ns = self._period_ns * patience // self._parts
@@ -33,7 +33,7 @@ class Pace:
         return self._period_ns // self._parts
 
     def due_ns(self, now_ns: int) -> int:
-        """The instant that comes next; the latest past one when too much was missed."""
+        """Return the next instant, or the latest past one if the reader is too late."""
         due_ns = self._instant(self._index)
         if now_ns - due_ns > self._patience_ns:
             latest = self._last_before(now_ns)
@@ -43,7 +43,7 @@ class Pace:
         return due_ns
 
     def handle_taken(self) -> None:
-        """The instant that is due has been used."""
+        """The instant that was due has been used."""
         self._index += 1
 
     def _instant(self, index: int) -> int:

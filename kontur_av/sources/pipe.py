@@ -1,4 +1,4 @@
-"""Live pictures from somebody else's program: YUV4MPEG2 through a FIFO."""
+"""Live pictures from another program: YUV4MPEG2 through a FIFO."""
 
 import contextlib
 import fcntl
@@ -17,18 +17,20 @@ from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources.fit import Fitter
 from kontur_av.sources.y4m import Y4mPicture, Y4mReader
 
-#: Asked of the kernel, so that a picture of 640x480 takes one wake-up, not eight.
+#: Requested pipe size: a picture of 640x480 then needs one wake-up instead of eight.
 PIPE_OCTETS = 1 << 20
 
 
 def check_fifo(path: str) -> None:
-    """Raise ConfigError, one line that names the mend, where `path` is no readable FIFO."""
+    """Raise ConfigError, with the mend, if `path` is no readable FIFO."""
     try:
         mode = Path(path).stat().st_mode
     except FileNotFoundError:
         raise ConfigError(f"no FIFO {path!r}: make it with `mkfifo {path}`") from None
     except OSError as error:
-        raise ConfigError(f"cannot look at FIFO {path!r} ({error.strerror})") from None
+        raise ConfigError(
+            f"cannot inspect FIFO {path!r} ({error.strerror}): check its permissions"
+        ) from None
     if not stat.S_ISFIFO(mode):
         raise ConfigError(f"{path!r} is no FIFO: give a media file without `pipe:`, or mkfifo")
     if not os.access(path, os.R_OK):
@@ -36,12 +38,15 @@ def check_fifo(path: str) -> None:
 
 
 class PipeVideo:
-    """Pictures as they come through a FIFO (a `VideoSource`), captured when they have arrived.
+    """Pictures that arrive through a FIFO (a `VideoSource`), stamped on arrival.
 
-    The writer may go away and come back, and may come back with another size: what differs is
-    scaled. Garbage is counted (`faults`) and skipped up to the next header.
-    A writer that does not keep to the rate of its own header (a file piped through at full
-    speed) is held back by not reading; one that keeps to it never is.
+    The writer may leave and return, also with another size; other sizes are scaled. Garbage is
+    counted (`faults`) and skipped up to the next header.
+
+    A writer that exceeds the rate in its header (a file piped at full speed) is throttled by not
+    reading. A writer that keeps its rate is never throttled.
+
+    Raises ConfigError as `check_fifo` does.
     """
 
     def __init__(
@@ -73,7 +78,7 @@ class PipeVideo:
                 return None
 
     def _newest(self) -> Y4mPicture | None:
-        """The last whole picture of those that have arrived."""
+        """The last complete picture that has arrived, or None."""
         newest = None
         while (event := self._reader.next_event()) is not None:
             if isinstance(event, Y4mPicture):
@@ -88,7 +93,7 @@ class PipeVideo:
             self._fd = -1
 
     def _fetch(self, give_up_ns: int) -> bool:
-        """Wait for octets and take them; False when the time is over."""
+        """Wait for octets and read them; False if `give_up_ns` has passed."""
         free_ns = self._free_at_ns()
         now_ns = self._clock.now_ns()
         if free_ns > now_ns:
@@ -112,19 +117,19 @@ class PipeVideo:
         return True
 
     def _period_ns(self) -> int:
-        """Of the writer by its own word; of the session where its word is worth nothing."""
+        """The writer's period by its header, or the session's if that is not plausible."""
         header = self._reader.header
         stated_hz = header.rate_hz if header else None
         return int(NS_PER_S / (stated_hz if stated_hz and stated_hz >= 10 else self._fps))
 
     def _free_at_ns(self) -> int:
-        """When the writer may be read from again."""
-        # Two pictures of credit: a live writer's jitter must never be held back.
+        """When the writer may be read again."""
+        # A credit of two pictures, so that a live writer's jitter is never throttled.
         return self._paid_until_ns - 2 * self._period_ns()
 
     def _write(self, picture: Y4mPicture, into: I420) -> bool:
         header = picture.header
-        # 5 % faster than stated: the writer's clock may run faster than ours.
+        # 5 % faster than stated, because the writer's clock may be faster than ours.
         cost_ns = self._period_ns() * 95 // 100
         self._paid_until_ns = max(self._paid_until_ns, self._clock.now_ns()) + cost_ns
         as_wanted = header.pixel_format == "yuv420p" and not header.full_range
@@ -143,16 +148,15 @@ class PipeVideo:
         if self._reader.header is not None:
             self._fault("the writer has gone")
         self._reader.handle_end()
-        # A FIFO whose writer has left reports its end for ever, until it is opened anew. The
-        # new end is opened before the old is closed: a writer that is just coming never sees
-        # a FIFO without a reader.
+        # A FIFO without a writer reports end of file until it is opened again. Open the new end
+        # before closing the old one, so that a writer never finds the FIFO without a reader.
         old = self._fd
         self._fd = self._open()
         os.close(old)
 
     def _open(self) -> int:
         fd = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        # Where it is above the user's limit, the default of 64 KiB only costs more wake-ups.
+        # Above the user's limit this fails; the default of 64 KiB only costs more wake-ups.
         with contextlib.suppress(OSError):
             fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, PIPE_OCTETS)
         return fd
@@ -163,7 +167,7 @@ class PipeVideo:
 
 
 def _as_frame(picture: Y4mPicture) -> av.VideoFrame:
-    """The planes as FFmpeg wants them: every line padded to its own line size."""
+    """Return the planes as FFmpeg needs them: each line padded to the line size."""
     header = picture.header
     frame = av.VideoFrame(header.width, header.height, header.pixel_format)
     frame.color_range = 2 if header.full_range else 1

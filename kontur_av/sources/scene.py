@@ -1,7 +1,7 @@
-"""Somebody else's renderer as a source: a function that draws, a function that sounds.
+"""A renderer as a source: a function that draws pictures, or one that produces sound.
 
-A renderer needs to know neither the clock nor shared memory: it is called at the right
-instants, with the buffer to write to. The built-in world comes in through these two classes.
+A renderer needs neither the clock nor shared memory. It is called at the right instants with the
+buffer to fill. The built-in world uses these two classes.
 """
 
 from collections.abc import Callable
@@ -13,18 +13,18 @@ from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm
 from kontur_av.sources.pace import Pace
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES
 
-#: draw(into, sequence, capture_ns): write the whole picture of that instant into `into`.
+#: draw(into, sequence, capture_ns): draw the whole picture of that instant into `into`.
 Draw = Callable[[I420, int, int], None]
 
-#: sound(into, sequence, capture_ns): write 960 samples; the first is of that instant.
+#: sound(into, sequence, capture_ns): fill in 960 samples; the first is of that instant.
 Sound = Callable[[Pcm, int, int], None]
 
 
 class SceneVideo:
     """Pictures from a drawing function at a fixed rate (a `VideoSource`).
 
-    phase shifts the camera's instants against those of cameras with phase 0, by that part
-    of a period: cameras that need not be captured together then don't all draw at once.
+    phase: shift of the capture instants as a share of the period. Cameras that need not capture
+    together then do not all draw at once.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class SceneAudio:
         self._sound = sound
         self._name = name
         self._clock = clock
-        # Two blocks of patience: a late block of sound is still worth having.
+        # A patience of two blocks, because a late block of sound is still useful.
         self._pace = Pace(50, clock.now_ns(), patience=2)
         self._sequence = 0
 

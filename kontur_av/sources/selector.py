@@ -1,4 +1,4 @@
-"""Which camera goes on."""
+"""Selection of one camera of several by telecommand."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from kontur_av.errors import ConfigError, ProtocolError
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What a `select camera` did: the camera that goes on now, since when, and after which."""
+    """Result of `select camera`: the selected camera, since when, and the previous one."""
 
     camera: str
     previous: str
@@ -17,10 +17,10 @@ class Selection:
 
 
 class Selector:
-    """Core: one camera of several is selected, the last command wins.
+    """Selects one camera of several; the last command wins. A core.
 
-    cameras: their names. selected: the one to begin with. Raises ConfigError when it is none
-    of them. switches counts real changes, refused the commands that named no camera.
+    cameras: their names. selected: the first one; ConfigError if it is not among `cameras`.
+    switches: number of real changes. refused: commands that named no known camera.
     """
 
     def __init__(self, cameras: Sequence[str], selected: str) -> None:
@@ -39,9 +39,9 @@ class Selector:
         return self._selected
 
     def handle_select(self, name: str, now_ns: int) -> Selection:
-        """A telecommand asks for camera `name`. Selecting the selected one changes nothing.
+        """Select the camera `name`; selecting the selected one changes nothing.
 
-        Raises ProtocolError, with the known names, for a camera that does not exist.
+        Raises ProtocolError, with the known names, for an unknown camera.
         """
         if name not in self.cameras:
             self.refused += 1

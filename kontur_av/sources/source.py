@@ -1,4 +1,4 @@
-"""What a source of pictures or of sound is, whatever stands behind it."""
+"""The interfaces of all sources of pictures and of sound."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -9,15 +9,15 @@ from kontur_av.media import BLOCK_SAMPLES as BLOCK_SAMPLES
 
 BLOCK_NS = BLOCK_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
 
-#: How long a source that lost its file, device or writer waits before it tries again.
+#: Delay before a source tries again that lost its file, device or writer.
 RETRY_NS = 500_000_000
 
 
 class VideoSource(Protocol):
-    """Pictures, one at a time, each at its own instant.
+    """Pictures, one at a time, each with its own capture instant.
 
-    faults counts what went wrong and was survived (file unreadable, garbage in the pipe,
-    device gone); last_fault is one line about the latest of them, "" when there was none.
+    faults: errors that the source survived (unreadable file, garbage in the pipe, lost device).
+    last_fault: one line about the latest of them; "" if there was none.
     """
 
     faults: int
@@ -26,14 +26,14 @@ class VideoSource(Protocol):
     def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
         """Wait for the next picture, write it into `into`, and return its stamp.
 
-        into: shape (height * 3 // 2, width), uint8, C-contiguous, of the size that the source
-        was opened with; untouched when nothing comes within `timeout_ns` (then: None).
-        A reader that comes late gets the newest picture, never a burst of old ones.
+        into: shape (height * 3 // 2, width), uint8, C-contiguous, of the size that the source was
+        opened with. It stays unchanged if no picture arrives within `timeout_ns`; then return None.
+        A late reader gets the newest picture, never a burst of old ones.
         """
         ...
 
     def close(self) -> None:
-        """Give back the file or the device. May be called twice."""
+        """Release the file or the device. May be called twice."""
         ...
 
 
@@ -46,13 +46,13 @@ class AudioSource(Protocol):
     def read(self, timeout_ns: int) -> AudioFrame | None:
         """Wait for the next block: exactly 960 samples of int16, mono, 48 kHz.
 
-        stamp.capture_ns is the capture instant of the first sample, so a block comes 20 ms
-        after it at the earliest. None when nothing comes within `timeout_ns`.
+        stamp.capture_ns is the capture instant of the first sample, so a block arrives at least
+        20 ms after it. Return None if no block arrives within `timeout_ns`.
         """
         ...
 
     def close(self) -> None:
-        """Give back the file or the device. May be called twice."""
+        """Release the file or the device. May be called twice."""
         ...
 
 

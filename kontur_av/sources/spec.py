@@ -1,4 +1,4 @@
-"""What stands behind `--source NAME=SPEC`: from the words of the command line to a source.
+"""Opens the sources that SPECs name, as in `--source NAME=SPEC`.
 
 A SPEC is a path to a media file, or `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`, `scene:NAME`.
 """
@@ -16,7 +16,7 @@ from kontur_av.sources.source import (
     VideoSource,
 )
 
-# The kinds are imported where they are needed: a process that draws a scene loads no FFmpeg.
+# Kinds are imported on demand, so that a process that draws a scene does not load FFmpeg.
 
 _KINDS = ("pipe", "v4l2", "alsa", "scene")
 
@@ -33,8 +33,10 @@ def open_video(
 ) -> VideoSource:
     """Open the pictures that `spec` names, in the given size.
 
-    name: of the input, goes into every stamp. fps: of scenes and cameras (a file has its own).
-    scenes: what `scene:NAME` may name. Raises ConfigError as `check_spec` does.
+    name: the input's name, used in every stamp.
+    fps: rate of scenes and cameras; a file has its own.
+    scenes: factories for `scene:NAME`.
+    Raises ConfigError as `check_spec` does.
     """
     check_size(width, height)
     kind, rest = _split(spec)
@@ -64,7 +66,7 @@ def open_audio(
     clock: Clock,
     scenes: Mapping[str, AudioSceneFactory] | None = None,
 ) -> AudioSource:
-    """Open the sound that `spec` names. Arguments and errors as those of `open_video`."""
+    """Open the sound that `spec` names. Arguments and errors are those of `open_video`."""
     kind, rest = _split(spec)
     if kind == "scene":
         known = scenes or {}
@@ -82,12 +84,11 @@ def open_audio(
 
 
 def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str] = ()) -> None:
-    """Refuse, before anything has started, a SPEC that cannot work.
+    """Refuse a SPEC that cannot work, before anything has started.
 
-    scenes: the names that `scene:NAME` may have for this kind of input.
-    Raises ConfigError with one line that names the mend: a missing or unreadable file, one
-    without pictures (or sound), a FIFO that is none, a device that cannot be opened, a scene
-    that nobody knows.
+    scenes: the names that `scene:NAME` may use for this kind of input.
+    Raises ConfigError with the mend. Causes: an unreadable file, one without pictures (or sound), a
+    path that is no FIFO, a device that cannot be opened, or an unknown scene.
     """
     family, rest = _split(spec)
     if family == "scene":

@@ -1,8 +1,8 @@
 """One picture from two cameras: the left part of the left one, the right part of the right one.
 
-A tool that stands between the cameras and the work hides something else from each of them.
-What it hides on the left is what the right camera sees, so one picture made of the outer
-halves shows both sides of the tool at the bit rate of one camera (Kontur-2).
+A tool in front of the cameras hides a different part of the work from each. The right camera sees
+what the left one misses. A picture of the two outer halves thus shows both sides of the tool at
+the bit rate of one camera (Kontur-2).
 """
 
 from dataclasses import dataclass
@@ -14,10 +14,11 @@ from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, CaptureStamp, Vide
 def merge(left: I420 | None, right: I420 | None, into: I420, seam: float = 0.5) -> None:
     """Write the left part of `left` and the right part of `right` into `into`.
 
-    All have the shape (height * 3 // 2, width), uint8. seam: where the parts meet, as a part
-    of the width from 0.0 to 1.0; it falls on an even column, so that no chroma sample belongs
-    to both. A camera that has never given a picture (None) leaves its part black.
-    Raises ConfigError when the sizes differ.
+    All have the shape (height * 3 // 2, width), uint8. None: a camera without any picture so far;
+    its part becomes black.
+    seam: where the parts meet, as a share of the width. It is moved to an even column, so that no
+    chroma sample belongs to both.
+    Raises ConfigError if the sizes differ, or if `seam` is not within 0.0 to 1.0.
     """
     for side, picture in (("left", left), ("right", right)):
         if picture is not None and picture.shape != into.shape:
@@ -39,11 +40,11 @@ def merge(left: I420 | None, right: I420 | None, into: I420, seam: float = 0.5) 
 
 @dataclass(frozen=True, slots=True)
 class StereoPair:
-    """Two pictures that belong together.
+    """Two pictures to merge.
 
-    left, right: None only for a camera that has never given a picture.
-    stamp: of the merged picture. capture_ns is the older of the two capture times; where one
-    camera is late or dead and its last picture is shown again, that of the fresh one.
+    left, right: None for a camera without any picture so far.
+    stamp: stamp of the merged picture. Its capture instant is the older of the two. If one camera
+    repeats its last picture, it is that of the fresh one.
     left_stale, right_stale: that camera's picture is older than `stale_after_ns`.
     """
 
@@ -55,16 +56,18 @@ class StereoPair:
 
 
 class StereoPairer:
-    """Core: joins the pictures of two cameras by capture time.
+    """Joins the pictures of two cameras by capture time. A core.
 
-    Two pictures belong together when their capture times differ by half a period at most.
-    A picture waits for its partner for `patience_ns` (default: half a period), then goes with
-    the last picture of the other camera. It does not wait for a camera that is stale.
-    Depth one each side, the newest wins. After each `handle_*` and each timeout, call
-    `next_event` until it returns None.
+    Two pictures belong together if their capture times differ by at most half a period. A picture
+    waits for its partner for `patience_ns`; the default is half a period. Then it is paired with
+    the other camera's last picture. It does not wait for a stale camera. Each side keeps only its
+    newest picture. After each `handle_*` call, call `next_event` until it returns None.
 
-    period_ns: of the cameras. stale_after_ns: age from which a picture is called stale.
-    source: name for the stamps of the pairs.
+    period_ns: of the cameras.
+    stale_after_ns: age from which a picture counts as stale.
+    source: name in the stamps of the pairs.
+
+    paired, single: pairs of two fresh pictures, and of one. dropped: pictures never used.
     """
 
     def __init__(
@@ -91,20 +94,20 @@ class StereoPairer:
         self.dropped = 0
 
     def handle_left(self, frame: VideoFrame, now_ns: int) -> None:
-        """The left camera has given a picture. It is kept until the next one replaces it."""
+        """The left camera captured `frame`. It is kept until the next one replaces it."""
         self._handle(0, frame, now_ns)
 
     def handle_right(self, frame: VideoFrame, now_ns: int) -> None:
-        """The right camera has given a picture. It is kept until the next one replaces it."""
+        """The right camera captured `frame`. It is kept until the next one replaces it."""
         self._handle(1, frame, now_ns)
 
     def handle_timeout(self, now_ns: int) -> None:
-        """Call when `poll_timeout` has passed: a picture goes without its partner."""
+        """Call when `poll_timeout` has passed; a picture is then used without its partner."""
         if self._deadline_ns is not None and now_ns >= self._deadline_ns:
             self._emit(now_ns)
 
     def poll_timeout(self) -> int | None:
-        """When `handle_timeout` wants to be called; None while no picture waits."""
+        """When to call `handle_timeout`; None while no picture waits."""
         return self._deadline_ns
 
     def next_event(self) -> StereoPair | None:
@@ -120,7 +123,7 @@ class StereoPairer:
         self._last[side] = frame
         self._fresh[side] = frame.stamp.capture_ns > self._last_capture_ns
         if not self._fresh[side]:
-            # A newer picture has gone without it: it only serves as this camera's last one.
+            # A newer picture was used already, so this one only becomes the camera's last one.
             self.dropped += 1
             return
         partner = self._last[other]
@@ -158,7 +161,7 @@ class StereoPairer:
             frame is None and not self._is_stale(side, now_ns)
             for side, frame in enumerate(self._last)
         ):
-            # At the start the other camera gets a while before its part is shown black.
+            # At the start, give the other camera some time before its part is shown black.
             self.dropped += 1
             return
         capture_ns = min(fresh)

@@ -1,7 +1,7 @@
-"""YUV4MPEG2, the plain stream of raw pictures that FFmpeg, GStreamer and mjpegtools write.
+"""YUV4MPEG2, the stream format of raw pictures that FFmpeg, GStreamer and mjpegtools write.
 
-Format: mjpegtools' yuv4mpeg(5). A header line `YUV4MPEG2 W640 H480 F30:1 C420jpeg ...`, then
-for each picture a line `FRAME ...` and the planes.
+Format: yuv4mpeg(5) of mjpegtools. A header line `YUV4MPEG2 W640 H480 F30:1 C420jpeg ...`, then for
+each picture a line `FRAME ...` and the planes.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from kontur_av.errors import ProtocolError
 
 MAGIC = b"YUV4MPEG2 "
 FRAME = b"FRAME"
-#: A line that is longer than this is garbage.
+#: A longer line is garbage.
 LONGEST_LINE_OCTETS = 1024
 LARGEST_SIDE = 8192
 
@@ -29,7 +29,7 @@ COLOURS = {
 
 @dataclass(frozen=True, slots=True)
 class Y4mHeader:
-    """What the header line says. rate_hz is None where it says "unknown" (F0:0)."""
+    """The fields of the header line. rate_hz: None if the line says "unknown" (F0:0)."""
 
     width: int
     height: int
@@ -41,7 +41,7 @@ class Y4mHeader:
 
 
 def parse_header(line: bytes) -> Y4mHeader:
-    """Read a header line (without its newline). Raises ProtocolError."""
+    """Parse a header line without its newline. Raises ProtocolError."""
     if not line.startswith(MAGIC):
         raise ProtocolError("no YUV4MPEG2 header")
     fields: dict[str, str] = {}
@@ -84,9 +84,9 @@ def _ratio(text: str | None, mark: str) -> Fraction | None:
 
 @dataclass(frozen=True, slots=True)
 class Y4mPicture:
-    """One picture: its planes one after the other, and the header that it came under.
+    """One picture: its planes one after the other, and its header.
 
-    octets stays valid until the next call of `write_view` of the reader.
+    octets: valid until the next call of `Y4mReader.write_view`.
     """
 
     header: Y4mHeader
@@ -94,10 +94,10 @@ class Y4mPicture:
 
 
 class Y4mReader:
-    """Core: octets in, pictures out. Garbage is counted and skipped up to the next header.
+    """Parses octets into pictures. A core. Garbage is counted and skipped to the next header.
 
-    Read into `write_view()`, tell `handle_written(n)` how much came, then call `next_event`
-    until it returns None. After the end of a writer, `handle_end` forgets what was begun.
+    Read into `write_view()`, report the number of octets with `handle_written`, then call
+    `next_event` until it returns None. When the writer leaves, call `handle_end`.
     """
 
     def __init__(self) -> None:
@@ -109,32 +109,32 @@ class Y4mReader:
         self._in_frame = False
 
     def write_view(self) -> memoryview:
-        """Where the next octets go: never empty."""
+        """Return the buffer for the next octets; never empty."""
         if self._begin:
             rest = self._buffer[self._begin : self._fill]
             self._buffer[: len(rest)] = rest
             self._begin, self._fill = 0, len(rest)
         wanted = LONGEST_LINE_OCTETS + (self.header.frame_octets if self.header else 1 << 16)
         if len(self._buffer) < wanted:
-            # A new object, because a picture handed out before may still look at the old one.
+            # A new object, because a picture returned earlier may still refer to the old one.
             larger = bytearray(wanted)
             larger[: self._fill] = self._buffer[: self._fill]
             self._buffer = larger
         return memoryview(self._buffer)[self._fill :]
 
     def handle_written(self, octets: int) -> None:
-        """`octets` octets have been written to the front of `write_view()`."""
+        """`octets` octets were written to the front of `write_view()`."""
         self._fill += octets
 
     def handle_end(self) -> None:
-        """The writer is gone: what it left unfinished is dropped, a new header must come."""
+        """The writer left: drop its unfinished data and expect a new header."""
         self.garbage_octets += self._fill - self._begin
         self._begin = self._fill = 0
         self.header = None
         self._in_frame = False
 
     def next_event(self) -> Y4mPicture | ProtocolError | None:
-        """A whole picture, or what was wrong with the stream, or None: more octets needed."""
+        """Return a picture, an error of the stream, or None if more octets are needed."""
         while True:
             if self._in_frame and self.header is not None:
                 if self._fill - self._begin < self.header.frame_octets:
@@ -165,7 +165,7 @@ class Y4mReader:
         """Skip to the next octets that may begin a header."""
         self.header = None
         found = self._buffer.find(MAGIC, self._begin + 1, self._fill)
-        # The end of what is there may be the beginning of the magic word.
+        # The last octets may be the beginning of the magic word.
         target = found if found >= 0 else max(self._begin + 1, self._fill - len(MAGIC) + 1)
         self.garbage_octets += target - self._begin
         self._begin = target

@@ -1,10 +1,10 @@
-"""Shared-memory topics: publish once, any number of readers, nobody waits for anybody.
+"""Topics in shared memory: publish once, any number of readers, nobody waits for anybody.
 
-A thin front of iceoryx2 (https://iceoryx.io): the writer fills a buffer that lies in shared
-memory already, a reader sees the same octets without a copy. A slow reader loses the oldest
-samples and never holds up the writer; a process that is killed takes nobody else along, and
-what it held is taken back when the next one joins. Readers that sleep are woken by the topic's
-bell, all with one system call of the writer: iceoryx2's own events take one for each.
+This is a thin layer over iceoryx2 (https://iceoryx.io). The writer fills a buffer in shared memory;
+a reader sees the same octets without a copy. A slow reader loses the oldest samples and never
+blocks the writer. A killed process affects no other; its resources are freed when the next process
+joins. The topic's notifier wakes all sleeping readers with one system call of the writer;
+iceoryx2's own events need one for each reader.
 
 Use::
 
@@ -33,22 +33,22 @@ from numpy.typing import NDArray
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, check_size
-from kontur_av.topics.bell import Bell, Ear, Sleeper
+from kontur_av.topics.notifier import Listener, Notifier, WaitSet
 from kontur_av.topics.session_files import (
-    bell_path,
     choose_session,
     make_session_root,
+    notifier_path,
     sessions,
     shared_memory_prefix,
     topics_root,
 )
 
 MAX_READERS = 16
-#: A killed writer counts until somebody has cleaned up after it.
+#: A killed writer counts until another process has cleaned up after it.
 _MAX_WRITERS = 4
 _MAX_NODES = 64
 _MAX_DEPTH = 8
-#: Two that a reader holds, and one more that `latest` has in hand while it lets an older one go.
+#: Two that a reader holds, and one that `latest` receives before it releases an older one.
 _MAX_LEASES = 3
 _SOURCE_OCTETS = 16
 
@@ -56,9 +56,9 @@ SampleView = NDArray[np.uint8]
 
 
 class _Header(ctypes.Structure):
-    """What travels with every sample, in the machine's own byte order: it never leaves it.
+    """The header of every sample, in native byte order because it never leaves the machine.
 
-    It tells iceoryx2 size and alignment; `_HEADER` is the same for who writes and reads it.
+    This class tells iceoryx2 size and alignment; `_HEADER` is the same layout for packing.
     """
 
     _fields_ = (
@@ -75,7 +75,7 @@ assert _HEADER.size == ctypes.sizeof(_Header)
 
 
 class Loan:
-    """A buffer in shared memory that its writer fills and then publishes, or gives back."""
+    """A buffer in shared memory that its writer fills, then publishes or gives back."""
 
     def __init__(
         self, sample: Any, octets: int, width: int, height: int, published: Callable[[], None]
@@ -88,7 +88,7 @@ class Loan:
 
     @cached_property
     def payload(self) -> SampleView:
-        """The buffer, writable."""
+        """The buffer: (octets,), uint8, writable."""
         return _view(self._sample, self._octets)
 
     @property
@@ -97,38 +97,38 @@ class Loan:
         return self.payload.reshape(self._height * 3 // 2, self._width)
 
     def publish(self, stamp: CaptureStamp) -> None:
-        """Hand the buffer to the readers. It may not be touched afterwards."""
+        """Send the buffer to the readers. Do not touch it afterwards."""
         source = stamp.source.encode("ascii", "replace")[: _SOURCE_OCTETS - 1]
         header = _HEADER.pack(stamp.capture_ns, stamp.sequence, self._width, self._height, source)
-        # One copy, where fields set one by one through ctypes take several times as long.
+        # One copy; setting the fields one by one through ctypes takes several times as long.
         ctypes.memmove(self._sample.user_header_ptr, header, len(header))
         self._sample.assume_init().send()
         self._published()
 
     def give_back(self) -> None:
-        """Return the buffer unpublished."""
+        """Return the buffer without publishing it."""
         self._sample.delete()
 
 
 class Writer:
-    """Publishes into one topic. Never blocks; the readers' oldest samples give way."""
+    """Publishes to one topic. Never blocks; the readers' oldest samples are dropped instead."""
 
-    def __init__(self, publisher: Any, service: Any, bell: Bell | None) -> None:
+    def __init__(self, publisher: Any, service: Any, notifier: Notifier | None) -> None:
         self._publisher = publisher
         self._service = service
-        self._bell = bell
+        self._notifier = notifier
 
     def has_readers(self) -> bool:
-        """Whether somebody reads the topic. A reader that was killed may count for some time."""
+        """Whether the topic has a reader. A killed reader may count for some time."""
         return bool(self._service.dynamic_config.number_of_subscribers)
 
     def loan(self, octets: int, width: int = 0, height: int = 0) -> Loan:
-        """A buffer of `octets` octets in shared memory."""
+        """Return a buffer of `octets` octets in shared memory."""
         sample = self._publisher.loan_slice_uninit(octets)
         return Loan(sample, octets, width, height, self._wake)
 
     def loan_picture(self, width: int, height: int) -> Loan:
-        """A buffer for one I420 picture; ConfigError when the size is unfit for 4:2:0."""
+        """Return a buffer for one I420 picture; ConfigError if the size is unfit for 4:2:0."""
         check_size(width, height)
         return self.loan(width * height * 3 // 2, width, height)
 
@@ -149,12 +149,12 @@ class Writer:
         self.publish_octets(frame.samples.tobytes(), frame.stamp)
 
     def _wake(self) -> None:
-        if self._bell is not None:
-            self._bell.ring()
+        if self._notifier is not None:
+            self._notifier.notify()
 
 
 class Lease:
-    """A reader's hold on one sample. Views of it are valid until `release`."""
+    """A reader's hold on one sample. Its views are valid until `release`."""
 
     def __init__(self, sample: Any) -> None:
         self._sample = sample
@@ -165,26 +165,26 @@ class Lease:
 
     @cached_property
     def payload(self) -> SampleView:
-        """The sample's octets, read-only."""
+        """The sample's octets: (octets,), uint8, read-only."""
         view = _view(self._sample, self._sample.header.number_of_elements)
         view.flags.writeable = False
         return view
 
     def octets(self) -> bytes:
-        """A copy of the sample's octets: cheaper than a view, where they are few."""
+        """Return a copy of the sample's octets, which for few octets is cheaper than a view."""
         sample = self._sample
         return ctypes.string_at(sample.payload_ptr, sample.header.number_of_elements)
 
     def video(self) -> VideoFrame:
-        """The sample as a picture: a view, not a copy."""
+        """Return the sample as a picture: a view, not a copy."""
         return VideoFrame(self.payload.reshape(self.height * 3 // 2, self.width), self.stamp)
 
     def audio(self) -> AudioFrame:
-        """The sample as sound: a view, not a copy."""
+        """Return the sample as sound, int16: a view, not a copy."""
         return AudioFrame(self.payload.view(np.int16), self.stamp)
 
     def release(self) -> None:
-        """Give the sample back; its views may not be touched afterwards."""
+        """Release the sample; do not touch its views afterwards."""
         if self._sample is not None:
             self._sample.delete()
             self._sample = None
@@ -202,38 +202,38 @@ class Lease:
 
 
 class Reader:
-    """Reads one topic, either the newest sample (`latest`) or each in turn (`next`)."""
+    """Reads one topic: either the newest sample (`latest`) or each in turn (`next`)."""
 
-    def __init__(self, subscriber: Any, ear: Ear) -> None:
+    def __init__(self, subscriber: Any, listener: Listener) -> None:
         self._subscriber = subscriber
-        self._sleeper: Sleeper | None = None
+        self._wait_set: WaitSet | None = None
         #: For a `Waiter`.
-        self.ear = ear
-        #: Samples passed over by `latest` because a newer one was there.
+        self.listener = listener
+        #: Samples that `latest` skipped because a newer one was there.
         self.skipped = 0
 
     def wait(self, timeout_ns: int) -> bool:
-        """Sleep until something is there (True) or the time is over (False)."""
+        """Wait for a sample; return False if `timeout_ns` passed without one."""
         has_samples = self._subscriber.has_samples
         if has_samples():
             return True
-        if self._sleeper is None:
-            self._sleeper = Sleeper([self.ear])
-        # It may ring for a sample which was read already: then it sleeps on.
-        return self._sleeper.sleep(timeout_ns, has_samples) or bool(has_samples())
+        if self._wait_set is None:
+            self._wait_set = WaitSet([self.listener])
+        # A notification may concern a sample that was read already; then keep waiting.
+        return self._wait_set.wait(timeout_ns, has_samples) or bool(has_samples())
 
     def close(self) -> None:
         """Leave the topic."""
-        self._sleeper = None
+        self._wait_set = None
         self._subscriber.delete()
-        self.ear.close()
+        self.listener.close()
 
     def has_new(self) -> bool:
-        """Whether a sample is there that was not read yet."""
+        """Whether there is a sample that was not read yet."""
         return bool(self._subscriber.has_samples())
 
     def next(self) -> Lease | None:
-        """The oldest sample not yet read, or None."""
+        """The oldest sample that was not read yet, or None."""
         sample = self._subscriber.receive()
         return None if sample is None else Lease(sample)
 
@@ -253,13 +253,13 @@ class Reader:
 
 
 class TopicBus:
-    """One process's door to the topics of one session.
+    """One process's access to the topics of one session.
 
-    session: lower-case letters, digits and hyphens; it names the shared memory, so that two
-    sessions on one machine do not meet.
+    session: lower-case letters, digits and hyphens. It names the shared memory, so that two
+    sessions on one machine stay separate.
 
-    A process that has a bus may not fork: the child would hold the locks by which the others
-    tell whether the parent is alive. Fork first, then open the bus in the child.
+    Do not fork a process that has a bus: the child would hold the locks that show whether the
+    parent is alive. Fork first, then open the bus in the child.
     """
 
     def __init__(self, session: str) -> None:
@@ -280,29 +280,30 @@ class TopicBus:
         self._config = config
         self._joined = False
         self._ports: list[Any] = []
-        self._bells: list[Bell] = []
+        self._notifiers: list[Notifier] = []
         self._readers: list[Reader] = []
 
     @classmethod
     def join(cls, session: str | None = None) -> Self:
-        """The bus of a session that runs already; None: of the only one, a setup's name: of its.
+        """Return the bus of a running session.
 
-        A topic that the session does not have is a ConfigError then, and nothing is left behind.
-        ConfigError, with the sessions that run, if there is no such session.
+        session: its name, the name of its setup, or None for the only session.
+        Raises ConfigError, with the running sessions, if there is no such session. Opening a topic
+        that the session does not have then raises ConfigError too, and leaves nothing behind.
         """
         bus = cls(choose_session(session, sessions()))
         bus._joined = True
         return bus
 
     def topics(self) -> list[str]:
-        """The topics of the session at present, by name."""
+        """Return the present topics of the session, sorted by name."""
         found: list[Any] = iox2.Service.list(self._config, iox2.ServiceType.Ipc)
         return sorted(service.name().to_string() for service in found)
 
     def writer(self, topic: str, *, max_octets: int, wake: bool = True) -> Writer:
-        """A writer for samples of up to `max_octets` octets.
+        """Return a writer for samples of up to `max_octets` octets.
 
-        wake=False leaves the readers asleep: for state that is polled.
+        wake: False leaves sleeping readers asleep, for state that is polled.
         """
         service = self._data_service(topic)
         publisher = (
@@ -313,33 +314,33 @@ class TopicBus:
             .backpressure_strategy(iox2.BackpressureStrategy.DiscardData)
             .create()
         )
-        bell = Bell(bell_path(self._session, topic)) if wake else None
+        notifier = Notifier(notifier_path(self._session, topic)) if wake else None
         self._ports.append(publisher)
-        if bell is not None:
-            self._bells.append(bell)
-        return Writer(publisher, service, bell)
+        if notifier is not None:
+            self._notifiers.append(notifier)
+        return Writer(publisher, service, notifier)
 
     def reader(self, topic: str, *, depth: int = 1) -> Reader:
-        """A reader that keeps at most `depth` unread samples; beyond that the oldest goes."""
+        """Return a reader that keeps at most `depth` unread samples; the oldest are dropped."""
         if not 1 <= depth <= _MAX_DEPTH:
             raise ValueError(f"depth {depth}: from 1 to {_MAX_DEPTH}")
         service = self._data_service(topic)
-        ear = Ear(bell_path(self._session, topic))
+        listener = Listener(notifier_path(self._session, topic))
         subscriber = service.subscriber_builder().buffer_size(depth).create()
-        reader = Reader(subscriber, ear)
+        reader = Reader(subscriber, listener)
         self._readers.append(reader)
         return reader
 
     def waiter(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> "Waiter":
-        """Waits for any of several readers and file descriptors at once."""
+        """Return a waiter for any of several readers and file descriptors."""
         return Waiter(readers, sockets)
 
     def close(self) -> None:
-        """Give the ports back, then the node."""
+        """Close the ports, then the node."""
         while self._readers:
             self._readers.pop().close()
-        while self._bells:
-            self._bells.pop().close()
+        while self._notifiers:
+            self._notifiers.pop().close()
         while self._ports:
             self._ports.pop().delete()
         self._node = None
@@ -380,20 +381,20 @@ class TopicBus:
 
 
 class Waiter:
-    """Sleeps until one of several readers has something new, or a file descriptor is readable.
+    """Waits until one of several readers has something new, or a file descriptor is readable.
 
-    Whoever was woken takes all that is there: only what is published later wakes again.
+    After a wake-up, read all that is there: only what is published later wakes again.
     """
 
     def __init__(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> None:
-        self._sleeper = Sleeper([reader.ear for reader in readers], sockets)
+        self._wait_set = WaitSet([reader.listener for reader in readers], sockets)
 
     def wait(self, timeout_ns: int) -> bool:
-        """Sleep until something may be there (True) or the time is over (False)."""
-        return self._sleeper.sleep(timeout_ns)
+        """Wait until there may be something to read; return False on timeout."""
+        return self._wait_set.wait(timeout_ns)
 
 
 def _view(sample: Any, octets: int) -> SampleView:
-    # From the address, because iceoryx2's own memoryview has a format that NumPy must convert.
+    # From the address, because NumPy would have to convert the format of iceoryx2's memoryview.
     memory: Any = (ctypes.c_uint8 * octets).from_address(sample.payload_ptr)
     return np.ndarray((octets,), np.uint8, memory)

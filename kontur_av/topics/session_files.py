@@ -1,4 +1,4 @@
-"""What a session has on disk and in shared memory, and whose it is."""
+"""The files and the shared memory of a session, and the checks of their ownership."""
 
 import hashlib
 import os
@@ -13,33 +13,33 @@ from kontur_av.errors import ConfigError
 
 _SHARED_MEMORY = Path("/dev/shm")
 
-#: A Unix socket's path has 107 octets (unix(7)); a session's directory may hold one, which is
-#: called something short.
+#: A Unix socket's path has at most 107 octets (unix(7)). A session's directory may hold one, with
+#: a name of at most 16 octets.
 _SOCKET_PATH_OCTETS = 107
 _SOCKET_NAME_OCTETS = 16
 _SESSION_OCTETS = 31
 
 
 def session_root(session: str) -> Path:
-    """The directory of a session's files other than shared memory.
+    """Return the directory of a session's files other than shared memory.
 
-    ConfigError when somebody else could have put there what is found in it.
+    Raises ConfigError if another user could have written to it.
     """
     return user_root() / session
 
 
 def make_session_root(session: str) -> None:
-    """Make the directory of a session's files, if it is not there. Errors as `session_root`."""
+    """Create the directory of a session's files if it is missing. Errors: see `session_root`."""
     shared_memory_prefix(session)
     user_root().mkdir(mode=0o700, parents=True, exist_ok=True)
-    # Asked for once more, because another user may have been faster.
+    # Check again, because another user may have created the directory in between.
     session_root(session).mkdir(mode=0o700, exist_ok=True)
 
 
 def remove_session(session: str) -> int:
-    """Remove what a session has left in shared memory and on disk; how many files it was.
+    """Remove what a session left in shared memory and on disk; return the number of files.
 
-    For the launcher, once all processes of the session have ended.
+    For the launcher, after all processes of the session have ended.
     """
     leftovers = shared_memory(session)
     for leftover in leftovers:
@@ -50,29 +50,30 @@ def remove_session(session: str) -> int:
 
 
 def shared_memory(session: str) -> list[Path]:
-    """What a session has in shared memory at present."""
+    """Return the session's present files in shared memory."""
     return list(_SHARED_MEMORY.glob(f"{shared_memory_prefix(session)}*"))
 
 
 def sessions() -> list[str]:
-    """This user's sessions that have something in shared memory, by name."""
+    """Return this user's sessions that have something in shared memory, sorted by name."""
     root = user_root()
     names = [path.name for path in root.iterdir() if path.is_dir()] if root.is_dir() else []
     return sorted(name for name in names if not name.startswith(".") and shared_memory(name))
 
 
 def choose_session(name: str | None, running: Sequence[str], how: str = "") -> str:
-    """The session of `running` that `name` means: its name, or the name of its setup.
+    """Return the session of `running` that `name` means: its name, or the name of its setup.
 
-    None: the only session. how: how the user names one, for the error.
-    ConfigError, with the running ones, if it means none or several.
+    name: None means the only session.
+    how: added to the error; says how the user can name a session.
+    Raises ConfigError, with the running sessions, if none or several fit.
     """
     if not running:
         called = f" {name}" if name else ""
         raise ConfigError(
             f"no session{called} is running here: start one with "
             "`kontur-av stream --setup spacejustin`, "
-            f"or set TMPDIR as it has it ({user_root()} has none)"
+            f"or set TMPDIR as the session has it ({user_root()} has none)"
         )
     if name is None:
         chosen = list(running)
@@ -87,17 +88,17 @@ def choose_session(name: str | None, running: Sequence[str], how: str = "") -> s
     return chosen[0]
 
 
-def bell_path(session: str, topic: str) -> Path:
-    """The FIFO that wakes the readers of a topic; `remove_session` removes it.
+def notifier_path(session: str, topic: str) -> Path:
+    """Return the FIFO that wakes the readers of a topic; `remove_session` removes it.
 
-    Where no file system keeps a journal of when it was written to.
+    It lies in shared memory, so that no file system journals its writes.
     """
     digest = hashlib.sha256(topic.encode()).hexdigest()[:16]
-    return _SHARED_MEMORY / f"{shared_memory_prefix(session)}{digest}.bell"
+    return _SHARED_MEMORY / f"{shared_memory_prefix(session)}{digest}.notifier"
 
 
 def user_root() -> Path:
-    """This user's directory for all sessions: where TMPDIR says, if a socket's path fits there."""
+    """Return this user's directory for all sessions: in TMPDIR, if a socket's path fits there."""
     own = f"kontur-av-{os.getuid()}"
     chosen = Path(tempfile.gettempdir()) / own
     longest = len(os.fsencode(chosen)) + 1 + _SESSION_OCTETS + 1 + _SOCKET_NAME_OCTETS
@@ -108,7 +109,7 @@ def user_root() -> Path:
 
 
 def _check_own(directory: Path) -> None:
-    """ConfigError when another user could write there: /tmp is everybody's."""
+    """Raise ConfigError if another user could write to `directory`, as /tmp is shared."""
     try:
         found = directory.lstat()
     except FileNotFoundError:
@@ -120,17 +121,17 @@ def _check_own(directory: Path) -> None:
         )
     if found.st_mode & 0o022:
         raise ConfigError(
-            f"{directory} may be written by others: look what is in it, then chmod 700 it"
+            f"others may write to {directory}: check what is in it, then chmod 700 it"
         )
 
 
 def topics_root(session: str) -> Path:
-    """Where the topics of a session keep what is no shared memory."""
+    """Return the directory of a session's topics other than shared memory."""
     return user_root() / f".{_digest(session)}"
 
 
 def shared_memory_prefix(session: str) -> str:
-    """How the names of a session's shared memory begin; ConfigError for an unfit session name."""
+    """Return the prefix of a session's shared memory; ConfigError for an unfit session name."""
     if not re.fullmatch(rf"[a-z0-9][a-z0-9-]{{0,{_SESSION_OCTETS - 1}}}", session):
         raise ConfigError(
             f"session name {session!r}: at most {_SESSION_OCTETS} lower-case letters, digits "
@@ -140,5 +141,5 @@ def shared_memory_prefix(session: str) -> str:
 
 
 def _digest(session: str) -> str:
-    """Stands for the session in names that have no room for its own."""
+    """Return a short stand-in for names that have no room for the session's own."""
     return hashlib.sha256(session.encode()).hexdigest()[:8]

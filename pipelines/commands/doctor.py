@@ -191,7 +191,7 @@ def check_topics() -> Verdict:
     if not well:
         return Verdict("missing", f"{found}: what was published did not arrive", f"check {_SHM}")
     if not woken:
-        # See kontur_av/topics/bell.py.
+        # See kontur_av/topics/notifier.py.
         kernel = f"Linux {platform.release()}"
         return Verdict("missing", f"{kernel} wakes no reader twice", "use Linux 5.14 or newer")
     return Verdict("ok", f"{found}, samples published and read, a reader woken by each")

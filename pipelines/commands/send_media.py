@@ -36,7 +36,7 @@ from kontur_av.streams.budget import Pacer
 from kontur_av.streams.coding import Coding
 from kontur_av.streams.encode_scheduler import EncodeScheduler
 from kontur_av.streams.encoding_thread import EncodingThread
-from kontur_av.topics.bell import Sleeper
+from kontur_av.topics.notifier import WaitSet
 
 #: A block of sound that waits longer for its leave is not sent at all.
 _STALE_VOICE_NS = 100 * NS_PER_MS
@@ -111,7 +111,7 @@ class VideoOut:
             scenes=_scenes("video") if spec.startswith("scene:") else None,
         )
         self._encoding = EncodingThread(encoder, clock.now_ns)
-        self._sleeper = Sleeper([], [self._encoding.fileno()])
+        self._wait_set = WaitSet([], [self._encoding.fileno()])
 
     @property
     def captured(self) -> int:
@@ -145,7 +145,7 @@ class VideoOut:
         """
         if self._encoding.busy:
             # A picture that comes meanwhile can wait: it would not be encoded sooner.
-            self._sleeper.sleep(timeout_ns)
+            self._wait_set.wait(timeout_ns)
             unit = self._encoding.poll()
             if unit is None:
                 return None

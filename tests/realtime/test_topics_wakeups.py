@@ -10,10 +10,10 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
-from kontur_av.topics import bell as bell_module
-from kontur_av.topics.bell import Bell, Ear, Sleeper
+from kontur_av.topics import notifier as notifier_module
 from kontur_av.topics.bus import MAX_READERS, TopicBus
-from kontur_av.topics.session_files import bell_path, remove_session, shared_memory
+from kontur_av.topics.notifier import Listener, Notifier, WaitSet
+from kontur_av.topics.session_files import notifier_path, remove_session, shared_memory
 
 #: Nothing takes that long: what comes later was lost.
 LONG_NS = 20_000_000_000
@@ -32,7 +32,7 @@ def session():
 
 @pytest.fixture
 def path(session):
-    return bell_path(session, "any")
+    return notifier_path(session, "any")
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def _die_before_ringing(session, order):
     writer = TopicBus(session).writer("numbers", max_octets=8)
     writer.publish_octets(bytes(8), stamp(0))
     order.recv_bytes()
-    Bell.ring = lambda _: os.kill(os.getpid(), 9)
+    Notifier.notify = lambda _: os.kill(os.getpid(), 9)
     writer.publish_octets(bytes(8), stamp(1))
 
 
@@ -145,61 +145,63 @@ def test_a_writer_killed_before_it_rings_is_heard_nevertheless(session, start):
 
 @pytest.mark.parametrize("readers", [0, 1, MAX_READERS])
 def test_a_publication_takes_one_system_call_whoever_sleeps(session, monkeypatch, readers):
-    rung = []
+    notified = []
 
     def write(fd, data):
-        rung.append(fd)
+        notified.append(fd)
         return real_write(fd, data)
 
     real_write = os.write
-    monkeypatch.setattr(bell_module.os, "write", write)
+    monkeypatch.setattr(notifier_module.os, "write", write)
     with TopicBus(session) as bus:
         writer, silent = (bus.writer("numbers", max_octets=8, wake=wake) for wake in (True, False))
         waiters = [bus.waiter([bus.reader("numbers")]) for _ in range(readers)]
         for sequence in range(3):
             writer.publish_octets(bytes(8), stamp(sequence))
-            assert len(rung) == sequence + 1
+            assert len(notified) == sequence + 1
             assert [waiter.wait(LONG_NS) for waiter in waiters] == [True] * readers
             silent.publish_octets(bytes(8), stamp(sequence))
             assert [waiter.wait(0) for waiter in waiters] == [False] * readers
 
 
 def test_a_bell_never_fills_up_and_each_ring_counts(path, monkeypatch):
-    bell, ear = Bell(path), Ear(path)
-    sleeper = Sleeper([ear])
+    notifier, listener = Notifier(path), Listener(path)
+    wait_set = WaitSet([listener])
     made_room = []
 
     def read(fd, octets):
         made_room.append(real_read(fd, octets))
-        assert select.select([ear], [], [], 0)[0], "emptied: who is slow to wake would sleep on"
+        assert select.select([listener], [], [], 0)[0], (
+            "emptied: who is slow to wake would sleep on"
+        )
 
     real_read = os.read
-    monkeypatch.setattr(bell_module.os, "read", read)
+    monkeypatch.setattr(notifier_module.os, "read", read)
     for _ in range(3):
         for _ in range(70_000):
-            bell.ring()
+            notifier.notify()
         for _ in range(3):
-            assert sleeper.sleep(LONG_NS)
-            assert not sleeper.sleep(1_500_000)
-            bell.ring()
-        assert sleeper.sleep(LONG_NS)
+            assert wait_set.wait(LONG_NS)
+            assert not wait_set.wait(1_500_000)
+            notifier.notify()
+        assert wait_set.wait(LONG_NS)
     assert made_room
 
 
 def test_a_sleep_goes_on_until_it_was_for_something(path):
-    bell, ear = Bell(path), Ear(path)
-    first, second = Sleeper([ear]), Sleeper([ear])
-    bell.ring()
+    notifier, listener = Notifier(path), Listener(path)
+    first, second = WaitSet([listener]), WaitSet([listener])
+    notifier.notify()
     reasons = iter([False, True])
 
     def awake():
-        bell.ring()
+        notifier.notify()
         return next(reasons)
 
-    assert first.sleep(LONG_NS, awake)
-    assert second.sleep(LONG_NS)
-    assert not second.sleep(0)
-    assert not second.sleep(-1)
+    assert first.wait(LONG_NS, awake)
+    assert second.wait(LONG_NS)
+    assert not second.wait(0)
+    assert not second.wait(-1)
 
 
 def test_a_bus_gives_back_what_it_opened(session):
@@ -220,12 +222,12 @@ def test_a_bus_gives_back_what_it_opened(session):
 
 def test_what_somebody_else_put_there_is_no_bell(path, tmp_path):
     path.touch()
-    with pytest.raises(ConfigError, match=r"\.bell is no FIFO of yours: remove it"):
-        Bell(path)
+    with pytest.raises(ConfigError, match=r"\.notifier is no FIFO of yours: remove it"):
+        Notifier(path)
     path.unlink()
     own = tmp_path / "own"
     os.mkfifo(own)
     path.symlink_to(own)
-    with pytest.raises(ConfigError, match=r"\.bell is no FIFO of yours: remove it"):
-        Ear(path)
+    with pytest.raises(ConfigError, match=r"\.notifier is no FIFO of yours: remove it"):
+        Listener(path)
     path.unlink()

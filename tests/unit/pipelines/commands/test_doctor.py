@@ -94,7 +94,7 @@ def test_refused_real_time_names_the_limits_to_set(monkeypatch: pytest.MonkeyPat
 
 def test_a_system_that_wakes_a_reader_but_once_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     """As Linux 5.5 to 5.9 does, whose pipes make no edge while they hold something."""
-    register = "kontur_av.topics.bell.Sleeper._rung"
+    register = "kontur_av.topics.notifier.WaitSet._notified"
     monkeypatch.setattr(register, lambda self, timeout_ns: timeout_ns == 0)
     verdict = check_topics()
     assert verdict.state == "missing"
