@@ -1,1 +1,1 @@
-"""RTP headers in one to three octets on the link."""
+"""Compression of RTP headers to one to three octets on the link."""

@@ -1,20 +1,19 @@
-"""RTP headers in one to three octets, correct whatever gets lost: which contexts, and when.
+"""Compresses RTP headers to one to three octets, correct under any loss: contexts and timing.
 
-The receiver decompresses with the newest context that it holds. The sender knows every context
-that this may be: the last one acknowledged, and all that were sent since. It sends a compressed
-header only if *each* of them gives exactly this header back, by the receiver's own arithmetic
-(`rtp_forms`); else the packet takes its whole header along, raw or as a new context. So nothing
-depends on the packet before, no gap makes anything re-converge, and no loss, of packets or of
-acknowledgements, can make a header come out wrong.
+The receiver decompresses with the newest context that it holds. The sender knows all contexts that
+this may be: the last one acknowledged, and all sent since then. It sends a compressed header only
+if *each* of them restores exactly this header, by the receiver's own arithmetic (`rtp_forms`).
+Otherwise the packet carries its whole header, raw or as a new context. No packet depends on the one
+before, so a gap needs no recovery. No loss of packets or acknowledgements can corrupt a header.
 
-**Two-way.** As long as no context is acknowledged, the receiver may hold none: whole headers.
-Afterwards every packet that arrives whole is decompressed, also the first one after a gap.
+**Two-way.** While no context is acknowledged, the receiver may hold none, so headers are sent
+whole. Afterwards every packet received can be decompressed, including the first one after a gap.
 
-**One-way.** Who does not hear the peer gets no acknowledgements. Its contexts are sent once a
-second, bear no number, and die `FLEETING_LIFE_NS` after their packet was sent, at both ends; the
-set of possible ones is those that live. After a few whole headers it is taken for granted that one
-was received; a receiver that has none drops packets until the next. What the receiver may still
-hold from a two-way time stays in the set, until that dies too (`LIFE_NS`).
+**One-way.** An end that does not hear the peer receives no acknowledgements. It sends fleeting
+contexts, one a second, with the number 0. Both ends discard them `FLEETING_LIFE_NS` after their
+packet was sent, so the possible ones are those that have not expired. After a few whole headers the
+sender assumes that one was received; a receiver without a context drops packets until the next one.
+Contexts from a two-way time stay possible until they expire as well (`LIFE_NS`).
 """
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -38,54 +37,54 @@ from telepresence.link.compression.rtp_forms import (
 from telepresence.link.compression.rtp_source import RtpSource
 from telepresence.link.flows import Flow
 
-#: How long a context that can be acknowledged serves: longer than any gap between two passes'
-#: drop-outs; bounded, so that no frame count that comes round again can revive one.
+#: Lifetime of a context that can be acknowledged. It exceeds any gap within a pass. It is bounded,
+#: so that a wrapped frame count cannot revive a context.
 LIFE_NS = 900 * NS_PER_S
-#: How long any other does: a gap of 10 s, with a context just missed before it and one just not
-#: due yet after it.
+#: Lifetime of a fleeting context: it covers a gap of 10 s, with a context lost just before the gap
+#: and the next one due just after it.
 FLEETING_LIFE_NS = 12_200 * NS_PER_MS
 FLEETING_REFRESH_NS = NS_PER_S
-#: Two-way, a context that fits is renewed this seldom, to follow slow clocks.
+#: Two-way, a context that still fits is renewed at this interval, to follow slow clock drift.
 REFRESH_NS = 8 * NS_PER_S
-#: A context that is not acknowledged is followed by another after this time, then after twice
-#: as long, and so on.
+#: A context that is not acknowledged is followed by another after this time, then after twice the
+#: time, and so on.
 RETRY_NS = 100 * NS_PER_MS
 LONGEST_RETRY_NS = 3_200 * NS_PER_MS
-#: An acknowledgement is never as late as this: it tells that what was sent longer ago, and after
-#: the context that it names, has not arrived.
+#: Upper bound of an acknowledgement's delay. Contexts sent longer ago than this, and after the
+#: acknowledged one, did not arrive.
 ROUND_TRIP_NS = 30 * NS_PER_S
-#: The receiver may hold one of so many at the most; when there are as many, no new one is sent.
+#: Largest number of contexts that the receiver may hold; with this many, no new one is sent.
 MOST_POSSIBLE = 16
-#: So many whole headers are sent before a silent receiver is taken to hold a context.
+#: Number of whole headers after which a silent receiver is assumed to hold a context.
 FIRST_WHOLE = 3
-#: Sequence numbers so far below and above what was predicted still fit, by octets of residue, and
-#: leave room for those to come until a new context is acknowledged.
+#: Tolerated distance of the sequence number from its prediction, by octets of residue. It leaves
+#: room for the packets sent before a new context is acknowledged.
 _SEQUENCE_ERRORS = ((0, 0), (-7, 13), (-3, 5))
 #: Octets of residue of each form, and of none.
 _OCTETS = (0, 1, 1, 2, 2)
-#: What a context costs more than a raw header with what it replaces: the tag is paid anyway.
+#: Cost of a context over the raw header that it replaces; the tag is needed either way.
 _CONTEXT_COST_OCTETS = CONTEXT_OCTETS - 2
 _SHADOW_NS = NS_PER_S
 
 
 class RtpCompressor:
-    """One RTP flow's sending end. It begins one-way, with a peer that holds nothing."""
+    """The sending end of one RTP flow. It begins one-way, with a peer that holds no context."""
 
     def __init__(self, flow: Flow, slot_ns: int) -> None:
         self._flow = flow
         self._forms = RtpForms(flow, slot_ns)
         self._source: RtpSource | None = None
         self._ssrc = -1
-        #: What the receiver may hold, oldest first; it may also hold nothing, see `_may_hold_none`.
+        #: Contexts that the receiver may hold, oldest first. See also `_may_hold_none`.
         self._possible: list[Context] = []
         self._acknowledged: Context | None = None
-        #: The number that the peer has told last: not to be used anew while it may tell it again.
+        #: The number acknowledged last; not reused while it may be acknowledged again.
         self._told = 0
         self._number = 0
         self._heard = False
         self._whole = 0
         self._sequence_error = 0
-        # A would-be context, and what not having sent it has cost since the last one.
+        # A context that was not sent, and the octets that it would have saved since the last one.
         self._shadow: Context | None = None
         self._regret_octets = 0
         self._life, self._fleeting_life, self._round_trip, self._shadow_life = (
@@ -99,14 +98,14 @@ class RtpCompressor:
         self._packets = 0
 
     def handle_peer(self, *, heard: bool) -> None:
-        """Whether the peer is heard from now on, and so its acknowledgements."""
+        """Set whether the peer is heard from now on, and with it its acknowledgements."""
         self._heard = heard
 
     def handle_acknowledgement(self, context_id: int, count: int) -> None:
-        """The peer has told which context is the newest that it holds; 0: none, or a fleeting one.
+        """The peer reported its newest context; 0: none, or a fleeting one.
 
-        count: the frame count, not wrapped, that this end has come to. Numbers told to an earlier
-        life of this end must not be passed on to here.
+        count: the present frame count of this end, not wrapped. Reports that refer to an earlier
+        life of this end must not be passed on to this method.
         """
         self._told = context_id
         oldest = count - self._round_trip
@@ -126,15 +125,15 @@ class RtpCompressor:
         self._possible = named + [context for context in newer if context.count >= oldest]
 
     def forget(self) -> None:
-        """A new life of the peer: it may hold nothing (but what was sent since it began)."""
+        """The peer restarted: it may hold no context from before."""
         self._acknowledged = None
         self._told = 0
         self._whole = 0
 
     def compress(self, data: bytes, count: int) -> tuple[int, bytes, int]:
-        """Kind, body, and how many octets of the body are header.
+        """Return the kind, the body, and how many octets of the body are header.
 
-        data: an RTP packet. count: the frame count, not wrapped, of the frame it starts in.
+        data: an RTP packet. count: frame count, not wrapped, of the frame in which it starts.
         """
         self._packets += 1
         if len(data) < RTP_HEADER_OCTETS or data[0] != PLAIN_RTP:
@@ -174,7 +173,7 @@ class RtpCompressor:
         return KIND_RAW, data, header_octets
 
     def _bury(self, count: int) -> None:
-        """Forget the contexts that have died at the receiver as well."""
+        """Drop the contexts that have expired at the receiver too."""
         possible = self._possible
         oldest, oldest_fleeting = count - self._life, count - self._fleeting_life
         for context in possible:
@@ -194,7 +193,7 @@ class RtpCompressor:
         return self._acknowledged is None and (self._heard or self._whole < FIRST_WHOLE)
 
     def _header(self, payload_type: int, fields: Fields, count: int) -> tuple[int, bytes] | None:
-        """The shortest header, as kind and residue, that each possible context gives back."""
+        """Return the shortest header (kind, residue) that each possible context restores."""
         possible, ssrc = self._possible, self._ssrc
         for context in possible:
             if context.ssrc != ssrc or context.payload_type != payload_type:
@@ -202,7 +201,7 @@ class RtpCompressor:
         assert self._source is not None
         forms, index = self._forms, self._source.index
         unpack = forms.unpack
-        # The newest tells where to begin; what counts is that each gives the same.
+        # The newest context says which form to try first; all contexts must then agree.
         first, self._sequence_error = forms.shortest(possible[-1], count, fields)
         for pack in forms.packers[first:]:
             kind, residue = pack(*fields, index)
@@ -216,11 +215,11 @@ class RtpCompressor:
     def _context_due(
         self, header: tuple[int, bytes] | None, payload_type: int, fields: Fields, count: int
     ) -> bool:
-        """Whether this packet is to be sent as a new context."""
+        """Whether to send this packet as a new context."""
         possible = self._possible
         assert self._source is not None
         if not self._heard and not self._source.known:
-            # It would have to serve, unsuperseded, as long as it lives.
+            # Without acknowledgements a bad context would serve for its whole lifetime.
             return False
         if not possible:
             return True
@@ -231,7 +230,7 @@ class RtpCompressor:
         if not self._heard:
             if age >= self._fleeting_refresh:
                 return True
-            # One more helps no packet as long as the older ones live, unless all are of another.
+            # While older ones may be held, a new one helps only if they are all of another kind.
             return header is None and not self._serves(newest, payload_type, fields, count)
         pending = sum(1 for context in possible if context.number)
         if self._acknowledged is not None:
@@ -248,16 +247,16 @@ class RtpCompressor:
         return not pending and self._regretted(len(header[1]), payload_type, fields, count)
 
     def _serves(self, context: Context, payload_type: int, fields: Fields, count: int) -> bool:
-        """Whether `context` alone would do for this packet."""
+        """Whether `context` alone would compress this packet."""
         if context.ssrc != self._ssrc or context.payload_type != payload_type:
             return False
         return self._forms.shortest(context, count, fields)[0] < len(self._forms.packers)
 
     def _regretted(self, octets: int, payload_type: int, fields: Fields, count: int) -> bool:
-        """Whether a newer context would by now have paid for itself.
+        """Whether a newer context would have paid for itself by now.
 
-        Its price is paid once its lack has cost as much; so not knowing what the source will do
-        next costs at most as much again as knowing it would.
+        A context is sent once its absence has cost as many octets as it costs. Without knowledge
+        of the source's future, this costs at most twice the optimum (ski rental).
         """
         shadow = self._shadow
         if shadow is None or count - shadow.count >= self._shadow_life:
@@ -269,7 +268,7 @@ class RtpCompressor:
         return self._regret_octets >= _CONTEXT_COST_OCTETS
 
     def _next_number(self) -> int:
-        """0 while the peer is not heard; else one that it can hold of no other context."""
+        """0 while the peer is not heard, else a number that no other possible context has."""
         if not self._heard:
             return 0
         taken = {context.number for context in self._possible} | {0, self._told}
@@ -284,14 +283,14 @@ class RtpCompressor:
         self._header_octets += 1 + header_octets
 
     def report(self) -> dict[str, int]:
-        """Packets by how their header went, all packets, and their headers' octets with tags."""
+        """Return packets by kind of header, all packets, and the octets of headers with tags."""
         return {**self._kinds, "packets": self._packets, "header_octets": self._header_octets}
 
 
 class RtpDecompressor:
-    """One RTP flow's receiving end. It holds one context, the newest.
+    """The receiving end of one RTP flow. It holds one context, the newest.
 
-    context_id: by which that one is to be acknowledged; 0 where it is none or a fleeting one.
+    context_id: number to acknowledge; 0 for no context or a fleeting one.
     """
 
     def __init__(self, flow: Flow, slot_ns: int) -> None:
@@ -301,14 +300,14 @@ class RtpDecompressor:
         self.context_id = 0
 
     def forget(self) -> None:
-        """The peer has restarted: what it sent before no longer counts."""
+        """The peer restarted: discard what it sent before."""
         self._context = None
         self.context_id = 0
 
     def decompress(self, kind: int, body: bytes, count: int) -> bytes | str:
-        """The RTP packet, or in one word the reason why there is none.
+        """Return the RTP packet, or in one word the reason why there is none.
 
-        count: the frame count, not wrapped, of the frame in which the packet started.
+        count: frame count, not wrapped, of the frame in which the packet started.
         """
         if kind >= KIND_BARE:
             context = self._context

@@ -1,8 +1,8 @@
-"""The bit layouts of compressed RTP headers, and the arithmetic that turns them back. No state.
+"""The bit layouts of compressed RTP headers, and the arithmetic that restores them. No state.
 
-Static rules, as in SCHC (RFC 8724): the tag's kind is the rule's number, each rule says of each
-field of RFC 3550 section 5.1 what it is compared with (the matching operator) and how it comes back
-(the compression/decompression action), and what is sent besides the tag is the residue.
+Static rules, as in SCHC (RFC 8724): the tag's kind is the number of the rule. For each field of
+RFC 3550 section 5.1, a rule has a matching operator (what the field is compared with) and a
+compression/decompression action (how it is restored). The residue is what is sent besides the tag.
 
 | field | target value | matching operator and action |
 |---|---|---|
@@ -12,26 +12,26 @@ field of RFC 3550 section 5.1 what it is compared with (the matching operator) a
 | timestamp | computed from the link's time | equal, not sent (bare); or MSB(x), LSB |
 | sequence number | computed from the timestamp | the same |
 
-It differs from RFC 8724 in two points. Target values are not provisioned: SSRC and offsets are
-random numbers of each sender, so a *context* tells them, and the receiver acknowledges it. And they
-are not constant: the frame count, which both ends know, says how far the source has come since.
+There are two differences from RFC 8724. Target values are not provisioned: SSRC and offsets are
+random numbers of each sender, so a *context* carries them, and the receiver acknowledges it. And
+they are not constant: the frame count, which both ends know, gives the source's progress since.
 
-A source is modelled as a *grid*: pictures (or blocks of sound) at equal distances, with about as
-many packets to each. The four rules, in octets with the tag:
+A source is modelled as a *grid*: pictures (or blocks of sound) at equal distances, each with about
+the same number of packets. The four rules, in octets with the tag:
 
-    bare   1   kind 4         -                              just as predicted
+    bare   1   kind 4         -                              exactly as predicted
     short  2   kind 5..7      marker 1, index 2, sequence 5  kind - 5 = timestamp modulo 3
     near   2   kind 8..11     timestamp 8                    kind - 8 = index modulo 4
-    long   3   kind 12..15    marker 1, sequence 4, timestamp 13, of which the kind holds two bits
+    long   3   kind 12..15    marker 1, sequence 4, timestamp 13; the kind holds two of the bits
 
-All residues are low bits of absolute values, hence the same whichever context the receiver holds;
-each stands for the only value with these bits in a window around the prediction.
+All residues are low bits of absolute values, so they do not depend on the receiver's context. Each
+one stands for the only value with these bits in a window around the prediction.
 
-    short  timestamp: at a grid point or a tick beside it; for sources on a clock of their own
+    short  timestamp: at a grid point or a tick beside it; for sources with their own clock
     near   timestamp: within 128 ticks of a grid point (1.4 ms at 90 kHz); for cameras
-    long   timestamp: 5120 ticks before to 3071 after the link's time; for what is on no grid
-    index  (number of the grid point): 2 before to 1 after the one that the link's time shows
-    sequence: from 12 before to 19 after what the grid predicts (short), 6 before to 9 after (long)
+    long   timestamp: 5120 ticks before to 3071 after the link's time; for sources without a grid
+    index  (number of the grid point): 2 before to 1 after the one at the link's time
+    sequence: 12 before to 19 after the grid's prediction (short), 6 before to 9 after it (long)
 """
 
 import struct
@@ -44,26 +44,26 @@ from telepresence.link.flows import Flow
 RTP_HEADER = struct.Struct(">BBHII")
 RTP_HEADER_OCTETS = RTP_HEADER.size
 
-#: The first octet of a header without padding, extension and CSRC; only these are compressed.
+#: First octet of a header without padding, extension and CSRC. Only such headers are compressed.
 PLAIN_RTP = 0x80
 
 #: Kinds of the tag octet.
 KIND_RAW, KIND_CONTEXT = 1, 2
 KIND_BARE, KIND_SHORT, KIND_NEAR, KIND_LONG = 4, 5, 8, 12
 
-#: What a context packet has in front of the payload: its number; marker and payload type, sequence
-#: number, timestamp and SSRC of its packet; period in 1/64 ticks, packets a period in sixteenths,
-#: phase in ticks, index and lead.
+#: The header of a context packet: its number; marker and payload type, sequence number, timestamp
+#: and SSRC of its packet; period in 1/64 ticks, packets a period in sixteenths, phase in ticks,
+#: index and lead.
 _CONTEXT = struct.Struct(">BBHIIBHBhB")
 CONTEXT_OCTETS = _CONTEXT.size
 
-#: Parts of a tick in which a period is told.
+#: Resolution of a period, in parts of a tick.
 PERIOD_PARTS = 64
 LARGEST_PERIOD = (1 << 24) - 1
-#: Parts of a packet in which the packets a period are told.
+#: Resolution of the packets a period, in parts of a packet.
 RATE_PARTS = 16
 LARGEST_RATE = 0xFF
-#: The lead's unit is this part of a second, and it has six bits.
+#: The unit of the lead is this part of a second; the lead has six bits.
 _LEADS_PER_S = 500
 LARGEST_LEAD = 31
 
@@ -77,15 +77,15 @@ _LONG_SEQUENCE_BACK = 6
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """One packet's whole header, when it was sent, and how its source goes on from there.
+    """One packet's whole header, the time it was sent, and the prediction of its source.
 
-    number: by which it is acknowledged, 1..255; 0 for one that nobody acknowledges.
+    number: identifies the context in acknowledgements, 1 to 255; 0 if it is never acknowledged.
     count: frame count, not wrapped, of the frame in which its packet started.
     period: ticks from one grid point to the next, in 1/64.
     rate: packets a period, in sixteenths.
-    phase: the packet's grid point less its timestamp, in ticks.
-    index: the grid point's number, modulo 4.
-    lead: how much more than usual the packet had waited for the link, in ticks / `lead_ticks`.
+    phase: the packet's grid point minus its timestamp, in ticks.
+    index: number of the grid point, modulo 4.
+    lead: how much longer than usual the packet waited for the link, in units of `lead_ticks`.
     """
 
     number: int
@@ -102,7 +102,7 @@ class Context:
     lead: int
 
     def pack(self) -> bytes:
-        """`CONTEXT_OCTETS` octets."""
+        """Return `CONTEXT_OCTETS` octets."""
         return _CONTEXT.pack(
             self.number,
             self.marker << 7 | self.payload_type,
@@ -118,7 +118,7 @@ class Context:
 
 
 def parse_context(body: bytes, count: int) -> Context | None:
-    """The context that `body` begins with; None where it can be none."""
+    """Return the context at the begin of `body`, or None if it is invalid."""
     if len(body) < CONTEXT_OCTETS:
         return None
     fields = _CONTEXT.unpack_from(body)
@@ -145,15 +145,15 @@ def parse_context(body: bytes, count: int) -> Context | None:
 #: Marker, sequence number and timestamp.
 Fields = tuple[int, int, int]
 
-#: What is told from these, the grid index, and: the kind, and the residue.
+#: Packs (marker, sequence, timestamp, grid index) into (kind, residue).
 _Pack = Callable[[int, int, int, int], tuple[int, bytes]]
 
 
 class RtpForms:
-    """The rules for one flow: `pack_*` make kind and residue, `unpack` gives the fields back."""
+    """The rules for one flow: `packers` return kind and residue, `unpack` restores the fields."""
 
     def __init__(self, flow: Flow, slot_ns: int) -> None:
-        # Ticks a slot are the fraction ticks / units.
+        # The fraction ticks / units is the number of ticks in a slot.
         self._ticks = flow.clock_hz * slot_ns
         self._units = NS_PER_S
         self.lead_ticks = max(1, flow.clock_hz // _LEADS_PER_S)
@@ -164,10 +164,10 @@ class RtpForms:
         return slots * self._ticks // self._units
 
     def unpack(self, kind: int, body: bytes, context: Context, count: int) -> Fields | None:
-        """The fields of a header of `kind` 4..15; None where `body` is too short."""
+        """Restore the fields of a header of `kind` 4 to 15; None if `body` is too short."""
         if len(body) < residue_octets(kind):
             return None
-        # The timestamp that a packet has now which waited as long as most do, from the context's.
+        # Expected distance of the timestamp from the context's, for a packet with the usual wait.
         due = (count - context.count) * self._ticks // self._units + context.lead * self.lead_ticks
         period = context.period
         if kind >= KIND_LONG:
@@ -199,8 +199,10 @@ class RtpForms:
         return octet >> 7, sequence & 0xFFFF, timestamp & _U32
 
     def shortest(self, context: Context, count: int, fields: Fields) -> tuple[int, int]:
-        """Which of `packers` is the first to serve, `len(packers)` for none; and how far the
-        sequence number is from what the grid predicts."""
+        """Return the index of the first of `packers` that fits, or `len(packers)` for none.
+
+        The second value is the distance of the sequence number from the grid's prediction.
+        """
         marker, sequence, timestamp = fields
         since = (count - context.count) * self._ticks // self._units
         due = since + context.lead * self.lead_ticks
@@ -226,7 +228,7 @@ class RtpForms:
 
 
 def residue_octets(kind: int) -> int:
-    """How many octets of a compressed header follow its tag."""
+    """Return how many octets of a compressed header follow its tag."""
     return 2 if kind >= KIND_LONG else 1 if kind > KIND_BARE else 0
 
 
@@ -249,12 +251,12 @@ def pack_long(marker: int, sequence: int, timestamp: int, index: int) -> tuple[i
 
 
 def signed32(difference: int) -> int:
-    """A difference of two 32-bit numbers as the nearer one of its two readings."""
+    """Return a difference of two 32-bit numbers as a signed number, modulo 2^32."""
     return (difference + 0x8000_0000 & _U32) - 0x8000_0000
 
 
 def _point(context: Context, index: int) -> int:
-    """Timestamp, not wrapped, of the grid point `index` after the context's."""
+    """Return the timestamp, not wrapped, of the grid point `index` after the context's."""
     ticks = (index * context.period + PERIOD_PARTS // 2) // PERIOD_PARTS
     return context.timestamp + context.phase + ticks
 

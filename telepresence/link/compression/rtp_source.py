@@ -1,7 +1,7 @@
-"""What a sender can tell of an RTP source by watching it: its grid, its rate, its usual wait.
+"""Estimates an RTP source's grid, packet rate and usual wait from its packets.
 
-Only the compressor uses this. It puts what it finds into contexts; a wrong guess costs octets,
-never a wrong header.
+Only the compressor uses this, for its contexts. A wrong estimate costs octets, but never leads to
+a wrong header.
 """
 
 from collections import deque
@@ -19,21 +19,21 @@ from telepresence.link.compression.rtp_forms import (
 )
 from telepresence.link.flows import Flow
 
-#: Until two pictures have been seen.
+#: Rate assumed until two pictures have been seen.
 _ASSUMED_HZ = 30
-#: How many grid points the line through them is fitted to, at the most.
+#: Largest number of grid points in the fit of the line.
 _MEMORY = 256
-#: The usual wait is that of so many packets, the last ones.
+#: Number of latest packets that determine the usual wait.
 _WAITS = 64
-#: One in so many of them is left out as too long, and half as many as too short.
+#: One in this many waits is ignored as too long, and half as many as too short.
 _OUTERMOST = 8
-#: Waits that differ by more than this part of a second are of a source that has jumped.
+#: Two waits that differ by more than this part of a second mean that the source's clock jumped.
 _JUMPS_PER_S = 2
-#: Packets a picture are counted over one to two times as many pictures.
+#: The packets a picture are counted over one to two times this number of pictures.
 _PICTURES = 128
-#: A line that fits so many pictures was no accident.
+#: After this many pictures on a line, trust the line.
 _STEADY = 16
-#: So many pictures tell all of a source that keeps its grid to the tick, and so many of any other.
+#: Pictures needed to know a source that keeps its grid to the tick, and any other source.
 _FEW, _MANY = 4, 32
 
 
@@ -48,36 +48,36 @@ class _Picture(NamedTuple):
 class RtpSource:
     """One SSRC, packet by packet.
 
-    Its grid is a straight line through the timestamps of its pictures, fitted by least squares
-    with a memory that grows up to `_MEMORY` pictures: the gains of such a filter are
-    2(2k - 1) / (k(k + 1)) for the position and 6 / (k(k + 1)) for the slope at the k-th point.
-    A flow of known stride has its grid given.
+    The grid is a line through the timestamps of the pictures, fitted by recursive least squares.
+    Its memory grows up to `_MEMORY` pictures. At the k-th point the gains of such a filter are
+    2(2k - 1) / (k(k + 1)) for the position and 6 / (k(k + 1)) for the slope. A flow with a known
+    stride has a given grid.
 
-    index: number of the grid point next to the packet seen last.
+    index: number of the grid point nearest to the latest packet.
     """
 
     def __init__(self, flow: Flow, forms: RtpForms, sequence: int, timestamp: int) -> None:
         self._forms = forms
         self._stride = flow.stride_ticks
         self.index = 0
-        #: Timestamps and sequence numbers without their wraps.
+        #: Timestamp and sequence number, not wrapped.
         self._timestamp = timestamp
         self._sequence = sequence
         self._grid = float(timestamp)
         self._period = float(self._stride or flow.clock_hz // _ASSUMED_HZ)
         self._points = 1
-        # First packets of pictures: the rate is measured from the older one.
+        # First packets of two pictures; the rate is measured from the older one.
         self._pictures = 0
         self._last_picture = _Picture(0, sequence, timestamp)
         self._marks = [self._last_picture, self._last_picture]
-        # Pictures since the line was begun, and how far the worst one was beside it.
+        # Pictures since the fit began, and the largest distance of one from the line.
         self._steady = 0
         self._worst = 0.0
         self._waits: deque[int] = deque(maxlen=_WAITS)
         self._jump = flow.clock_hz // _JUMPS_PER_S
 
     def handle_packet(self, sequence: int, timestamp: int, count: int) -> None:
-        """The next packet that is sent, and the frame count at which it starts."""
+        """Take the next packet to send, and the frame count at which it starts."""
         self._sequence += (sequence - self._sequence + 0x8000 & 0xFFFF) - 0x8000
         step = signed32(timestamp - self._timestamp)
         if step:
@@ -110,7 +110,7 @@ class RtpSource:
             self._break()
             return
         if periods < 1:
-            # Out of order (a picture that refers to later ones): no news of the line.
+            # A picture out of order (it refers to later ones) says nothing about the line.
             self.index -= periods
             return
         self._points = points = min(self._points + 1, _MEMORY)
@@ -119,14 +119,16 @@ class RtpSource:
         self._period += 6 / scale * error / periods
 
     def _break(self) -> None:
-        """Not on the grid: a pause, another rate, or a source that has none."""
+        """Restart the fit: a pause, another rate, or a source without a grid."""
         self._steady, self._worst = 0, 0.0
         self._points = 1
         self._grid = float(self._timestamp)
 
     def _usual_wait(self) -> float:
-        """The middle of the last waits but the outermost ones: the first picture of a start waits
-        for a long time, and so does what follows a stall; neither says anything of the others."""
+        """Return the middle of the latest waits without the outermost ones.
+
+        The first picture after a start and the packets after a stall wait unusually long.
+        """
         ordered = sorted(self._waits)
         if len(ordered) > 1:
             outermost = -(-len(ordered) // _OUTERMOST)
@@ -142,19 +144,19 @@ class RtpSource:
     def context(
         self, number: int, count: int, marker: int, payload_type: int, ssrc: int
     ) -> Context:
-        """A context of the packet seen last."""
+        """Return a context of the latest packet."""
         lead = round((self._waits[-1] - self._usual_wait()) / self._forms.lead_ticks)
         period, phase = self._period, round(self._grid) - self._timestamp
         pictures, sequences, ticks = (
             last - first for last, first in zip(self._last_picture, self._marks[0], strict=True)
         )
         if not self._stride and self._steady < _STEADY <= pictures and ticks > 0:
-            # On no grid; the mean distance still tells the sequence number.
+            # Without a grid, the mean distance still predicts the sequence number.
             period, phase = ticks / pictures, 0
         rate = 1.0
         if not self._stride and ticks > 0:
             rate = sequences * period / ticks
-            # One packet a picture, but for pictures that were left out: exact while none is.
+            # Probably one packet a picture, with some pictures left out: then 1 is exact.
             if 7 / 8 <= rate <= 9 / 8:
                 rate = 1.0
         return Context(

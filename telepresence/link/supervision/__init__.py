@@ -1,1 +1,1 @@
-"""How the two ends of the link find, check and lose each other."""
+"""Supervision: how the two ends of the link find, check and lose each other."""

@@ -1,16 +1,16 @@
-"""Whether the applications' data comes through: approval, and reset of what is idle or broken."""
+"""Application link: approval by data both ways, and reset of an idle or broken link."""
 
 from telepresence.link.supervision.configuration import SupervisionTiming
 
-#: Each reset that did not help makes the next wait twice as long, up to so many times.
+#: Each reset without success doubles the next wait, up to this factor.
 _LARGEST_PATIENCE = 32
 
 
 class ApplicationWatch:
     """One end's view of the application link.
 
-    arrived: data has arrived in this contact, since the last reset. That a direction carries
-    nothing is no fault: an idle link is reset once, and then waits for data as long as it takes.
+    arrived: data has arrived in this contact, since the last reset. A direction without data is not
+    a fault: an idle link is reset once, and then waits for data indefinitely.
     """
 
     __slots__ = (
@@ -33,18 +33,18 @@ class ApplicationWatch:
         self._patience = 1
 
     def handle_first(self) -> None:
-        """Data arrived, the first since the contact began or the link was reset."""
+        """The first data arrived since the contact began or the link was reset."""
         self.arrived = True
         self._patience = 1
 
     def handle_contact(self, now_ns: int) -> None:
-        """Another contact or another life of the peer: nothing has arrived in it."""
+        """A new contact or a new life of the peer began, in which nothing has arrived yet."""
         self.arrived = False
         self._peer_sends_ns = None
         self._reset_ns = now_ns
 
     def handle_peer(self, *, was_reset: bool, sends: bool, now_ns: int) -> None:
-        """What the peer says: it has been reset since it last spoke; it sends data."""
+        """Take the peer's report: whether it was reset since the last one, whether it sends."""
         if was_reset and not self.fresh(now_ns):
             self.arrived = False
         if not sends:
@@ -53,19 +53,19 @@ class ApplicationWatch:
             self._peer_sends_ns = now_ns
 
     def fresh(self, now_ns: int) -> bool:
-        """Whether data has arrived lately."""
+        """Whether data has arrived recently."""
         return now_ns - self.arrived_ns < self._timing.idle_ns
 
     def sending(self, now_ns: int) -> bool:
-        """Whether data has been sent lately."""
+        """Whether data has been sent recently."""
         return now_ns - self.sent_ns < self._timing.idle_ns
 
     def reset_due(self, *, peer_fresh: bool, approved: bool, now_ns: int) -> str | None:
-        """`idle`, `broken` or None; where a word is returned, the reset has been made.
+        """Return `idle` or `broken` if the link was reset now, else None.
 
-        peer_fresh: the peer has received data of ours lately. approved: data had arrived both
-        ways. Idle is a link that was approved and carries nothing either way; broken, one where
-        the peer sends, and nothing comes out here.
+        peer_fresh: the peer has received data recently. approved: data had arrived both ways.
+        Idle: an approved link that carries nothing either way. Broken: the peer sends, but nothing
+        arrives here.
         """
         if self.fresh(now_ns):
             return None

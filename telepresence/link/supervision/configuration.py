@@ -1,4 +1,4 @@
-"""What both ends must have in common, and how fast supervision is."""
+"""The configuration that both ends must share, and the timing of supervision."""
 
 from binascii import crc_hqx
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ _LARGEST_RATE_KBPS = 0xFFFF
 
 @dataclass(frozen=True, kw_only=True)
 class Configuration:
-    """One end's view of the link: the peer has `transmit` and `receive` the other way round."""
+    """One end's view of the link; at the peer, `transmit` and `receive` are exchanged."""
 
     transmit: LinkProfile
     transmit_flows: Sequence[Flow]
@@ -30,7 +30,7 @@ class Configuration:
             raise ConfigError(f"version is {self.version}: it must be from 1 to 15")
 
     def text(self, *, master: bool) -> str:
-        """What the digest is made of: a line a profile and a flow, the master's way out first."""
+        """Return the text to digest: a line for each profile and flow, master's way out first."""
         ways = [(self.transmit, self.transmit_flows), (self.receive, self.receive_flows)]
         lines = []
         for profile, flows in ways if master else reversed(ways):
@@ -46,11 +46,14 @@ class Configuration:
         return "".join(lines)
 
     def digest(self, *, master: bool) -> int:
-        """16 bits, the same at both ends if all is the same: CRC of the text, as in the FECF."""
+        """Return 16 bits that are equal at both ends with equal configurations.
+
+        The CRC of the text, with the polynomial of the FECF.
+        """
         return crc_hqx(self.text(master=master).encode(), 0xFFFF)
 
     def rates_kbps(self) -> tuple[int, int]:
-        """Whole frames, way out and way in; what 16 bits cannot say is 65535."""
+        """Return the rates of whole frames, way out and way in, at most 65535 each."""
         out, in_ = (
             min(profile.capacity_bps // 1000, _LARGEST_RATE_KBPS)
             for profile in (self.transmit, self.receive)
@@ -60,18 +63,18 @@ class Configuration:
 
 @dataclass(frozen=True, kw_only=True)
 class SupervisionTiming:
-    """How long supervision waits, in nanoseconds.
+    """The waits of supervision, in nanoseconds.
 
-    loss_ns: without a good frame for so long, the signal is lost; noticed no later than that.
-    round_trip_ns: the longest that the link may have; handshakes are given four of them.
-    fast_ns: between messages while something is unsettled.
-    search_ns: between messages where nothing changes and nobody is known to hear them. In the
-        one direction that may live they take from the media.
-    slow_ns: between messages where all is settled.
-    spacing_ns: between any two messages, whatever changes.
-    settle_ns: so long after a change, messages stay fast if the peer has not said it knows.
-    silence_ns: frames, but no message for so long: the peer's supervision does not live.
-    idle_ns: without application data either way for so long, the application link is reset.
+    loss_ns: without a good frame for this long the signal is lost. It is noticed within that time.
+    round_trip_ns: the longest round trip of the link; handshakes may take four of them.
+    fast_ns: interval of messages while something is unsettled.
+    search_ns: interval of messages if nothing changes and the peer may not hear them. They take
+        capacity from the media in the only direction that may work.
+    slow_ns: interval of messages if all is settled.
+    spacing_ns: shortest interval of messages, whatever changes.
+    settle_ns: after a change messages stay fast for this long, unless the peer confirms it.
+    silence_ns: with frames but no message for this long, the peer's supervision is dead.
+    idle_ns: without application data either way for this long, the application link is reset.
     """
 
     loss_ns: int = 50 * NS_PER_MS
@@ -95,5 +98,5 @@ class SupervisionTiming:
 
     @property
     def answer_ns(self) -> int:
-        """How long a master waits for the slave to do what it was told."""
+        """How long a master waits for the slave to confirm its configuration."""
         return 4 * self.round_trip_ns

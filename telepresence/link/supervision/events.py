@@ -1,4 +1,4 @@
-"""What supervision has to say to the gateway it belongs to."""
+"""The events that supervision reports to its gateway."""
 
 from typing import NamedTuple
 
@@ -6,21 +6,21 @@ from telepresence.link.supervision.message import LinkState
 
 
 class SignalAcquired(NamedTuple):
-    """The first good frame after `gap_ns` without one (or since this end began)."""
+    """The first good frame after `gap_ns` without one, or since this end started."""
 
     now_ns: int
     gap_ns: int
 
 
 class SignalLost(NamedTuple):
-    """No good frame since `last_ns`. Whether the peer hears this end is unknown from now on."""
+    """No good frame since `last_ns`. It is now unknown whether the peer hears this end."""
 
     now_ns: int
     last_ns: int
 
 
 class PeerMet(NamedTuple):
-    """A peer that fits, in a life that is new here: it holds nothing of what was before."""
+    """A matching peer in a new life: it holds nothing from before."""
 
     now_ns: int
     life: int
@@ -34,20 +34,20 @@ class PeerHears(NamedTuple):
 
 
 class PeerDeaf(NamedTuple):
-    """The peer says that it does not hear this end, or has said nothing for long."""
+    """The peer says that it does not hear this end, or has been silent for long."""
 
     now_ns: int
 
 
 class ContextsHeld(NamedTuple):
-    """Header contexts that the peer holds, of this life of this end: an id a flow, 0 none."""
+    """Contexts of this life of this end that the peer holds: a number a flow, 0 for none."""
 
     now_ns: int
     ids: tuple[int, ...]
 
 
 class StateChanged(NamedTuple):
-    """One state after the other, and why."""
+    """A change of state, with its reason."""
 
     now_ns: int
     before: LinkState
@@ -56,9 +56,9 @@ class StateChanged(NamedTuple):
 
 
 class ApplicationReset(NamedTuple):
-    """Begin the application link anew: throw away what waits and what was learned of headers.
+    """Restart the application link: discard queues and header contexts.
 
-    why: `idle` (nothing came either way) or `broken` (the peer sends, and nothing comes out).
+    why: `idle` (no data either way) or `broken` (the peer sends, but nothing arrives here).
     """
 
     now_ns: int

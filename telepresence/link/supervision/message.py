@@ -1,15 +1,15 @@
-"""The supervision message: twelve octets that the two ends of the link tell each other.
+"""The supervision message: twelve octets that the two ends of the link exchange.
 
-It takes the first 12 octets of a packet zone; docs/link-packets.md has the code of the first
-header pointer that shows it. All numbers are big-endian; the layout is this project's own.
+It takes the first 12 octets of a packet zone; docs/link-packets.md says which first header pointer
+marks it. All numbers are big-endian; the layout is this project's own.
 
-octet 0, high 4 bits   version, whose place never changes
+octet 0, high 4 bits   version, whose position never changes
 octet 0, low 4 bits    kind: 0 ALIVE, 1 CONFIGURE, 2 CONFIRM, 3 REJECT
 octet 1                state (3 bits, `LinkState`), then a bit each: master, signal, application,
                        fresh, sending
-octets 2..3            life of the sender, 1..65535: another one each time it starts
-octets 4..5            life of the peer whose messages arrive in this contact, 0 while none does
-octets 6..7            digest of the configuration (`supervision_configuration`)
+octets 2..3            life of the sender, 1..65535: a new one at each start
+octets 4..5            life of the peer whose messages arrive in this contact, 0 without any
+octets 6..7            digest of the configuration (`configuration`)
 octets 8..11           ALIVE, CONFIRM: ids of the header contexts held, an octet a flow, 0 none
                        CONFIGURE, REJECT: rates of the sender's way out and way in, 16 bits each,
                        in kbit/s
@@ -31,12 +31,14 @@ _MASTER, _SIGNAL, _APPLICATION, _FRESH, _SENDING = 0x10, 0x08, 0x04, 0x02, 0x01
 
 
 class LinkState(IntEnum):
-    """How far the two ends have come; docs/link-contact.md draws it.
+    """How far the two ends have come; docs/link-contact.md shows the transitions.
 
-    CHECK: the local check has not passed. SEARCH: no signal, or no message in it yet.
-    CONFIGURE: a peer that fits is there; master and slave have not both agreed, or it is deaf.
-    APPROVE: agreed; application data has not arrived both ways yet. CONNECTED: it has.
-    REFUSED: the peer is one that must not be talked to.
+    CHECK: the local check has not passed.
+    SEARCH: no signal, or no message in it yet.
+    CONFIGURE: a matching peer is there, but the two have not agreed, or it does not hear this end.
+    APPROVE: agreed, but application data has not arrived both ways yet.
+    CONNECTED: application data has arrived both ways.
+    REFUSED: the peer does not match.
     """
 
     CHECK = 0
@@ -48,7 +50,7 @@ class LinkState(IntEnum):
 
 
 class MessageKind(IntEnum):
-    """What a message is for."""
+    """The purpose of a message."""
 
     ALIVE = 0
     CONFIGURE = 1
@@ -59,11 +61,12 @@ class MessageKind(IntEnum):
 class SupervisionMessage(NamedTuple):
     """One message.
 
-    version: 1..15. life, heard: see the module. digest: 0..65535.
-    signal: good frames of the peer arrive. application: data of the peer's applications has
-    arrived since the contact or the last reset; fresh: some has lately; sending: some has lately
-    been sent. contexts: of ALIVE and CONFIRM, else zeros. rates_kbps: of CONFIGURE and REJECT
-    (way out, way in), else zeros.
+    version: 1 to 15. life, heard: see the module. digest: 0 to 65535.
+    signal: good frames of the peer arrive.
+    application: data of the peer's applications has arrived since the contact or the last reset.
+    fresh: some has arrived recently. sending: some has been sent recently.
+    contexts: of ALIVE and CONFIRM, else zeros.
+    rates_kbps: of CONFIGURE and REJECT (way out, way in), else zeros.
     """
 
     version: int
@@ -85,7 +88,7 @@ _TELLS_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
 
 
 def pack_message(message: SupervisionMessage) -> bytes:
-    """Twelve octets."""
+    """Return the twelve octets of `message`."""
     flags = (
         message.state << _STATE_SHIFT
         | (_MASTER if message.master else 0)
@@ -106,12 +109,12 @@ def pack_message(message: SupervisionMessage) -> bytes:
 
 
 def message_version(data: bytes) -> int:
-    """The version that `data` says it is of, 1..15; 0 where it is no message of any."""
+    """Return the version in `data`, 1 to 15; 0 if it is no message of any version."""
     return data[0] >> 4 if len(data) == MESSAGE_OCTETS else 0
 
 
 def parse_message(data: bytes) -> SupervisionMessage | None:
-    """The message in `data`; None where no end that keeps to the layout can have sent it."""
+    """Parse `data`; None if no end that follows the layout can have sent it."""
     if not message_version(data):
         return None
     first, flags, life, heard, digest, rest = _LAYOUT.unpack(data)

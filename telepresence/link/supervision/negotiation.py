@@ -1,4 +1,4 @@
-"""What the peer's messages say of it: whether it fits, hears this end, and has agreed with it."""
+"""What the peer's messages show: whether it matches, hears this end, and has agreed."""
 
 from enum import Enum, auto
 
@@ -11,16 +11,16 @@ from telepresence.link.supervision.message import (
     parse_message,
 )
 
-#: Each answer that does not come makes the next wait twice as long, up to so many times.
+#: Each missing answer doubles the next wait, up to this factor.
 _LARGEST_PATIENCE = 32
 _TELLS_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
 
 
 class Verdict(Enum):
-    """What a message was.
+    """Result of checking a message.
 
-    MALFORMED: none. SUSPECT: one that does not fit, for the first time. REFUSED: the same again.
-    MET: one that fits, of a life that is new here. FITS: one more.
+    MALFORMED: it is no message. SUSPECT: it does not match, for the first time. REFUSED: the same
+    mismatch again. MET: it matches and begins a new life of the peer. FITS: it matches.
     """
 
     MALFORMED = auto()
@@ -33,11 +33,13 @@ class Verdict(Enum):
 class Negotiation:
     """One end's view of the other.
 
-    peer: the newest message that fits, of this contact, or None. message_ns: when it came, or
-    the contact began. peer_life: the life that was checked, 0 before there is one. checked:
-    nothing speaks against that life being the one that sends. hears: the peer is heard and says
-    that it hears this end. agreed: master and slave of these two lives have agreed. refusal: why
-    the peer must not be talked to, or None.
+    peer: the newest matching message of this contact, or None.
+    message_ns: when it came, or when the contact began.
+    peer_life: the life that was checked; 0 before the first.
+    checked: nothing indicates that another life sends.
+    hears: the peer is heard and says that it hears this end.
+    agreed: master and slave have agreed in these two lives.
+    refusal: why the peer does not match, or None.
     """
 
     def __init__(
@@ -63,20 +65,20 @@ class Negotiation:
         self._life = life
         self._configuration = configuration
         self._timing = timing
-        #: What a message that did not fit looked like: only its repetition is believed.
+        #: Signature of a mismatching message; only its repetition counts.
         self._suspect: tuple[int, ...] = ()
         self._refused: tuple[int, ...] = ()
         self._unanswered_ns: int | None = None
         self._patience = 1
 
     def handle_message(self, data: bytes, now_ns: int) -> Verdict:
-        """Twelve octets out of a good frame."""
+        """Check twelve octets from a good frame."""
         version = message_version(data)
         if not version:
             return Verdict.MALFORMED
         if version != self.version:
             why = f"the peer speaks version {version} of the link, this end {self.version}"
-            # Nothing but the version is known of its layout: the repetition must be exact.
+            # The layout of other versions is unknown, so the repetition must be identical.
             return self._mismatch(tuple(data), f"{why}: install the same on both")
         message = parse_message(data)
         if message is None:
@@ -98,13 +100,15 @@ class Negotiation:
         self.forget_peer()
 
     def forget_peer(self) -> None:
-        """Whatever it said last does not count any more; that its life was checked does."""
+        """Discard the peer's last message, but not the fact that its life was checked."""
         self.peer = self._unanswered_ns = None
         self.hears = False
 
     def timeout(self, now_ns: int) -> str | None:
-        """`silence` (frames, but no message for long), `answer` (the slave was configured long
-        ago, and does not confirm), or None; where a word is returned, all is begun anew."""
+        """Return the timeout that has passed, or None; its waiting starts again.
+
+        `silence`: frames, but no message for long. `answer`: the slave does not confirm.
+        """
         timing = self._timing
         if self.peer is None:
             return None
@@ -121,7 +125,7 @@ class Negotiation:
         return "answer"
 
     def obstacle(self) -> tuple[LinkState, str] | None:
-        """The state in which the two stand while they have not agreed, and why; else None."""
+        """Return the state while the two have not agreed, and why; None once they have."""
         if self.refusal is not None:
             return LinkState.REFUSED, self.refusal
         if self.peer is None:
@@ -136,7 +140,7 @@ class Negotiation:
         return None
 
     def kind(self, state: LinkState) -> MessageKind:
-        """What kind of message an end in `state` sends."""
+        """Return the kind of message that an end in `state` sends."""
         if state is LinkState.REFUSED:
             return MessageKind.REJECT
         if self.peer is None or state is LinkState.CHECK:
@@ -147,7 +151,7 @@ class Negotiation:
         return MessageKind.CONFIRM if asked and self.agreed else MessageKind.ALIVE
 
     def _difference(self, message: SupervisionMessage) -> str:
-        """What does not fit, as far as the message tells."""
+        """Describe what does not match, as far as the message shows it."""
         mend = "give both ends the same setup"
         if message.kind not in _TELLS_RATES:
             return f"the configuration differs: {mend}"
@@ -163,9 +167,9 @@ class Negotiation:
         return f"{', '.join(wrong) or 'frames or flows differ (rates agree)'}: {mend}"
 
     def _mismatch(self, signature: tuple[int, ...], why: str, *, exact: bool = False) -> Verdict:
-        """A message that does not fit. One alone may be an error that the FECF let through.
+        """Handle a mismatch. A single one may be an error that the FECF did not detect.
 
-        exact: `why` says it as well as can be known; it replaces what was said before.
+        exact: `why` is as precise as possible and replaces an earlier reason.
         """
         if signature != self._suspect:
             self._suspect = signature
@@ -178,7 +182,7 @@ class Negotiation:
         return Verdict.REFUSED
 
     def _accept(self, message: SupervisionMessage, now_ns: int) -> Verdict:
-        """A message of a peer that fits."""
+        """Handle a message of a matching peer."""
         verdict = Verdict.FITS
         self._suspect, self.refusal = (), None
         if message.life != self.peer_life:
@@ -192,7 +196,7 @@ class Negotiation:
         told = MessageKind.CONFIRM if self._master else MessageKind.CONFIGURE
         if hears and message.kind is told:
             self.agreed = True
-        # It hears its master, and nothing keeps it from doing as it is told.
+        # The peer hears its master, and nothing prevents it from confirming.
         waiting = message.state in (LinkState.SEARCH, LinkState.CONFIGURE)
         if not (self._master and hears and waiting):
             self._unanswered_ns, self._patience = None, 1

@@ -1,15 +1,18 @@
-"""When the next supervision message goes out: each takes a slot's packets their place."""
+"""When to send the next supervision message; each one takes capacity from packets."""
 
 from telepresence.link.supervision.configuration import SupervisionTiming
 
 
 class MessagePacing:
-    """At once on a change, fast while it may not be known yet, then slow. due_ns: the next."""
+    """Messages at once on a change, fast until the peer may know it, then slowly.
+
+    due_ns: when the next message is due.
+    """
 
     def __init__(self, timing: SupervisionTiming, now_ns: int) -> None:
         self.due_ns = now_ns
         self._timing = timing
-        #: What the last message said; of the rest of it (held contexts) apart.
+        #: What the last message contained; the rest (contexts held) separately.
         self._told: tuple[int, ...] = ()
         self._told_rest: tuple[int, ...] = ()
         self._now: tuple[int, ...] = ()
@@ -25,7 +28,7 @@ class MessagePacing:
         heard: bool,
         settled: bool,
     ) -> None:
-        """What a message would say now. heard: the peer hears. settled: it needs nothing more."""
+        """Update the next message. heard: the peer hears. settled: it needs nothing more."""
         timing = self._timing
         if content != self._now:
             self._now, self._changed_ns = content, now_ns
@@ -42,5 +45,5 @@ class MessagePacing:
         self.due_ns = self._sent_ns + wait_ns
 
     def handle_sent(self, content: tuple[int, ...], rest: tuple[int, ...], now_ns: int) -> None:
-        """A message with this has been sent."""
+        """A message with this content was sent."""
         self._told, self._told_rest, self._sent_ns = content, rest, now_ns

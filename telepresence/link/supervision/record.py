@@ -1,16 +1,16 @@
-"""What supervision did and why: for the report."""
+"""History and counts of supervision for the report."""
 
 from collections import deque
 from typing import Any
 
 from telepresence.link.supervision.message import LinkState
 
-#: So many transitions and contact windows are kept; then the oldest go.
+#: Number of transitions and contact windows kept; beyond that the oldest are dropped.
 HISTORY_DEPTH = 64
 
 
 class _Window:
-    """Signal from `acquired_ns` on; None: not yet."""
+    """A contact: the signal from `acquired_ns` on. connected_ns, lost_ns: None until then."""
 
     __slots__ = ("acquired_ns", "connected_ns", "lost_ns")
 
@@ -53,7 +53,7 @@ class SupervisionRecord:
         self._lost_ns = now_ns
 
     def handle_state(self, state: LinkState, why: str, now_ns: int) -> None:
-        """The state is `state` from now on; or it is still, and that for another reason."""
+        """The state is `state` from now on, or still is for another reason."""
         self._in_state_ns[self._state] += now_ns - self._since_ns
         self._history.append((now_ns, self._state, state, why))
         self._state, self._since_ns = state, now_ns
@@ -63,7 +63,7 @@ class SupervisionRecord:
                 window.connected_ns = now_ns
 
     def handle_signal_acquired(self, now_ns: int) -> int:
-        """How long there was none."""
+        """Begin a contact; return how long there was no signal (ns)."""
         gap_ns = now_ns - self._lost_ns
         if self.counts["signals_lost"]:
             self._longest_gap_ns = max(self._longest_gap_ns, gap_ns)
@@ -72,14 +72,14 @@ class SupervisionRecord:
         return gap_ns
 
     def handle_signal_lost(self, last_ns: int) -> None:
-        """The last good frame came at `last_ns`."""
+        """End the contact; the last good frame came at `last_ns`."""
         self.counts["signals_lost"] += 1
         window = self._windows[-1]
         window.lost_ns = self._lost_ns = last_ns
         self._contact_ns += last_ns - window.acquired_ns
 
     def report(self, now_ns: int) -> dict[str, Any]:
-        """Instants are counted from `begun_ns`, which is one of the caller's clock."""
+        """Return the report. Instants count from `begun_ns`, which is on the caller's clock."""
         begun_ns = self.begun_ns
         in_state_ns = dict(self._in_state_ns)
         in_state_ns[self._state] += now_ns - self._since_ns

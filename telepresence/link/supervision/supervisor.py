@@ -1,22 +1,22 @@
-"""Negotiation, loss of signal and supervision of the link, at one of its two ends.
+"""Negotiation, loss of signal and supervision at one end of the link.
 
-After Stelzer et al., "Software Architecture and Design of the Kontur-2 Mission" (2017): each end
-checks itself, alive messages show the other side, the master configures and checks the slave, the
-first application data both ways approves the connection, and supervision resets what went idle
-or broke. docs/link-contact.md has the states, the timing and what happens on each event.
+The design follows Stelzer et al., "Software Architecture and Design of the Kontur-2 Mission"
+(2017). Each end checks itself, alive messages show the other side, and the master configures and
+checks the slave. The first application data both ways approves the connection. Supervision resets
+a link that is idle or broken. docs/link-contact.md has the states, the timing and all events.
 
-Strategy: each end tells again and again what it *is*, never what the other shall have got. The
-state is a function of what this end knows, so a lost message costs time and nothing else, and
-no order of losses and restarts can leave the two waiting for each other.
+Strategy: each end repeatedly sends what it *is*, never what the other should have received. The
+state is a function of what this end knows. A lost message thus only costs time, and no sequence of
+losses and restarts can leave both ends waiting for each other.
 
 A gateway needs six lines:
 
-1. `handle_local_check(None, now_ns)` once it is ready, with a fault when it is not (any more).
-2. `handle_frame(now_ns)` for each good frame, before anything else is made of it.
+1. `handle_local_check(None, now_ns)` once it is ready, and with a fault whenever it is not.
+2. `handle_frame(now_ns)` for each good frame, before the frame is processed further.
 3. `handle_message(message, now_ns)` for each supervision message that the receiver found in it.
-4. `handle_application(now_ns)` for each sample and packet that came out, and
-   `handle_application_sent(now_ns)` for each that goes in.
-5. Each slot: `poll_transmit(now_ns)`; 12 octets make it a supervision slot.
+4. `handle_application(now_ns)` for each sample and packet received, and
+   `handle_application_sent(now_ns)` for each one sent.
+5. `poll_transmit(now_ns)` in each slot; if it returns 12 octets, this is a supervision slot.
 6. After each of these: `next_event()` until None. The receiver delivers while `delivering`.
 """
 
@@ -64,9 +64,9 @@ __all__ = [
 ]
 
 _NO_CONTEXTS = (0, 0, 0, 0)
-#: For a gateway that does not fetch them; then the oldest go.
+#: For a gateway that does not fetch events; beyond that the oldest are dropped.
 _EVENTS_DEPTH = 256
-#: However slow the slots are: so many of them without a frame are no loss of signal yet.
+#: Fewer slots than this without a frame are never a loss of signal, however long the slots are.
 _LEAST_SLOTS = 3
 
 _TIMEOUTS = {
@@ -83,14 +83,16 @@ class Supervisor:
     """One end's supervision; see the module for the run loop.
 
     master: whether this end configures the other; exactly one does.
-    life: 1..65535, another one each time this end starts (the shell draws it at random).
+    life: 1 to 65535, a new one at each start of this end; the shell draws it at random.
 
-    state, why: where the link stands. signal: good frames arrive. peer_hears: the peer is heard
-    and says that it hears this end. delivering: what arrives may be given to the applications,
-    because the peer of this life has been checked; it stays so over a loss of signal.
+    state, why: the state of the link, and its reason.
+    signal: good frames arrive.
+    peer_hears: the peer is heard and says that it hears this end.
+    delivering: received data may be delivered to the applications, because this life of the peer
+    was checked. It stays true during a loss of signal.
     """
 
-    # Read thousands of times a second, and slots are read fastest.
+    # These attributes are read thousands of times a second; slots are the fastest to read.
     __slots__ = (
         "_application",
         "_contexts",
@@ -134,7 +136,7 @@ class Supervisor:
         self.signal = False
         self.peer_hears = False
         self.delivering = False
-        # Whoever looks once a slot sees a loss up to a slot after it could.
+        # poll_transmit runs once a slot, so it notices a loss up to a slot late.
         self._silence_ns = max(
             self.timing.loss_ns - configuration.transmit.slot_ns,
             _LEAST_SLOTS * configuration.receive.slot_ns,
@@ -158,17 +160,17 @@ class Supervisor:
 
     @property
     def peer_life(self) -> int:
-        """The life of the peer that was checked, 0 before there was one."""
+        """The life of the peer that was checked; 0 before the first."""
         return self._negotiation.peer_life
 
     def handle_frame(self, now_ns: int) -> None:
-        """A good frame of the peer, whatever it carries."""
+        """A good frame of the peer arrived, whatever it carries."""
         self._frame_ns = now_ns
         if not self.signal:
             self._acquire(now_ns)
 
     def handle_application(self, now_ns: int) -> None:
-        """A sample or a packet of the peer's applications came out."""
+        """A sample or a packet of the peer's applications arrived."""
         application = self._application
         application.arrived_ns = now_ns
         if not application.arrived:
@@ -180,10 +182,10 @@ class Supervisor:
         self._application.sent_ns = now_ns
 
     def handle_contexts(self, ids: Sequence[int], now_ns: int) -> None:
-        """What the local receiver holds: an id (1..255, 0 none) for each of up to four flows.
+        """Set what the local receiver holds: an id (1 to 255, 0 none) for up to four flows.
 
-        After `PeerMet` and `handle_restart`, have the receiver forget first: ids of a former life
-        must not get here.
+        After `PeerMet` and `handle_restart`, let the receiver forget first: ids of a former life
+        must not be reported.
         """
         first, second, third, fourth = (*ids, *_NO_CONTEXTS)[:4]
         contexts = (first, second, third, fourth)
@@ -192,14 +194,17 @@ class Supervisor:
             self._update(now_ns)
 
     def handle_local_check(self, fault: str | None, now_ns: int) -> None:
-        """All is well here (None), or a line that says what is not: then nothing is delivered."""
+        """None: this end works. A line: what does not; then nothing is delivered."""
         if fault != self._fault:
             self._fault = fault
             self._update(now_ns)
 
     def handle_restart(self, now_ns: int) -> None:
-        """The frame count says that the peer has begun anew: nothing of it is delivered before
-        its first message. Closes the gap between its first frame and that."""
+        """The frame count shows that the peer restarted.
+
+        Nothing of it is delivered before its first message. This covers the time between its first
+        frame and that message.
+        """
         self._negotiation.checked = False
         self._negotiation.forget_peer()
         self._contexts = _NO_CONTEXTS
@@ -207,7 +212,7 @@ class Supervisor:
         self._update(now_ns)
 
     def handle_message(self, message: bytes, now_ns: int) -> None:
-        """Twelve octets out of a good frame. What is no message is counted; this never raises."""
+        """Take twelve octets from a good frame. Invalid ones are counted; this never raises."""
         negotiation, counts = self._negotiation, self._counts
         self.handle_frame(now_ns)
         before, before_life = negotiation.peer, negotiation.peer_life
@@ -223,7 +228,7 @@ class Supervisor:
         if verdict is Verdict.MET:
             counts["peer_restarts"] += before_life != 0
             before = None
-            # Contexts that its former life gave must not be said to be held.
+            # Contexts from the peer's former life must not be reported as held.
             self._contexts = _NO_CONTEXTS
             self._events.append(PeerMet(now_ns, negotiation.peer_life, before_life != 0))
         if verdict is not Verdict.FITS:
@@ -235,7 +240,7 @@ class Supervisor:
         self._update(now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The message that this slot shall carry, or None. Ask once each slot."""
+        """Return the message for this slot, or None. Call once each slot."""
         if now_ns < self._next_ns:
             return None
         return self._work(now_ns)
@@ -245,11 +250,11 @@ class Supervisor:
         return self._next_ns
 
     def next_event(self) -> SupervisionEvent | None:
-        """What happened, oldest first. Call until None."""
+        """The oldest event that was not fetched yet, or None."""
         return self._events.popleft() if self._events else None
 
     def report(self, now_ns: int) -> dict[str, Any]:
-        """State, peer, counts, contact windows and the last transitions with their reasons."""
+        """Return state, peer, counts, contact windows and the last transitions with reasons."""
         peer = self._negotiation.peer
         return {
             "role": "master" if self.master else "slave",
@@ -290,14 +295,14 @@ class Supervisor:
     def _heed(
         self, peer: SupervisionMessage, before: SupervisionMessage | None, now_ns: int
     ) -> None:
-        """What the peer holds of headers, and how its applications fare."""
+        """Process the contexts that the peer holds, and the state of its applications."""
         if self.peer_hears and peer.kind in (MessageKind.ALIVE, MessageKind.CONFIRM):
             self._events.append(ContextsHeld(now_ns, peer.contexts))
         was_reset = before is not None and before.application and not peer.application
         self._application.handle_peer(was_reset=was_reset, sends=peer.sending, now_ns=now_ns)
 
     def _work(self, now_ns: int) -> bytes | None:
-        """Time-outs, then the message if it is due."""
+        """Check the timeouts, then return the message if it is due."""
         cause = None
         if self.signal and now_ns >= self._frame_ns + self._silence_ns:
             self._lose(now_ns)
@@ -312,7 +317,7 @@ class Supervisor:
         return pack_message(self._message(now_ns))
 
     def _supervise(self, now_ns: int) -> str | None:
-        """What took too long. Looked at whenever a message is due: that is often enough."""
+        """Check what took too long, whenever a message is due; that is often enough."""
         timeout = self._negotiation.timeout(now_ns)
         if timeout is not None:
             self._counts[f"timeouts_{timeout}"] += 1
@@ -330,7 +335,7 @@ class Supervisor:
         return _RESETS[reset]
 
     def _find_state(self) -> tuple[LinkState, str]:
-        """The state that follows from what is known, and why it is no better one."""
+        """Return the state that follows from what is known, and why it is not a later one."""
         if self._fault is not None:
             return LinkState.CHECK, self._fault
         if not self.signal:
@@ -346,9 +351,9 @@ class Supervisor:
         return LinkState.APPROVE, f"agreed; no application data {where} yet"
 
     def _update(self, now_ns: int, cause: str | None = None) -> None:
-        """State, delivery and the instant of the next message follow from what is known.
+        """Derive the state, the delivery and the next message from what is known.
 
-        cause: what happened, where that says more than the state's own reason.
+        cause: what happened, if that says more than the state's own reason.
         """
         state, why = self._find_state()
         before = self.state
@@ -372,7 +377,7 @@ class Supervisor:
             self._next_ns = min(self._next_ns, self._frame_ns + self._silence_ns)
 
     def _content(self) -> tuple[int, ...]:
-        """All of a message whose change the peer must learn at once."""
+        """Return the parts of a message whose change the peer must learn at once."""
         peer = self._negotiation.peer
         kind = self._negotiation.kind(self.state)
         heard = 0 if peer is None else peer.life
