@@ -7,7 +7,6 @@ import socket
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
@@ -20,15 +19,15 @@ from pipelines.commands.session_options import (
     port_changes,
     radio_changes,
 )
-from pipelines.parts.gateway import run_gateway
+from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.report_file import check_writable, write_report
 from pipelines.runtime.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
 from pipelines.runtime.launcher import Launcher, hold_port, launcher_cpu_s
-from pipelines.runtime.process import LOOPBACK, Part
+from pipelines.runtime.process import LOOPBACK
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import Setup
-from pipelines.topology import LOOP_PRIORITY, Segment, Stage, topology_of
+from pipelines.topology import ProcessRow, Segment, Topology, topology_of
 
 _ANY = "0.0.0.0"
 
@@ -61,13 +60,16 @@ def run(args: argparse.Namespace) -> int:
     addresses = chosen_addresses(args, setup)
     check_writable(args.report)
     held = [hold_link_ports(setup, end, addresses) for end in ends]
-    screen = _Screen(LinkView(setup, ends), quiet=args.quiet)
+    topology = topology_of(setup)
+    collector = Collector(topology)
+    screen = _Screen(LinkView(setup, ends), collector, quiet=args.quiet)
     screen.show_lines(port_table(setup, ends, addresses))
     launcher = Launcher(
         session="link",
-        setup=setup,
-        parts=link_parts(setup, ends, addresses),
+        topology=topology,
+        processes=link_processes(topology, ends, addresses),
         clock=MonotonicClock(),
+        listener=collector,
         seed=args.seed,
         show=screen.show,
     )
@@ -76,12 +78,12 @@ def run(args: argparse.Namespace) -> int:
         udp.close()
     report = build_link_report(
         setup,
-        launcher.collector,
+        collector,
         ends,
         seconds=launcher.seconds,
         seed=args.seed,
         cpu_s=launcher.cpu_s(),
-        restarts={child.part.name: child.restarts for child in launcher.children},
+        restarts={child.row.name: child.restarts for child in launcher.children},
         launcher_cpu_s=launcher_cpu_s(),
     )
     if args.report is not None:
@@ -90,18 +92,13 @@ def run(args: argparse.Namespace) -> int:
     return 1 if report["failures"] else 0
 
 
-def link_parts(setup: Setup, ends: Sequence[Segment], addresses: EndAddresses) -> list[Part]:
+def link_processes(
+    topology: Topology, ends: Sequence[Segment], addresses: EndAddresses
+) -> list[ProcessRow]:
     """The processes of the link: a gateway an end, and nothing else."""
-    topology = topology_of(setup)
-    return [
-        Part(
-            topology.gateway(end).name,
-            Stage.LINK,
-            partial(run_gateway, segment=end, addresses=addresses, tell_backlog=False),
-            LOOP_PRIORITY,
-        )
-        for end in ends
-    ]
+    gateways = (topology.gateway(end) for end in ends)
+    changes = {"addresses": addresses, "tell_backlog": False}
+    return [replace(row, arguments={**row.arguments, **changes}) for row in gateways]
 
 
 def chosen_addresses(args: argparse.Namespace, setup: Setup) -> EndAddresses:
@@ -193,8 +190,9 @@ def hold_link_ports(setup: Setup, end: Segment, addresses: EndAddresses) -> sock
 class _Screen:
     """Standard output: on a terminal the lines of figures stay where they are."""
 
-    def __init__(self, view: LinkView, *, quiet: bool) -> None:
+    def __init__(self, view: LinkView, collector: Collector, *, quiet: bool) -> None:
         self._view = view
+        self._collector = collector
         self._quiet = quiet
         self._terminal = sys.stdout.isatty()
         self._shown = 0
@@ -203,7 +201,7 @@ class _Screen:
         """The present figures."""
         if self._quiet:
             return
-        lines = self._view.lines(launcher.collector, launcher.seconds)
+        lines = self._view.lines(self._collector, launcher.seconds)
         if not self._terminal:
             print("  ".join(lines), flush=True)
             return

@@ -20,18 +20,16 @@ from pipelines.commands.session_options import (
     port_changes,
     radio_changes,
 )
-from pipelines.parts.ground import ground_parts
-from pipelines.parts.space import space_parts
+from pipelines.report.collector import Collector
 from pipelines.report.live import LiveView
 from pipelines.report.report_file import check_writable, write_report
 from pipelines.report.session_report import build_report
 from pipelines.report.summary import print_summary
 from pipelines.runtime.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
-from pipelines.runtime.process import Part
 from pipelines.runtime.sessions import clear_dead_sessions, hold_session
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import STEREO, Setup, VideoStream
-from pipelines.topology import Stage
+from pipelines.topology import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.world import audio_scenes, video_scenes
 
@@ -75,33 +73,35 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.report)
     clear_dead_sessions()
     check_room(setup)
-    held = hold_ports(setup)
+    topology = topology_of(setup, joystick=args.joystick, snapshots=snapshots is not None)
+    held = hold_ports(topology)
     load_libraries()
     clock = MonotonicClock()
     draw_backgrounds(setup, clock)
-    parts = session_parts(setup, snapshots=snapshots is not None, joystick=args.joystick)
+    collector = Collector(topology)
     with (
         hold_session(setup.name) as session,
-        _live_view(quiet=args.quiet, verbose=args.verbose) as view,
+        _live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         launcher = Launcher(
             session=session,
-            setup=setup,
-            parts=parts,
+            topology=topology,
+            processes=topology.processes,
             clock=clock,
+            listener=collector,
             snapshots=snapshots,
             seed=args.seed,
             show=view.show,
         )
         launcher.run(args.seconds)
     held.close()
-    launcher.collector.handle_end()
+    collector.handle_end()
     report = build_report(
         setup,
-        launcher.collector,
+        collector,
         seconds=launcher.seconds,
         cpu_s=launcher.cpu_s(),
-        restarts={child.part.name: child.restarts for child in launcher.children},
+        restarts={child.row.name: child.restarts for child in launcher.children},
         launcher_cpu_s=launcher_cpu_s(),
     )
     if args.report is not None:
@@ -113,8 +113,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _live_view(*, quiet: bool, verbose: bool) -> Iterator[LiveView]:
-    view = LiveView(quiet=quiet, verbose=verbose)
+def _live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[LiveView]:
+    view = LiveView(collector, quiet=quiet, verbose=verbose)
     view.__enter__()
     try:
         yield view
@@ -122,19 +122,6 @@ def _live_view(*, quiet: bool, verbose: bool) -> Iterator[LiveView]:
         # A terminal that was closed takes no last picture; the report is still to be written.
         with suppress(OSError):
             view.__exit__(None, None, None)
-
-
-def session_parts(
-    setup: Setup, *, snapshots: bool = False, joystick: str = SIMULATED
-) -> list[Part]:
-    """The processes of a session, in the order in which they are started."""
-    both = [*ground_parts(setup), *space_parts(setup, joystick=joystick)]
-    parts = sorted(both, key=lambda part: part.stage)
-    if snapshots:
-        from pipelines.parts.snapshots import run_snapshots
-
-        parts.append(Part("snapshots", Stage.SINK, run_snapshots))
-    return parts
 
 
 def chosen_setup(args: argparse.Namespace) -> Setup:

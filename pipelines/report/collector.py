@@ -366,6 +366,18 @@ class Collector:
         self._compare(now_ns - NS_PER_S)
         self.sync.handle_time(now_ns, self.haptics["up"].sent_ns_at)
 
+    def handle_exit(self, process: str, error: str) -> None:
+        """A process has ended: its next life counts from 0.
+
+        error: why, in one line; "" if none of its lives has ended unasked.
+        """
+        figures = self.process(process)
+        figures.handle_end()
+        if error:
+            figures.gauges["last_error"] = error
+        else:
+            figures.gauges.pop("last_error", None)
+
     def handle_end(self) -> None:
         """The session is over: compare what still waits."""
         self._compare(None)

@@ -15,7 +15,7 @@ from kontur_av.meters import RateMeter
 from kontur_av.streams.staleness import State
 from pipelines.parts.marking import age_words
 from pipelines.report.ages import shown_now
-from pipelines.report.collector import HAPTIC_ENDS
+from pipelines.report.collector import HAPTIC_ENDS, Collector
 from pipelines.report.session_report import displayed_frames, haptic_cap_bps, latency_ms
 from pipelines.report.silence import silences
 from pipelines.runtime.launcher import Launcher
@@ -35,9 +35,13 @@ _COLOURS = {
 
 
 class LiveView:
-    """Shows a launcher's session; use it as a context around the run, and give `show` to it."""
+    """Shows a launcher's session, whose figures `collector` gets.
 
-    def __init__(self, *, quiet: bool = False, verbose: bool = False) -> None:
+    Use it as a context around the run, and pass its `show` to the launcher.
+    """
+
+    def __init__(self, collector: Collector, *, quiet: bool = False, verbose: bool = False) -> None:
+        self._collector = collector
         self._console = Console(file=sys.stdout)
         self._quiet = quiet
         self._verbose = verbose
@@ -67,18 +71,17 @@ class LiveView:
         if self._live is not None:
             self._live.update(
                 Group(
-                    _streams(launcher),
-                    *_inputs(launcher),
+                    _streams(launcher, self._collector),
+                    *_inputs(launcher, self._collector),
                     _processes(launcher, verbose=self._verbose),
                 ),
                 refresh=True,
             )
         elif not self._quiet:
-            print(_line(launcher), flush=True)
+            print(_line(launcher, self._collector), flush=True)
 
 
-def _streams(launcher: Launcher) -> Table:
-    collector = launcher.collector
+def _streams(launcher: Launcher, collector: Collector) -> Table:
     selector = collector.process("selector").gauges.get("selected", "-")
     table = Table(
         title=f"{launcher.setup.name}   {launcher.seconds:.0f} s   camera {selector}",
@@ -102,7 +105,7 @@ def _streams(launcher: Launcher) -> Table:
             ),
             "-" if newest is None else f"{newest:.1f}",
             f"{figures.latency.percentile(99) / 1e6:.1f}",
-            _age(launcher, stream),
+            _age(launcher, collector, stream),
         )
     for name, (_, receiver) in HAPTIC_ENDS.items():
         histogram = collector.haptics[name].latency
@@ -123,18 +126,18 @@ def _streams(launcher: Launcher) -> Table:
     return table
 
 
-def _age(launcher: Launcher, stream: VideoStream | VoiceStream) -> Text:
+def _age(launcher: Launcher, collector: Collector, stream: VideoStream | VoiceStream) -> Text:
     """How old what is shown is, with a word and a colour."""
     now_ns = launcher.clock.now_ns()
-    state, age_ns = shown_now(stream, launcher.setup, launcher.collector, now_ns)
+    state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
     if state is State.NOTHING:
         return Text("-")
     return Text(f"{age_words(age_ns)} {state.value}", _COLOURS[state])
 
 
-def _inputs(launcher: Launcher) -> list[Text]:
+def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
     """The inputs that give nothing, and those with a fault that they have survived."""
-    setup, collector = launcher.setup, launcher.collector
+    setup = launcher.setup
     silent = silences(setup, collector, launcher.clock.now_ns())
     lines = [Text(str(silence), "bold red") for silence in silent]
     for name in setup.inputs:
@@ -155,7 +158,7 @@ def _processes(launcher: Launcher, *, verbose: bool) -> Columns:
     seconds = max(launcher.seconds, 1e-9)
     for child in launcher.children:
         text = Text("● ", "green" if child.pid is not None else "bold red")
-        text.append(child.part.name, "default")
+        text.append(child.row.name, "default")
         if verbose or child.restarts:
             text.append(f" {100 * child.cpu_s() / seconds:.0f} %", "dim")
         if child.restarts:
@@ -164,8 +167,7 @@ def _processes(launcher: Launcher, *, verbose: bool) -> Columns:
     return Columns(texts, padding=(0, 2))
 
 
-def _line(launcher: Launcher) -> str:
-    collector = launcher.collector
+def _line(launcher: Launcher, collector: Collector) -> str:
     parts = [f"{launcher.seconds:6.1f} s"]
     for stream in launcher.setup.streams:
         figures = collector.streams[stream.name]
@@ -189,7 +191,7 @@ def _line(launcher: Launcher) -> str:
             f"{collector.haptics[name].latency.percentile(50) / 1e6:.1f} ms"
         )
     parts += map(str, silences(launcher.setup, collector, launcher.clock.now_ns()))
-    down = [child.part.name for child in launcher.children if child.pid is None]
+    down = [child.row.name for child in launcher.children if child.pid is None]
     if down:
         parts.append("down: " + ", ".join(down))
     return "  ".join(parts)

@@ -18,15 +18,16 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from pkgutil import resolve_name
 from types import FrameType
+from typing import Protocol
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.report.collector import Collector
 from pipelines.runtime.probe import Message, Probe
-from pipelines.runtime.process import LOOPBACK, Context, Part, become
+from pipelines.runtime.process import LOOPBACK, Context, become
 from pipelines.setup.table import Setup
-from pipelines.topology import Stage, topology_of
+from pipelines.topology import ProcessRow, Stage, Topology
 
 #: A process that falls again at once is restarted after this, and twice as late each time after.
 _FIRST_PAUSE_NS = 50 * NS_PER_MS
@@ -44,11 +45,25 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
+class Listener(Protocol):
+    """What is told of the processes."""
+
+    def handle_message(self, process: str, message: Message, now_ns: int) -> None:
+        """A process has sent figures."""
+
+    def handle_exit(self, process: str, error: str) -> None:
+        """A process has ended; its counters begin at 0 in its next life.
+
+        error: why, in one line; "" if none of its lives has ended unasked.
+        """
+
+
 @dataclass
 class Child:
-    """A part, and the process that runs it at present, if one does."""
+    """A row of the table, and the process that runs it at present, if one does."""
 
-    part: Part
+    row: ProcessRow
+    run: Callable[..., None]
     pid: int | None = None
     pidfd: int = -1
     link: socket.socket | None = None
@@ -58,9 +73,11 @@ class Child:
     restarts: int = 0
     ended_cpu_s: float = 0.0
     last_error: str = ""
+    #: What the present life has said of its own end.
+    told_error: str = ""
 
     def cpu_s(self) -> float:
-        """Seconds of a core that all lives of the part have taken so far."""
+        """Seconds of a core that all its lives have taken so far."""
         if self.pid is None:
             return self.ended_cpu_s
         try:
@@ -72,29 +89,36 @@ class Child:
 
 @dataclass
 class Launcher:
-    """Runs `parts` until it is told to stop.
+    """Runs `processes` of `topology` until it is told to stop.
 
-    seed: what the radio's chances derive from.
+    listener: gets what the processes tell.
+    seed: of the radio's random events.
     show: called about once a second, with this launcher, to tell the user how things are.
     """
 
     session: str
-    setup: Setup
-    parts: Sequence[Part]
+    topology: Topology
+    processes: Sequence[ProcessRow]
     clock: MonotonicClock
+    listener: Listener
     snapshots: Path | None = None
     seed: int = 0
     show: Callable[["Launcher"], None] | None = None
-    collector: Collector = field(init=False)
     children: list[Child] = field(init=False)
     started_ns: int = 0
     ended_ns: int = 0
     _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector)
     _stop: bool = False
+    _ending: bool = False
 
     def __post_init__(self) -> None:
-        self.collector = Collector(topology_of(self.setup))
-        self.children = [Child(part) for part in self.parts]
+        # Imported once, before the forks.
+        self.children = [Child(row, resolve_name(row.run)) for row in self.processes]
+
+    @property
+    def setup(self) -> Setup:
+        """What the user chose."""
+        return self.topology.setup
 
     @property
     def seconds(self) -> float:
@@ -137,7 +161,7 @@ class Launcher:
 
     def cpu_s(self) -> dict[str, float]:
         """Seconds of a core by process."""
-        return {child.part.name: child.cpu_s() for child in self.children}
+        return {child.row.name: child.cpu_s() for child in self.children}
 
     def _handle_signal(self, number: int, frame: FrameType | None) -> None:
         self._stop = True
@@ -200,7 +224,8 @@ class Launcher:
                 return
             now_ns = self.clock.now_ns()
             message = Message.unpack(data)
-            self.collector.handle_message(child.part.name, message, now_ns)
+            child.told_error = message.gauges.get("last_error", child.told_error)
+            self.listener.handle_message(child.row.name, message, now_ns)
 
     def _start(self, child: Child) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -230,7 +255,7 @@ class Launcher:
     def _become_child(self, child: Child, link: socket.socket, launcher: int) -> int:
         context = Context(
             session=self.session,
-            setup=self.setup,
+            topology=self.topology,
             clock=self.clock,
             probe=Probe(link),
             snapshots=self.snapshots,
@@ -244,11 +269,11 @@ class Launcher:
                 fd = key.fd
                 if fd != link.fileno():
                     os.close(fd)
-            become(child.part, context)
+            become(child.row, context)
             if os.getppid() != launcher:
                 return 1  # it was killed before it could take this process along
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
-            child.part.run(context)
+            child.run(context, **child.row.arguments)
             context.flush(self.clock.now_ns())
         except BaseException as error:
             context.probe.gauge("last_error", _one_line(error))
@@ -273,23 +298,24 @@ class Launcher:
         _, status, usage = os.wait4(child.pid, 0)
         child.pid = None
         child.ended_cpu_s += usage.ru_utime + usage.ru_stime
-        figures = self.collector.process(child.part.name)
-        figures.handle_end()
-        if os.WIFSIGNALED(status):
-            child.last_error = f"ended by {_signal_name(os.WTERMSIG(status))}"
-        else:
-            child.last_error = figures.gauges.get("last_error", "ended by itself")
-        figures.gauges["last_error"] = child.last_error
+        # An end that was asked for is no error.
+        if not self._ending:
+            if os.WIFSIGNALED(status):
+                child.last_error = f"ended by {_signal_name(os.WTERMSIG(status))}"
+            else:
+                child.last_error = child.told_error or "ended by itself"
+        child.told_error = ""
+        self.listener.handle_exit(child.row.name, child.last_error)
         now_ns = self.clock.now_ns()
         if now_ns - child.started_ns >= _GOOD_LIFE_NS:
             child.pause_ns = _FIRST_PAUSE_NS
-        rest_ns = _SENDER_REST_NS if child.part.stage is Stage.SENDER else 0
+        rest_ns = _SENDER_REST_NS if child.row.stage is Stage.SENDER else 0
         child.due_ns = now_ns + max(child.pause_ns, rest_ns)
         child.pause_ns = min(2 * child.pause_ns, _LONGEST_PAUSE_NS)
 
     def _end_all(self) -> None:
         """Ask, wait, and insist: no process is left behind."""
-        ended = {child.part.name: child.last_error for child in self.children}
+        self._ending = True
         for number in (signal.SIGTERM, signal.SIGKILL):
             for child in self.children:
                 if child.pid is not None:
@@ -300,13 +326,6 @@ class Launcher:
                 if remaining_ns <= 0:
                     break
                 self._attend(remaining_ns)
-        # An end that was asked for is no error.
-        for child in self.children:
-            child.last_error = ended[child.part.name]
-            gauges = self.collector.process(child.part.name).gauges
-            gauges.pop("last_error", None)
-            if child.last_error:
-                gauges["last_error"] = child.last_error
 
 
 def _one_line(error: BaseException) -> str:
@@ -322,15 +341,15 @@ def _signal_name(number: int) -> str:
         return f"signal {number}"
 
 
-def hold_ports(setup: Setup) -> socket.socket:
+def hold_ports(topology: Topology) -> socket.socket:
     """ConfigError when a port that the session needs is taken.
 
     The launcher's own port is held as long as the socket is: of two sessions that are started
     at the same moment, only one gets it.
     """
-    held = hold_port(setup.ports.launcher)
-    for port in setup.ports.all():
-        if port != setup.ports.launcher:
+    held = hold_port(topology.launcher_port)
+    for port in topology.ports:
+        if port != topology.launcher_port:
             hold_port(port).close()
     return held
 

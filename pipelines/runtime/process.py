@@ -1,4 +1,4 @@
-"""What every process of a session has: its part of the setup, a clock, a probe, a way to end."""
+"""What every process of a session has: the topology, a clock, a probe, a way to end."""
 
 import ctypes
 import gc
@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from pipelines.runtime.probe import Probe
 from pipelines.setup.table import Setup
-from pipelines.topology import LOOP_PRIORITY, Stage
+from pipelines.topology import LOOP_PRIORITY, ProcessRow, Topology
 
 if TYPE_CHECKING:
     from kontur_av.topics.bus import TopicBus
 
 LOOPBACK = "127.0.0.1"
 MAX_DATAGRAM_OCTETS = 65_535
-#: The longest that a part sleeps before it looks whether it shall end.
+#: The longest that a process sleeps before it checks whether it shall end.
 PATIENCE_NS = 100 * NS_PER_MS
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
@@ -30,16 +30,16 @@ _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
 
 @dataclass
 class Context:
-    """What a part is given.
+    """What a process's function is given.
 
-    A part runs until `stopping`; it calls `tick` at least every PATIENCE_NS.
+    It runs until `stopping`; it calls `tick` at least every PATIENCE_NS.
 
-    started_ns: when the session began, for all lives of the part alike.
-    seed: what the radio's chances derive from.
+    started_ns: when the session began, the same for all lives of the part.
+    seed: of the radio's random events.
     """
 
     session: str
-    setup: Setup
+    topology: Topology
     clock: MonotonicClock
     probe: Probe
     snapshots: Path | None = None
@@ -47,6 +47,11 @@ class Context:
     seed: int = 0
     stopping: bool = False
     _fill: list[Callable[[], None]] = field(default_factory=list)
+
+    @property
+    def setup(self) -> Setup:
+        """What the user chose."""
+        return self.topology.setup
 
     def first_deadline_ns(self, period_ns: int, phase: float = 0.0) -> int:
         """The first deadline of a loop in step with all others of its period in the session.
@@ -122,22 +127,9 @@ class Context:
         self.probe.flush(now_ns)
 
 
-@dataclass(frozen=True)
-class Part:
-    """One process of a session: what it is called, when it is started and what it runs.
-
-    priority: real-time priority, where the system permits; 0 for none.
-    """
-
-    name: str
-    stage: Stage
-    run: Callable[[Context], None]
-    priority: int = 0
-
-
-def become(part: Part, context: Context) -> None:
-    """In a fresh child: take the part's name, its priority and its way to end."""
-    # Ctrl-C and the terminal's end go to all of them, and are the launcher's.
+def become(row: ProcessRow, context: Context) -> None:
+    """In a fresh child: take the process's name, its priority and its way to end."""
+    # Ctrl-C and the end of the terminal reach every process, but only the launcher acts on them.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
@@ -145,9 +137,9 @@ def become(part: Part, context: Context) -> None:
     prctl = libc.prctl
     # A launcher that is killed takes its processes along.
     prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    prctl(_PR_SET_NAME, f"kav {part.name}".encode()[:15])
-    if part.priority:
-        context.probe.gauge("scheduler", _take_realtime(libc, part.priority))
+    prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])
+    if row.priority:
+        context.probe.gauge("scheduler", _take_realtime(libc, row.priority))
 
 
 def _take_realtime(libc: ctypes.CDLL, priority: int) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from pipelines.setup.segments import Direction, Segment
-from pipelines.setup.table import Setup
+from pipelines.setup.table import PORTS, Setup
 from pipelines.topology.rows import (
     CameraRow,
     HapticRow,
@@ -36,6 +36,11 @@ class Topology:
     inputs: tuple[InputRow, ...]
     cameras: tuple[CameraRow, ...]
     launcher_port: int
+
+    @property
+    def ports(self) -> range:
+        """Every UDP port that a session may take."""
+        return range(self.setup.base_port, self.setup.base_port + PORTS)
 
     def process(self, name: str) -> ProcessRow:
         """The process `name`."""

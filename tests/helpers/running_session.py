@@ -17,9 +17,9 @@ import pytest
 
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import shared_memory
-from pipelines.commands.stream import session_parts
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import PORTS
+from pipelines.topology import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
 #: Guards against a hang; nothing is judged by it.
@@ -82,8 +82,8 @@ class RunningSession:
         self.base_port = free_base_port()
         self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
         self.setup = load_setup(setup)
-        parts = session_parts(self.setup, snapshots="--snapshots" in options)
-        self.names = [part.name for part in parts]
+        topology = topology_of(self.setup, snapshots="--snapshots" in options)
+        self.names = [row.name for row in topology.processes]
         command = [*COMMAND, "stream", "--setup", setup, "--report", str(self.report_path)]
         command += ["--base-port", str(self.base_port), *options]
         self._out = (self.directory / "out.txt").open("w+")

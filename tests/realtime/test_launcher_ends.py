@@ -11,9 +11,9 @@ PROGRAM = """
 import json, os, signal, sys
 from kontur_av.clock import MonotonicClock
 from pipelines.runtime.launcher import Launcher
-from pipelines.runtime.process import Part
-from pipelines.topology import Stage
+from pipelines.report.collector import Collector
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import ProcessRow, Segment, Stage, topology_of
 
 def good(context):
     while not context.stopping:
@@ -44,15 +44,22 @@ def show(launcher):
     raise {"": None, "disk": OSError(28, "full"), "reader": BrokenPipeError()}[gone]
 
 bad, seconds, gone = sys.argv[1], float(sys.argv[2]), sys.argv[3]
+topology = topology_of(BUILT_IN["taskboard"])
+
+def row(name, stage, run):
+    run = "__main__:" + run
+    return ProcessRow(name=name, segment=Segment.GROUND, stage=stage, run=run, what="")
+
 launcher = Launcher(
     session=f"test-{os.getpid()}",
-    setup=BUILT_IN["taskboard"],
-    parts=[Part("good", Stage.LINK, good), Part("bad", Stage.SINK, globals()[bad])],
+    topology=topology,
+    processes=[row("good", Stage.LINK, "good"), row("bad", Stage.SINK, bad)],
+    listener=Collector(topology),
     clock=MonotonicClock(),
     show=show if gone else None,
 )
 launcher.run(seconds or None)
-print(json.dumps({child.part.name: [child.restarts, child.last_error]
+print(json.dumps({child.row.name: [child.restarts, child.last_error]
                   for child in launcher.children}))
 """
 

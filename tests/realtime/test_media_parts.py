@@ -45,6 +45,7 @@ from pipelines.setup.names import (
     lag_topic,
     received_topic,
 )
+from pipelines.topology import topology_of
 
 SETUP = replace(BUILT_IN["spacejustin"], base_port=29_300)
 CLOCK = MonotonicClock()
@@ -62,7 +63,9 @@ def session():
 def running(session, part, **arguments):
     """A part that runs in a thread; gives what asks it for all it has told."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    context = Context(session=session, setup=SETUP, clock=CLOCK, probe=Probe(theirs))
+    context = Context(
+        session=session, topology=topology_of(SETUP), clock=CLOCK, probe=Probe(theirs)
+    )
     ours.setblocking(False)
     told = Message()
 
@@ -289,7 +292,7 @@ def test_an_encoder_that_fails_ends_its_process(session, monkeypatch):
     monkeypatch.setattr(H264Encoder, "encode", fail)
     # Ports of its own: what has failed keeps its sockets.
     setup = replace(SETUP, base_port=29_340)
-    context = Context(session=session, setup=setup, clock=CLOCK, probe=Probe(None))
+    context = Context(session=session, topology=topology_of(setup), clock=CLOCK, probe=Probe(None))
     over = threading.Event()
     with TopicBus(session) as bus:
         pictures = bus.writer(SELECTED_TOPIC, max_octets=stream.width * stream.height * 3 // 2)

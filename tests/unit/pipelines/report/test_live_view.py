@@ -31,7 +31,7 @@ def launcher():
 def table_of(launcher):
     console = Console(width=118)
     with console.capture() as capture:
-        console.print(_streams(launcher))
+        console.print(_streams(launcher, launcher.collector))
     return capture.get()
 
 
@@ -44,7 +44,7 @@ def test_the_rate_shown_is_that_of_the_last_second(launcher):
     felt = [(k % 65536, k * NS_PER_MS) for k in range(8501, 9501)]
     message = Message({}, {}, {"haptic_rx": array("q", [value for row in felt for value in row])})
     launcher.collector.handle_message("joystick", message, 9 * NS_PER_S)
-    assert "uplink_video 40.0/90 kbit/s" in _line(launcher)
+    assert "uplink_video 40.0/90 kbit/s" in _line(launcher, launcher.collector)
     table = table_of(launcher)
     (video,) = [line for line in table.splitlines() if "uplink_video" in line]
     assert " 40.0 " in video
@@ -52,7 +52,7 @@ def test_the_rate_shown_is_that_of_the_last_second(launcher):
     (force,) = [line for line in table.splitlines() if "haptic_up" in line]
     assert " 96.0 " in force
     launcher.clock.now_ns = lambda: 20 * NS_PER_S
-    assert "uplink_video 0.0/90 kbit/s" in _line(launcher)
+    assert "uplink_video 0.0/90 kbit/s" in _line(launcher, launcher.collector)
 
 
 def test_what_is_shown_has_its_age_and_a_word_that_grows_worse(launcher):
@@ -63,18 +63,18 @@ def test_what_is_shown_has_its_age_and_a_word_that_grows_worse(launcher):
         launcher.collector.handle_message(
             "space_display", Message({}, gauges), round(told_s * NS_PER_S)
         )
-        return _age(launcher, stream)
+        return _age(launcher, launcher.collector, stream)
 
-    assert _age(launcher, stream).plain == "-"
+    assert _age(launcher, launcher.collector, stream).plain == "-"
     assert "age" in table_of(launcher)
     fresh = shown("fresh", 45, 9.8)
     assert (fresh.plain, str(fresh.style)) == ("45 ms fresh", "green")
-    assert "STALE" not in _line(launcher)
+    assert "STALE" not in _line(launcher, launcher.collector)
     assert shown("damaged", 45, 9.8).plain == "45 ms damaged"
     assert shown("frozen", 100, 9.8).plain == "100 ms frozen"
     stale = shown("stale", 1300, 9.8)
     assert (stale.plain, str(stale.style)) == ("1.3 s stale", "bold white on red")
-    assert "STALE 1.3 s" in _line(launcher)
+    assert "STALE 1.3 s" in _line(launcher, launcher.collector)
     # A display that tells nothing any more shows what it showed last.
     assert shown("fresh", 45, 6.0).plain == "3.0 s stale"
 
@@ -88,9 +88,9 @@ def test_an_input_that_gives_nothing_is_shown_with_its_fault(launcher):
     for process, gauges in told.items():
         launcher.collector.handle_message(process, Message({}, gauges), 9 * NS_PER_S)
     silent = "camera_left: no picture for 3 s (the writer has gone)"
-    lines = [(line.plain, str(line.style)) for line in _inputs(launcher)]
+    lines = [(line.plain, str(line.style)) for line in _inputs(launcher, launcher.collector)]
     assert lines == [
         (silent, "bold red"),
         ("camera_right: garbage in the pipe", "yellow"),
     ]
-    assert _line(launcher).endswith(silent)
+    assert _line(launcher, launcher.collector).endswith(silent)

@@ -9,13 +9,14 @@ from kontur_av.errors import ConfigError
 from pipelines.runtime.launcher import hold_ports
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.setup.table import PORTS
+from pipelines.topology import topology_of
 
 
 @pytest.fixture
-def setup():
+def session():
     """A setup whose ports are free at present."""
     for base in range(31_500, 24_000, -PORTS):
-        candidate = replace(BUILT_IN["taskboard"], base_port=base)
+        candidate = topology_of(replace(BUILT_IN["taskboard"], base_port=base))
         try:
             hold_ports(candidate).close()
         except ConfigError:
@@ -24,19 +25,19 @@ def setup():
     return pytest.skip("no block of free UDP ports")
 
 
-def test_of_two_sessions_started_at_once_one_is_refused(setup):
+def test_of_two_sessions_started_at_once_one_is_refused(session):
     # The first has bound none but the launcher's port yet.
-    with hold_ports(setup), pytest.raises(ConfigError, match=r"busy.*--base-port"):
-        hold_ports(setup)
-    hold_ports(setup).close()
+    with hold_ports(session), pytest.raises(ConfigError, match=r"busy.*--base-port"):
+        hold_ports(session)
+    hold_ports(session).close()
 
 
 @pytest.mark.parametrize("offset", [0, 5, 17, 38])
-def test_any_port_of_the_block_may_be_the_busy_one(setup, offset):
-    port = setup.base_port + offset
+def test_any_port_of_the_block_may_be_the_busy_one(session, offset):
+    port = session.ports[offset]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         udp.bind(("127.0.0.1", port))
         with pytest.raises(ConfigError, match=f"UDP port {port} is busy"):
-            hold_ports(setup)
+            hold_ports(session)
     # The refusal has kept nothing.
-    hold_ports(setup).close()
+    hold_ports(session).close()
