@@ -1,4 +1,4 @@
-"""Flows: who may put packets on the link, at which level, and what is known of their headers."""
+"""Flows: the sources of packets on the link, with their level and their kind of headers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, VIDEO_CLOCK_HZ
 
 #: A flow's number is three bits of the tag octet.
 MAX_FLOWS = 8
-#: A supervision message has room for the contexts of so many flows.
+#: A supervision message has room for the contexts of this many flows.
 MAX_RTP_FLOWS = 4
 
 
 class Level(IntEnum):
-    """Priority below haptics, which have the insert zone to themselves; the smaller goes first."""
+    """Priority below haptics, which use the insert zone; the smallest number goes first."""
 
     TMTC = 0
     VOICE = 1
@@ -23,7 +23,7 @@ class Level(IntEnum):
 
 
 class FlowKind(Enum):
-    """What a flow's datagrams are."""
+    """The kind of a flow's datagrams."""
 
     RTP = "rtp"
     RTCP = "rtcp"
@@ -33,13 +33,15 @@ class FlowKind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Flow:
-    """One UDP port at each end of the link. IP and UDP headers stay off the radio.
+    """One UDP port at each end of the link. IP and UDP headers are not sent by radio.
 
-    name: unique in its table, the same on both sides.
-    level: its priority and so its queue.
-    kind: RTP headers are compressed; all but RAW is checked at the door, and RAW carried as it is.
+    name: unique in its table, and the same on both sides.
+    level: its priority, and thus its queue.
+    kind: RTP headers are compressed. Datagrams of all kinds but RAW are checked on input.
     clock_hz: RTP clock rate (RTP only).
-    stride_ticks: for RTP whose timestamp advances by a constant a packet, that constant; else 0.
+    stride_ticks: advance of the RTP timestamp from packet to packet if it is constant; else 0.
+
+    Raises ConfigError for an RTP flow without a clock rate, or for a negative stride.
     """
 
     name: str
@@ -56,12 +58,12 @@ class Flow:
 
 
 def video_flow(name: str) -> Flow:
-    """RTP video: 90 kHz capture times on no grid (RFC 6184)."""
+    """Return a flow of RTP video: 90 kHz, capture times without a grid (RFC 6184)."""
     return Flow(name=name, level=Level.VIDEO, kind=FlowKind.RTP, clock_hz=VIDEO_CLOCK_HZ)
 
 
 def voice_flow(name: str) -> Flow:
-    """RTP voice: 48 kHz, a packet every 20 ms, whose timestamp counts its samples (RFC 7587)."""
+    """Return a flow of RTP voice (RFC 7587): 48 kHz, a packet every 20 ms."""
     return Flow(
         name=name,
         level=Level.VOICE,
@@ -72,22 +74,22 @@ def voice_flow(name: str) -> Flow:
 
 
 def rtcp_flow(name: str, level: Level = Level.VIDEO) -> Flow:
-    """RTCP of a stream, both ways: sender reports with the media, receiver reports against it."""
+    """Return a flow of RTCP in both directions: sender reports and receiver reports."""
     return Flow(name=name, level=level, kind=FlowKind.RTCP)
 
 
 def tmtc_flow(name: str) -> Flow:
-    """Telecommands or telemetry: the space packets of `telepresence.tmtc`."""
+    """Return a flow of telecommands or telemetry: the space packets of `telepresence.tmtc`."""
     return Flow(name=name, level=Level.TMTC, kind=FlowKind.TMTC)
 
 
 def packet_flow(name: str, level: Level) -> Flow:
-    """Packets that are carried as they are, whatever they hold."""
+    """Return a flow of unchecked packets."""
     return Flow(name=name, level=level, kind=FlowKind.RAW)
 
 
 def check_flows(flows: Sequence[Flow]) -> tuple[Flow, ...]:
-    """The table as a tuple: a flow's place in it is its number on the link."""
+    """Return the table as a tuple; a flow's index is its number on the link. ConfigError."""
     if len(flows) > MAX_FLOWS:
         raise ConfigError(f"{len(flows)} flows: a direction carries at most {MAX_FLOWS}")
     rtp = [flow.name for flow in flows if flow.kind is FlowKind.RTP]

@@ -1,8 +1,8 @@
 """The transfer frame: primary header, insert zone, data zone, FECF.
 
-CCSDS 732.0-B (AOS Space Data Link Protocol) clause 4.1.2 (primary header), 4.1.3 (insert zone),
-4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/link.md draws both frames and names
-the places where they leave the book.
+CCSDS 732.0-B (AOS Space Data Link Protocol), clauses 4.1.2 (primary header), 4.1.3 (insert zone),
+4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/link.md shows both frames and lists the
+deviations from the standard.
 """
 
 import struct
@@ -24,21 +24,20 @@ _SAMPLE_FLAG = 0x20
 _SIGNALING_MUST_BE_ZERO = 0xC0
 _POINTER_MASK = 0x1F
 
-#: From this length on, a known tail's part in the CRC is cheaper to look up than to divide.
+#: From this length on, a CRC table for a known tail is faster than computing the CRC.
 _LONG_TAIL = 64
 
 
 class Pointers:
-    """The codes of the first header pointer, whose width depends on where it stands.
+    """The codes of the first header pointer, whose width depends on its position.
 
-    0 .. zone - 1: the first tag octet stands there; the packet in flight, if any, ends before it.
-    zone (the length of this very frame's packet zone): the packet in flight ends with its last
-        octet.
-    `no_start` (all ones): the packet in flight goes on beyond this zone.
+    0 .. zone - 1: position of the first tag octet; a packet in flight ends before it.
+    zone (the length of this frame's packet zone): the packet in flight ends with its last octet.
+    `no_start` (all ones): the packet in flight continues beyond this zone.
     `idle` (all ones less 1): the zone is fill; the packet in flight ended with the last zone.
-    `preempt` (all ones less 2): a tag stands at 0; the packet in flight waits to be resumed.
-    `supervision` (all ones less 3): the zone begins with a supervision message, and the packet in
-        flight stays as it is.
+    `preempt` (all ones less 2): a tag is at 0; the packet in flight waits for a resume tag.
+    `supervision` (all ones less 3): the zone begins with a supervision message; the packet in
+        flight is unchanged.
     """
 
     def __init__(self, profile: LinkProfile) -> None:
@@ -49,14 +48,14 @@ class Pointers:
         self.supervision = all_ones - 3
 
 
-#: A received frame whose FECF was right: frame count, sample (None where there is none), first
-#: header pointer, packet zone (longer by the insert zone where there is no sample). A bare tuple,
-#: because one is made every millisecond.
+#: A received frame with a correct FECF: frame count, sample (or None), first header pointer, packet
+#: zone (which includes the insert zone if there is no sample). A plain tuple, because one is made
+#: every millisecond.
 Frame = tuple[int, bytes | None, int, bytes]
 
 
 class FrameCodec:
-    """Frames of one profile to octets and back. No state."""
+    """Packs and parses the frames of one profile. No state."""
 
     def __init__(self, profile: LinkProfile) -> None:
         self.profile = profile
@@ -68,7 +67,7 @@ class FrameCodec:
         if not self._in_signaling:
             self._must_be_zero |= _POINTER_MASK
         # Two octets of version, SCID and VCID; 24 bits of frame count and 8 of signaling; insert
-        # zone, if any; M_PDU header, if any; packet zone. The FECF is packed by itself.
+        # zone, if any; M_PDU header, if any; packet zone. The FECF is packed separately.
         mpdu = "" if self._in_signaling else "H"
         with_sample = f">HI{profile.insert_octets}s{mpdu}{profile.packet_zone_octets}s"
         without = f">HI{mpdu}{profile.largest_zone_octets}s"
@@ -78,7 +77,7 @@ class FrameCodec:
         self._unpack_plain = struct.Struct(f"{without}{FECF_OCTETS}x").unpack
         self._idle_sample = bytes(profile.packet_zone_octets)
         self._idle_plain = bytes(profile.largest_zone_octets)
-        # Most frames of a wide link are idle, and most of their cost would be dividing zeros.
+        # Most frames of a wide link are idle, and the CRC of their zeros would be the main cost.
         self._sample_tail: _KnownTail | None = None
         self._plain_tail: _KnownTail | None = None
         self._pack_head = struct.Struct(">HI").pack
@@ -89,8 +88,10 @@ class FrameCodec:
             self._plain_tail = _KnownTail(HEADER_OCTETS, code + self._idle_plain)
 
     def pack(self, count: int, sample: bytes | None, pointer: int, zone: bytes) -> bytes:
-        """`profile.frame_octets` octets. `count` is taken modulo 2^24; `zone` fills what the
-        sample, or its absence, leaves."""
+        """Return `profile.frame_octets` octets.
+
+        count: taken modulo 2^24. zone: its length is what the sample, or its absence, leaves.
+        """
         count = (count & COUNT_MASK) << 8
         if sample is None:
             if self._in_signaling:
@@ -104,7 +105,7 @@ class FrameCodec:
         return body + crc_hqx(body, 0xFFFF).to_bytes(FECF_OCTETS, "big")
 
     def pack_idle(self, count: int, sample: bytes | None) -> bytes:
-        """The same with pointer `idle` and a zone of zeros."""
+        """Return a frame with the pointer `idle` and a zone of zeros."""
         known = self._plain_tail if sample is None else self._sample_tail
         if known is None:
             zone = self._idle_plain if sample is None else self._idle_sample
@@ -118,7 +119,7 @@ class FrameCodec:
         return head + known.tail + known.fecf(head).to_bytes(FECF_OCTETS, "big")
 
     def parse(self, frame: bytes) -> Frame | str:
-        """The frame, or in one word the reason why it is none of ours."""
+        """Return the frame, or in one word the reason why it is invalid."""
         if len(frame) != self._frame_octets:
             return "length"
         has_sample = frame[5] & _SAMPLE_FLAG
@@ -126,7 +127,7 @@ class FrameCodec:
         if known is not None and frame.startswith(known.tail, known.start):
             if known.fecf(frame[: known.start]) != frame[-2] << 8 | frame[-1]:
                 return "fecf"
-        # The CRC of a frame together with its own CRC is zero.
+        # The CRC over a frame and its own CRC is zero.
         elif crc_hqx(frame, 0xFFFF):
             return "fecf"
         sample: bytes | None
@@ -151,10 +152,10 @@ class FrameCodec:
 
 
 class _KnownTail:
-    """A frame's octets from `start` to its FECF, where they are known beforehand.
+    """The octets of a frame from `start` to its FECF, if they are known in advance.
 
-    What they make of a CRC register is linear in the register, but for a constant: so it is looked
-    up by the register's two halves.
+    Their effect on a CRC register is linear in the register, except for a constant. So it is looked
+    up in a table for each half of the register.
     """
 
     def __init__(self, start: int, tail: bytes) -> None:
@@ -163,7 +164,7 @@ class _KnownTail:
         self._high, self._low = _halves(tail)
 
     def fecf(self, head: bytes) -> int:
-        """The FECF of `head` followed by the tail."""
+        """Return the FECF of `head` followed by the tail."""
         register = crc_hqx(head, 0xFFFF)
         return self._high[register >> 8] ^ self._low[register & 0xFF]
 
@@ -176,9 +177,9 @@ def _halves(tail: bytes) -> tuple[list[int], list[int]]:
     return high, low
 
 
-# The tag octet, which stands wherever no packet goes on by itself (docs/link-packets.md):
-# bit 7: the piece's length follows (CLOSED); else it fills the zone to its end.
-# bits 6..3: kind, control or one of rtp_forms; bits 2..0: number of the flow, or what control does.
+# The tag octet begins each piece, unless the piece just continues a packet (docs/link-packets.md):
+# bit 7: the piece's length follows (CLOSED); else the piece fills the zone to its end.
+# bits 6..3: kind: control, or one of rtp_forms; bits 2..0: number of the flow, or control code.
 CLOSED = 0x80
 KIND_SHIFT = 3
 KIND_BITS = 0x78
@@ -187,16 +188,16 @@ TAG_FILL = 0x00
 TAG_PAD = 0x01
 TAG_RESUME = 0x04  # 0x04..0x07: resume the packet in flight of level 0..3
 
-#: The largest datagram that the link carries: more than an Ethernet's worth, so that nothing
-#: well-behaved is refused, and a bound on what a receiver collects for one packet.
+#: Largest datagram that the link carries. It exceeds an Ethernet frame, so usual packets fit, and
+#: it bounds the memory of a receiver.
 MAX_PACKET_OCTETS = 2048
 
 
-#: A closed piece's length is one octet up to here; above, two octets with the highest bit set.
+#: The length of a closed piece takes one octet up to this value; above, two with the top bit set.
 LARGEST_SHORT_LENGTH = 0x7F
 LONG_LENGTH = 0x8000
 
 
 def length_octets(profile: LinkProfile) -> int:
-    """How many octets tell the length of a closed piece, at the most."""
+    """Return the largest number of octets of a closed piece's length."""
     return 1 if profile.largest_zone_octets <= LARGEST_SHORT_LENGTH + 2 else 2

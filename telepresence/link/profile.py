@@ -1,4 +1,4 @@
-"""What a direction of the radio link is made of: octets a frame and frames a second."""
+"""Link profile: the frame size, the frame rate and the zones of one direction of the link."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ HEADER_OCTETS = 6
 FECF_OCTETS = 2
 MPDU_HEADER_OCTETS = 2
 
-#: A supervision message takes the first octets of a packet zone, so no zone is smaller.
+#: A supervision message takes the first octets of a packet zone, so each zone has at least these.
 SUPERVISION_OCTETS = 12
 
-#: The pointer holds the positions 0 .. zone - 1, the end, four codes more (docs/link-packets.md).
+#: The pointer needs the values 0 .. zone - 1, the end, and four more codes (docs/link-packets.md).
 _POINTER_CODES = 4
 _LARGEST_ZONE_OF_SIGNALING_POINTER = (1 << 5) - 1 - _POINTER_CODES
 _LARGEST_ZONE_OF_MPDU_POINTER = (1 << 11) - 1 - _POINTER_CODES
@@ -20,17 +20,19 @@ _LARGEST_ZONE_OF_MPDU_POINTER = (1 << 11) - 1 - _POINTER_CODES
 
 @dataclass(frozen=True, kw_only=True)
 class LinkProfile:
-    """One direction of the link: one transfer frame of fixed length a slot.
+    """One direction of the link: one transfer frame of fixed length in each slot.
 
-    name: what the direction is called in reports.
-    frame_octets: the whole transfer frame, primary header and FECF included.
-    insert_octets: the insert zone, which carries one haptic sample. A frame without a sample has
-        none, and its packet zone is longer by as much.
+    name: name of the direction in reports.
+    frame_octets: the whole transfer frame, with primary header and FECF.
+    insert_octets: the insert zone, which carries one haptic sample. A frame without a sample has no
+        insert zone; its packet zone is longer instead.
     slot_ns: one frame is sent in each slot.
     scid, vcid: spacecraft and virtual channel identifier in the primary header (0..255, 0..63).
-    pointer_in_signaling: the first header pointer stands in the signaling field's low five bits
-        instead of an M_PDU header (docs/link.md says why); only for insert and packet zones of
-        together up to 27 octets.
+    pointer_in_signaling: the first header pointer is in the low five bits of the signaling field
+        instead of an M_PDU header (docs/link.md gives the reason). Only for insert and packet zones
+        of together up to 27 octets.
+
+    Raises ConfigError for values that do not fit together.
     """
 
     name: str
@@ -72,18 +74,17 @@ class LinkProfile:
 
     @property
     def data_octets(self) -> int:
-        """The data zone of a frame with a sample: what its primary header, insert zone and FECF
-        leave."""
+        """The data zone of a frame with a sample, without header, insert zone and FECF."""
         return self.frame_octets - HEADER_OCTETS - self.insert_octets - FECF_OCTETS
 
     @property
     def mpdu_octets(self) -> int:
-        """The M_PDU header, where the direction has one."""
+        """The M_PDU header; 0 if the direction has none."""
         return 0 if self.pointer_in_signaling else MPDU_HEADER_OCTETS
 
     @property
     def packet_zone_octets(self) -> int:
-        """The packet zone of a frame with a sample: what the levels below haptics can rely on."""
+        """The packet zone of a frame with a sample: the guaranteed part for other levels."""
         return self.data_octets - self.mpdu_octets
 
     @property
@@ -96,13 +97,15 @@ class LinkProfile:
 
     @property
     def capacity_bps(self) -> int:
-        """All octets of all frames, in bit/s."""
+        """The rate of all octets of all frames, in bit/s."""
         return self._bps(self.frame_octets)
 
     @property
     def media_bps(self) -> int:
-        """What all levels below haptics share with a sample in every slot, their packets' headers
-        included, in bit/s."""
+        """The rate in bit/s of all levels below haptics, with a sample in every slot.
+
+        It includes the headers of their packets.
+        """
         return self._bps(self.packet_zone_octets)
 
 

@@ -1,4 +1,4 @@
-"""One queue a level: FIFO, bounded in octets and in time, and it says what it dropped and why."""
+"""One queue for each level: FIFO, with limits in octets and time, and counted drops."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from telepresence.link.flows import Level
 
 
 class DropPolicy(Enum):
-    """Who goes when the queue is full."""
+    """Which packet is dropped when the queue is full."""
 
     REJECT_NEWEST = "reject_newest"
     DROP_OLDEST = "drop_oldest"
@@ -19,12 +19,11 @@ class DropPolicy(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class QueueLimits:
-    """How much may wait, and how long.
+    """Depth and age limits of a queue.
 
-    depth_octets: sum of the waiting packets' lengths.
-    max_age_ns: a packet that has waited longer is dropped, and so is one whose sending has been
-        interrupted for longer.
-    policy: who goes when the next packet would exceed the depth.
+    depth_octets: largest sum of the waiting packets' lengths.
+    max_age_ns: a packet that has waited longer, or was interrupted for longer, is dropped.
+    policy: which packet is dropped when the next one would exceed the depth.
     """
 
     depth_octets: int
@@ -53,10 +52,10 @@ DEFAULT_LIMITS: dict[Level, QueueLimits] = {
 
 
 class PacketQueue:
-    """Whole packets of one level, waiting for their turn.
+    """Whole packets of one level that wait to be sent.
 
-    items: `(queued_ns, flow number, data)` of each, oldest first; for looking only. Who asks
-    every slot looks here first whether it is empty, and calls `waiting` only if it is not.
+    items: `(queued_ns, flow number, data)` of each, oldest first; read-only for callers. In each
+    slot, check first whether it is empty, and call `waiting` only if it is not.
     """
 
     def __init__(self, limits: QueueLimits) -> None:
@@ -67,7 +66,7 @@ class PacketQueue:
         self.max_depth_octets = 0
         self.max_age_ns = 0
         self.drops = {"full": 0, "expired": 0, "signal_lost": 0}
-        #: What holds now: the limits' age, or the patience of a link that is not heard.
+        #: The limit in force: the queue's own, or the patience while the peer is not heard.
         self._age_ns = limits.max_age_ns
         self._too_old = "expired"
 
@@ -76,11 +75,11 @@ class PacketQueue:
 
     @property
     def octets(self) -> int:
-        """What all packets in the queue have together."""
+        """Sum of the lengths of all packets in the queue."""
         return self._octets
 
     def handle_packet(self, flow: int, data: bytes, now_ns: int) -> bool:
-        """Queue `data`; False where the policy rejects it. Older ones may go in its favour."""
+        """Queue `data`; return False if the policy rejects it. Older packets may be dropped."""
         self.waiting(now_ns)
         limits = self.limits
         if self._octets + len(data) > limits.depth_octets:
@@ -98,7 +97,7 @@ class PacketQueue:
         return True
 
     def waiting(self, now_ns: int) -> bool:
-        """Whether a packet waits that is not too old; those that are have been dropped."""
+        """Drop packets that are too old; return whether a packet remains."""
         items = self.items
         if not items:
             return False
@@ -112,21 +111,21 @@ class PacketQueue:
         return bool(items)
 
     def set_patience(self, max_age_ns: int | None) -> None:
-        """While not None, nothing waits longer than this, whatever the limits allow."""
+        """Limit the waiting time to `max_age_ns`, if it is stricter; None removes the limit."""
         if max_age_ns is None or max_age_ns >= self.limits.max_age_ns:
             self._age_ns, self._too_old = self.limits.max_age_ns, "expired"
         else:
             self._age_ns, self._too_old = max_age_ns, "signal_lost"
 
     def interrupted(self, since_ns: int, now_ns: int) -> bool:
-        """Whether a packet whose sending stopped at `since_ns` may go on; else it is booked."""
+        """Whether a packet interrupted at `since_ns` may continue; else count it as dropped."""
         if since_ns >= now_ns - self._age_ns:
             return True
         self.drops[self._too_old] += 1
         return False
 
     def flush(self, begun: int, now_ns: int) -> None:
-        """The signal is lost: throw everything away, with `begun` packets that are partly sent."""
+        """The signal is lost: drop all packets, and count `begun` ones that were partly sent."""
         if self.items:
             self.waiting(now_ns)
         if self.items:
@@ -136,7 +135,7 @@ class PacketQueue:
         self._octets = 0
 
     def take(self, now_ns: int) -> tuple[int, bytes]:
-        """The flow number and the data of the packet whose turn it is. Ask `waiting` before."""
+        """Return flow number and data of the oldest packet. Call `waiting` before."""
         queued_ns, flow, data = self.items.popleft()
         self._octets -= len(data)
         if now_ns - queued_ns > self.max_age_ns:
@@ -144,7 +143,7 @@ class PacketQueue:
         return flow, data
 
     def report(self, now_ns: int) -> dict[str, Any]:
-        """Depth, age and drops, now and at worst."""
+        """Return depth, age and drops: present values and maxima."""
         self.waiting(now_ns)
         oldest_ns = now_ns - self.items[0][0] if self.items else 0
         return {

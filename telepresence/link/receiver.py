@@ -1,4 +1,4 @@
-"""The receiving end: whole packets and samples out of frames, and nothing spliced after a loss."""
+"""The receiving end: whole packets and samples from frames; losses never join two packets."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -25,29 +25,29 @@ from telepresence.link.frame import (
 )
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
 
-#: A frame that is so little behind is late or repeated; one further behind is of a new life.
+#: A frame at most this far behind is late or repeated; one farther behind is from a new life.
 _LATE_FRAMES = 32
-#: So many late frames that follow each other are none: the peer began anew just below.
+#: After this many late frames in a row, assume that the peer restarted with a slightly lower count.
 _LATE_RUN = 4
-#: So many frames from nowhere that follow each other are of a new life of the peer; a single one is
-#: rather a flipped bit that no checksum found.
+#: After this many implausible frame counts in a row, assume a new life of the peer. A single one is
+#: more likely a bit error that the FECF did not detect.
 _STRAY_RUN = 2
 
 _new_event = tuple.__new__
 
-#: The level that each control code resumes; -1 for the codes that mean nothing.
+#: The level that each control code resumes; -1 for undefined codes.
 _RESUMED = [-1] * TAG_RESUME + [*range(len(Level))]
 
 
 class HapticReceived(NamedTuple):
-    """One sample out of an insert zone."""
+    """One sample from an insert zone."""
 
     sample: bytes
     now_ns: int
 
 
 class PacketReceived(NamedTuple):
-    """One packet, bit for bit the UDP payload that went in at the other end of `flow`."""
+    """One packet: exactly the UDP payload that entered at the other end of `flow`."""
 
     flow: Flow
     data: bytes
@@ -55,7 +55,7 @@ class PacketReceived(NamedTuple):
 
 
 class SupervisionReceived(NamedTuple):
-    """One supervision message of twelve octets; the link does not look into it."""
+    """One supervision message of twelve octets, which the receiver does not parse."""
 
     message: bytes
     now_ns: int
@@ -65,7 +65,7 @@ LinkEvent = HapticReceived | PacketReceived | SupervisionReceived
 
 
 class _Partial:
-    """A packet of which the end is missing."""
+    """A packet whose end has not arrived yet."""
 
     __slots__ = ("body", "count", "tag")
 
@@ -76,12 +76,12 @@ class _Partial:
 
 
 class LinkReceiver:
-    """Frames in by `handle_frame`; samples, packets and supervision messages out by `next_event`.
+    """Takes frames by `handle_frame`; returns samples, packets and messages by `next_event`.
 
-    Never raises on what a peer sends: it is counted by reason and dropped.
+    It never raises because of data from the peer; invalid data is counted by reason and dropped.
 
-    profile, flows: the direction and its flow table, the same at the other end.
-    deliver: while False, samples and packets are counted as `unapproved` instead of given out.
+    profile, flows: the direction and its flow table, as at the other end.
+    deliver: while False, samples and packets are dropped and counted as `unapproved`.
     """
 
     def __init__(self, profile: LinkProfile, flows: Sequence[Flow]) -> None:
@@ -102,17 +102,17 @@ class LinkReceiver:
         self._events: deque[LinkEvent] = deque()
         self._partials: list[_Partial | None] = [None] * len(Level)
         self._on_air: int | None = None
-        #: The last frame's count, with the wraps of its 24 bits added up; -1 before the first.
+        #: The last frame's count, without the wraps of its 24 bits; -1 before the first.
         self._count = -1
         self._next24 = -1
         self._last_ns = 0
-        #: Of the late or stray frames that followed each other: the last good frame's count, the
-        #: next one's if they go on, and how many there were.
+        #: The latest run of late or stray frames: the last good frame's count, the next count of
+        #: the run, and its length.
         self._astray = (-1, -1, 0)
         self.frames_received = 0
         self.frames_lost = 0
         self.restarts = 0
-        #: How often the peer was met: its first frame, and each new life of it.
+        #: Number of lives of the peer so far.
         self.meetings = 0
         self.haptic_received = 0
         self.haptic_unapproved = 0
@@ -122,8 +122,10 @@ class LinkReceiver:
         self.packets_received = [0] * len(self.flows)
 
     def handle_frame(self, frame: bytes, now_ns: int) -> bool:
-        """What came from the radio, at `now_ns`; whether it is a good frame, the sign of a living
-        peer. Drain `next_event` afterwards."""
+        """Take a frame from the radio; return whether it is a good frame of a live peer.
+
+        Drain `next_event` afterwards.
+        """
         parsed = self._parse(frame)
         if isinstance(parsed, str):
             self._drop_frame(parsed)
@@ -139,7 +141,7 @@ class LinkReceiver:
         if sample is not None:
             if self.deliver:
                 self.haptic_received += 1
-                # Each millisecond, so without the constructor that a NamedTuple writes in Python.
+                # This skips the NamedTuple's own `__new__`, once a millisecond.
                 self._events.append(_new_event(HapticReceived, (sample, now_ns)))
             else:
                 self.haptic_unapproved += 1
@@ -155,7 +157,7 @@ class LinkReceiver:
         return True
 
     def handle_signal_lost(self, now_ns: int) -> None:
-        """The signal is lost: what has come in part will not be completed in time."""
+        """The signal is lost: drop incomplete packets, which would not be completed in time."""
         self._drop_partials()
 
     def context_ids(self) -> tuple[int, ...]:
@@ -163,19 +165,22 @@ class LinkReceiver:
         return self._context_ids
 
     def forget_contexts(self) -> None:
-        """The peer has begun a new life, which the frame count need not have shown: its contexts
-        have the numbers of the former ones, and none of those must be said to be held."""
+        """Forget all contexts: the peer began a new life.
+
+        The frame count does not always show that. The new contexts reuse the numbers of the old
+        ones, so no old one may be reported as held.
+        """
         for decompressor in self._decompressors:
             if decompressor is not None:
                 decompressor.forget()
         self._note_contexts()
 
     def next_event(self) -> LinkEvent | None:
-        """What has been received, in order. Call until None."""
+        """The next event in the order of reception, or None. Call until None."""
         return self._events.popleft() if self._events else None
 
     def _follow(self, count24: int, now_ns: int) -> bool:
-        """Take the count of a frame that is not just the next; whether it is to be read."""
+        """Handle a frame count that is not the next one; return whether to use the frame."""
         last = self._count
         if last < 0:
             self.meetings = 1
@@ -192,7 +197,7 @@ class LinkReceiver:
                     return False
                 self._restart(count24)
             elif count24 == 0:
-                # A sender without lives (`first_count`) begins at 0.
+                # A sender without `first_count` begins at 0 after a restart.
                 self._restart(count24)
             else:
                 self.frames_lost += ahead - 1
@@ -201,7 +206,7 @@ class LinkReceiver:
         return True
 
     def _explained(self, ahead: int, now_ns: int) -> bool:
-        """Whether the time since the last frame had slots for so many."""
+        """Whether enough time for `ahead` slots has passed since the last frame."""
         elapsed_ns = now_ns - self._last_ns
         return ahead * self.profile.slot_ns <= 2 * elapsed_ns + NS_PER_S
 
@@ -233,7 +238,7 @@ class LinkReceiver:
         self.packets_dropped[reason] = self.packets_dropped.get(reason, 0) + 1
 
     def _malformed(self) -> None:
-        """The peer does not keep to the tags: nothing that is under way can be trusted."""
+        """The peer violates the tag format, so drop everything in progress."""
         self._drop_packet("malformed")
         self._drop_partials()
 
@@ -248,7 +253,7 @@ class LinkReceiver:
             self._drop_packet("oversize")
 
     def _finish(self, level: int | None, now_ns: int) -> None:
-        """The packet of `level` has ended."""
+        """The packet of `level` is complete."""
         self._on_air = None
         if level is None:
             return
@@ -258,7 +263,7 @@ class LinkReceiver:
             self._deliver(partial.tag, partial.count, bytes(partial.body), now_ns)
 
     def _handle_zone(self, pointer: int, zone: bytes, now_ns: int) -> None:
-        """A zone in which something begins, ends, or supervises."""
+        """Handle a zone in which a packet begins or ends, or with a supervision message."""
         on_air, pointers = self._on_air, self._pointers
         if pointer == pointers.supervision:
             self.supervision_received += 1
@@ -290,7 +295,7 @@ class LinkReceiver:
                 return
             end = size
             if tag & CLOSED:
-                # Missing octets read as zeros, and the piece then ends beyond the zone.
+                # Missing octets read as zeros; then the piece ends beyond the zone.
                 length = int.from_bytes(zone[position : position + 1], "big")
                 position += 1
                 if length > LARGEST_SHORT_LENGTH:
@@ -305,7 +310,7 @@ class LinkReceiver:
             position = end
             if not resumed:
                 if self._partials[level] is not None:
-                    # At most one packet a level is under way: the sender has given that one up.
+                    # Each level has at most one packet in flight: the sender dropped this one.
                     self._partials[level] = None
                     self._drop_packet("incomplete")
                 if tag & CLOSED:
@@ -343,7 +348,7 @@ class LinkReceiver:
             self._drop_packet("unapproved")
 
     def report(self) -> dict[str, Any]:
-        """Frames, samples and packets, received, lost and dropped by reason."""
+        """Return frames, samples and packets: received, lost, and dropped by reason."""
         return {
             "frames": self.frames_received,
             "frames_lost": self.frames_lost,

@@ -1,4 +1,4 @@
-"""The sending end: the newest sample in each frame, then the highest level that has something."""
+"""The sending end: one frame a slot with the newest sample, filled by priority of the levels."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -29,7 +29,7 @@ from telepresence.tmtc.packets import is_ours
 
 
 class _InFlight:
-    """A packet of which a part has been sent. Its body is header and payload as on the link."""
+    """A packet of which a part was sent. Its body is header and payload as on the link."""
 
     __slots__ = ("body", "header_octets", "kind", "level", "offset", "since_ns", "tag")
 
@@ -45,16 +45,15 @@ class _InFlight:
 
 
 class LinkSender:
-    """Packets and haptic samples in, exactly one transfer frame a slot out.
+    """Takes packets and haptic samples; returns exactly one transfer frame for each slot.
 
-    Give it packets with `handle_packet` and samples with `handle_haptic` at any time; call
-    `poll_transmit` once a slot and send what it returns. Strict priority: a packet of a higher
-    level goes into the very next frame, in the middle of a lower one if need be; the lower one
-    goes on afterwards where it stopped.
+    Call `handle_packet` and `handle_haptic` at any time. Call `poll_transmit` once a slot and send
+    what it returns. Priority is strict: a packet of a higher level goes into the next frame and may
+    interrupt a packet of a lower level, which continues afterwards.
 
-    profile, flows: the direction and its flow table, the same at the other end.
+    profile, flows: the direction and its flow table, as at the other end.
     limits: queue limits by level, where they differ from the defaults.
-    first_count: the frame count of the first frame.
+    first_count: frame count of the first frame.
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class LinkSender:
         limits = {**DEFAULT_LIMITS, **(limits or {})}
         self._queues = [PacketQueue(limits[level]) for level in Level]
         self._queued = [queue.items for queue in self._queues]
-        #: Nothing is queued, begun or on air: most slots of a wide link need not look again.
+        #: Nothing is queued or in flight, so a slot needs no search. True in most slots.
         self._quiet = True
         self._numbers = {flow.name: number for number, flow in enumerate(self.flows)}
         self._kinds = [
@@ -91,7 +90,7 @@ class LinkSender:
         self._sample: bytes | None = None
         self._on_air: _InFlight | None = None
         self._waiting: list[_InFlight | None] = [None] * len(Level)
-        #: The packet on air was thrown away, and the receiver must not take it for ended.
+        #: The packet on air was dropped, and the receiver must not take it for complete.
         self._cut = False
         self.haptic_sent = 0
         self.haptic_superseded = 0
@@ -102,9 +101,9 @@ class LinkSender:
         self._idle = 0
 
     def handle_haptic(self, sample: bytes, now_ns: int) -> bool:
-        """The newest sample, of exactly `insert_octets`: it replaces one that has not gone yet.
+        """Set the newest sample of exactly `insert_octets`; it replaces one not sent yet.
 
-        False, and counted, where the length is wrong.
+        Return False, and count it, if the length is wrong.
         """
         if len(sample) != self._insert_octets:
             self.refused["haptic_length"] += 1
@@ -115,10 +114,10 @@ class LinkSender:
         return True
 
     def handle_packet(self, flow: str, data: bytes, now_ns: int) -> bool:
-        """Queue the payload of a UDP datagram of `flow`; False, and counted, where it is refused.
+        """Queue the payload of a datagram of `flow`; return False, and count it, if refused.
 
-        What cannot be RTP, RTCP (RFC 3550) or TM/TC is refused on such flows: garbage from a port
-        must not take the channel from the media. `KeyError` for a flow that is not in the table.
+        A flow of RTP, RTCP (RFC 3550) or TM/TC refuses what cannot be such a packet, because
+        garbage must not take capacity from media. Raises KeyError for an unknown flow.
         """
         number = self._numbers[flow]
         if len(data) > MAX_PACKET_OCTETS:
@@ -136,8 +135,10 @@ class LinkSender:
         return self._queues[level].octets
 
     def flush(self, now_ns: int) -> None:
-        """Throw away every packet that waits or is partly sent: the signal is lost, and nothing is
-        sent late. They are counted as `signal_lost`. A sample, never older than a slot, stays."""
+        """The signal is lost: drop all packets that wait or are partly sent.
+
+        They are counted as `signal_lost`. The sample stays, because it is never older than a slot.
+        """
         on_air, self._on_air = self._on_air, None
         self._cut = self._cut or on_air is not None
         for level, queue in enumerate(self._queues):
@@ -148,29 +149,29 @@ class LinkSender:
             queue.flush(begun, now_ns)
 
     def set_patience(self, max_age_ns: int | None) -> None:
-        """While not None, no packet of any level waits longer; who does is `signal_lost`."""
+        """Limit the waiting time of all packets; older ones are dropped as `signal_lost`."""
         for queue in self._queues:
             queue.set_patience(max_age_ns)
 
     def handle_acknowledgements(self, ids: Sequence[int]) -> None:
-        """The contexts that the peer holds, by number, in the order of the table's RTP flows."""
+        """Take the context ids that the peer holds, in the order of the table's RTP flows."""
         for compressor, context_id in zip(self._rtp, ids, strict=False):
             compressor.handle_acknowledgement(context_id, self._count)
 
     def handle_peer(self, *, heard: bool) -> None:
-        """Whether acknowledgements can come at all."""
+        """Set whether the peer is heard, so that acknowledgements can arrive."""
         for compressor in self._rtp:
             compressor.handle_peer(heard=heard)
 
     def forget_contexts(self) -> None:
-        """The peer has begun a new life, and holds no context."""
+        """The peer began a new life and holds no context."""
         for compressor in self._rtp:
             compressor.forget()
 
     def poll_transmit(self, now_ns: int, supervision: bytes | None = None) -> bytes:
-        """The frame of this slot: `profile.frame_octets` octets, idle ones where nothing waits.
+        """Return the frame of this slot: `profile.frame_octets` octets, idle if nothing waits.
 
-        supervision: twelve octets that take this slot's packet zone; packets go on afterwards.
+        supervision: twelve octets that take this slot's packet zone; packets continue afterwards.
         """
         sample = self._sample
         if sample is not None:
@@ -196,7 +197,7 @@ class LinkSender:
         return self._codec.pack(count, sample, pointer, zone)
 
     def _fill_zone(self, size: int, now_ns: int) -> tuple[int, bytes]:
-        """First header pointer and packet zone, of `size` octets."""
+        """Return the first header pointer and a packet zone of `size` octets."""
         pointers = self._pointers
         packet = self._on_air
         parts: list[bytes] = []
@@ -221,7 +222,7 @@ class LinkSender:
                 pointer = position = remaining
             self._on_air = None
         elif self._cut:
-            # What was on air waits at the receiver, until the next packet of its level begins.
+            # The receiver still waits for the dropped packet; the next one of its level ends that.
             self._cut = False
             pointer = pointers.preempt
         while position < size:
@@ -239,7 +240,7 @@ class LinkSender:
         return pointer, b"".join(parts)
 
     def _segment(self, packet: _InFlight, rest: int, now_ns: int) -> bytes:
-        """A tag and as much of the packet as goes into the `rest` of the zone."""
+        """Return a tag and as much of the packet as fits into the remaining zone."""
         remaining = len(packet.body) - packet.offset
         key = "packet_headers" if packet.tag >> KIND_SHIFT else "framing"
         if remaining >= rest - 1:
@@ -248,11 +249,11 @@ class LinkSender:
             if remaining >= rest:
                 self._on_air = packet
                 packet.tag = TAG_RESUME + packet.level
-            # One that ends with the zone needs no more than the next frame's pointer.
+            # The next frame's pointer shows that the packet ended with this zone.
             return segment
         short = remaining <= LARGEST_SHORT_LENGTH
         if not short and remaining + 3 > rest:
-            # One octet too short to be left open, one too long for its length: one pad octet.
+            # Too short to fill the zone, too long with its two length octets: insert a pad octet.
             self._carried["framing"] += 1
             packet.since_ns = now_ns
             self._waiting[packet.level] = packet
@@ -267,7 +268,7 @@ class LinkSender:
         return head + self._piece(packet, remaining)
 
     def _piece(self, packet: _InFlight, octets: int) -> bytes:
-        """The next `octets` of the packet, entered into the ledger."""
+        """Return the next `octets` of the packet, and count them by what they carry."""
         offset = packet.offset
         packet.offset = end = offset + octets
         header = packet.header_octets
@@ -280,7 +281,7 @@ class LinkSender:
         return packet.body[offset:end]
 
     def _next_packet(self, now_ns: int) -> _InFlight | None:
-        """The packet of the highest level: the one begun there, else the next of its queue."""
+        """Return the next packet by priority; one begun before goes first in its level."""
         waiting = self._waiting
         for level, queued in enumerate(self._queued):
             begun = waiting[level]
@@ -304,10 +305,10 @@ class LinkSender:
         return self._count - self._first_count
 
     def octets(self) -> dict[str, int]:
-        """Octets of all frames by what they carried; they sum to frame_octets * frames exactly.
+        """Octets of all frames by what they carried; the sum is exactly frame_octets * frames.
 
         packet_headers: tags and RTP headers, compressed or whole. framing: M_PDU headers, lengths,
-        pads and the tags that resume. idle: fill, and what a supervision message leaves.
+        pads and resume tags. idle: fill, and the rest of supervision slots.
         """
         frames, carried = self.frames_sent, self._carried
         return {
@@ -321,7 +322,7 @@ class LinkSender:
         }
 
     def report(self, now_ns: int) -> dict[str, Any]:
-        """Rates, the ledger of octets, and each level's queue."""
+        """Return rates, the octets by what they carried, and each level's queue."""
         return {
             "capacity_bps": self.profile.capacity_bps,
             "frames": self.frames_sent,
@@ -338,8 +339,11 @@ class LinkSender:
 
 
 def _plausible(kind: FlowKind, data: bytes) -> bool:
-    """RTP version 2 and a whole header; for RTCP also a packet type of RFC 3550 and after; for
-    TM/TC a space packet of ours."""
+    """Whether `data` can be a packet of `kind`.
+
+    RTP: version 2 and a whole header. RTCP: also a packet type of RFC 3550 or later. TM/TC: a space
+    packet of this project.
+    """
     if kind is FlowKind.TMTC:
         return is_ours(data)
     if kind is FlowKind.RTP:

@@ -1,7 +1,7 @@
 """Both segments and the radio between them on virtual time: an hour of link in minutes.
 
-For tests, for figures, and for programs that want to know what the link would do to their traffic.
-Nothing in here is a model of the gateways: they are the very ones that a live session runs.
+For tests, figures, and programs that examine the link's effect on their traffic. The gateways are
+the ones of a live session, not models of them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,14 +15,15 @@ from telepresence.link.receiver import LinkEvent
 
 
 class VirtualLink:
-    """A ground and a space gateway, a slot at a time.
+    """A ground and a space gateway, one slot at a time.
 
-    uplink_flows, downlink_flows: what the two segments may send to each other.
-    up, down: the radio paths; without one a frame arrives in the instant in which it was sent.
-    seed: gives the two gateways their life numbers.
+    uplink_flows, downlink_flows: what each segment may send to the other.
+    up, down: the radio paths; without one a frame arrives at the instant of its sending.
+    limits: queue limits by level, where they differ from the defaults.
+    seed: determines the life numbers of the two gateways.
 
-    Put packets and samples into `ground` and `space` at `now_ns` (or at any instant before the
-    next slot), then call `step`. Slots of both segments begin at the same instants.
+    Pass packets and samples to `ground` and `space` at `now_ns`, or at any instant before the next
+    slot, then call `step`. The slots of both segments begin at the same instants.
     """
 
     def __init__(
@@ -66,10 +67,10 @@ class VirtualLink:
         )
 
     def step(self) -> Iterator[tuple[Gateway, LinkEvent]]:
-        """One slot: a frame leaves each segment now; then, until the next slot, what arrives.
+        """Run one slot: send a frame from each segment, then yield what arrives before the next.
 
-        Gives the receiving gateway and the event, in the order of time. Exhaust it: time moves on
-        only then.
+        Yields the receiving gateway and the event, in the order of time. Exhaust the iterator: time
+        advances only at its end.
         """
         ground, space = self.ground, self.space
         now_ns = self.now_ns
@@ -89,7 +90,7 @@ class VirtualLink:
         self.now_ns = end_ns
 
     def run(self, duration_ns: int) -> Iterator[tuple[Gateway, LinkEvent]]:
-        """All slots that begin within `duration_ns` from now on."""
+        """Run all slots that begin within `duration_ns` from now."""
         end_ns = self.now_ns + duration_ns
         while self.now_ns < end_ns:
             yield from self.step()

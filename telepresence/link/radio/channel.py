@@ -1,4 +1,4 @@
-"""What the channel of one direction does at an instant: everything a profile says, put together."""
+"""The radio channel of one direction: all effects of a profile combined, at any instant."""
 
 from dataclasses import dataclass
 from math import pi, sin
@@ -8,17 +8,17 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.radio.contact import ContactFading
 from telepresence.link.radio.outages import BlackoutClock, BurstClock
 
-#: Later than any session.
+#: Later than the end of any session.
 FOREVER_NS = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """What a channel does from the instant asked about up to `until_ns`, in the channel's time.
+    """State of a channel from the requested instant up to `until_ns`, in the channel's time.
 
-    delay_ns, slope: the delay then, and its change a nanosecond.
+    delay_ns, slope: delay at the requested instant, and its change a nanosecond.
     frame_loss, bit_error_rate: probabilities for a frame and for a bit.
-    blackout, no_signal: nothing gets through at all, and why.
+    blackout, no_signal: nothing gets through, for this reason.
     """
 
     until_ns: int
@@ -31,16 +31,16 @@ class Condition:
 
 
 def _either(one: float, other: float) -> float:
-    """The probability of one or the other of two independent events."""
+    """Return the probability of at least one of two independent events."""
     return one + other - one * other
 
 
 class Channel:
-    """The channel of one direction; ask for its conditions in order of time.
+    """The radio channel of one direction. Request its conditions in order of time.
 
-    delay_ns, swing_ns, period_ns: a mean delay and its slow swing around that.
-    frame_loss, bit_error_rate: what is always there, and the good state of `bursts`.
-    start_ns: which instant of the contact the channel's time 0 is.
+    delay_ns, swing_ns, period_ns: mean delay, and amplitude and period of its slow swing.
+    frame_loss, bit_error_rate: permanent probabilities, also in the good state of `bursts`.
+    start_ns: instant of the contact at the channel's time 0.
     """
 
     def __init__(
@@ -59,14 +59,14 @@ class Channel:
     ) -> None:
         self._labels = labels
         self._delay_ns, self._swing_ns, self._period_ns = delay_ns, swing_ns, period_ns
-        # A straight line over a 64th of a swing is off by 0.12 % of it.
+        # A straight line over a 64th of a period deviates by at most 0.12 % of the swing.
         self._step_ns = max(NS_PER_MS, min(NS_PER_S, round(period_ns / 64)))
         self._frame_loss, self._bit_error_rate = frame_loss, bit_error_rate
         self._bursts, self._blackouts, self._contact = bursts, blackouts, contact
         self._start_ns = start_ns
 
     def condition(self, time_ns: int) -> Condition:
-        """What is so at `time_ns`; never earlier than at the call before."""
+        """Return the condition at `time_ns`, which must not go back."""
         until_ns = FOREVER_NS
         delay_ns, slope = self._delay_ns, 0.0
         loss, errors = self._frame_loss, self._bit_error_rate
@@ -102,7 +102,7 @@ class Channel:
         )
 
     def report(self, time_ns: int) -> dict[str, Any]:
-        """`profile`, `direction`, `blackout_ns` up to `time_ns`, and of a pass `contact`."""
+        """Return `profile`, `direction`, `blackout_ns` up to `time_ns`, and a pass's `contact`."""
         told: dict[str, Any] = {**self._labels, "blackout_ns": self._blackouts.dark_ns(time_ns)}
         if self._contact is not None:
             told["contact"] = self._contact.windows()

@@ -1,4 +1,4 @@
-"""Outages: bursts of errors slot by slot (Gilbert, Elliott), and blackouts, given or random."""
+"""Outages: bursts of errors slot by slot (Gilbert, Elliott), and fixed or random blackouts."""
 
 from collections.abc import Iterator, Sequence
 from heapq import merge
@@ -8,7 +8,7 @@ from random import Random
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 
-#: After the last blackout of all.
+#: After any session.
 _NEVER_NS = 1 << 62
 
 
@@ -17,10 +17,10 @@ class BurstClock:
 
     gap_s: mean time in the good state, s.
     mean_ms: mean time in the bad state, ms.
-    frame_loss, bit_error_rate: of the bad state; those of the good one are the caller's.
+    frame_loss, bit_error_rate: probabilities in the bad state; the caller knows the good one.
 
-    Stays are drawn whole, from the geometric distribution that the chain's steps would give. They
-    follow each other in time, so the states do not depend on who asks, or how often.
+    Each stay is drawn as a whole, from the geometric distribution that single steps would give. The
+    states thus depend only on time and seed, not on the number of requests.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class BurstClock:
         self._until_ns = self._stay_ns()
 
     def state(self, time_ns: int) -> tuple[bool, int]:
-        """Whether the state is bad, and until when; never earlier than at the call before."""
+        """Return whether the state is bad, and until when; `time_ns` must not go back."""
         while self._until_ns <= time_ns:
             self._bad = not self._bad
             self._until_ns += self._stay_ns()
@@ -58,7 +58,7 @@ class BurstClock:
 def random_windows(
     random: Random, *, gap_s: float, shortest_s: float, longest_s: float
 ) -> Iterator[tuple[int, int]]:
-    """Begin and end of one blackout after the other, ns: exponential gaps, uniform lengths."""
+    """Yield begin and end (ns) of random blackouts: exponential gaps, uniform lengths."""
     end_ns = 0
     for _ in count():
         begin_ns = end_ns + round(random.expovariate(1 / gap_s) * NS_PER_S)
@@ -69,8 +69,8 @@ def random_windows(
 class BlackoutClock:
     """Windows in which nothing gets through; they may overlap.
 
-    given: begin and end of each, ns, in any order.
-    more: others without end, in order of their begins.
+    given: begin and end (ns) of each, in any order.
+    more: further ones without end, sorted by their begins.
     """
 
     def __init__(
@@ -81,16 +81,16 @@ class BlackoutClock:
         self._past_ns = 0
 
     def state(self, time_ns: int) -> tuple[bool, int]:
-        """Whether it is dark, and until when; never earlier than at the call before."""
+        """Return whether there is a blackout, and until when; `time_ns` must not go back."""
         while self._end_ns <= time_ns:
             self._past_ns += self._end_ns - self._begin_ns
             begin_ns, end_ns = next(self._windows, (_NEVER_NS, _NEVER_NS + 1))
-            # What an earlier window covered already is not counted again.
+            # Time that an earlier window covered is not counted twice.
             self._begin_ns = max(begin_ns, self._end_ns)
             self._end_ns = max(end_ns, self._begin_ns)
         dark = time_ns >= self._begin_ns
         return dark, self._end_ns if dark else self._begin_ns
 
     def dark_ns(self, time_ns: int) -> int:
-        """How long it was dark before `time_ns`, which is not before the last `state`."""
+        """Return the sum of blackouts before `time_ns`, which is not before the last `state`."""
         return self._past_ns + max(0, min(time_ns, self._end_ns) - self._begin_ns)

@@ -1,4 +1,4 @@
-"""The radio path: frames arrive after a delay, with bits flipped, or never."""
+"""The radio path: frames arrive after a delay, with flipped bits, or not at all."""
 
 from collections import deque
 from math import inf, log1p
@@ -9,24 +9,25 @@ from telepresence.link.radio.channel import FOREVER_NS, Channel
 
 
 def hazard(probability: float) -> float:
-    """-ln(1 - p): what a trial takes from the exponentially distributed way to the next hit."""
+    """Return -ln(1 - p): what one trial uses up of the exponentially distributed error budget."""
     return -log1p(-probability) if probability < 1.0 else inf
 
 
 class RadioPath:
-    """A delay line through a channel that may err; `handle_frame`, then `poll_transmit`.
+    """A delay line with errors; call `handle_frame`, then `poll_transmit`.
 
-    delay_ns: from `handle_frame` to the moment at which `poll_transmit` gives the frame out.
-    loss: probability from 0 to 1 that a frame gets lost; `seed` makes the losses repeatable.
-    channel: how delay and errors change with time, on top of the two; `RadioProfile.path` makes it.
+    delay_ns: time from `handle_frame` until `poll_transmit` returns the frame.
+    loss: probability, 0 to 1, that a frame is lost.
+    seed: makes losses and errors repeatable.
+    channel: additional delay and errors that change with time; see `RadioProfile.path`.
     epoch_ns: the instant at which the channel's time is 0.
 
-    Instants must not go back. The same seed and the same calls give the same frames. A frame that
-    comes out has its length, and was not overtaken; some of its bits may be flipped.
+    Instants must not go back. Equal seeds and calls give equal frames. A frame that arrives has its
+    full length and its order; some of its bits may be flipped.
 
-    Errors cost nothing until they strike: a frame takes its hazard, -ln(1 - p) a bit and a frame,
-    from an exponentially distributed store, and only where that is used up, something happens. As
-    the store has no memory, the probabilities may change at any frame.
+    Frames without errors cost little. Each frame subtracts its hazard, -ln(1 - p) for the frame and
+    for each bit, from an exponentially distributed store. An error occurs only where the store is
+    used up. The distribution has no memory, so the probabilities may change at any frame.
     """
 
     def __init__(
@@ -65,11 +66,11 @@ class RadioPath:
 
     @property
     def delay_ns(self) -> int:
-        """The delay of a frame that leaves at the last frame's instant."""
+        """The delay of a frame sent at the instant of the last frame."""
         return self._delay_ns + int((self._now_ns - self._since_ns) * self._slope)
 
     def handle_frame(self, frame: bytes, now_ns: int) -> None:
-        """A frame leaves the antenna."""
+        """A frame is sent."""
         if now_ns >= self._until_ns:
             self._change(now_ns)
         self._now_ns = now_ns
@@ -88,13 +89,13 @@ class RadioPath:
         if self._slope:
             arrival_ns += int((now_ns - self._since_ns) * self._slope)
         if arrival_ns < self._arrival_ns:
-            # A joint between two segments of the delay may be a nanosecond off.
+            # Rounding between two segments of the delay may differ by a nanosecond.
             arrival_ns = self._arrival_ns
         self._arrival_ns = arrival_ns
         self._under_way.append((arrival_ns, frame))
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The next frame that has arrived by `now_ns`. Call until None."""
+        """The next frame that has arrived by `now_ns`, or None. Call until None."""
         if self._under_way and self._under_way[0][0] <= now_ns:
             return self._under_way.popleft()[1]
         return None
@@ -104,7 +105,7 @@ class RadioPath:
         return self._under_way[0][0] if self._under_way else None
 
     def report(self) -> dict[str, Any]:
-        """Counts, and the delay now, least and most; with a channel its outages and contact."""
+        """Return counts, delays (present, least, most), and the channel's outages and contact."""
         if self.frames_sent:
             self._note_delay()
         told: dict[str, Any] = {
@@ -131,7 +132,7 @@ class RadioPath:
         return min(now_ns, self._until_ns) - self._since_ns if self._no_signal else 0
 
     def _change(self, now_ns: int) -> None:
-        """Take over what the channel does from now on."""
+        """Apply the condition of the channel from now on."""
         assert self._channel is not None
         if self.frames_sent:
             self._note_delay()
@@ -150,7 +151,7 @@ class RadioPath:
         self._note_delay()
 
     def _strike(self, frame: bytes) -> bytes | None:
-        """The store has run out within this frame: lost as a whole, or flipped bit by bit."""
+        """The store ran out within this frame: lose it, or flip some of its bits."""
         if not self._open:
             return None
         at = self._store - self._per_frame
