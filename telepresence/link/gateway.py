@@ -1,18 +1,19 @@
-"""The gateway of one segment: what it sends, the radio path it sends through, what it receives.
+"""The gateway of one segment: sender, outgoing radio path, receiver and supervision.
 
-A shell that binds sockets needs six lines a wake-up:
+A shell that binds sockets needs six lines for each wake-up:
 
-1. Every datagram on a flow's port: `handle_datagram(flow name, data, now_ns)`.
-2. Every datagram on the haptic port: `handle_haptic(data, now_ns)`.
-3. Every datagram on the radio's port: `handle_radio(frame, now_ns)`.
+1. For every datagram on a flow's port: `handle_datagram(flow name, data, now_ns)`.
+2. For every datagram on the haptic port: `handle_haptic(data, now_ns)`.
+3. For every datagram on the radio's port: `handle_radio(frame, now_ns)`.
 4. Once a slot, on absolute deadlines: `handle_slot(now_ns)`.
-5. Until None: `poll_transmit(now_ns)` to the radio's peer.
-6. Until None: `next_event()` to the haptic endpoint or to the flow's local consumer.
+5. Until None: send `poll_transmit(now_ns)` to the radio's peer.
+6. Until None: pass `next_event()` to the haptic endpoint or to the flow's local consumer.
 
-Between slots, `poll_timeout()` says when the radio gives the next frame out.
+Between slots, `poll_timeout()` says when the next frame leaves the radio path.
 
-Here the parts are joined: what supervision notices empties the sender's queues and the receiver's
-half packets, opens and closes delivery, and tells each end what the other holds of its headers.
+The gateway connects its parts. Events of supervision flush the sender's queues and the receiver's
+incomplete packets, and start and stop delivery. They also tell each end which header contexts the
+other holds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,32 +44,32 @@ from telepresence.link.supervision.events import (
 )
 from telepresence.link.supervision.supervisor import Supervisor
 
-#: The longest that a packet waits while the peer may not hear it: what comes out after a loss of
-#: signal was put in after it, or just before its end. Long enough for a large picture's last
-#: packet, because the peer may hear all of it and not be heard itself.
+#: Longest wait of a packet while the peer may not hear it. It keeps old packets from being sent
+#: after a loss of signal. It suffices for the last packet of a large picture, because the peer may
+#: hear all of it although it is not heard itself.
 LOST_PATIENCE_NS = 80 * NS_PER_MS
-#: What is found within this time after the other segment was found belongs to that.
+#: Events within this time after the peer was found belong to the same contact.
 SAME_CONTACT_NS = 100 * NS_PER_MS
-#: A life begins with this frame count: far from where any other is.
+#: Shift from the life number to its first frame count, so that two lives never overlap.
 LIFE_SHIFT = 8
-#: After so long without a frame no header context of before is worth anything: its packets may
-#: have gone on for the whole range of the frame count.
+#: After this long without a frame, no old header context is valid: the frame count may have gone
+#: through its whole range.
 FORGET_NS = 900 * NS_PER_S
-#: Over the newest so many slots it is counted how many had no sample: a second of them.
+#: Number of latest slots in which those without a sample are counted: one second of them.
 COUNTED_SLOTS = 1000
 
 
 class Gateway:
     """Sender, radio path, receiver and supervision of one segment; see the module for the run loop.
 
-    transmit, receive: the profiles of the way out and of the way in.
-    transmit_flows, receive_flows: the flow tables; the peer has them the other way round.
+    transmit, receive: profiles of the way out and of the way in.
+    transmit_flows, receive_flows: flow tables; at the peer they are exchanged.
     master: whether this end configures the other; exactly one of the two does.
-    life: 1..65535, another one each time the segment's gateway starts.
-    now_ns: the instant at which it begins; its local check has passed by then.
-    radio: the path of the frames that go out; without one they leave at once.
+    life: 1 to 65535, a new one at each start of the gateway.
+    now_ns: the instant at which it starts; its local check has passed by then.
+    radio: path of the outgoing frames; by default they leave at once.
     limits: queue limits by level, where they differ from the defaults.
-    timing: of the supervision, where it differs from the defaults.
+    timing: waits of the supervision, where they differ from the defaults.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class Gateway:
         limits: Mapping[Level, QueueLimits] | None = None,
         timing: SupervisionTiming | None = None,
     ) -> None:
-        # Two lives whose frame counts could be taken for one would share header contexts.
+        # Lives with overlapping frame counts would share header contexts.
         self.sender = LinkSender(
             transmit, transmit_flows, limits=limits, first_count=life << LIFE_SHIFT
         )
@@ -103,40 +104,40 @@ class Gateway:
             now_ns=now_ns,
             timing=timing,
         )
-        #: How often the other segment was found, or found to hear this one again: what refers to
-        #: anything before the last time may not be understood.
+        #: How often the peer was found, or found to hear this end again. It may not understand what
+        #: refers to anything before the latest time.
         self.contacts = 0
         self._contact_ns: int | None = None
         self._samples_sent = 0
-        #: For each of the newest slots, round and round, whether it had no sample.
+        #: For each of the latest slots, in a ring, whether it had no sample.
         self._free = bytearray(COUNTED_SLOTS)
         self._slot = 0
-        #: Of the newest `COUNTED_SLOTS` those without a sample; those before the first had one.
+        #: Number of slots without a sample among the latest `COUNTED_SLOTS`; 0 at the start.
         self.free_slots = 0
         self._restarts = 0
-        # Nobody has been heard yet.
+        # The peer has not been heard yet.
         self.sender.set_patience(LOST_PATIENCE_NS)
         self.sender.handle_peer(heard=False)
         self.handle_local_check(None, now_ns)
 
     def handle_local_check(self, fault: str | None, now_ns: int) -> None:
-        """This end works (None), or a line that says what does not: then nothing is delivered."""
+        """None: this end works. A line: what does not; then nothing is delivered."""
         self.supervisor.handle_local_check(fault, now_ns)
         self._follow_supervision()
 
     def handle_datagram(self, flow: str, data: bytes, now_ns: int) -> bool:
-        """A local UDP payload for the other segment; False, and counted, where it is refused."""
+        """Send a local UDP payload to the other segment; return False, and count it, if refused."""
         if not self.sender.handle_packet(flow, data, now_ns):
             return False
         self.supervisor.handle_application_sent(now_ns)
         return True
 
     def handle_haptic(self, data: bytes, now_ns: int) -> bool:
-        """A local sample for the other segment; False, and counted, if its length is wrong."""
+        """Send a local sample to the other segment; return False, and count it, if invalid."""
         return self.sender.handle_haptic(data, now_ns)
 
     def handle_radio(self, frame: bytes, now_ns: int) -> None:
-        """What came from the other segment."""
+        """Take a frame from the other segment."""
         receiver, supervisor = self.receiver, self.supervisor
         if not receiver.handle_frame(frame, now_ns):
             return
@@ -148,7 +149,7 @@ class Gateway:
             self._follow_supervision()
 
     def handle_slot(self, now_ns: int) -> None:
-        """A slot begins: exactly one frame goes to the antenna."""
+        """A slot begins: send exactly one frame."""
         supervisor, sender = self.supervisor, self.sender
         message = None
         if now_ns >= supervisor.poll_timeout():
@@ -169,15 +170,15 @@ class Gateway:
         self.radio.handle_frame(frame, now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The next frame that reaches the other segment now. Call until None."""
+        """The next frame that reaches the other segment by now, or None. Call until None."""
         return self.radio.poll_transmit(now_ns)
 
     def poll_timeout(self) -> int | None:
-        """When `poll_transmit` has something next."""
+        """When `poll_transmit` returns the next frame; None without one."""
         return self.radio.poll_timeout()
 
     def next_event(self) -> LinkEvent | None:
-        """A sample or a packet that the other segment sent. Call until None."""
+        """The next sample or packet from the other segment, or None. Call until None."""
         receiver, supervisor = self.receiver, self.supervisor
         while (event := receiver.next_event()) is not None:
             if isinstance(event, HapticReceived):
@@ -185,7 +186,7 @@ class Gateway:
                 return event
             if isinstance(event, PacketReceived):
                 supervisor.handle_application(event.now_ns)
-                # Only a packet brings a new context.
+                # Only packets carry new contexts.
                 supervisor.handle_contexts(receiver.context_ids(), event.now_ns)
                 return event
             supervisor.handle_message(event.message, event.now_ns)
@@ -193,7 +194,7 @@ class Gateway:
         return None
 
     def _handle_restart(self, now_ns: int) -> None:
-        """The frame count began anew: whose frames these are is not known before a message."""
+        """The frame count began again, so the sender is unknown until its first message."""
         self._restarts = self.receiver.restarts
         self.supervisor.handle_restart(now_ns)
         messages = []
@@ -206,7 +207,7 @@ class Gateway:
         self._follow_supervision()
 
     def _follow_supervision(self) -> None:
-        """Do what follows from what supervision has noticed."""
+        """Apply the events of supervision to sender and receiver."""
         sender, receiver, supervisor = self.sender, self.receiver, self.supervisor
         while (event := supervisor.next_event()) is not None:
             if isinstance(event, ContextsHeld):
@@ -239,24 +240,24 @@ class Gateway:
 
     @property
     def freed_bps(self) -> int:
-        """What the newest second's slots without a sample have left to the levels below haptics."""
+        """The capacity that the last second's slots without a sample left to media, in bit/s."""
         profile = self.sender.profile
         bits = self.free_slots * profile.insert_octets * 8
         return bits * NS_PER_S // (COUNTED_SLOTS * profile.slot_ns)
 
     def _count_contact(self, now_ns: int) -> None:
-        # Both directions mostly come back together, and are noticed one after the other.
+        # Both directions usually return together, but are noticed one after the other.
         if self._contact_ns is None or now_ns - self._contact_ns > SAME_CONTACT_NS:
             self.contacts += 1
             self._contact_ns = now_ns
 
     def _forget_received(self, now_ns: int) -> None:
-        """What is held of the peer's headers is not to be trusted any more."""
+        """Discard the peer's header contexts, which can no longer be trusted."""
         self.receiver.forget_contexts()
         self.supervisor.handle_contexts(self.receiver.context_ids(), now_ns)
 
     def report(self, now_ns: int) -> dict[str, Any]:
-        """`transmit` and `receive`, each with its profile's name, `radio` and `supervision`."""
+        """Return `transmit` and `receive`, each with its profile's name, `radio`, `supervision`."""
         return {
             "transmit": {"name": self.sender.profile.name, **self.sender.report(now_ns)},
             "receive": {"name": self.receiver.profile.name, **self.receiver.report()},

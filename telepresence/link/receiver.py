@@ -108,7 +108,7 @@ class LinkReceiver:
         self._last_ns = 0
         #: The latest run of late or stray frames: the last good frame's count, the next count of
         #: the run, and its length.
-        self._astray = (-1, -1, 0)
+        self._unexpected_run = (-1, -1, 0)
         self.frames_received = 0
         self.frames_lost = 0
         self.restarts = 0
@@ -188,10 +188,10 @@ class LinkReceiver:
         else:
             ahead = count24 - last & COUNT_MASK
             late = ahead == 0 or COUNT_MODULUS - ahead < _LATE_FRAMES
-            if late or (count24 and not self._explained(ahead, now_ns)):
-                goes_on = self._astray[:2] == (last, count24)
-                run = self._astray[2] + 1 if goes_on else 1
-                self._astray = last, count24 + 1, run
+            if late or (count24 and not self._plausible(ahead, now_ns)):
+                continues = self._unexpected_run[:2] == (last, count24)
+                run = self._unexpected_run[2] + 1 if continues else 1
+                self._unexpected_run = last, count24 + 1, run
                 if ahead == 0 or run < (_LATE_RUN if late else _STRAY_RUN):
                     self._drop_frame("late" if late else "stray")
                     return False
@@ -205,7 +205,7 @@ class LinkReceiver:
                 self._count = last + ahead
         return True
 
-    def _explained(self, ahead: int, now_ns: int) -> bool:
+    def _plausible(self, ahead: int, now_ns: int) -> bool:
         """Whether enough time for `ahead` slots has passed since the last frame."""
         elapsed_ns = now_ns - self._last_ns
         return ahead * self.profile.slot_ns <= 2 * elapsed_ns + NS_PER_S

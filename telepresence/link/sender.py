@@ -74,7 +74,7 @@ class LinkSender:
         self._queues = [PacketQueue(limits[level]) for level in Level]
         self._queued = [queue.items for queue in self._queues]
         #: Nothing is queued or in flight, so a slot needs no search. True in most slots.
-        self._quiet = True
+        self._nothing_queued = True
         self._numbers = {flow.name: number for number, flow in enumerate(self.flows)}
         self._kinds = [
             "rtcp" if flow.kind is FlowKind.RTCP else flow.level.name.lower() for flow in self.flows
@@ -91,7 +91,7 @@ class LinkSender:
         self._on_air: _InFlight | None = None
         self._waiting: list[_InFlight | None] = [None] * len(Level)
         #: The packet on air was dropped, and the receiver must not take it for complete.
-        self._cut = False
+        self._on_air_dropped = False
         self.haptic_sent = 0
         self.haptic_superseded = 0
         self.supervision_sent = 0
@@ -127,7 +127,7 @@ class LinkSender:
         if known.kind is not FlowKind.RAW and not _plausible(known.kind, data):
             self.refused["garbage"] += 1
             return False
-        self._quiet = False
+        self._nothing_queued = False
         return self._queues[known.level].handle_packet(number, data, now_ns)
 
     def waiting_octets(self, level: Level) -> int:
@@ -140,7 +140,7 @@ class LinkSender:
         They are counted as `signal_lost`. The sample stays, because it is never older than a slot.
         """
         on_air, self._on_air = self._on_air, None
-        self._cut = self._cut or on_air is not None
+        self._on_air_dropped = self._on_air_dropped or on_air is not None
         for level, queue in enumerate(self._queues):
             begun = (self._waiting[level] is not None) + (
                 on_air is not None and on_air.level == level
@@ -187,7 +187,7 @@ class LinkSender:
             self.supervision_sent += 1
             self._idle += size - SUPERVISION_OCTETS
             pointer, zone = self._pointers.supervision, supervision.ljust(size, b"\0")
-        elif self._quiet:
+        elif self._nothing_queued:
             self._count = count + 1
             self._idle += size
             return self._codec.pack_idle(count, sample)
@@ -221,15 +221,15 @@ class LinkSender:
                 parts.append(self._piece(packet, remaining))
                 pointer = position = remaining
             self._on_air = None
-        elif self._cut:
+        elif self._on_air_dropped:
             # The receiver still waits for the dropped packet; the next one of its level ends that.
-            self._cut = False
+            self._on_air_dropped = False
             pointer = pointers.preempt
         while position < size:
             rest = size - position
             packet = self._next_packet(now_ns)
             if packet is None:
-                self._quiet = True
+                self._nothing_queued = True
                 self._idle += rest
                 if not position and not pointer:
                     return pointers.idle, bytes(size)

@@ -8,7 +8,7 @@ from telepresence.link.compression.header_compression import RtpDecompressor
 from telepresence.link.compression.rtp_forms import (
     CONTEXT_OCTETS,
     KIND_CONTEXT,
-    Context,
+    HeaderContext,
     RtpForms,
     parse_context,
     residue_octets,
@@ -18,7 +18,7 @@ from telepresence.link.flows import video_flow, voice_flow
 VIDEO = video_flow("video")
 
 #: 30 pictures a second of one packet each, 3000 ticks apart, sent at frame 1000.
-CONTEXT = Context(
+CONTEXT = HeaderContext(
     number=5,
     count=1000,
     marker=1,

@@ -28,8 +28,8 @@ from telepresence.link.compression.rtp_forms import (
     PLAIN_RTP,
     RTP_HEADER,
     RTP_HEADER_OCTETS,
-    Context,
     Fields,
+    HeaderContext,
     RtpForms,
     parse_context,
     residue_octets,
@@ -64,7 +64,7 @@ _SEQUENCE_ERRORS = ((0, 0), (-7, 13), (-3, 5))
 _OCTETS = (0, 1, 1, 2, 2)
 #: Cost of a context over the raw header that it replaces; the tag is needed either way.
 _CONTEXT_COST_OCTETS = CONTEXT_OCTETS - 2
-_SHADOW_NS = NS_PER_S
+_CANDIDATE_NS = NS_PER_S
 
 
 class RtpCompressor:
@@ -76,19 +76,19 @@ class RtpCompressor:
         self._source: RtpSource | None = None
         self._ssrc = -1
         #: Contexts that the receiver may hold, oldest first. See also `_may_hold_none`.
-        self._possible: list[Context] = []
-        self._acknowledged: Context | None = None
+        self._possible: list[HeaderContext] = []
+        self._acknowledged: HeaderContext | None = None
         #: The number acknowledged last; not reused while it may be acknowledged again.
-        self._told = 0
+        self._last_acknowledged = 0
         self._number = 0
-        self._heard = False
-        self._whole = 0
+        self._peer_heard = False
+        self._whole_headers = 0
         self._sequence_error = 0
         # A context that was not sent, and the octets that it would have saved since the last one.
-        self._shadow: Context | None = None
-        self._regret_octets = 0
-        self._life, self._fleeting_life, self._round_trip, self._shadow_life = (
-            ns // slot_ns for ns in (LIFE_NS, FLEETING_LIFE_NS, ROUND_TRIP_NS, _SHADOW_NS)
+        self._candidate: HeaderContext | None = None
+        self._missed_octets = 0
+        self._life, self._fleeting_life, self._round_trip, self._candidate_life = (
+            ns // slot_ns for ns in (LIFE_NS, FLEETING_LIFE_NS, ROUND_TRIP_NS, _CANDIDATE_NS)
         )
         self._refresh, self._fleeting_refresh, self._retry, self._longest_retry = (
             ns // slot_ns for ns in (REFRESH_NS, FLEETING_REFRESH_NS, RETRY_NS, LONGEST_RETRY_NS)
@@ -99,7 +99,7 @@ class RtpCompressor:
 
     def handle_peer(self, *, heard: bool) -> None:
         """Set whether the peer is heard from now on, and with it its acknowledgements."""
-        self._heard = heard
+        self._peer_heard = heard
 
     def handle_acknowledgement(self, context_id: int, count: int) -> None:
         """The peer reported its newest context; 0: none, or a fleeting one.
@@ -107,12 +107,12 @@ class RtpCompressor:
         count: the present frame count of this end, not wrapped. Reports that refer to an earlier
         life of this end must not be passed on to this method.
         """
-        self._told = context_id
+        self._last_acknowledged = context_id
         oldest = count - self._round_trip
         named = [context for context in self._possible if context.number == context_id]
         if not context_id or not named:
             self._acknowledged = None
-            self._whole = 0
+            self._whole_headers = 0
             self._possible = [
                 context
                 for context in self._possible
@@ -127,8 +127,8 @@ class RtpCompressor:
     def forget(self) -> None:
         """The peer restarted: it may hold no context from before."""
         self._acknowledged = None
-        self._told = 0
-        self._whole = 0
+        self._last_acknowledged = 0
+        self._whole_headers = 0
 
     def compress(self, data: bytes, count: int) -> tuple[int, bytes, int]:
         """Return the kind, the body, and how many octets of the body are header.
@@ -143,36 +143,36 @@ class RtpCompressor:
         if source is None or ssrc != self._ssrc:
             source = self._source = RtpSource(self._flow, self._forms, sequence, timestamp)
             self._ssrc = ssrc
-            self._shadow = None
+            self._candidate = None
         source.handle_packet(sequence, timestamp, count)
-        self._bury(count)
+        self._drop_expired(count)
         fields = (second >> 7, sequence, timestamp)
         payload_type = second & 0x7F
         header = None
         if not self._possible:
-            self._whole = 0
+            self._whole_headers = 0
         elif not self._may_hold_none():
             header = self._header(payload_type, fields, count)
         if not self._context_due(header, payload_type, fields, count):
             if header is None:
                 return self._raw(data)
             kind, residue = header
-            self._note(_name(kind), len(residue))
+            self._count_header(_name(kind), len(residue))
             return kind, residue + data[RTP_HEADER_OCTETS:], len(residue)
         context = source.context(self._next_number(), count, fields[0], payload_type, ssrc)
         self._possible.append(context)
-        self._shadow, self._regret_octets = context, 0
-        self._whole += 1
-        self._note("context", CONTEXT_OCTETS)
+        self._candidate, self._missed_octets = context, 0
+        self._whole_headers += 1
+        self._count_header("context", CONTEXT_OCTETS)
         return KIND_CONTEXT, context.pack() + data[RTP_HEADER_OCTETS:], CONTEXT_OCTETS
 
     def _raw(self, data: bytes) -> tuple[int, bytes, int]:
         header_octets = min(len(data), RTP_HEADER_OCTETS)
-        self._whole += 1
-        self._note("raw", header_octets)
+        self._whole_headers += 1
+        self._count_header("raw", header_octets)
         return KIND_RAW, data, header_octets
 
-    def _bury(self, count: int) -> None:
+    def _drop_expired(self, count: int) -> None:
         """Drop the contexts that have expired at the receiver too."""
         possible = self._possible
         oldest, oldest_fleeting = count - self._life, count - self._fleeting_life
@@ -190,7 +190,9 @@ class RtpCompressor:
             self._acknowledged = None
 
     def _may_hold_none(self) -> bool:
-        return self._acknowledged is None and (self._heard or self._whole < FIRST_WHOLE)
+        return self._acknowledged is None and (
+            self._peer_heard or self._whole_headers < FIRST_WHOLE
+        )
 
     def _header(self, payload_type: int, fields: Fields, count: int) -> tuple[int, bytes] | None:
         """Return the shortest header (kind, residue) that each possible context restores."""
@@ -218,7 +220,7 @@ class RtpCompressor:
         """Whether to send this packet as a new context."""
         possible = self._possible
         assert self._source is not None
-        if not self._heard and not self._source.known:
+        if not self._peer_heard and not self._source.known:
             # Without acknowledgements a bad context would serve for its whole lifetime.
             return False
         if not possible:
@@ -227,7 +229,7 @@ class RtpCompressor:
         age = count - newest.count
         if age < self._retry or len(possible) >= MOST_POSSIBLE:
             return False
-        if not self._heard:
+        if not self._peer_heard:
             if age >= self._fleeting_refresh:
                 return True
             # While older ones may be held, a new one helps only if they are all of another kind.
@@ -244,41 +246,43 @@ class RtpCompressor:
         least, most = _SEQUENCE_ERRORS[len(header[1])]
         if not least <= self._sequence_error <= most:
             return True
-        return not pending and self._regretted(len(header[1]), payload_type, fields, count)
+        return not pending and self._renewal_pays(len(header[1]), payload_type, fields, count)
 
-    def _serves(self, context: Context, payload_type: int, fields: Fields, count: int) -> bool:
+    def _serves(
+        self, context: HeaderContext, payload_type: int, fields: Fields, count: int
+    ) -> bool:
         """Whether `context` alone would compress this packet."""
         if context.ssrc != self._ssrc or context.payload_type != payload_type:
             return False
         return self._forms.shortest(context, count, fields)[0] < len(self._forms.packers)
 
-    def _regretted(self, octets: int, payload_type: int, fields: Fields, count: int) -> bool:
+    def _renewal_pays(self, octets: int, payload_type: int, fields: Fields, count: int) -> bool:
         """Whether a newer context would have paid for itself by now.
 
         A context is sent once its absence has cost as many octets as it costs. Without knowledge
         of the source's future, this costs at most twice the optimum (ski rental).
         """
-        shadow = self._shadow
-        if shadow is None or count - shadow.count >= self._shadow_life:
+        candidate = self._candidate
+        if candidate is None or count - candidate.count >= self._candidate_life:
             assert self._source is not None
-            self._shadow = self._source.context(0, count, fields[0], payload_type, self._ssrc)
+            self._candidate = self._source.context(0, count, fields[0], payload_type, self._ssrc)
         elif octets:
-            first, _ = self._forms.shortest(shadow, count, fields)
-            self._regret_octets = max(0, self._regret_octets + octets - _OCTETS[first])
-        return self._regret_octets >= _CONTEXT_COST_OCTETS
+            first, _ = self._forms.shortest(candidate, count, fields)
+            self._missed_octets = max(0, self._missed_octets + octets - _OCTETS[first])
+        return self._missed_octets >= _CONTEXT_COST_OCTETS
 
     def _next_number(self) -> int:
         """0 while the peer is not heard, else a number that no other possible context has."""
-        if not self._heard:
+        if not self._peer_heard:
             return 0
-        taken = {context.number for context in self._possible} | {0, self._told}
+        taken = {context.number for context in self._possible} | {0, self._last_acknowledged}
         while (self._number & 0xFF) in taken:
             self._number += 1
         number = self._number & 0xFF
         self._number += 1
         return number
 
-    def _note(self, name: str, header_octets: int) -> None:
+    def _count_header(self, name: str, header_octets: int) -> None:
         self._kinds[name] += 1
         self._header_octets += 1 + header_octets
 
@@ -296,7 +300,7 @@ class RtpDecompressor:
     def __init__(self, flow: Flow, slot_ns: int) -> None:
         self._unpack = RtpForms(flow, slot_ns).unpack
         self._life, self._fleeting_life = LIFE_NS // slot_ns, FLEETING_LIFE_NS // slot_ns
-        self._context: Context | None = None
+        self._context: HeaderContext | None = None
         self.context_id = 0
 
     def forget(self) -> None:

@@ -76,7 +76,7 @@ _LONG_SEQUENCE_BACK = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Context:
+class HeaderContext:
     """One packet's whole header, the time it was sent, and the prediction of its source.
 
     number: identifies the context in acknowledgements, 1 to 255; 0 if it is never acknowledged.
@@ -117,7 +117,7 @@ class Context:
         )
 
 
-def parse_context(body: bytes, count: int) -> Context | None:
+def parse_context(body: bytes, count: int) -> HeaderContext | None:
     """Return the context at the begin of `body`, or None if it is invalid."""
     if len(body) < CONTEXT_OCTETS:
         return None
@@ -126,7 +126,7 @@ def parse_context(body: bytes, count: int) -> Context | None:
     period = high << 16 | low
     if not period:
         return None
-    return Context(
+    return HeaderContext(
         number=number,
         count=count,
         marker=second >> 7,
@@ -163,7 +163,7 @@ class RtpForms:
     def slots_in_ticks(self, slots: int) -> int:
         return slots * self._ticks // self._units
 
-    def unpack(self, kind: int, body: bytes, context: Context, count: int) -> Fields | None:
+    def unpack(self, kind: int, body: bytes, context: HeaderContext, count: int) -> Fields | None:
         """Restore the fields of a header of `kind` 4 to 15; None if `body` is too short."""
         if len(body) < residue_octets(kind):
             return None
@@ -198,7 +198,7 @@ class RtpForms:
         sequence = base + (octet - base & 0x1F)
         return octet >> 7, sequence & 0xFFFF, timestamp & _U32
 
-    def shortest(self, context: Context, count: int, fields: Fields) -> tuple[int, int]:
+    def shortest(self, context: HeaderContext, count: int, fields: Fields) -> tuple[int, int]:
         """Return the index of the first of `packers` that fits, or `len(packers)` for none.
 
         The second value is the distance of the sequence number from the grid's prediction.
@@ -255,11 +255,11 @@ def signed32(difference: int) -> int:
     return (difference + 0x8000_0000 & _U32) - 0x8000_0000
 
 
-def _point(context: Context, index: int) -> int:
+def _point(context: HeaderContext, index: int) -> int:
     """Return the timestamp, not wrapped, of the grid point `index` after the context's."""
     ticks = (index * context.period + PERIOD_PARTS // 2) // PERIOD_PARTS
     return context.timestamp + context.phase + ticks
 
 
-def _sequence(context: Context, index: int) -> int:
+def _sequence(context: HeaderContext, index: int) -> int:
     return context.sequence + (index * context.rate + RATE_PARTS // 2) // RATE_PARTS

@@ -13,7 +13,7 @@ from telepresence.link.compression.rtp_forms import (
     LARGEST_RATE,
     PERIOD_PARTS,
     RATE_PARTS,
-    Context,
+    HeaderContext,
     RtpForms,
     signed32,
 )
@@ -143,7 +143,7 @@ class RtpSource:
 
     def context(
         self, number: int, count: int, marker: int, payload_type: int, ssrc: int
-    ) -> Context:
+    ) -> HeaderContext:
         """Return a context of the latest packet."""
         lead = round((self._waits[-1] - self._usual_wait()) / self._forms.lead_ticks)
         period, phase = self._period, round(self._grid) - self._timestamp
@@ -159,7 +159,7 @@ class RtpSource:
             # Probably one packet a picture, with some pictures left out: then 1 is exact.
             if 7 / 8 <= rate <= 9 / 8:
                 rate = 1.0
-        return Context(
+        return HeaderContext(
             number=number,
             count=count,
             marker=marker,

@@ -1,8 +1,8 @@
-"""A pass over a ground station: range and elevation, second by second.
+"""An orbit over a ground station: range and elevation, second by second.
 
-The orbit is that of a two-line element set under SGP4 (Hoots and Roehrich, Spacetrack Report No. 3,
-1980; Vallado et al., AIAA 2006-6753). The package sgp4 computes it; it is imported only when a pass
-is requested.
+The orbit is that of a two-line element set under SGP4 (Hoots and Roehrich, Spacetrack Report
+No. 3, 1980; Vallado et al., AIAA 2006-6753), computed by the package sgp4, which is imported only
+when a pass is asked for.
 """
 
 import re
@@ -24,9 +24,9 @@ _LONGEST_S = 3600
 class Overflight:
     """A pass, second by second from its rise; the last entry of each table is after its set.
 
-    rise: the instant of second 0, UTC, such as "2015-08-18T14:33:01Z".
-    visible_s: time from rise to set.
-    ranges_km, elevations_deg: values at seconds 0, 1, 2, ...
+    rise: the instant of second 0, UTC, like "2015-08-18T14:33:01Z".
+    visible_s: from rise to set, s.
+    ranges_km, elevations_deg: at seconds 0, 1, 2, …
     """
 
     rise: str
@@ -36,7 +36,7 @@ class Overflight:
 
 
 def read_elements(path: Path) -> tuple[str, str]:
-    """Read the two lines of an element set and check their checksums; ConfigError."""
+    """The two lines of an element set from a file, their checksums checked; ConfigError."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -58,7 +58,7 @@ def read_elements(path: Path) -> tuple[str, str]:
 
 
 def parse_utc(text: str) -> tuple[int, int, int, int, int, int] | None:
-    """Parse an instant such as "2015-08-18T14:00:00Z" into six numbers; None if it is invalid."""
+    """Year, month, day, hour, minute, second of "2015-08-18T14:00:00Z"; None if it is not one."""
     found = re.fullmatch(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d)(?::(\d\d))?Z?", text)
     if not found:
         return None
@@ -69,7 +69,7 @@ def parse_utc(text: str) -> tuple[int, int, int, int, int, int] | None:
 
 
 def sidereal_angle(days: float, fraction: float) -> float:
-    """Return Greenwich mean sidereal time (rad, IAU 1982) at a Julian date in two parts."""
+    """Greenwich mean sidereal time in radians (IAU 1982) at a Julian date in two parts."""
     centuries = ((days - 2451545.0) + fraction) / 36525
     seconds = 67310.54841 + centuries * (
         876600 * 3600 + 8640184.812866 + centuries * (0.093104 - 6.2e-6 * centuries)
@@ -98,9 +98,9 @@ class Station:
         )
 
     def look(self, position_km: tuple[float, float, float], angle: float) -> tuple[float, float]:
-        """Return range (km) and elevation (degrees) of a position in SGP4's frame (TEME).
+        """Range in km and elevation in degrees of a position in SGP4's frame (TEME).
 
-        Polar motion (about 10 m) and refraction are neglected.
+        Polar motion (some 10 m) and refraction are left out.
         """
         x, y, z = position_km
         turned = (cos(angle) * x + sin(angle) * y, cos(angle) * y - sin(angle) * x, z)
@@ -118,12 +118,10 @@ def next_overflight(
     horizon_deg: float,
     least_peak_deg: float,
 ) -> Overflight:
-    """Return the first pass after an instant that is high enough; ConfigError if there is none.
+    """The first pass that rises after an instant and gets as high as asked; ConfigError if none.
 
-    elements: the two lines of `read_elements`.
     station: latitude and longitude in degrees, altitude in m.
-    after: the pass rises after this instant, in the format of `parse_utc`.
-    horizon_deg: elevation of rise and set. least_peak_deg: least elevation of the culmination.
+    after: an instant that `parse_utc` takes.
     """
     from sgp4.api import SGP4_ERRORS, Satrec, jday
 
@@ -141,7 +139,7 @@ def next_overflight(
         return ground.look(position, sidereal_angle(days, now))
 
     def crossing(low: float, high: float) -> float:
-        """Return when the elevation crosses the horizon in the given interval, to 1 ms."""
+        """When the elevation passes the horizon, to a millisecond; it does between the two."""
         rising = look(high)[1] > horizon_deg
         while high - low > 1e-3:
             middle = (low + high) / 2
@@ -178,7 +176,7 @@ def next_overflight(
 
 
 def _later(instant: tuple[int, int, int, int, int, int], seconds: float) -> str:
-    """Return the instant `seconds` later as text, rounded to a second."""
+    """The instant so many seconds later, as text, to the second."""
     year, month, day, hour, minute, second = instant
     rest = hour * 3600 + minute * 60 + second + round(seconds)
     day, rest = day + rest // _DAY_S, rest % _DAY_S

@@ -1,4 +1,4 @@
-"""A radio profile: all properties of a simulated radio, as data, and the built-in profiles."""
+"""A radio profile: all that makes a radio what it is, as data. Built-in ones are at the end."""
 
 from dataclasses import dataclass
 from math import pi
@@ -15,16 +15,16 @@ from telepresence.link.radio.path import RadioPath
 
 Direction = Literal["uplink", "downlink"]
 
-#: The states of bursts change at the begin of a slot.
+#: The states of bursts change at the beginning of a slot.
 SLOT_NS = NS_PER_MS
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bursts:
-    """Bursts of errors, independent in each direction (`BurstClock`).
+    """Bursts of errors, of each direction by itself (`BurstClock`).
 
     gap_s, mean_ms: mean time between two bursts, and mean length of one.
-    frame_loss, bit_error_rate: probabilities within a burst.
+    frame_loss, bit_error_rate: within a burst.
     """
 
     gap_s: float
@@ -41,7 +41,7 @@ class Bursts:
 
 @dataclass(frozen=True, kw_only=True)
 class Blackout:
-    """An interval in which nothing gets through, in "uplink", "downlink" or "both"."""
+    """Nothing gets through for a while, in one direction ("uplink", "downlink") or in "both"."""
 
     start_s: float
     seconds: float
@@ -58,7 +58,7 @@ class Blackout:
 
 @dataclass(frozen=True, kw_only=True)
 class RandomBlackouts:
-    """Random blackouts of both directions: exponential gaps, uniform lengths."""
+    """Blackouts of both directions at random: exponential gaps, lengths evenly between two."""
 
     gap_s: float
     shortest_s: float
@@ -72,14 +72,14 @@ class RandomBlackouts:
 
 @dataclass(frozen=True, kw_only=True)
 class RadioProfile:
-    """What a radio does to frames. Both directions are alike, except for one-way `blackouts`.
+    """What a radio does to frames, both ways alike but for `blackouts` of one direction.
 
     name, description: for reports and lists.
-    delay_ms: one-way delay. With a `contact` it is the equipment's, in addition to the light time.
-    delay_swing_ms, delay_period_s: amplitude and period of a slow swing of the delay.
-    frame_loss, bit_error_rate: permanent probabilities.
-    bursts, blackouts, random_blackouts, contact: additional effects, if any.
-    start_s: how long after its acquisition of signal a contact is at the begin.
+    delay_ms: one way; of a `contact` that of the equipment, on top of the light time.
+    delay_swing_ms, delay_period_s: the delay swings so far to both sides, once in so long.
+    frame_loss, bit_error_rate: probabilities that are always there.
+    bursts, blackouts, random_blackouts, contact: what comes on top, if anything.
+    start_s: how long after its acquisition a contact is at the beginning.
     """
 
     name: str
@@ -112,11 +112,11 @@ class RadioProfile:
             _check_contact(self.contact)
 
     def path(self, direction: Direction, *, seed: int, epoch_ns: int) -> RadioPath:
-        """Return the path of one direction; `epoch_ns` is the instant of the profile's time 0.
+        """The path of one direction's frames; `epoch_ns` is the instant of the profile's time 0.
 
-        With equal seeds, blackouts and fading are equal in both directions and in all processes.
-        Bit errors, losses and bursts are independent in each direction. Raises ConfigError if the
-        contact's elements cannot be read, or have no such pass.
+        Of the same seed, blackouts and fading are the same in both directions and in any process;
+        bit errors, losses and bursts are each direction's own. ConfigError if the contact's
+        elements cannot be read, or have no such pass.
         """
         bursts = more = contact = None
         if self.bursts is not None:
@@ -158,18 +158,18 @@ class RadioProfile:
 
     @property
     def longest_delay_ns(self) -> int:
-        """The longest one-way delay, for timeouts."""
+        """The longest delay one way, for time-outs."""
         longest = (self.delay_ms + self.delay_swing_ms) * NS_PER_MS
         if self.contact is not None:
             longest += ContactFading(self.contact, seed=0).longest_delay_ns()
         return round(longest)
 
     def overflight(self) -> Overflight | None:
-        """Return range and elevation from acquisition to loss of signal; None without a contact."""
+        """Range and elevation second by second from acquisition to loss; None without a contact."""
         return ContactFading(self.contact, seed=0).flight if self.contact else None
 
     def contact_windows(self) -> dict[str, Any] | None:
-        """Return what the orbit predicts (`ContactFading.windows`); None without a contact."""
+        """What the orbit predicts (`ContactFading.windows`), or None without a contact."""
         return ContactFading(self.contact, seed=0).windows() if self.contact else None
 
 

@@ -16,7 +16,7 @@ _LARGEST_PATIENCE = 32
 _TELLS_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
 
 
-class Verdict(Enum):
+class MessageVerdict(Enum):
     """Result of checking a message.
 
     MALFORMED: it is no message. SUSPECT: it does not match, for the first time. REFUSED: the same
@@ -71,18 +71,18 @@ class Negotiation:
         self._unanswered_ns: int | None = None
         self._patience = 1
 
-    def handle_message(self, data: bytes, now_ns: int) -> Verdict:
+    def handle_message(self, data: bytes, now_ns: int) -> MessageVerdict:
         """Check twelve octets from a good frame."""
         version = message_version(data)
         if not version:
-            return Verdict.MALFORMED
+            return MessageVerdict.MALFORMED
         if version != self.version:
             why = f"the peer speaks version {version} of the link, this end {self.version}"
             # The layout of other versions is unknown, so the repetition must be identical.
             return self._mismatch(tuple(data), f"{why}: install the same on both")
         message = parse_message(data)
         if message is None:
-            return Verdict.MALFORMED
+            return MessageVerdict.MALFORMED
         signature = (message.master, message.life, message.digest)
         if message.master is self._master:
             role = "master" if self._master else "slave"
@@ -166,27 +166,29 @@ class Negotiation:
         ]
         return f"{', '.join(wrong) or 'frames or flows differ (rates agree)'}: {mend}"
 
-    def _mismatch(self, signature: tuple[int, ...], why: str, *, exact: bool = False) -> Verdict:
+    def _mismatch(
+        self, signature: tuple[int, ...], why: str, *, exact: bool = False
+    ) -> MessageVerdict:
         """Handle a mismatch. A single one may be an error that the FECF did not detect.
 
         exact: `why` is as precise as possible and replaces an earlier reason.
         """
         if signature != self._suspect:
             self._suspect = signature
-            return Verdict.SUSPECT
+            return MessageVerdict.SUSPECT
         self.forget_peer()
         self.peer_life = 0
         self.checked = self.agreed = False
         if exact or self.refusal is None or signature != self._refused:
             self.refusal, self._refused = why, signature
-        return Verdict.REFUSED
+        return MessageVerdict.REFUSED
 
-    def _accept(self, message: SupervisionMessage, now_ns: int) -> Verdict:
+    def _accept(self, message: SupervisionMessage, now_ns: int) -> MessageVerdict:
         """Handle a message of a matching peer."""
-        verdict = Verdict.FITS
+        verdict = MessageVerdict.FITS
         self._suspect, self.refusal = (), None
         if message.life != self.peer_life:
-            verdict = Verdict.MET
+            verdict = MessageVerdict.MET
             self.peer_life = message.life
             self.agreed = False
         self.checked = True

@@ -13,9 +13,9 @@ class MessagePacing:
         self.due_ns = now_ns
         self._timing = timing
         #: What the last message contained; the rest (contexts held) separately.
-        self._told: tuple[int, ...] = ()
-        self._told_rest: tuple[int, ...] = ()
-        self._now: tuple[int, ...] = ()
+        self._sent: tuple[int, ...] = ()
+        self._sent_rest: tuple[int, ...] = ()
+        self._content: tuple[int, ...] = ()
         self._changed_ns = now_ns
         self._sent_ns = now_ns - timing.slow_ns
 
@@ -30,11 +30,11 @@ class MessagePacing:
     ) -> None:
         """Update the next message. heard: the peer hears. settled: it needs nothing more."""
         timing = self._timing
-        if content != self._now:
-            self._now, self._changed_ns = content, now_ns
-        if content != self._told:
+        if content != self._content:
+            self._content, self._changed_ns = content, now_ns
+        if content != self._sent:
             wait_ns = timing.spacing_ns
-        elif rest != self._told_rest:
+        elif rest != self._sent_rest:
             wait_ns = timing.fast_ns
         elif settled:
             wait_ns = timing.slow_ns
@@ -46,4 +46,4 @@ class MessagePacing:
 
     def handle_sent(self, content: tuple[int, ...], rest: tuple[int, ...], now_ns: int) -> None:
         """A message with this content was sent."""
-        self._told, self._told_rest, self._sent_ns = content, rest, now_ns
+        self._sent, self._sent_rest, self._sent_ns = content, rest, now_ns

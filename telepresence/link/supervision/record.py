@@ -9,7 +9,7 @@ from telepresence.link.supervision.message import LinkState
 HISTORY_DEPTH = 64
 
 
-class _Window:
+class _Contact:
     """A contact: the signal from `acquired_ns` on. connected_ns, lost_ns: None until then."""
 
     __slots__ = ("acquired_ns", "connected_ns", "lost_ns")
@@ -47,7 +47,7 @@ class SupervisionRecord:
         self._in_state_ns = dict.fromkeys(LinkState, 0)
         self._history: deque[tuple[int, LinkState, LinkState, str]] = deque(maxlen=HISTORY_DEPTH)
         self._history.append((now_ns, state, state, why))
-        self._windows: deque[_Window] = deque(maxlen=HISTORY_DEPTH)
+        self._windows: deque[_Contact] = deque(maxlen=HISTORY_DEPTH)
         self._contact_ns = 0
         self._longest_gap_ns = 0
         self._lost_ns = now_ns
@@ -68,7 +68,7 @@ class SupervisionRecord:
         if self.counts["signals_lost"]:
             self._longest_gap_ns = max(self._longest_gap_ns, gap_ns)
         self.counts["signals_acquired"] += 1
-        self._windows.append(_Window(now_ns))
+        self._windows.append(_Contact(now_ns))
         return gap_ns
 
     def handle_signal_lost(self, last_ns: int) -> None:

@@ -43,7 +43,7 @@ from telepresence.link.supervision.message import (
     SupervisionMessage,
     pack_message,
 )
-from telepresence.link.supervision.negotiation import Negotiation, Verdict
+from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation
 from telepresence.link.supervision.pacing import MessagePacing
 from telepresence.link.supervision.record import SupervisionRecord
 
@@ -217,33 +217,33 @@ class Supervisor:
         self.handle_frame(now_ns)
         before, before_life = negotiation.peer, negotiation.peer_life
         verdict = negotiation.handle_message(message, now_ns)
-        if verdict is Verdict.MALFORMED:
+        if verdict is MessageVerdict.MALFORMED:
             counts["messages_malformed"] += 1
             return
         counts["messages_received"] += 1
-        if verdict is Verdict.SUSPECT or verdict is Verdict.REFUSED:
+        if verdict is MessageVerdict.SUSPECT or verdict is MessageVerdict.REFUSED:
             counts["messages_mismatched"] += 1
-        if verdict is Verdict.SUSPECT:
+        if verdict is MessageVerdict.SUSPECT:
             return
-        if verdict is Verdict.MET:
+        if verdict is MessageVerdict.MET:
             counts["peer_restarts"] += before_life != 0
             before = None
             # Contexts from the peer's former life must not be reported as held.
             self._contexts = _NO_CONTEXTS
             self._events.append(PeerMet(now_ns, negotiation.peer_life, before_life != 0))
-        if verdict is not Verdict.FITS:
+        if verdict is not MessageVerdict.FITS:
             self._application.handle_contact(now_ns)
         self._note_hearing(now_ns)
         peer = negotiation.peer
         if peer is not None:
-            self._heed(peer, before, now_ns)
+            self._handle_peer_report(peer, before, now_ns)
         self._update(now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """Return the message for this slot, or None. Call once each slot."""
         if now_ns < self._next_ns:
             return None
-        return self._work(now_ns)
+        return self._run_slot(now_ns)
 
     def poll_timeout(self) -> int:
         """When `poll_transmit` has something to do."""
@@ -292,7 +292,7 @@ class Supervisor:
             self._counts["peer_deaf"] += not hears
             self._events.append(PeerHears(now_ns) if hears else PeerDeaf(now_ns))
 
-    def _heed(
+    def _handle_peer_report(
         self, peer: SupervisionMessage, before: SupervisionMessage | None, now_ns: int
     ) -> None:
         """Process the contexts that the peer holds, and the state of its applications."""
@@ -301,7 +301,7 @@ class Supervisor:
         was_reset = before is not None and before.application and not peer.application
         self._application.handle_peer(was_reset=was_reset, sends=peer.sending, now_ns=now_ns)
 
-    def _work(self, now_ns: int) -> bytes | None:
+    def _run_slot(self, now_ns: int) -> bytes | None:
         """Check the timeouts, then return the message if it is due."""
         cause = None
         if self.signal and now_ns >= self._frame_ns + self._silence_ns:

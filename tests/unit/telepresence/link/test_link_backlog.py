@@ -3,7 +3,7 @@
 from itertools import pairwise
 from random import Random
 
-from telepresence.link.backlog import FREED_STEP_BPS, TELL_NS, Backlog, BacklogTeller
+from telepresence.link.backlog import FREED_STEP_BPS, REPORT_NS, Backlog, BacklogReporter
 from telepresence.link.flows import Level, packet_flow
 from telepresence.link.virtual import VirtualLink
 
@@ -32,7 +32,7 @@ def session(seed=1):
         downlink_flows=[packet_flow("command", Level.TMTC)],
     )
     chance = Random(seed)
-    teller = BacklogTeller(link.ground)
+    reporter = BacklogReporter(link.ground)
     told = []
     for slot in range(SLOTS):
         # A picture now and then, one second without samples, and one with nothing new at all.
@@ -44,7 +44,7 @@ def session(seed=1):
         now_ns = link.now_ns
         for _ in link.step():
             pass
-        told.append((now_ns, truth(link.ground), teller.poll_transmit(now_ns)))
+        told.append((now_ns, truth(link.ground), reporter.poll_transmit(now_ns)))
     return told
 
 
@@ -52,7 +52,7 @@ def test_at_most_every_four_milliseconds_and_only_a_change():
     messages = [(now_ns, message) for now_ns, _, message in session() if message is not None]
     assert len(messages) > 200
     for (earlier_ns, earlier), (later_ns, later) in pairwise(messages):
-        assert later_ns - earlier_ns >= 4 * MS == TELL_NS
+        assert later_ns - earlier_ns >= 4 * MS == REPORT_NS
         assert later != earlier
     # Now and then something changes as soon as it may be told again.
     assert min(b[0] - a[0] for a, b in pairwise(messages)) == 4 * MS

@@ -222,9 +222,9 @@ def test_a_context_dies_at_both_ends_at_once(heard, life):
     assert decompressor.context_id == int(heard)
     assert isinstance(decompressor.decompress(KIND_BARE, b"", life), bytes)
     assert decompressor.decompress(KIND_BARE, b"", life + 1) == "no_context"
-    compressor._bury(life)
+    compressor._drop_expired(life)
     assert len(compressor._possible) == 1
-    compressor._bury(life + 1)
+    compressor._drop_expired(life + 1)
     assert not compressor._possible
 
 
