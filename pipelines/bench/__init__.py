@@ -1,6 +1,8 @@
-"""`kontur-av bench`: figures that anybody can measure again, each beside a peer where there is one.
+"""`kontur-av bench`: figures that anybody can measure again, beside a peer where there is one.
 
-A bench is a module of its name with `add_arguments(parser)` and `run(args)`.
+A bench is a folder of its name whose `command.py` has `add_arguments(parser)` and `run(args)`.
+A bench that ran exits with 0, also if a target of latency or quality is missed: it shows the miss.
+It exits with 1 if a claim of correctness does not hold or a session failed.
 """
 
 import argparse
@@ -8,6 +10,8 @@ from importlib import import_module
 
 #: What can be measured, and what it is about.
 BENCHES = {
+    "all": "every bench, often enough to know its spread, and the page of measurements",
+    "cpu": "CPU time of a live session, also beside another checkout of the project",
     "fanout": "one picture to many processes: cost of publishing, and how soon it is there",
     "haptics": "the hand on virtual time: energy, force and stability over a grid of radios",
     "latency": "one page: every stream of a setup, end to end and by stage, and what is in it",

@@ -1,4 +1,4 @@
-"""Where a bench prints its tables."""
+"""The console on which a bench prints its tables."""
 
 import argparse
 
@@ -6,14 +6,15 @@ from rich.console import Console
 
 from pipelines.commands.common import discard_output
 
-#: Where no terminal says how wide it is.
+#: The width in characters when the output is no terminal.
 _WIDTH = 118
 
 
 class TableConsole(Console):
-    """A reader that has gone, as `| head -1` has, is no failure.
+    """A console for which a closed pipe, as of `| head -1`, is no failure.
 
-    wanted: the figures go somewhere else as well: print no more, but go on.
+    wanted: the figures also go to a file, so the bench goes on without printing. Otherwise it ends
+    with exit code 0.
     """
 
     def __init__(self, *, width: int | None, wanted: bool) -> None:
@@ -21,14 +22,19 @@ class TableConsole(Console):
         self._wanted = wanted
 
     def on_broken_pipe(self) -> None:
-        """What Rich calls then; it would end the command as one that failed."""
+        """Called by Rich when the pipe is closed; its own method would exit with 1."""
         self.quiet = True
         discard_output()
         if not self._wanted:
             raise SystemExit(0)
 
 
-def open_console(args: argparse.Namespace, *, width: int = _WIDTH) -> TableConsole:
-    """The console of a bench with the options `args`, of which `report` and `plot` name files."""
-    wanted = any(getattr(args, name, None) is not None for name in ("report", "plot"))
+def open_console(
+    args: argparse.Namespace, *, width: int = _WIDTH, wanted: bool = False
+) -> TableConsole:
+    """The console of a bench with the options `args`, of which `report` and `plot` name files.
+
+    wanted: the bench writes other files.
+    """
+    wanted = wanted or any(getattr(args, name, None) is not None for name in ("report", "plot"))
     return TableConsole(width=None if Console().is_terminal else width, wanted=wanted)

@@ -13,7 +13,7 @@ from kontur_av.errors import ConfigError
 _LINKS = 40
 
 
-def check_writable(path: Path | None) -> None:
+def check_writable(path: Path | None, option: str = "--report") -> None:
     """ConfigError when `path` cannot be written: after the run it would be too late."""
     if path is None:
         return
@@ -24,15 +24,19 @@ def check_writable(path: Path | None) -> None:
         directory = whole.parent
         writable = not whole.is_dir() and directory.is_dir() and os.access(directory, os.W_OK)
     if not writable:
-        raise ConfigError(f"--report {path}: cannot be written; name a file in an open directory")
+        raise ConfigError(f"{option} {path}: cannot be written; name a file in an open directory")
 
 
 def write_report(path: Path, report: Mapping[str, Any]) -> None:
-    """Write `report` whole or not at all; into a device or a FIFO as it is.
+    """Write `report` as JSON; see `write_text`."""
+    write_text(path, json.dumps(report, indent=2) + "\n")
 
-    To put a file in the place of `/dev/null` would take it from every program of the machine.
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` whole or not at all; into a device or a FIFO as it is.
+
+    A device is never replaced by a file: every program of the machine would lose `/dev/null`.
     """
-    text = json.dumps(report, indent=2) + "\n"
     whole = _file(path)
     if whole is None:
         path.write_text(text, encoding="utf-8")

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from pipelines.bench import session
 from pipelines.bench.children import end_all, ended_alike
-from pipelines.bench.latency import runs as latency_runs
 from pipelines.bench.video.ends import End
 
 
@@ -34,10 +34,10 @@ def test_a_second_interrupt_ends_all_at_once():
 
 
 def test_a_live_session_ends_with_the_bench_that_is_terminated(tmp_path, monkeypatch):
-    session, begun = tmp_path / "session", tmp_path / "begun"
-    session.write_text(f"#!/bin/sh\necho $$ > {begun}.tmp\nmv {begun}.tmp {begun}\nexec sleep 8\n")
-    session.chmod(0o755)
-    monkeypatch.setattr(latency_runs, "sys", SimpleNamespace(executable=str(session)))
+    program, begun = tmp_path / "session", tmp_path / "begun"
+    program.write_text(f"#!/bin/sh\necho $$ > {begun}.tmp\nmv {begun}.tmp {begun}\nexec sleep 8\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(session, "sys", SimpleNamespace(executable=str(program)))
 
     def terminate():
         while not begun.exists():
@@ -49,7 +49,7 @@ def test_a_live_session_ends_with_the_bench_that_is_terminated(tmp_path, monkeyp
     try:
         threading.Thread(target=terminate).start()
         with pytest.raises(KeyboardInterrupt):
-            latency_runs.live_run("any", seconds=1, seed=1, radio="clean", base_port=27_000)
+            session.live_session("any", seconds=1, seed=1, radio="clean", base_port=27_000)
     finally:
         signal.signal(signal.SIGTERM, before)
     with pytest.raises(ProcessLookupError):

@@ -20,7 +20,9 @@ def test_a_short_run_gives_figures(name, tmp_path, capsys):
     assert plot.read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
     assert "capture to displayed, p99" in printed
-    (rate,) = json.loads(report.read_text()).values()
+    figures = json.loads(report.read_text())
+    assert {one["who"] for one in figures.pop("headlines")} >= {name}
+    (rate,) = figures.values()
     found = rate["scene"][name]
     latencies = found["latencies_ms"]
     # How many, and how late, is the machine's matter: that they are there, and none comes early,

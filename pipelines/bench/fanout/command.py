@@ -1,17 +1,18 @@
-"""`kontur-av bench fanout`: one picture for many processes, what it costs and how soon it is there.
+"""`kontur-av bench fanout`: one picture to many processes, its cost and its delay.
 
-Each way is measured with 1, 4, 8 and 16 readers in turn, all of them processes: 640x480 pictures
-(I420, 460800 octets) 30 times a second, and then as fast as the publisher can. The ways are this
-project's topics, with a picture that is copied into shared memory and with one that is drawn
-there; GStreamer's shmsink and shmsrc; and a multiprocessing.Queue for each reader.
+Each way carries 640x480 pictures (I420, 460800 octets) to 1, 4, 8 and 16 reading processes in turn,
+30 pictures a second and then as fast as the publisher can. The ways are: this project's topics,
+with a picture that is copied into shared memory and with one that is drawn there; GStreamer's
+shmsink and shmsrc; and one `multiprocessing.Queue` for each reader.
 """
 
 import argparse
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import product
+from math import isnan
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 
@@ -23,11 +24,38 @@ from pipelines.bench.console import open_console
 from pipelines.bench.fanout.gstreamer import ShmSinkWay, lacking
 from pipelines.bench.fanout.run import PICTURES_HZ, FanOut, fan_out
 from pipelines.bench.fanout.ways import HEIGHT, WIDTH, QueueWay, TopicWay, Way
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.bench.result import Headline, Spread, spread, write_result
+from pipelines.report.report_file import check_writable
 
 _READERS = (1, 4, 8, 16)
 #: As fast as possible: long enough for thousands of pictures.
 _FAST_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FanOutRow:
+    """One way with one number of readers; see `FanOut`. fast_*: as fast as possible."""
+
+    way: str
+    readers: int
+    publish_us: Spread
+    publish_cpu_us: Spread
+    delivery_us: Spread
+    missed: int
+    torn: int
+    publisher_cpu_s: float
+    readers_cpu_s: float
+    fast_publish_us: Spread
+    fast_cpu_us: float
+    fast_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class FanOutResult:
+    """skipped: why GStreamer was not measured; None if it was."""
+
+    runs: Sequence[FanOutRow]
+    skipped: str | None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,8 +93,7 @@ def run(args: argparse.Namespace) -> int:
         console.print(table)
     if missing is not None:
         console.print(f"not measured: {missing}", soft_wrap=True)
-    if args.report is not None:
-        write_report(args.report, {"runs": figures, "skipped": missing})
+    write_result(args.report, FanOutResult(figures, missing), _headlines(figures))
     if args.plot is not None:
         panels = _panels(found, readers)
         save(distributions(panels, axis="ms", columns=2, logarithmic=True), args.plot)
@@ -98,7 +125,21 @@ def _panels(
     }
 
 
-def _tables(figures: Sequence[dict[str, Any]]) -> Iterator[Table]:
+def _headlines(figures: Sequence[FanOutRow]) -> list[Headline]:
+    found = []
+    for row in figures:
+        group = f"readers: {row.readers}"
+        for what, unit, value in (
+            ("time to publish, p50", "µs", row.publish_us.p50),
+            ("until a reader has the picture, p50", "µs", row.delivery_us.p50),
+            ("until a reader has the picture, p99", "µs", row.delivery_us.p99),
+            ("as fast as possible", "pictures/s", row.fast_hz),
+        ):
+            found.append(Headline(group=group, what=what, who=row.way, unit=unit, value=value))
+    return found
+
+
+def _tables(figures: Sequence[FanOutRow]) -> Iterator[Table]:
     paced = _table(
         f"{WIDTH}x{HEIGHT} pictures, {PICTURES_HZ} a second; µs: p50/p99/max",
         *("time to\npublish", "of it\nCPU", "until a\nreader has it", "missed"),
@@ -109,18 +150,18 @@ def _tables(figures: Sequence[dict[str, Any]]) -> Iterator[Table]:
         *("time to publish", "CPU a picture", "pictures a second"),
     )
     for one in figures:
-        name = one["way"], str(one["readers"])
+        name = one.way, str(one.readers)
         paced.add_row(
             *name,
-            *(_joined(one[key]) for key in ("publish_us", "publish_cpu_us", "delivery_us")),
-            str(one["missed"]),
-            *(f"{one[key]:.2f}" for key in ("publisher_cpu_s", "readers_cpu_s")),
+            *(_joined(of) for of in (one.publish_us, one.publish_cpu_us, one.delivery_us)),
+            str(one.missed),
+            *(f"{cpu_s:.2f}" for cpu_s in (one.publisher_cpu_s, one.readers_cpu_s)),
         )
         fast.add_row(
             *name,
-            _joined(one["fast_publish_us"]),
-            f"{one['fast_cpu_us']:.0f}",
-            f"{one['fast_hz']:.0f}",
+            _joined(one.fast_publish_us),
+            f"{one.fast_cpu_us:.0f}",
+            f"{one.fast_hz:.0f}",
         )
     yield paced
     yield fast
@@ -134,33 +175,23 @@ def _table(title: str, *headings: str) -> Table:
     return table
 
 
-def _joined(summary: dict[str, float]) -> str:
-    return "/".join(f"{value:.0f}" for value in summary.values())
+def _joined(of: Spread) -> str:
+    return "/".join("–" if isnan(value) else f"{value:.0f}" for value in (of.p50, of.p99, of.max))
 
 
-def _figures(one: FanOut) -> dict[str, Any]:
+def _figures(one: FanOut) -> FanOutRow:
     """One run, in microseconds and seconds."""
-    return {
-        "way": one.way,
-        "readers": one.readers,
-        "publish_us": _summary_us(one.publish_ns),
-        "publish_cpu_us": _summary_us(one.publish_cpu_ns),
-        "delivery_us": _summary_us(one.delivery_ns),
-        "missed": one.missed,
-        "torn": one.torn,
-        "publisher_cpu_s": one.publisher_cpu_s,
-        "readers_cpu_s": one.readers_cpu_s,
-        "fast_publish_us": _summary_us(one.fast_publish_ns),
-        "fast_cpu_us": 1e6 * one.fast_cpu_s / len(one.fast_publish_ns),
-        "fast_hz": len(one.fast_publish_ns) / one.fast_s,
-    }
-
-
-def _summary_us(values_ns: Sequence[int]) -> dict[str, float]:
-    """Exact percentiles, by nearest rank; zeros where there is nothing."""
-    ordered = sorted(values_ns) or [0]
-    ranks = {f"p{p}": -(-len(ordered) * p // 100) - 1 for p in (50, 99)}
-    return {
-        **{name: ordered[rank] / NS_PER_US for name, rank in ranks.items()},
-        "max": ordered[-1] / NS_PER_US,
-    }
+    return FanOutRow(
+        way=one.way,
+        readers=one.readers,
+        publish_us=spread(one.publish_ns, per_unit=NS_PER_US),
+        publish_cpu_us=spread(one.publish_cpu_ns, per_unit=NS_PER_US),
+        delivery_us=spread(one.delivery_ns, per_unit=NS_PER_US),
+        missed=one.missed,
+        torn=one.torn,
+        publisher_cpu_s=one.publisher_cpu_s,
+        readers_cpu_s=one.readers_cpu_s,
+        fast_publish_us=spread(one.fast_publish_ns, per_unit=NS_PER_US),
+        fast_cpu_us=1e6 * one.fast_cpu_s / len(one.fast_publish_ns),
+        fast_hz=len(one.fast_publish_ns) / one.fast_s,
+    )

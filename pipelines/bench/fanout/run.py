@@ -1,4 +1,4 @@
-"""One publisher's process and its readers': what a publication costs, and how soon it is there."""
+"""The processes of `bench fanout`: one publisher and its readers, and their times."""
 
 import multiprocessing
 import signal
@@ -14,27 +14,26 @@ from pipelines.bench.fanout.ways import ReadingEnd, Way, read_stamp
 PICTURES_HZ = 30
 
 _WARM, _PACED, _FAST, _END = range(4)
-#: How long a reader waits before it looks which phase it is.
+#: How long a reader waits for a picture before it looks at the phase.
 _LOOK_NS = 100 * NS_PER_MS
-#: Between phases: each reader has looked, and taken what was still on its way.
+#: Between phases: longer than `_LOOK_NS`, so that every reader has drained what was on its way.
 _PAUSE_S = 0.3
-#: For processes to start, to connect and to end, on a busy machine as well.
+#: For processes to start, to connect and to end, also on a busy machine.
 _PATIENCE_S = 60
 
 
 @dataclass(frozen=True)
 class FanOut:
-    """What was found with so many readers; all instants in nanoseconds.
+    """Figures of one way with one number of readers; durations in ns.
 
-    At 30 pictures a second: `publish_ns`, the time in each publication, and `publish_cpu_ns`, for
-    how much of it the publishing thread ran: the rest a reader may have had, where processors are
-    few. `delivery_ns`, from the beginning of the publication until a reader holds the picture and
-    has read its two ends, of all readers; `missed`, pictures that a reader never saw. CPU seconds,
-    the publisher's with all its threads and its pauses.
+    At 30 pictures a second: `publish_ns`, wall time of each publication; `publish_cpu_ns`, CPU time
+    of the publishing thread in it. `delivery_ns`: from the beginning of the publication until a
+    reader holds the picture and has read both its ends, of all readers. `missed`: pictures that a
+    reader never saw. `publisher_cpu_s` counts all threads of the publisher, pauses included.
 
-    As fast as possible, for `fast_s`: likewise, the publisher's only.
+    fast_*: as fast as possible for `fast_s`, of the publisher only.
 
-    torn: pictures whose ends differed, of all.
+    torn: pictures whose two ends differed.
     """
 
     way: str
@@ -53,7 +52,7 @@ class FanOut:
 
 def fan_out(way: Way, readers: int, *, seconds: float, fast_s: float) -> FanOut:
     """Bring pictures to `readers` processes. RuntimeError when one of them fails."""
-    # Forked, as a session's processes are; this one has no bus and no threads of GStreamer.
+    # Fork, as a session does; this process has no bus and no threads of GStreamer yet.
     processes = multiprocessing.get_context("fork")
     way.prepare(readers, processes)
     shared = _Shared(processes, readers)
@@ -79,34 +78,62 @@ def fan_out(way: Way, readers: int, *, seconds: float, fast_s: float) -> FanOut:
             child.kill()
             child.join()
         way.clear()
+    assert isinstance(published, _Published)
+    readings = [one for one in read if isinstance(one, _Read)]
     return FanOut(
         way=way.name,
         readers=readers,
-        **published,
-        delivery_ns=[age_ns for one in read for age_ns in one["delivery_ns"]],
-        missed=sum(len(published["publish_ns"]) - one["pictures"] for one in read),
-        torn=sum(one["torn"] for one in read),
-        readers_cpu_s=sum(one["cpu_s"] for one in read),
+        publish_ns=published.publish_ns,
+        publish_cpu_ns=published.publish_cpu_ns,
+        fast_publish_ns=published.fast_publish_ns,
+        publisher_cpu_s=published.publisher_cpu_s,
+        fast_cpu_s=published.fast_cpu_s,
+        fast_s=published.fast_s,
+        delivery_ns=[age_ns for one in readings for age_ns in one.delivery_ns],
+        missed=sum(len(published.publish_ns) - len(one.delivery_ns) for one in readings),
+        torn=sum(one.torn for one in readings),
+        readers_cpu_s=sum(one.cpu_s for one in readings),
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Published:
+    """What the publisher's process tells; as in `FanOut`."""
+
+    publish_ns: list[int]
+    publish_cpu_ns: list[int]
+    fast_publish_ns: list[int]
+    publisher_cpu_s: float
+    fast_cpu_s: float
+    fast_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Read:
+    """What a reader's process tells; as in `FanOut`."""
+
+    delivery_ns: list[int]
+    torn: int
+    cpu_s: float
+
+
 class _Shared:
-    """What the processes of one run have in common."""
+    """State that the processes of one run share."""
 
     def __init__(self, processes: Any, readers: int) -> None:
         self.readers = readers
         self.phase = processes.RawValue("i", _WARM)
         #: The last picture before those that come 30 times a second.
         self.warm_pictures = processes.RawValue("q", 0)
-        #: Open as soon as the publisher can be connected to.
+        #: Set when readers can connect to the publisher.
         self.open = processes.Event()
         #: Counts the readers that have seen a picture.
         self.connected = processes.Semaphore(0)
 
 
-def _results(ends: Sequence[Connection], within_s: float) -> list[dict[str, Any]]:
-    """What each process has found, in the order of `ends`."""
-    found: dict[Connection, dict[str, Any]] = {}
+def _results(ends: Sequence[Connection], within_s: float) -> list[_Published | _Read]:
+    """The results of the processes, in the order of `ends`."""
+    found: dict[Connection, _Published | _Read] = {}
     deadline_s = time.monotonic() + within_s
     while len(found) < len(ends):
         ready = wait([end for end in ends if end not in found], deadline_s - time.monotonic())
@@ -122,7 +149,7 @@ def _results(ends: Sequence[Connection], within_s: float) -> list[dict[str, Any]
 
 
 def _publish(way: Way, shared: _Shared, tell: Any, seconds: float, fast_s: float) -> None:
-    # Ctrl-C is for the command.
+    # Ctrl-C is for the parent, which ends its children.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     clock = MonotonicClock()
     end = way.publishing_end()
@@ -154,7 +181,7 @@ def _publish(way: Way, shared: _Shared, tell: Any, seconds: float, fast_s: float
     for number in range(round(seconds * PICTURES_HZ)):
         clock.sleep_until_ns(begin_ns + number * NS_PER_S // PICTURES_HZ)
         published.append(publish_counting())
-    # What is left to a thread of the publisher is its cost as well.
+    # Work that another thread of the publisher still does counts as its cost.
     time.sleep(_PAUSE_S)
     paced_cpu_ns = time.process_time_ns() - cpu_ns
 
@@ -173,14 +200,14 @@ def _publish(way: Way, shared: _Shared, tell: Any, seconds: float, fast_s: float
     time.sleep(_PAUSE_S)
     end.close()
     tell.send(
-        {
-            "publish_ns": [all_ns for all_ns, _ in published],
-            "publish_cpu_ns": [cpu_ns for _, cpu_ns in published],
-            "fast_publish_ns": fast_publish_ns,
-            "publisher_cpu_s": paced_cpu_ns / NS_PER_S,
-            "fast_cpu_s": fast_cpu_ns / NS_PER_S,
-            "fast_s": lasted_ns / NS_PER_S,
-        }
+        _Published(
+            publish_ns=[all_ns for all_ns, _ in published],
+            publish_cpu_ns=[cpu_ns for _, cpu_ns in published],
+            fast_publish_ns=fast_publish_ns,
+            publisher_cpu_s=paced_cpu_ns / NS_PER_S,
+            fast_cpu_s=fast_cpu_ns / NS_PER_S,
+            fast_s=lasted_ns / NS_PER_S,
+        )
     )
 
 
@@ -208,12 +235,11 @@ def _read(way: Way, shared: _Shared, tell: Any, number: int) -> None:
                 delivery_ns.append(age_ns)
     end.close()
     tell.send(
-        {
-            "delivery_ns": delivery_ns,
-            "pictures": len(delivery_ns),
-            "torn": torn,
-            "cpu_s": (cpu_ns[_FAST] - cpu_ns[_PACED]) / NS_PER_S,
-        }
+        _Read(
+            delivery_ns=delivery_ns,
+            torn=torn,
+            cpu_s=(cpu_ns[_FAST] - cpu_ns[_PACED]) / NS_PER_S,
+        )
     )
 
 

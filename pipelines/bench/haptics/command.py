@@ -1,10 +1,9 @@
-"""`kontur-av bench haptics`: is the hand stable and passive, whatever the radio does?"""
+"""`kontur-av bench haptics`: stability and passivity of the hand over a grid of radios."""
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 
@@ -19,16 +18,47 @@ from pipelines.bench.haptics.grid import processors, run_grid
 from pipelines.bench.haptics.map import StabilityMap
 from pipelines.bench.haptics.plan import plan
 from pipelines.bench.haptics.run import run_cell
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.bench.result import Headline, Json, as_json, write_result
+from pipelines.report.report_file import check_writable
 
 _GRIDS = {"small": small_grid, "full": full_grid}
-#: What is drawn when no cell is asked for: a contact that the delay alone makes unstable, and
-#: the worst that the radio does.
+#: The courses that are drawn for a grid: a contact that the delay alone makes unstable, and the
+#: worst radio of the grid.
 _DRAWN = (
     Cell(delay=100.0, wall=5000.0),
     Cell(delay=250.0, jitter=50.0, loss=30.0, burst=10.0, blackout=5.0, wall=5000.0),
 )
 _WITHOUT, _WITH = "without the passivity controllers", "with the passivity controllers"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HapticsResult:
+    """without, with_: figures of the cells without and with the controllers, in one order."""
+
+    seconds: float
+    seed: int
+    cells: int
+    claims: Sequence[Claim]
+    without: Sequence[Figures]
+    with_: Sequence[Figures]
+
+    @property
+    def json(self) -> dict[str, Json]:
+        """Each row says also whether its cell is unstable."""
+        return {
+            "seconds": self.seconds,
+            "seed": self.seed,
+            "cells": self.cells,
+            "claims": as_json(self.claims),
+            "without": [_row(figures) for figures in self.without],
+            "with": [_row(figures) for figures in self.with_],
+        }
+
+
+def _row(figures: Figures) -> Json:
+    row = as_json(figures)
+    assert isinstance(row, dict)
+    return row | {"unstable": figures.unstable}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,13 +85,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs", type=int, metavar="N", help="processes (default: one for each processor)"
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
-    parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="draw position, force and energy, and the map"
-    )
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw courses and the map as PNG")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure; 1 when a claim does not hold."""
+    """Measure; 1 when a claim of correctness does not hold."""
     if not 4 <= args.seconds <= 600:
         raise ConfigError(f"--seconds {args.seconds:g}: give 4 to 600")
     jobs = processors() if args.jobs is None else args.jobs
@@ -86,11 +114,44 @@ def run(args: argparse.Namespace) -> int:
     if not chosen:
         found.append(needed(without))
     console.print(_claim_table(found))
-    if args.report is not None:
-        write_report(args.report, _report(args, without, with_, found))
+    result = HapticsResult(
+        seconds=args.seconds,
+        seed=args.seed,
+        cells=len(without),
+        claims=found,
+        without=without,
+        with_=with_,
+    )
+    write_result(args.report, result.json, _headlines(without, with_, found))
     if args.plot is not None:
         _plot(args, chosen, without, with_)
     return 0 if all(claim.holds for claim in found) else 1
+
+
+def _headlines(
+    without: Sequence[Figures], with_: Sequence[Figures], found: Sequence[Claim]
+) -> list[Headline]:
+    both = (("without controllers", without), ("with controllers", with_))
+    headlines = [Headline(what="cells", who=who, unit="", value=len(of)) for who, of in both]
+    for who, of in both:
+        for what, unit, value in (
+            ("unstable cells", "", sum(f.unstable for f in of)),
+            ("energy made, largest", "µJ", max(f.given_uj for f in of)),
+            ("contact force, largest", "N", max(f.contact_peak_n for f in of)),
+            ("growth of the force on the hand, largest", "N/ms", max(f.rise_n_ms for f in of)),
+        ):
+            headlines.append(Headline(what=what, who=who, unit=unit, value=value))
+    headlines.append(
+        Headline(
+            group="claims",
+            what="claims that hold",
+            unit="",
+            value=sum(claim.holds for claim in found),
+            target=f"all {len(found)}",
+            met=all(claim.holds for claim in found),
+        )
+    )
+    return headlines
 
 
 def _plot(
@@ -110,28 +171,9 @@ def _plot(
     save(chart(courses, maps), args.plot)
 
 
-def _report(
-    args: argparse.Namespace,
-    without: Sequence[Figures],
-    with_: Sequence[Figures],
-    found: Sequence[Claim],
-) -> dict[str, Any]:
-    def rows(figures: Sequence[Figures]) -> list[dict[str, Any]]:
-        return [asdict(one) | {"unstable": one.unstable} for one in figures]
-
-    return {
-        "seconds": args.seconds,
-        "seed": args.seed,
-        "cells": len(without),
-        "claims": [asdict(claim) for claim in found],
-        "without": rows(without),
-        "with": rows(with_),
-    }
-
-
 def _map_table(title: str, found: StabilityMap) -> Table:
     table = Table(
-        title=f"{title}: cells that swing on, of all; largest contact force (N)",
+        title=f"{title}: unstable cells, of all; largest contact force (N)",
         title_justify="left",
     )
     table.add_column("wall")
@@ -153,7 +195,7 @@ _HEADINGS = (
 
 
 def _channel_table(with_: Sequence[Figures]) -> Table:
-    """The worst of each channel, whatever the delay and the wall."""
+    """The worst figure of each channel, over all delays and walls."""
     table = _figure_table(f"{_WITH}, by channel: the worst of all delays and walls", "channel")
     for channel in dict.fromkeys(figures.cell.channel for figures in with_):
         rows = [figures for figures in with_ if figures.cell.channel == channel]

@@ -1,10 +1,9 @@
-"""`kontur-av bench latency`: one page of what each stream of a setup takes, and of what."""
+"""`kontur-av bench latency`: the latency of every stream of a setup, end to end and by stage."""
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
@@ -18,11 +17,12 @@ from pipelines.bench.latency.runs import (
     VIRTUAL_CLOCK,
     Clock,
     live_clock,
-    live_run,
     radio_delay_ms,
     virtual_run,
 )
 from pipelines.bench.latency.targets import MEANT_FOR, Verdict, judge
+from pipelines.bench.result import Headline, Json, Reading, write_result
+from pipelines.bench.session import live_session
 from pipelines.commands.session_options import (
     add_deadband_argument,
     add_radio_argument,
@@ -30,7 +30,7 @@ from pipelines.commands.session_options import (
     deadband_changes,
 )
 from pipelines.commands.stream import check_sources
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.report_file import check_writable
 from pipelines.report.sync.limits import LIMITS
 from pipelines.report.terms import TERMS
 from pipelines.setup.built_in import BUILT_IN
@@ -39,13 +39,13 @@ from pipelines.setup.table import Setup
 from pipelines.simulation.inputs import check_sources as check_virtual_sources
 
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
-#: Force that comes before its picture by more is noticed.
+#: A longer lead of the force over its picture is noticeable.
 _NOTICED_MS = LIMITS["video_haptic"].most_ns / NS_PER_MS
 _HISTOGRAM_PERCENT = 0.4
 
 _LEAD_NOTE = (
     "of an event at any instant of the camera's period; docs/latency.md says how each is obtained\n"
-    f"noticed from {_NOTICED_MS:g} ms on ({LIMITS['video_haptic'].source}); force is never delayed"
+    f"noticeable from {_NOTICED_MS:g} ms ({LIMITS['video_haptic'].source}); force is never delayed"
 )
 _SKEWS = {
     "video_haptic": ("video", "force"),
@@ -53,7 +53,23 @@ _SKEWS = {
     "audio_video": ("audio", "video"),
 }
 
-Report = Mapping[str, Any]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatencyResult:
+    """clocks: of each session. leads: the section `video_lead` of each report, by its label.
+
+    virtual, live, other_setups: whole reports of the sessions.
+    """
+
+    setup: str
+    radio: str
+    seed: int
+    clocks: Mapping[str, Clock]
+    targets: Sequence[Verdict]
+    leads: Mapping[str, Json]
+    virtual: Json
+    live: Json
+    other_setups: Mapping[str, Json]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     live.add_argument("--no-live", action="store_true", help="virtual time only")
     add_radio_argument(parser, default="clean")
     add_deadband_argument(parser)
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the radio's chances")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the radio's losses")
     parser.add_argument(
         "--base-port", type=int, default=27_000, metavar="P", help="of the live run"
     )
@@ -78,7 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, and print the page."""
+    """Measure, and print the page; 1 if a session failed. A missed target is shown, no failure."""
     for name in ("seconds", "live_seconds"):
         if not 1 <= getattr(args, name) <= 3600:
             option = f"--{name.replace('_', '-')}"
@@ -89,10 +105,56 @@ def run(args: argparse.Namespace) -> int:
     console = open_console(args)
     setup = setups[0]
     console.print(_heading(args, setup), markup=False, highlight=False)
-    virtual = virtual_run(setup, seconds=args.seconds, seed=args.seed)
-    live = None
-    if not args.no_live:
-        live = live_run(
+    runs = {"virtual": virtual_run(setup, seconds=args.seconds, seed=args.seed)}
+    clocks = {"virtual": VIRTUAL_CLOCK}
+    live = None if args.no_live else _live(args)
+    if live is not None:
+        runs["live"], clocks["live"] = live, live_clock(live)
+    console.print(_latencies(runs))
+    console.print(_clocks(runs, clocks), markup=False, highlight=False)
+    verdicts = judge(runs["virtual"])
+    console.print(_targets(setup, args.radio, verdicts, live))
+    others = {
+        other.name: virtual_run(other, seconds=args.seconds, seed=args.seed) for other in setups[1:]
+    }
+    leads = {f"{setup.name}, {kind}": report.at("video_lead") for kind, report in runs.items()}
+    leads |= {f"{name}, virtual": report.at("video_lead") for name, report in others.items()}
+    console.print(_leads(leads))
+    console.print(_LEAD_NOTE, markup=False, highlight=False)
+    failures = [
+        f"{name} session failed: {failure.text()}"
+        for name, report in runs.items()
+        for failure in report.elements("failures")
+    ]
+    for failure in failures:
+        console.print(failure, markup=False)
+    if args.plot is not None:
+        shown = {
+            label: {term: lead.number("lead_ms", term) for term in (*TERMS, "total")}
+            for label, lead in leads.items()
+            if lead.value is not None
+        }
+        limits = {f"noticeable from {_NOTICED_MS:g} ms": _NOTICED_MS}
+        save(lead_chart(shown, limits), args.plot)
+    result = LatencyResult(
+        setup=setup.name,
+        radio=setup.radio_profile.name,
+        seed=args.seed,
+        clocks=clocks,
+        targets=verdicts,
+        leads={label: lead.json for label, lead in leads.items()},
+        virtual=runs["virtual"].json,
+        live=None if live is None else live.json,
+        other_setups={name: report.json for name, report in others.items()},
+    )
+    judged = (setup.name, args.radio) == MEANT_FOR
+    write_result(args.report, result, _headlines(verdicts, live, runs, judged=judged))
+    return 1 if failures else 0
+
+
+def _live(args: argparse.Namespace) -> Reading:
+    try:
+        return live_session(
             args.setup,
             seconds=args.live_seconds,
             seed=args.seed,
@@ -100,55 +162,31 @@ def run(args: argparse.Namespace) -> int:
             base_port=args.base_port,
             deadband=args.deadband,
         )
-    clocks = {"virtual": VIRTUAL_CLOCK} | ({} if live is None else {"live": live_clock(live)})
-    runs: dict[str, Report] = {"virtual": virtual} | ({} if live is None else {"live": live})
-    console.print(_latencies(runs))
-    console.print(_clocks(runs, clocks), markup=False, highlight=False)
-    verdicts = judge(virtual)
-    console.print(_targets(setup, args.radio, verdicts, live))
-    leads = {f"{setup.name}, virtual": virtual["video_lead"]}
+    except ConfigError as error:
+        raise ConfigError(f"live: {error} (or leave it out with --no-live)") from None
+
+
+def _headlines(
+    verdicts: Sequence[Verdict], live: Reading | None, runs: Mapping[str, Reading], *, judged: bool
+) -> list[Headline]:
+    found = [verdict.headline("virtual time", judged=judged) for verdict in verdicts]
     if live is not None:
-        leads[f"{setup.name}, live"] = live["video_lead"]
-    others = {}
-    for other in setups[1:]:
-        others[other.name] = virtual_run(other, seconds=args.seconds, seed=args.seed)
-        leads[f"{other.name}, virtual"] = others[other.name]["video_lead"]
-    console.print(_leads(leads))
-    console.print(_LEAD_NOTE, markup=False, highlight=False)
-    failures = [
-        f"{name} session failed: {failure}"
-        for name, report in runs.items()
-        for failure in report["failures"]
-    ]
-    for failure in failures:
-        console.print(failure, markup=False)
-    if args.plot is not None:
-        shown = {label: lead["lead_ms"] for label, lead in leads.items() if lead is not None}
-        limits = {f"noticeable from {_NOTICED_MS:g} ms": _NOTICED_MS}
-        save(lead_chart(shown, limits), args.plot)
-    if args.report is not None:
-        figures = {
-            "setup": setup.name,
-            "radio": setup.radio_profile.name,
-            "seed": args.seed,
-            "clocks": {name: asdict(clock) for name, clock in clocks.items()},
-            "targets": [asdict(verdict) for verdict in verdicts],
-            "leads": leads,
-            "virtual": virtual,
-            "live": live,
-            "other_setups": others,
-        }
-        write_report(args.report, figures)
-    missed = (setup.name, args.radio) == MEANT_FOR and not all(of.met for of in verdicts)
-    return 1 if missed or failures else 0
+        found += [verdict.headline("live", judged=False) for verdict in judge(live)]
+    for kind, report in runs.items():
+        name = "virtual time" if kind == "virtual" else kind
+        if report.has("video_lead"):
+            lead_ms = report.number("video_lead", "lead_ms", "total")
+            what = "force before the picture of the same event, mean"
+            found.append(Headline(what=what, who=name, unit="ms", value=lead_ms))
+    return found
 
 
 def _setups(args: argparse.Namespace) -> list[Setup]:
-    """The chosen one, and the built-in ones to compare it with, all with the chosen radio."""
+    """The chosen setup first, then the other built-in ones, all with the chosen radio."""
     chosen = load_setup(args.setup)
     others = [setup for name, setup in BUILT_IN.items() if name != chosen.name]
     changes = {"radio": args.radio, "radio_delay_ms": 0.0, **deadband_changes(args)}
-    # The live run's port, checked before anything is measured.
+    # Check the port of the live run before anything is measured.
     first = replace(chosen, base_port=args.base_port, **changes)
     check_virtual_sources(first)
     check_sources(first)
@@ -170,7 +208,7 @@ def _heading(args: argparse.Namespace, setup: Setup) -> str:
     )
 
 
-def _latencies(runs: Mapping[str, Report]) -> Table:
+def _latencies(runs: Mapping[str, Reading]) -> Table:
     table = Table(
         title="latency, ms: capture to display, mouth to ear, sample to sample",
         title_justify="left",
@@ -183,27 +221,27 @@ def _latencies(runs: Mapping[str, Report]) -> Table:
         for percentile in _PERCENTILES:
             table.add_column(percentile, justify="right")
     for label, found in _rows(runs):
-        cells: list[str] = []
-        for latency in found:
-            cells += _cells(latency, sign="+" if " after " in label else "")
-        table.add_row(label, *cells)
+        table.add_row(label, *(cell for cells in found for cell in cells))
     return table
 
 
-def _clocks(runs: Mapping[str, Report], clocks: Mapping[str, Clock]) -> str:
+def _clocks(runs: Mapping[str, Reading], clocks: Mapping[str, Clock]) -> str:
     lines = [
-        f"{name}: {report['seconds']:.0f} s; radio {_range(radio_delay_ms(report))} ms one way; "
-        f"{clocks[name].method}, error <= {clocks[name].error_us:g} µs"
+        f"{name}: {report.number('seconds'):.0f} s; radio {_range(radio_delay_ms(report))} ms "
+        f"one way; {clocks[name].method}, error <= {clocks[name].error_us:g} µs"
         for name, report in runs.items()
     ]
     return "\n".join([*lines, f"max is exact, percentiles to {_HISTOGRAM_PERCENT} %\n"])
 
 
-def _cells(summary: Mapping[str, Any] | None, *, sign: str) -> list[str]:
-    if not summary or summary.get("count") == 0:
+def _cells(summary: Reading | None, *, sign: str, counted: str = "count") -> list[str]:
+    if summary is None or summary.value is None:
         return [""] * (1 + len(_PERCENTILES))
-    count = summary.get("count", summary.get("events", ""))
-    return [str(count), *(_digits(summary.get(p), sign) for p in _PERCENTILES)]
+    count = summary.number_or_none(counted)
+    if count == 0:
+        return [""] * (1 + len(_PERCENTILES))
+    values = [_digits(summary.number_or_none(name), sign) for name in _PERCENTILES]
+    return ["" if count is None else f"{count:.0f}", *values]
 
 
 def _digits(value: float | None, sign: str) -> str:
@@ -217,38 +255,45 @@ def _range(limits: tuple[float, float]) -> str:
     return f"{most:.1f}" if most - least < 0.05 else f"{least:.1f} to {most:.1f}"
 
 
-def _rows(
-    runs: Mapping[str, Report],
-) -> Iterator[tuple[str, Sequence[Mapping[str, Any] | None]]]:
-    first = next(iter(runs.values()))
+def _rows(runs: Mapping[str, Reading]) -> Iterator[tuple[str, list[list[str]]]]:
+    """Label, and the cells of each run."""
+    first, reports = next(iter(runs.values())), list(runs.values())
     for direction in ("up", "down"):
         name = "force (haptic_up)" if direction == "up" else "command (haptic_down)"
-        yield name, [report["haptic"][direction]["latency_ms"] for report in runs.values()]
-    for name, stream in first["streams"].items():
-        latencies = [report["streams"][name]["latency_ms"] for report in runs.values()]
-        yield name, latencies
-        for stage in stream["latency_ms"]["stages"]:
+        yield (
+            name,
+            [_cells(report.at("haptic", direction, "latency_ms"), sign="") for report in reports],
+        )
+    for name, stream in first.items("streams"):
+        latencies = [report.at("streams", name, "latency_ms") for report in reports]
+        yield name, [_cells(latency, sign="") for latency in latencies]
+        for stage, _ in stream.items("latency_ms", "stages"):
             label = f"  {stage.replace('_', ' ')}"
-            yield label, [latency["stages"][stage] for latency in latencies]
-    contacts = [report.get("sync") or {"senses": {}, "skew_ms": {}} for report in runs.values()]
+            yield label, [_cells(latency.at("stages", stage), sign="") for latency in latencies]
     for sense, word in (("force", "felt"), ("light", "seen"), ("click", "heard")):
-        told = [of["senses"].get(sense) for of in contacts]
-        if any(of and of["perceived"] for of in told):
-            yield (
-                f"contact until {word} (content)",
-                [of and {**of["latency_ms"], "count": of["perceived"]} for of in told],
-            )
+        senses = [_part(report, "sync", "senses", sense) for report in reports]
+        if any(of is not None and of.number("perceived") for of in senses):
+            yield f"contact until {word} (content)", [_sense_cells(of) for of in senses]
     for name, (first_sense, second) in _SKEWS.items():
-        label = f"{first_sense} after {second}"
-        for words, skews in (
-            (f"{label} (stamps)", [report["skew_ms"].get(name) for report in runs.values()]),
-            (f"{label} (content)", [of["skew_ms"].get(name) for of in contacts]),
-        ):
-            if any(skews):
-                yield words, skews
+        for source, *place in (("stamps", "skew_ms"), ("content", "sync", "skew_ms")):
+            skews = [_part(report, *place, name) for report in reports]
+            if any(skew is not None for skew in skews):
+                label = f"{first_sense} after {second} ({source})"
+                counted = "count" if source == "stamps" else "events"
+                yield label, [_cells(skew, sign="+", counted=counted) for skew in skews]
 
 
-def _targets(setup: Setup, radio: str, verdicts: Sequence[Verdict], live: Report | None) -> Table:
+def _part(report: Reading, *keys: str) -> Reading | None:
+    return report.at(*keys) if report.has(*keys) else None
+
+
+def _sense_cells(of: Reading | None) -> list[str]:
+    if of is None or not of.number("perceived"):
+        return [""] * (1 + len(_PERCENTILES))
+    return [f"{of.number('perceived'):.0f}", *_cells(of.at("latency_ms"), sign="")[1:]]
+
+
+def _targets(setup: Setup, radio: str, verdicts: Sequence[Verdict], live: Reading | None) -> Table:
     table = Table(
         title=f"targets of {MEANT_FOR[0]} on {MEANT_FOR[1]}, virtual time",
         title_justify="left",
@@ -264,11 +309,11 @@ def _targets(setup: Setup, radio: str, verdicts: Sequence[Verdict], live: Report
         cells = [verdict.what, verdict.bound, verdict.found, "met" if verdict.met else "MISSED"]
         table.add_row(*cells, *([] if live is None else [beside.get(verdict.what, "")]))
     if (setup.name, radio) != MEANT_FOR:
-        table.caption = f"this is {setup.name} on {radio}: they are not meant for it"
+        table.caption = f"these targets are not meant for {setup.name} on {radio}"
     return table
 
 
-def _leads(leads: Mapping[str, Mapping[str, Any] | None]) -> Table:
+def _leads(leads: Mapping[str, Reading]) -> Table:
     table = Table(
         title="by how much force comes before the picture of the same event: means, ms",
         title_justify="left",
@@ -276,7 +321,7 @@ def _leads(leads: Mapping[str, Mapping[str, Any] | None]) -> Table:
         padding=(0, 1, 0, 0),
     )
     table.add_column("term")
-    found = {label: lead for label, lead in leads.items() if lead is not None}
+    found = {label: lead for label, lead in leads.items() if lead.value is not None}
     for label in found:
         setup, _, kind = label.rpartition(", ")
         table.add_column(f"{setup}\n{kind}: video", justify="right")
@@ -286,7 +331,7 @@ def _leads(leads: Mapping[str, Mapping[str, Any] | None]) -> Table:
         if term == "total":
             table.add_section()
         cells = [
-            f"{lead[key][term]:.1f}"
+            f"{lead.number(key, term):.1f}"
             for lead in found.values()
             for key in ("video_ms", "force_ms", "lead_ms")
         ]

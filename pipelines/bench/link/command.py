@@ -1,16 +1,14 @@
-"""`kontur-av bench link`: what the link does to its traffic, and what it costs."""
+"""`kontur-av bench link`: delays, header sizes, goodput, recovery, punctuality and CPU cost."""
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 
-from kontur_av.clock import NS_PER_MS, NS_PER_US
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from kontur_av.meters import Histogram
 from pipelines.bench.console import open_console
 from pipelines.bench.link.cost import slot_cost
 from pipelines.bench.link.live import Punctuality, live_punctuality
@@ -19,16 +17,21 @@ from pipelines.bench.link.virtual import (
     FILE,
     VIDEO,
     VOICE,
+    Goodput,
+    HapticDifference,
+    HeaderOctets,
     goodput,
     haptic_difference,
     header_octets,
     voice_waits,
 )
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.bench.result import Headline, Json, Spread, as_json, spread, write_result
+from pipelines.report.report_file import check_writable
 from pipelines.setup.setup_file import load_setup
 from telepresence.link.profile import DOWNLINK, UPLINK
 
-#: What is saturated with what: voice and video of `spacejustin`, and files.
+#: Kinds of packets that saturate the link, and the octets of their payloads: voice and video of
+#: `spacejustin`, and files.
 _PACKETS = ((VIDEO, 354), (VIDEO, 1000), (VOICE, 19), (FILE, 200), (FILE, 1000))
 _DELAY_NS = 3 * NS_PER_MS
 _BLACKOUTS_S = (0.1, 1.0, 10.0)
@@ -48,6 +51,70 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
 
 
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """voice_wait_ms: of a voice packet until its first slot, by direction."""
+
+    haptic_difference: HapticDifference
+    voice_wait_ms: Mapping[str, Spread]
+
+    @property
+    def json(self) -> dict[str, Json]:
+        """One key for each direction."""
+        waits = {f"voice_wait_{name}_ms": as_json(of) for name, of in self.voice_wait_ms.items()}
+        return {"haptic_difference": as_json(self.haptic_difference), **waits}
+
+
+@dataclass(frozen=True, slots=True)
+class GoodputOf:
+    """The goodput of one kind of packet in one direction, with haptic samples or without."""
+
+    direction: str
+    flow: str
+    octets: int
+    haptics: bool
+    found: Goodput
+
+    @property
+    def json(self) -> dict[str, Json]:
+        """Flat, as a row of a table."""
+        found = as_json(self.found)
+        assert isinstance(found, dict)
+        return {
+            "direction": self.direction,
+            "flow": self.flow,
+            "octets": self.octets,
+            "haptics": self.haptics,
+            **found,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Resumption:
+    """Recovery from blackouts of one length. times_ms: by event; packets, stale: counts."""
+
+    times_ms: Mapping[str, Spread]
+    counts: Mapping[str, int]
+    packets: int
+    stale: int
+
+    @property
+    def json(self) -> dict[str, Json]:
+        """The events beside the counts."""
+        times = {name: as_json(of) for name, of in self.times_ms.items()}
+        return {**times, "packets": self.packets, "stale": self.stale}
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """us: time of a slot. what: `send` or `receive`."""
+
+    direction: str
+    traffic: str
+    what: str
+    us: Spread
+
+
 def run(args: argparse.Namespace) -> int:
     """Measure, and print each table as soon as it is known."""
     if not 1 <= args.seconds <= 3600:
@@ -57,56 +124,120 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.report)
     load_setup(args.setup)
     console = open_console(args)
-    figures: dict[str, Any] = {}
-    for name, table, values in _tables(args):
-        console.print(table)
-        figures[name] = values
-    if args.report is not None:
-        write_report(args.report, figures)
+    delays = _measure_delays(args.seconds)
+    console.print(_delay_table(delays, args.seconds))
+    headers = header_octets(args.seconds)
+    console.print(_header_table(headers))
+    goodputs = _measure_goodputs(min(args.seconds, 5.0))
+    console.print(_goodput_table(goodputs))
+    resumption = _measure_resumptions(args.blackouts)
+    console.print(_resumption_table(resumption, args.blackouts))
+    costs = _measure_costs(round(1000 * args.seconds))
+    console.print(_cost_table(costs))
+    figures: dict[str, Json] = {
+        "delays": delays.json,
+        "headers": as_json(headers),
+        "goodput": [of.json for of in goodputs],
+        "resumption": {name: of.json for name, of in resumption.items()},
+        "cost": as_json(costs),
+    }
+    live: dict[str, Sequence[Punctuality]] = {}
+    for media in () if args.no_live else (False, True):
+        name = "with" if media else "without"
+        live[name] = live_punctuality(
+            args.seconds, args.setup, media=media, base_port=args.base_port
+        )
+        console.print(_punctuality_table(live[name], args.setup, media=media))
+        figures[f"live_{name}_media"] = as_json(live[name])
+    write_result(args.report, figures, _headlines(delays, headers, resumption, costs, live))
     return 0
 
 
-def _tables(args: argparse.Namespace) -> Iterator[tuple[str, Table, Any]]:
-    yield _delays(args.seconds)
-    yield _headers(args.seconds)
-    yield _goodputs(min(args.seconds, 5.0))
-    yield _resumptions(args.blackouts)
-    yield _costs(round(1000 * args.seconds))
-    if not args.no_live:
-        for media in (False, True):
-            yield _punctuality(args, media=media)
+def _headlines(
+    delays: Delays,
+    headers: Mapping[str, HeaderOctets],
+    resumption: Mapping[str, Resumption],
+    costs: Sequence[Cost],
+    live: Mapping[str, Sequence[Punctuality]],
+) -> list[Headline]:
+    found = [
+        Headline(
+            group="on virtual time",
+            what="delay that saturated media add to a haptic sample, largest",
+            unit="slots",
+            value=delays.haptic_difference.largest_slots,
+        )
+    ]
+    for name, of in delays.voice_wait_ms.items():
+        what = f"voice until its first slot, {name} saturated, max"
+        found.append(Headline(group="on virtual time", what=what, unit="ms", value=of.max))
+    for traffic, counted in headers.items():
+        what = f"header octets of {traffic} (of 40), mean"
+        found.append(
+            Headline(group="on virtual time", what=what, unit="octets", value=counted.mean)
+        )
+    for length, resumed in resumption.items():
+        for event, of in resumed.times_ms.items():
+            found.append(
+                Headline(
+                    group="from the first good frame after a blackout, p99",
+                    what=event,
+                    who=f"of {length}",
+                    unit="ms",
+                    value=of.p99,
+                )
+            )
+    found += [
+        Headline(
+            group="cost of a slot, p50",
+            what=f"{cost.direction}, {cost.traffic}",
+            who=cost.what,
+            unit="µs",
+            value=cost.us.p50,
+        )
+        for cost in costs
+    ]
+    for name, tasks in live.items():
+        for task in tasks:
+            who, late_us = f"{name} media", task.lateness_us["p99"]
+            what = f"{task.name}: after the deadline, p99"
+            found.append(Headline(group="live", what=what, who=who, unit="µs", value=late_us))
+            if task.slips is not None and task.cycles:
+                what, share = f"{task.name}: slots left out", 100 * task.slips / task.cycles
+                found.append(Headline(group="live", what=what, who=who, unit="%", value=share))
+    return found
 
 
-def _delays(seconds: float) -> tuple[str, Table, Any]:
-    table = _table("delays on virtual time", "", "count", "p50", "p99", "max", "unit")
-    difference = haptic_difference(seconds, delay_ns=_DELAY_NS)
+def _measure_delays(seconds: float) -> Delays:
+    waits = {
+        profile.name: spread(voice_waits(seconds, profile), per_unit=NS_PER_MS)
+        for profile in (UPLINK, DOWNLINK)
+    }
+    return Delays(haptic_difference(seconds, delay_ns=_DELAY_NS), waits)
+
+
+def _delay_table(delays: Delays, seconds: float) -> Table:
+    table = _table(f"delays on virtual time, {seconds:g} s", "", "p50", "p99", "max", "unit")
+    difference = delays.haptic_difference
     table.add_row(
-        "haptic sample, all other levels saturated less all off",
-        str(difference.samples),
+        f"haptic sample: saturated link less idle link, {difference.samples} samples",
         *("", "", f"{difference.largest_slots:g}", "slots"),
     )
-    figures: dict[str, Any] = {"haptic_difference": asdict(difference)}
-    for profile in (UPLINK, DOWNLINK):
-        waits = voice_waits(seconds, profile)
-        summary = _percentiles(waits, NS_PER_MS)
-        figures[f"voice_wait_{profile.name}_ms"] = summary
+    for name, waits in delays.voice_wait_ms.items():
         table.add_row(
-            f"{profile.name} voice until its first slot, video and files saturated",
-            str(len(waits)),
-            *(f"{summary[key]:.2f}" for key in ("p50", "p99", "max")),
+            f"{name} voice until its first slot, video and files saturated",
+            *(f"{value:.2f}" for value in (waits.p50, waits.p99, waits.max)),
             "ms",
         )
-    return "delays", table, figures
+    return table
 
 
-def _headers(seconds: float) -> tuple[str, Table, Any]:
+def _header_table(headers: Mapping[str, HeaderOctets]) -> Table:
     table = _table(
-        "octets that stand for 40 of IP, UDP and RTP, tag included",
+        "octets that replace the 40 of IP, UDP and RTP, tag included",
         *("traffic", "packets", "mean", "most", "whole headers"),
     )
-    figures = {}
-    for traffic, counted in header_octets(seconds).items():
-        figures[traffic] = asdict(counted)
+    for traffic, counted in headers.items():
         table.add_row(
             traffic,
             str(counted.packets),
@@ -114,92 +245,103 @@ def _headers(seconds: float) -> tuple[str, Table, Any]:
             str(counted.most_compressed),
             str(counted.whole),
         )
-    return "headers", table, figures
+    return table
 
 
-def _goodputs(seconds: float) -> tuple[str, Table, Any]:
+def _measure_goodputs(seconds: float) -> list[GoodputOf]:
+    return [
+        GoodputOf(
+            profile.name,
+            flow,
+            octets,
+            haptics,
+            goodput(seconds, profile, flow=flow, payload_octets=octets, haptics=haptics),
+        )
+        for profile in (UPLINK, DOWNLINK)
+        for flow, octets in _PACKETS
+        for haptics in (True, False)
+    ]
+
+
+def _goodput_table(goodputs: Sequence[GoodputOf]) -> Table:
     table = _table(
-        "one kind of packet saturated; of the octets left to it",
+        "one kind of packet saturates the link; shares of the octets left to it",
         *("direction", "packets", "haptics", "left kbit/s", "payloads kbit/s"),
         *("packets %", "framing %", "supervision %", "idle %"),
     )
-    figures = []
-    for profile in (UPLINK, DOWNLINK):
-        for flow, octets in _PACKETS:
-            for haptics in (True, False):
-                found = goodput(seconds, profile, flow=flow, payload_octets=octets, haptics=haptics)
-                figures.append(
-                    {"direction": profile.name, "flow": flow, "octets": octets, "haptics": haptics}
-                    | asdict(found)
-                )
-                table.add_row(
-                    profile.name,
-                    f"{flow}, {octets}",
-                    "yes" if haptics else "no",
-                    f"{found.zone_bps / 1000:.1f}",
-                    f"{found.payload_bps / 1000:.1f}",
-                    *(f"{100 * share:.2f}" for share in found.shares()),
-                )
+    for of in goodputs:
+        table.add_row(
+            of.direction,
+            f"{of.flow}, {of.octets}",
+            "yes" if of.haptics else "no",
+            f"{of.found.zone_bps / 1000:.1f}",
+            f"{of.found.payload_bps / 1000:.1f}",
+            *(f"{100 * share:.2f}" for share in of.found.shares()),
+        )
     table.caption = (
-        "left: all but frame headers, checks and samples; payloads: of UDP, so that RTP counts "
+        "left: all but frame headers, checks and samples; payloads: of UDP, so RTP counts "
         "its 12 octets of header, of which 1 to 3 travel; packets: with their tags and headers; "
         "framing: M_PDU headers and the lengths of packets that end within a frame"
     )
-    return "goodput", table, figures
+    return table
 
 
-def _resumptions(blackouts: int) -> tuple[str, Table, Any]:
-    table = _table(
-        f"{blackouts} blackouts of both directions each; ms from the first good frame on",
-        *("blackout", "what came first", "count", "p50", "p99", "max"),
-    )
-    figures = {}
+def _measure_resumptions(blackouts: int) -> dict[str, Resumption]:
+    found = {}
     for blackout_s in _BLACKOUTS_S:
-        found = resumptions(blackout_s, blackouts=blackouts, delay_ns=_DELAY_NS)
-        rows = {"loss noticed (from the last good frame)": found.noticed, **found.first}
-        summaries = {name: _percentiles(values, NS_PER_MS) for name, values in rows.items()}
-        figures[f"{blackout_s:g} s"] = {
-            **summaries,
-            "packets": found.packets,
-            "stale": found.stale,
-        }
-        for name, summary in summaries.items():
-            table.add_row(
-                f"{blackout_s:g} s",
-                name,
-                str(len(rows[name])),
-                *(f"{summary[key]:.1f}" for key in ("p50", "p99", "max")),
-            )
-        table.add_row(
-            f"{blackout_s:g} s", f"packets over 100 ms old, of {found.packets}", str(found.stale)
+        resumed = resumptions(blackout_s, blackouts=blackouts, delay_ns=_DELAY_NS)
+        times = {"loss noticed (from the last good frame)": resumed.noticed, **resumed.first}
+        found[f"{blackout_s:g} s"] = Resumption(
+            times_ms={name: spread(ns, per_unit=NS_PER_MS) for name, ns in times.items()},
+            counts={name: len(ns) for name, ns in times.items()},
+            packets=resumed.packets,
+            stale=resumed.stale,
         )
-    return "resumption", table, figures
+    return found
 
 
-def _costs(slots: int) -> tuple[str, Table, Any]:
+def _resumption_table(found: Mapping[str, Resumption], blackouts: int) -> Table:
+    table = _table(
+        f"{blackouts} blackouts of both directions each; ms from the first good frame",
+        *("blackout", "first event", "count", "p50", "p99", "max"),
+    )
+    for length, of in found.items():
+        for name, times in of.times_ms.items():
+            table.add_row(
+                length,
+                name,
+                str(of.counts[name]),
+                *(f"{value:.1f}" for value in (times.p50, times.p99, times.max)),
+            )
+        table.add_row(length, f"packets over 100 ms old, of {of.packets}", str(of.stale))
+    return table
+
+
+def _measure_costs(slots: int) -> list[Cost]:
+    found = []
+    for profile in (UPLINK, DOWNLINK):
+        for busy in (False, True):
+            cost = slot_cost(profile, slots=slots, busy=busy)
+            traffic = "saturated" if busy else "samples only"
+            found.append(Cost(profile.name, traffic, "send", cost.send_us))
+            found.append(Cost(profile.name, traffic, "receive", cost.receive_us))
+    return found
+
+
+def _cost_table(costs: Sequence[Cost]) -> Table:
     table = _table(
         "cost of a slot on this machine, µs",
         *("direction", "traffic", "what", "p50", "p95", "p99", "max"),
     )
-    figures = []
-    for profile in (UPLINK, DOWNLINK):
-        for busy in (False, True):
-            cost = slot_cost(profile, slots=slots, busy=busy)
-            for what, histogram in (("send", cost.send), ("receive", cost.receive)):
-                summary = _summary_us(histogram)
-                traffic = "saturated" if busy else "samples only"
-                figures.append(
-                    {"direction": profile.name, "traffic": traffic, "what": what, "us": summary}
-                )
-                table.add_row(
-                    profile.name, traffic, what, *(f"{value:.1f}" for value in summary.values())
-                )
-    return "cost", table, figures
+    for cost in costs:
+        times = (cost.us.p50, cost.us.p95, cost.us.p99, cost.us.max)
+        cells = (f"{value:.1f}" for value in times)
+        table.add_row(cost.direction, cost.traffic, cost.what, *cells)
+    return table
 
 
-def _punctuality(args: argparse.Namespace, *, media: bool) -> tuple[str, Table, Any]:
-    beside = f"the whole session of {args.setup} beside it" if media else "the link alone"
-    found = live_punctuality(args.seconds, args.setup, media=media, base_port=args.base_port)
+def _punctuality_table(found: Sequence[Punctuality], setup: str, *, media: bool) -> Table:
+    beside = f"the whole session of {setup} beside it" if media else "the link alone"
     table = _table(
         f"live, 1 kHz, {beside}; µs after the deadline",
         *("task", "p50", "p99", "p99.9", "max"),
@@ -218,11 +360,7 @@ def _punctuality(args: argparse.Namespace, *, media: bool) -> tuple[str, Table, 
         )
     if peer is None:
         table.caption = "cyclictest is not installed or not permitted (Debian package rt-tests)"
-    return f"live_{'with' if media else 'without'}_media", table, _as_dicts(found)
-
-
-def _as_dicts(tasks: Sequence[Punctuality]) -> list[dict[str, Any]]:
-    return [asdict(task) for task in tasks]
+    return table
 
 
 def _table(title: str, *headings: str) -> Table:
@@ -232,25 +370,4 @@ def _table(title: str, *headings: str) -> Table:
     return table
 
 
-_WORDS = {"", "traffic", "direction", "packets", "what", "what came first", "task", "unit"}
-
-
-def _percentiles(values: Sequence[int], unit_ns: int) -> Mapping[str, float]:
-    """Exact ones, by nearest rank."""
-    ordered = sorted(values)
-    if not ordered:
-        return {"p50": 0.0, "p95": 0.0, "p99": 0.0, "max": 0.0}
-    ranks = {
-        name: -(-len(ordered) * p // 100) - 1 for name, p in (("p50", 50), ("p95", 95), ("p99", 99))
-    }
-    return {
-        **{name: ordered[rank] / unit_ns for name, rank in ranks.items()},
-        "max": ordered[-1] / unit_ns,
-    }
-
-
-def _summary_us(histogram: Histogram) -> dict[str, float]:
-    return {
-        **{f"p{p}": round(histogram.percentile(p) / NS_PER_US, 2) for p in (50, 95, 99)},
-        "max": round(histogram.max / NS_PER_US, 2),
-    }
+_WORDS = {"", "traffic", "direction", "packets", "what", "first event", "task", "unit"}

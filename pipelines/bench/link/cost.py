@@ -1,10 +1,11 @@
-"""What a slot costs this machine: building a frame at one end, reading it at the other."""
+"""CPU time of a slot: building a frame at one end, reading it at the other."""
 
 from dataclasses import dataclass
 
-from kontur_av.clock import NS_PER_MS, MonotonicClock
+from kontur_av.clock import NS_PER_MS, NS_PER_US, MonotonicClock
 from kontur_av.meters import Histogram
 from pipelines.bench.link.virtual import FILE, FLOWS, VIDEO, VOICE, Talker
+from pipelines.bench.result import Spread
 from telepresence.link.flows import Level
 from telepresence.link.profile import LinkProfile
 from telepresence.link.receiver import LinkReceiver
@@ -14,23 +15,23 @@ from telepresence.link.sender import LinkSender
 _WARM_UP_SLOTS = 500
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class SlotCost:
-    """Time spent in `LinkSender.poll_transmit` and in `LinkReceiver.handle_frame`, a slot."""
+    """Time in `LinkSender.poll_transmit` and in `LinkReceiver.handle_frame`, per slot."""
 
-    send: Histogram
-    receive: Histogram
+    send_us: Spread
+    receive_us: Spread
 
 
 def slot_cost(profile: LinkProfile, *, slots: int, busy: bool) -> SlotCost:
     """Measure `slots` slots on the real clock, each with a sample.
 
-    busy: voice every 20 slots, video and a file that never cease; else nothing but samples.
+    busy: also a voice packet every 20 slots, and endless video and files.
     """
     clock_ns = MonotonicClock().now_ns
     sender, receiver = LinkSender(profile, FLOWS), LinkReceiver(profile, FLOWS)
     voice, video = Talker(VOICE, 19), Talker(VIDEO, 354)
-    cost = SlotCost(Histogram(), Histogram())
+    send, receive = Histogram(), Histogram()
     for slot in range(_WARM_UP_SLOTS + slots):
         now_ns = slot * NS_PER_MS
         if busy:
@@ -49,6 +50,11 @@ def slot_cost(profile: LinkProfile, *, slots: int, busy: bool) -> SlotCost:
             pass
         read_ns = clock_ns()
         if slot >= _WARM_UP_SLOTS:
-            cost.send.add(sent_ns - begun_ns)
-            cost.receive.add(read_ns - sent_ns)
-    return cost
+            send.add(sent_ns - begun_ns)
+            receive.add(read_ns - sent_ns)
+    return SlotCost(_times(send), _times(receive))
+
+
+def _times(histogram: Histogram) -> Spread:
+    p50, p95, p99 = (round(histogram.percentile(p) / NS_PER_US, 2) for p in (50, 95, 99))
+    return Spread(p50, p95, p99, round(histogram.max / NS_PER_US, 2))

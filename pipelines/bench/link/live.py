@@ -1,18 +1,16 @@
-"""How punctual the slots are on this machine, beside what its kernel can do."""
+"""Punctuality of the slots on this machine, beside that of its kernel."""
 
-import json
 import re
 import shutil
 import subprocess
-import sys
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
-#: Of `cyclictest`, in µs: what is later is counted apart.
+from pipelines.bench.result import Reading
+from pipelines.bench.session import live_report
+
+#: The end of `cyclictest`'s histogram, in µs; it counts later wake-ups apart.
 _LONGEST_US = 20_000
-#: How much longer than the run a command may take to start and to end.
+#: How much longer than its run `cyclictest` may take to end.
 _PATIENCE_S = 60
 
 
@@ -20,7 +18,7 @@ _PATIENCE_S = 60
 class Punctuality:
     """Of one periodic task of 1 ms, in µs after its deadlines: p50, p99, p99.9 and max.
 
-    name: whose. slips: deadlines that passed unused, of `cycles`; None where nobody counts them.
+    slips: deadlines that passed unused, of `cycles`; None where nothing counts them.
     """
 
     name: str
@@ -37,33 +35,24 @@ def live_punctuality(
     `cyclictest`, if it is installed and permitted, runs at the same time and comes first: with the
     same period, and with the gateways' real-time priority.
     """
-    with TemporaryDirectory() as directory:
-        report_file = Path(directory) / "report.json"
-        command = [sys.executable, "-m", "pipelines.cli", "stream" if media else "link"]
-        command += ["--setup", setup, "--seconds", f"{seconds:g}", "--report", str(report_file)]
-        command += ["--base-port", str(base_port), "-q"]
-        peer = _start_cyclictest(seconds)
-        try:
-            subprocess.run(command, check=False, timeout=seconds + _PATIENCE_S)
-        finally:
-            figures = [] if peer is None else _finish_cyclictest(peer)
-        report = json.loads(report_file.read_text(encoding="utf-8"))
+    words = ["stream" if media else "link", "--setup", setup, "--base-port", str(base_port)]
+    peer = _start_cyclictest(seconds)
+    try:
+        report = live_report(words, seconds=seconds)
+    finally:
+        figures = [] if peer is None else _finish_cyclictest(peer)
     return [*figures, *_gateways(report)]
 
 
-def _gateways(report: dict[str, Any]) -> list[Punctuality]:
-    return [
-        Punctuality(
-            f"{end} gateway",
-            {name: link["lateness_us"][name] for name in ("p50", "p99", "p99.9", "max")},
-            link["slips"],
-            link["frames"],
-        )
-        for end, link in (
-            ("ground", report["link"]["uplink"]),
-            ("space", report["link"]["downlink"]),
-        )
-    ]
+def _gateways(report: Reading) -> list[Punctuality]:
+    found = []
+    for end, direction in (("ground", "uplink"), ("space", "downlink")):
+        link = report.at("link", direction)
+        names = ("p50", "p99", "p99.9", "max")
+        lateness_us = {name: link.number("lateness_us", name) for name in names}
+        slips, frames = round(link.number("slips")), round(link.number("frames"))
+        found.append(Punctuality(f"{end} gateway", lateness_us, slips, frames))
+    return found
 
 
 def _start_cyclictest(seconds: float) -> "subprocess.Popen[str] | None":

@@ -18,14 +18,16 @@ from pipelines.bench.passes.figures import (
     HEADINGS,
     Figures,
     faults,
+    headlines,
     markdown,
     pass_figures,
     summary,
     table_rows,
 )
 from pipelines.bench.passes.run import Plan, run_sessions
+from pipelines.bench.result import write_result
 from pipelines.commands.session_options import add_radio_argument, add_setup_argument
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.report_file import check_writable
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import Setup
 
@@ -113,11 +115,7 @@ def _checked(args: argparse.Namespace) -> Setup:
     if not 1 <= args.jobs <= 64:
         raise ConfigError(f"--jobs {args.jobs}: give 1 to 64")
     check_writable(args.report)
-    if args.markdown is not None:
-        try:
-            check_writable(args.markdown)
-        except ConfigError as error:
-            raise ConfigError(str(error).replace("--report", "--markdown", 1)) from None
+    check_writable(args.markdown, "--markdown")
     return replace(load_setup(args.setup), radio=args.radio, radio_delay_ms=0.0)
 
 
@@ -170,7 +168,7 @@ def _kept(path: Path | None, plan: Plan) -> dict[int, Figures]:
 def _keep(path: Path | None, plan: Plan, sessions: dict[int, Figures]) -> None:
     if path is not None:
         ordered = {str(seed): sessions[seed] for seed in sorted(sessions)}
-        write_report(path, {"plan": asdict(plan), "sessions": ordered})
+        write_result(path, {"plan": plan, "sessions": ordered}, headlines(sessions))
 
 
 def _title(args: argparse.Namespace, ended_early: bool, count: int) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from kontur_av.clock import NS_PER_S
+from pipelines.bench.result import Headline
 
 #: Of the time that the orbit predicts as usable, this share must have been.
 USABLE_SHARE = 0.99
@@ -286,6 +287,33 @@ def summary(sessions: Mapping[int, Figures]) -> str:
     if worst:
         said += f" Video p99 from {min(worst):.1f} to {max(worst):.1f} ms."
     return said
+
+
+def headlines(sessions: Mapping[int, Figures]) -> list[Headline]:
+    """The figures of all sessions for the page of measurements."""
+    whole = [figures for figures in sessions.values() if "error" not in figures]
+    videos = [of["streams"]["uplink_video"] for of in whole if "uplink_video" in of["streams"]]
+    usable = sum(not faults(figures) for figures in sessions.values())
+    found = [
+        Headline(
+            what="usable sessions",
+            unit="",
+            value=usable,
+            target=f"all {len(sessions)}",
+            met=usable == len(sessions),
+        )
+    ]
+    for what, values in (
+        ("force, one way, largest", _each("max", [of["haptic"]["up"] for of in whole])),
+        ("uplink picture, p99 of the worst session", _each("p99", videos)),
+    ):
+        if values:
+            found.append(Headline(what=what, unit="ms", value=max(values)))
+    least_uj = [of["least_energy_uj"] for of in whole if of["least_energy_uj"] is not None]
+    if least_uj:
+        what = "least energy that a passivity observer saw"
+        found.append(Headline(what=what, unit="µJ", value=min(least_uj)))
+    return found
 
 
 def _each(name: str, channels: Sequence[Mapping[str, Any]]) -> list[float]:

@@ -1,13 +1,12 @@
-"""`kontur-av bench sync`: how far sight, hearing and touch lie apart, from content.
+"""`kontur-av bench sync`: the skew between sight, hearing and touch, measured by content.
 
-Of a session on virtual time or live, or of recordings of a real LED, a real click and a real force.
+It measures a session, on virtual time or live, or recordings of an LED, a click and a force.
 """
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -18,11 +17,12 @@ from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
 from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
-from pipelines.bench.latency.runs import live_run
+from pipelines.bench.result import Headline, Json, Reading, as_json, write_result
+from pipelines.bench.session import live_session
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
 from pipelines.commands.simulate import simulate
 from pipelines.commands.stream import check_sources
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.report_file import check_writable
 from pipelines.report.sync.figures import PAIRS, SENSES, Event, skew_summary, skews_ns
 from pipelines.report.sync.matching import Found
 from pipelines.setup.setup_file import load_setup
@@ -33,9 +33,29 @@ _WORDS = {
     "audio_haptic": "sound after force",
     "audio_video": "sound after video",
 }
-#: By the option that names the recording.
+#: The sense of a recording, by the option that names its file.
 _RECORDINGS = {"video": "light", "audio": "click", "haptics": "force"}
 _LONGEST_OFFSET_MS = 3_600_000.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FootageEvent:
+    """Instants in s on the clock of the recordings; None where nothing was found."""
+
+    light: float | None
+    click: float | None
+    force: float | None
+    number: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FootageResult:
+    """recordings: files by option. offset_ms: what was added. skew_ms: summaries by pair."""
+
+    recordings: Mapping[str, Path]
+    offset_ms: Mapping[str, float]
+    events: Sequence[FootageEvent]
+    skew_ms: Json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,7 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure and print; 1 if the stamps of a session disagree with its content."""
+    """Measure and print; 1 if the stamps of a session disagree with its content, or it failed."""
     check_writable(args.report)
     check_plot(args.plot)
     console = open_console(args)
@@ -96,42 +116,65 @@ def _run_session(args: argparse.Namespace, console: Console) -> int:
     setup = replace(load_setup(name), radio=radio, radio_delay_ms=0.0)
     check_sources(setup)
     if args.live:
-        report = live_run(
+        report = live_session(
             name, seconds=seconds, seed=args.seed, radio=radio, base_port=args.base_port
         )
     else:
         check_virtual_sources(setup)
-        report = simulate(setup, seconds=seconds, seed=args.seed)
-    sync = report["sync"]
-    if sync is None:
+        report = Reading(as_json(simulate(setup, seconds=seconds, seed=args.seed)))
+    if not report.has("sync"):
         raise ConfigError(f"--seconds {seconds:g}: no target was touched; give more")
+    sync = report.at("sync")
     where = "live" if args.live else "on virtual time"
     console.print(f"{setup.name}, {seconds:g} s {where}, radio {radio}, seed {args.seed}")
     console.print(
-        f"{sync['events']} touches of a target, {sync['touches_beside_targets']} beside one, "
-        f"{sync['bounces']} bounces"
+        f"{sync.number('events'):.0f} touches of a target, "
+        f"{sync.number('touches_beside_targets'):.0f} beside one, "
+        f"{sync.number('bounces'):.0f} bounces"
     )
-    console.print(_senses(sync["senses"]))
-    console.print(_skews(sync["skew_ms"]))
-    for failure in report["failures"]:
+    console.print(_senses(sync))
+    console.print(_skews(sync.at("skew_ms")))
+    failures = [failure.text() for failure in report.elements("failures")]
+    for failure in failures:
         console.print(f"failed: {failure}", style="bold red", markup=False)
-    if args.report is not None:
-        write_report(args.report, {"setup": setup.name, "radio": radio, "seconds": seconds, **sync})
+    body = sync.json
+    assert isinstance(body, dict)
+    head: dict[str, Json] = {"setup": setup.name, "radio": radio, "seconds": seconds}
+    write_result(args.report, head | body, _headlines(sync))
     if args.plot is not None:
-        listed = sync["listed"]
-        pairs = {
-            pair: [
-                event[f"{first}_ms"] - event[f"{second}_ms"]
-                for event in listed
-                if None not in (event[f"{first}_ms"], event[f"{second}_ms"])
-            ]
-            for pair, (first, second) in PAIRS.items()
-        }
+        pairs = {pair: _listed_skews(sync, *senses) for pair, senses in PAIRS.items()}
         _plot(args.plot, pairs, f"{setup.name}, {where}, radio {radio}")
     disagrees = any(
-        sense is not None and sense["agrees"] is False for sense in sync["senses"].values()
+        of.value is not None and of.at("agrees").value is False for _, of in sync.items("senses")
     )
-    return 1 if disagrees or report["failures"] else 0
+    return 1 if disagrees or failures else 0
+
+
+def _listed_skews(sync: Reading, first: str, second: str) -> list[float]:
+    """Of the events that both senses perceived, in ms."""
+    return [
+        event.number(f"{first}_ms") - event.number(f"{second}_ms")
+        for event in sync.elements("listed")
+        if event.has(f"{first}_ms") and event.has(f"{second}_ms")
+    ]
+
+
+def _headlines(sync: Reading) -> list[Headline]:
+    found = [Headline(what="touches of a target", unit="", value=sync.number("events"))]
+    for sense, of in sync.items("senses"):
+        if of.value is not None and of.number("perceived"):
+            for name in ("p50", "p99"):
+                value = of.number("latency_ms", name)
+                what = f"contact until {sense} at the operator, {name}"
+                found.append(Headline(what=what, unit="ms", value=value))
+    for pair, of in sync.items("skew_ms"):
+        if of.value is None:
+            continue
+        found.append(Headline(what=f"{_WORDS[pair]}, p95", unit="ms", value=of.number("p95")))
+        within = 100 * of.number("within")
+        what = f"{_WORDS[pair]}, share that is not noticeable"
+        found.append(Headline(what=what, unit="%", value=within))
+    return found
 
 
 def _run_footage(args: argparse.Namespace, recordings: Mapping[str, Path], console: Console) -> int:
@@ -155,22 +198,23 @@ def _run_footage(args: argparse.Namespace, recordings: Mapping[str, Path], conso
         found[sense] = [replace(one, instant_ns=one.instant_ns + offset_ns) for one in some]
     events = joined(found)
     console.print(_events(events))
-    skews = {pair: skew_summary(pair, skews_ns(pair, events)) for pair in PAIRS}
-    console.print(_skews(skews))
-    if args.report is not None:
-        figures = [
-            {sense: _instant_s(event, sense) for sense in SENSES} | {"number": number}
+    skews = as_json({pair: skew_summary(pair, skews_ns(pair, events)) for pair in PAIRS})
+    console.print(_skews(Reading(skews)))
+    result = FootageResult(
+        recordings=recordings,
+        offset_ms={name: ns / NS_PER_MS for name, ns in offsets.items()},
+        events=[
+            FootageEvent(
+                light=_instant_s(event, "light"),
+                click=_instant_s(event, "click"),
+                force=_instant_s(event, "force"),
+                number=number,
+            )
             for number, event in enumerate(events, 1)
-        ]
-        write_report(
-            args.report,
-            {
-                "recordings": {name: str(path) for name, path in recordings.items()},
-                "offset_ms": {name: ns / NS_PER_MS for name, ns in offsets.items()},
-                "events": figures,
-                "skew_ms": skews,
-            },
-        )
+        ],
+        skew_ms=skews,
+    )
+    write_result(args.report, result, ())
     if args.plot is not None:
         pairs = {pair: [value / NS_PER_MS for value in skews_ns(pair, events)] for pair in PAIRS}
         _plot(args.plot, pairs, "recordings")
@@ -204,13 +248,13 @@ def _roi(text: str | None) -> Roi | None:
     return Roi(left, top, width, height)
 
 
-def _senses(senses: Mapping[str, Mapping[str, Any] | None]) -> Table:
+def _senses(sync: Reading) -> Table:
     table = Table(
         title="from the contact to the operator, ms",
         title_justify="left",
         box=SIMPLE_HEAD,
-        caption="stamp error: when the stamps say that it happened, less when it did, p50 of the "
-        "clearest; of a light up to a picture's period",
+        caption="stamp error: instant by the stamps less instant by the content, p50 of the "
+        "clearest; for a light up to one picture period",
         caption_justify="left",
     )
     table.add_column("sense")
@@ -219,41 +263,45 @@ def _senses(senses: Mapping[str, Mapping[str, Any] | None]) -> Table:
     table.add_column("stamp error", justify="right")
     table.add_column("allowed", justify="right")
     table.add_column("stamps")
-    for sense, figures in senses.items():
-        if figures is None:
+    for sense, figures in sync.items("senses"):
+        if figures.value is None:
             continue
-        least, most = figures["allowed_error_ms"]
-        verdict = {True: "agree", False: "DISAGREE", None: "too few to say"}[figures["agrees"]]
+        latency = figures.at("latency_ms")
+        agrees = figures.at("agrees").value
         table.add_row(
             sense,
-            str(figures["perceived"]),
-            str(figures["missed"]),
-            *(_ms(figures["latency_ms"].get(key)) for key in ("p50", "p95", "p99", "max")),
-            _ms(figures["stamped_latency_ms"].get("p50")),
-            _ms(figures["judged_error_ms"], signed=True),
-            f"{least:+.0f} to {most:+.0f}",
-            verdict,
+            f"{figures.number('perceived'):.0f}",
+            f"{figures.number('missed'):.0f}",
+            *(_ms(latency.number_or_none(key)) for key in ("p50", "p95", "p99", "max")),
+            _ms(figures.number_or_none("stamped_latency_ms", "p50")),
+            _ms(figures.number_or_none("judged_error_ms"), signed=True),
+            _limits(figures.at("allowed_error_ms")),
+            "too few to say" if agrees is None else "agree" if agrees else "DISAGREE",
         )
     return table
 
 
-def _skews(skews: Mapping[str, Mapping[str, Any] | None]) -> Table:
+def _limits(limits: Reading) -> str:
+    least, most = (limit.number() for limit in limits.elements())
+    return f"{least:+.0f} to {most:+.0f}"
+
+
+def _skews(skews: Reading) -> Table:
     table = Table(title="skew at the operator, ms", title_justify="left", box=SIMPLE_HEAD)
     table.add_column("skew")
     for heading in ("events", "p50", "p95", "p99", "max", "unnoticed", "limits"):
         table.add_column(heading, justify="right")
     table.add_column("of")
     for name, figures in skews.items():
-        if figures is None:
+        if figures.value is None:
             continue
-        least, most = figures["limits_ms"]
         table.add_row(
             _WORDS[name],
-            str(figures["events"]),
-            *(_ms(figures[key], signed=True) for key in ("p50", "p95", "p99", "max")),
-            f"{100 * figures['within']:.0f} %",
-            f"{least:+.0f} to {most:+.0f}",
-            figures["source"],
+            f"{figures.number('events'):.0f}",
+            *(_ms(figures.number(key), signed=True) for key in ("p50", "p95", "p99", "max")),
+            f"{100 * figures.number('within'):.0f} %",
+            _limits(figures.at("limits_ms")),
+            figures.text("source"),
         )
     return table
 
@@ -288,7 +336,7 @@ def _ms(value: float | None, *, signed: bool = False) -> str:
 
 
 def _plot(path: Path, pairs: Mapping[str, Sequence[float]], title: str) -> None:
-    """How far apart the senses are, whichever comes first."""
+    """Draw the absolute skew of each pair of senses."""
     curves = {
         _WORDS[pair].replace(" after ", " and "): [abs(value) for value in values]
         for pair, values in pairs.items()

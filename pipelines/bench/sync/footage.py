@@ -1,7 +1,7 @@
-"""Lights, clicks and steps out of recordings of a real LED, a real click and a real force.
+"""Lights, clicks and steps in recordings of a real LED, a real click and a real force.
 
-Each recording is decoded from its begin to its end; an instant is what the file's own time stamps
-say, so recordings that were begun together need nothing more.
+Each recording is decoded from its beginning to its end. Instants are the time stamps of the file,
+so recordings that were started together need no offset.
 """
 
 import csv
@@ -22,13 +22,13 @@ from pipelines.report.sync.figures import Event
 from pipelines.report.sync.matching import Found, match_around
 from telepresence.haptics.step_detector import StepDetector
 
-#: A whole picture is looked at in no larger width, and all in so many cells across: a real LED may
-#: be small.
+#: Whole pictures are scaled down to this width at most, and searched in this many columns of cells:
+#: a real LED may be small.
 _WIDEST = 1280
 _COLUMNS = 160
-#: A light or a click may come so much before or after the step that it belongs to.
+#: A light or a click lies at most this far from the step that it belongs to.
 _AROUND_NS = 750 * NS_PER_MS
-#: What a resampler hands out may lie so far beside what the samples before it say.
+#: A time stamp that differs by more than this from the count of samples is a jump in the recording.
 _JUMP_NS = 5 * NS_PER_MS
 
 
@@ -47,7 +47,7 @@ def lights(path: Path, roi: Roi | None) -> list[Found]:
             if roi.left + roi.width > frame.width or roi.top + roi.height > frame.height:
                 size = f"{frame.width}x{frame.height}"
                 raise ConfigError(f"--roi: the picture of {path} has {size} pixels")
-            # A part of it is looked at as it is.
+            # A region is searched at the full resolution.
             widest = frame.width
         width = max(16, min(widest, frame.width) // 4 * 4)
         height = max(16, round(frame.height * width / frame.width) // 4 * 4)
@@ -92,21 +92,21 @@ def clicks(path: Path) -> list[Found]:
         hear(piece)
     if due_ns is None:
         raise ConfigError(f"{path}: there is no sound in it")
-    # A click at the very end still has to be over.
+    # Silence, so that a click at the very end is complete.
     ear.handle_block(np.zeros(AUDIO_CLOCK_HZ // 20, np.int16), due_ns, due_ns)
     found.extend(Found(click.instant_ns, click.strength) for click in iter(ear.next_event, None))
     return found
 
 
 def steps(path: Path) -> list[Found]:
-    """The steps in a table `time_s,force_n`. ConfigError, with the line, for what is none."""
+    """The steps in a table `time_s,force_n`. ConfigError, with the line, for a wrong table."""
     detector = StepDetector()
     rows = list(_rows(path))
     if len(rows) < 2:
         raise ConfigError(f"{path}: it has fewer than 2 rows of time_s,force_n")
     for (_, before_s, _), (line, after_s, _) in pairwise(rows):
         if after_s <= before_s:
-            raise ConfigError(f"{path}: line {line}: time does not go on after {before_s:g} s")
+            raise ConfigError(f"{path}: line {line}: time does not increase after {before_s:g} s")
     found: list[Found] = []
     for _, time_s, force_n in rows:
         detector.handle_sample(round(time_s * NS_PER_S), force_n)
@@ -116,10 +116,10 @@ def steps(path: Path) -> list[Found]:
 
 
 def joined(found: dict[str, list[Found]]) -> list[Event]:
-    """What belongs together. found: by sense, at least two of light, click and force.
+    """Join what belongs to one event. found: by sense, at least two of light, click and force.
 
-    The force is what the others are joined to; without it the light. What lies between two of them
-    belongs to the nearer one.
+    Lights and clicks are joined to the force, or clicks to the light if there is no force; each to
+    the nearest one.
     """
     reference = "force" if "force" in found else "light"
     instants = [one.instant_ns for one in found[reference]]

@@ -12,11 +12,9 @@ The first second does not count, except against the cap.
 """
 
 import argparse
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 from rich.table import Table
@@ -25,16 +23,27 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
+from pipelines.bench.result import Headline, Json, as_json, write_result
 from pipelines.bench.video.clips import FOOTAGE, SCENE, Clip, clips
 from pipelines.bench.video.contenders import CONTENDERS, ContenderError, missing
 from pipelines.bench.video.figures import Figures
 from pipelines.bench.video.marks import NUMBERS, check_width
 from pipelines.bench.video.run import Terms, measure
 from pipelines.bench.video.targets import NARROW, WIDE, Verdict, judge
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.report_file import check_writable
 
 _WIDE_KBPS = (512.0, 530.0)
 _FPS = 30
+
+
+@dataclass(frozen=True, slots=True)
+class ClipResult:
+    """One clip at one rate. measured: figures and latencies (ms) of each contender."""
+
+    rate: str
+    clip: str
+    measured: Mapping[str, tuple[Figures, list[float]]]
+    verdicts: Sequence[Verdict]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     names = set(args.only)
     contenders = _contenders(names & set(CONTENDERS), say)
     chosen = names - set(CONTENDERS)
-    figures: dict[str, Any] = {}
+    results: list[ClipResult] = []
     panels: dict[str, dict[str, list[float]]] = {}
     failed = False
     found = [
@@ -100,19 +109,56 @@ def run(args: argparse.Namespace) -> int:
             verdicts = judge(told, WIDE if these is not terms[0] else NARROW, these.cap_kbps)
             if verdicts:
                 console.print(_verdicts(f"{name}, {rate}: kontur-av against its targets", verdicts))
-            figures.setdefault(rate, {})[name] = {
-                who: asdict(result) | {"latencies_ms": latencies}
-                for who, (result, latencies) in measured.items()
-            } | {"targets": [asdict(verdict) for verdict in verdicts]}
-            if args.report is not None:
-                # Each time, because a run is long and may be ended early.
-                write_report(args.report, _plain(figures))
+            results.append(ClipResult(rate, name, measured, verdicts))
+            # After every clip: a run is long, and may be ended early.
+            write_result(args.report, _report(results), _headlines(results), digits=4)
             panels[f"{name}, {rate}: capture to displayed"] = {
                 who: latencies for who, (_, latencies) in measured.items()
             }
             if args.plot is not None:
                 save(distributions(panels, axis="capture to displayed, ms"), args.plot)
     return 1 if failed else 0
+
+
+def _report(results: Sequence[ClipResult]) -> dict[str, Json]:
+    """By rate, clip and contender."""
+    found: dict[str, dict[str, Json]] = {}
+    for of in results:
+        clip: dict[str, Json] = {"targets": as_json(of.verdicts)}
+        for who, (figures, latencies) in of.measured.items():
+            row = as_json(figures)
+            assert isinstance(row, dict)
+            clip[who] = row | {"latencies_ms": as_json(latencies)}
+        found.setdefault(of.rate, {})[of.clip] = clip
+    return {rate: as_json(clips) for rate, clips in found.items()}
+
+
+def _headlines(results: Sequence[ClipResult]) -> list[Headline]:
+    found = []
+    for of in results:
+        for who, (figures, _) in of.measured.items():
+            for what, unit, value in (
+                ("capture to displayed, p50", "ms", figures.latency_ms["p50"]),
+                ("capture to displayed, p99", "ms", figures.latency_ms["p99"]),
+                ("PSNR, mean", "dB", figures.psnr_db.mean),
+                ("PSNR, worst 5 %", "dB", figures.psnr_db.worst),
+                ("displayed", "pictures/s", figures.per_second),
+                ("CPU of both ends", "s", figures.cpu_s),
+            ):
+                group = f"{of.clip}, {of.rate}"
+                found.append(Headline(group=group, what=what, who=who, unit=unit, value=value))
+        found += [
+            Headline(
+                group=f"targets: {of.clip}, {of.rate}",
+                what=verdict.what,
+                unit=verdict.unit,
+                value=verdict.value,
+                target=verdict.target,
+                met=verdict.met,
+            )
+            for verdict in of.verdicts
+        ]
+    return found
 
 
 def _checked(args: argparse.Namespace) -> tuple[int, int, list[Terms]]:
@@ -244,14 +290,3 @@ def _verdicts(title: str, verdicts: Sequence[Verdict]) -> Table:
             "met" if verdict.met else "[red]missed[/red]",
         )
     return table
-
-
-def _plain(value: Any) -> Any:
-    """JSON has no NaN and no infinity."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return round(value, 4) if math.isfinite(value) else None
-    return value

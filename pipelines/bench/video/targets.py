@@ -1,4 +1,4 @@
-"""What the project wants to reach in `bench video`, and whether a run did. A core."""
+"""The targets of `bench video`, and whether a run reached them. A core."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,28 +6,33 @@ from dataclasses import dataclass
 from pipelines.bench.video.contenders import OURS, TUNED
 from pipelines.bench.video.figures import Figures
 
-#: Of the figures of the contenders, to the value that counts.
+#: From the figures of a contender to the value that counts.
 _Value = Callable[[Figures], float]
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One target. target, found, against: in words; against: what the peers reached."""
+    """One target. target, found, against: in words; against: what the best peer reached.
+
+    value: what was found, in `unit`.
+    """
 
     what: str
     target: str
     found: str
     against: str
     met: bool
+    unit: str
+    value: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Target:
-    """value of ours compared with `bound`; relative targets compare with the best peer's.
+    """A bound for `value` of kontur-av; a relative target compares with the best peer.
 
-    most: whether the bound is the largest value allowed, else it is the smallest.
-    peers: whose best counts; none for an absolute bound. ratio: found divided by the peer's,
-    else the difference.
+    most: whether the bound is the largest value allowed; otherwise it is the smallest.
+    peers: the peers of a relative target; None for an absolute bound. ratio: compare by division,
+    otherwise by difference. of_cap: `value` in per cent of the cap.
     """
 
     what: str
@@ -144,7 +149,7 @@ WIDE = (
 def judge(
     measured: Mapping[str, Figures], targets: Sequence[_Target], cap_kbps: float
 ) -> list[Verdict]:
-    """A verdict on each target that can be judged: those against a peer need one."""
+    """A verdict on each target that can be judged; a relative target needs a peer."""
     if OURS not in measured:
         return []
     found = [_verdict(target, measured, cap_kbps) for target in targets]
@@ -173,4 +178,6 @@ def _verdict(target: _Target, measured: Mapping[str, Figures], cap_kbps: float) 
         f"{value:.2f} {target.unit}",
         against,
         met,
+        target.unit,
+        value,
     )

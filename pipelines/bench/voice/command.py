@@ -1,9 +1,10 @@
-"""`kontur-av bench voice`: mouth to ear, rate and quality under loss, beside GStreamer's."""
+"""`kontur-av bench voice`: mouth to ear, rate and quality under loss, beside GStreamer."""
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import isnan
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 
@@ -13,19 +14,47 @@ from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.sources.source import BLOCK_NS
 from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
+from pipelines.bench.result import Headline, Spread, spread, write_result
 from pipelines.bench.voice.gstreamer import Peer, listen_live, missing
 from pipelines.bench.voice.network import BURST_PACKETS, Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track, pesq_is_there, quality, speech_track
 from pipelines.bench.voice.virtual import Heard, listen, speak
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.report_file import check_writable
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import VoiceStream
 
 _OURS = "kontur-av"
 _LOSSES = (0.0, 0.02, 0.05, 0.10)
-#: Of GStreamer's jitter buffer, in ms: as it comes, and as an expert sets it for this network.
+#: Latency of GStreamer's jitter buffer, in ms: its default, and what suits this network.
 _DEFAULT_MS, _TUNED_MS = 200, 20
 _SETUP = "spacejustin"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VoiceRow:
+    """One voice through one network. loss: its name; lost_percent: of the packets.
+
+    heard_s: length of what came out. made_up_ms: of it concealed or inserted; None if unknown.
+    pesq: mean of `pesq_of_turns` (MOS-LQO); None if not measured.
+    """
+
+    loss: str
+    lost_percent: float
+    who: str
+    mouth_to_ear_ms: Spread
+    payload_bps: int
+    heard_s: float
+    made_up_ms: int | None
+    pesq: float | None
+    pesq_of_turns: Sequence[float]
+
+
+@dataclass(frozen=True, slots=True)
+class VoiceResult:
+    """voice: rows by the cap of the voice."""
+
+    speech_s: float
+    voice: Mapping[str, Sequence[VoiceRow]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=5.0,
         metavar="J",
-        help="up to so much more for each packet, by chance (default 5)",
+        help="largest random addition for each packet (default 5)",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of losses and jitter")
     parser.add_argument("--no-live", action="store_true", help="without GStreamer")
@@ -67,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         console.print(f"no GStreamer: {absent}")
     setup = load_setup(_SETUP)
     track = speech_track(args.seconds)
-    figures: dict[str, Any] = {}
+    figures: dict[str, list[VoiceRow]] = {}
     panels = {}
     for stream in (setup.uplink_voice, setup.downlink_voice):
         assert stream is not None
@@ -84,8 +113,8 @@ def run(args: argparse.Namespace) -> int:
         console.print(table)
         figures[name] = rows
         panels[f"mouth to ear, voice at {name}"] = curves
-    if args.report is not None:
-        write_report(args.report, {"speech_s": track.blocks * BLOCK_NS / 1e9, "voice": figures})
+    result = VoiceResult(track.blocks * BLOCK_NS / 1e9, figures)
+    write_result(args.report, result, _headlines(figures))
     if args.plot is not None:
         save(distributions(panels, axis="mouth to ear, ms"), args.plot)
     return 0
@@ -121,28 +150,38 @@ def _runs(
                 yield network, f"GStreamer, {peer.latency_ms} ms", heard
 
 
-def _figures(track: Track, network: Network, who: str, heard: Heard) -> dict[str, Any]:
-    ordered = sorted(heard.mouth_to_ear_ns)
-    ranks = {"p50": 50, "p95": 95, "p99": 99, "max": 100}
-    latency = {
-        name: round(ordered[-(-len(ordered) * p // 100) - 1] / NS_PER_MS, 1) if ordered else None
-        for name, p in ranks.items()
-    }
+def _headlines(figures: Mapping[str, Sequence[VoiceRow]]) -> list[Headline]:
+    found = []
+    for name, rows in figures.items():
+        for row in rows:
+            ms = row.mouth_to_ear_ms
+            for what, unit, value in (
+                ("mouth to ear, p50", "ms", ms.p50),
+                ("mouth to ear, p99", "ms", ms.p99),
+                ("PESQ", "MOS-LQO", row.pesq),
+            ):
+                label = f"loss {row.loss}: {what}"
+                found.append(
+                    Headline(group=f"at {name}", what=label, who=row.who, unit=unit, value=value)
+                )
+    return found
+
+
+def _figures(track: Track, network: Network, who: str, heard: Heard) -> VoiceRow:
+    latency = spread([round(ns / NS_PER_MS, 1) for ns in heard.mouth_to_ear_ns])
     scores = quality(track, heard.samples, heard.lag_samples) if pesq_is_there() else []
     open_to_loss = max(1, track.blocks - LEAD_IN_BLOCKS)
-    return {
-        "loss": network.name,
-        "lost_percent": round(100 * heard.lost / open_to_loss, 2),
-        "who": who,
-        "mouth_to_ear_ms": latency,
-        "payload_bps": round(
-            heard.payload_octets * 8 * 1e9 / max(1, heard.packets * BLOCK_NS),
-        ),
-        "heard_s": round(len(heard.samples) / AUDIO_CLOCK_HZ, 2),
-        "made_up_ms": None if heard.made_up_ns is None else round(heard.made_up_ns / NS_PER_MS),
-        "pesq": round(sum(scores) / len(scores), 3) if scores else None,
-        "pesq_of_turns": [round(score, 3) for score in scores],
-    }
+    return VoiceRow(
+        loss=network.name,
+        lost_percent=round(100 * heard.lost / open_to_loss, 2),
+        who=who,
+        mouth_to_ear_ms=latency,
+        payload_bps=round(heard.payload_octets * 8 * 1e9 / max(1, heard.packets * BLOCK_NS)),
+        heard_s=round(len(heard.samples) / AUDIO_CLOCK_HZ, 2),
+        made_up_ms=None if heard.made_up_ns is None else round(heard.made_up_ns / NS_PER_MS),
+        pesq=round(sum(scores) / len(scores), 3) if scores else None,
+        pesq_of_turns=[round(score, 3) for score in scores],
+    )
 
 
 def _table(stream: VoiceStream, track: Track) -> Table:
@@ -161,13 +200,13 @@ def _table(stream: VoiceStream, track: Track) -> Table:
     return table
 
 
-def _add(table: Table, row: dict[str, Any]) -> None:
-    latency = row["mouth_to_ear_ms"]
+def _add(table: Table, row: VoiceRow) -> None:
+    ms = row.mouth_to_ear_ms
     table.add_row(
-        row["loss"],
-        row["who"],
-        f"{row['lost_percent']:.1f}",
-        f"{row['payload_bps'] / 1000:.1f}",
-        *("-" if latency[key] is None else f"{latency[key]:.1f}" for key in ("p50", "p99", "max")),
-        "-" if row["pesq"] is None else f"{row['pesq']:.2f}",
+        row.loss,
+        row.who,
+        f"{row.lost_percent:.1f}",
+        f"{row.payload_bps / 1000:.1f}",
+        *("–" if isnan(value) else f"{value:.1f}" for value in (ms.p50, ms.p99, ms.max)),
+        "–" if row.pesq is None else f"{row.pesq:.2f}",
     )

@@ -5,8 +5,10 @@ import json
 import cv2
 import pytest
 
+from pipelines.bench.latency import targets
 from pipelines.bench.latency.charts import lead_chart
 from pipelines.bench.latency.targets import judge
+from pipelines.bench.result import Reading
 from pipelines.cli import main
 from pipelines.report.terms import TERMS
 
@@ -29,7 +31,7 @@ def report(force=13.0, video=45.0, voice=60.0, skew=45.0, within=1.0, delay_ns=1
 
 
 def test_all_targets_are_met_at_their_bounds():
-    verdicts = judge(report())
+    verdicts = judge(Reading(report()))
     assert len(verdicts) == 5
     assert all(verdict.met for verdict in verdicts)
 
@@ -46,7 +48,7 @@ def test_all_targets_are_met_at_their_bounds():
     ],
 )
 def test_a_little_more_misses_one_target(change):
-    assert [verdict.met for verdict in judge(report(**change))].count(False) == 1
+    assert [verdict.met for verdict in judge(Reading(report(**change)))].count(False) == 1
 
 
 def test_a_setup_without_voice_is_not_judged_by_it():
@@ -54,7 +56,10 @@ def test_a_setup_without_voice_is_not_judged_by_it():
     del found["streams"]["uplink_voice"]
     found["lip_sync"] = None
     found["skew_ms"]["video_haptic"] = None
-    assert [verdict.what.split(",")[0] for verdict in judge(found)] == ["force", "uplink_video"]
+    assert [verdict.what.split(",")[0] for verdict in judge(Reading(found))] == [
+        "force",
+        "uplink_video",
+    ]
 
 
 def test_the_page_is_printed_written_and_drawn(tmp_path, capsys):
@@ -77,6 +82,17 @@ def test_the_page_is_printed_written_and_drawn(tmp_path, capsys):
     assert latency["p99"] <= latency["p99.9"] <= latency["max"]
     assert figures["clocks"]["virtual"]["error_us"] == 0
     assert cv2.imread(str(plot)).min() < 50
+
+
+def test_a_missed_target_is_shown_and_is_no_failure(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(targets, "VIDEO_MS", 1.0)
+    written = tmp_path / "figures.json"
+    command = ["bench", "latency", "--no-live", "--seconds", "2", "--report", str(written)]
+    assert main(command) == 0
+    assert "MISSED" in capsys.readouterr().out
+    found = {(one["what"], one["who"]): one for one in json.loads(written.read_text())["headlines"]}
+    missed = found["uplink_video, capture to display, p99", "virtual time"]
+    assert (missed["target"], missed["met"]) == ("<= 1 ms", False)
 
 
 def test_a_bar_is_as_long_as_its_terms_and_terms_below_0_are_left_out():

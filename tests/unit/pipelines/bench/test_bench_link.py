@@ -94,7 +94,7 @@ def test_the_command_prints_tables_and_writes_figures(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "haptic sample" in printed
     figures = json.loads(report.read_text())
-    assert set(figures) == {"delays", "headers", "goodput", "resumption", "cost"}
+    assert set(figures) == {"delays", "headers", "goodput", "resumption", "cost", "headlines"}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,118 @@
+"""Which benches `kontur-av bench all` runs, with which options, and how often. A core."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from kontur_av.errors import ConfigError
+
+#: A figure in real time varies from run to run: its spread needs at least this many.
+LIVE_RUNS = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measurement:
+    """A command, and how often it runs.
+
+    name: of its files and for `--only`. title: of its section. words: of the command, after
+    `kontur-av bench`. runs: 1 where all is on virtual time, so that every run is the same.
+    """
+
+    name: str
+    title: str
+    words: tuple[str, ...]
+    runs: int = LIVE_RUNS
+
+    @property
+    def command(self) -> str:
+        """What a reader types to measure it again."""
+        return " ".join(("kontur-av bench", *self.words))
+
+
+_TITLES = {
+    "latency": "Latency of every stream, by stage",
+    "cpu": "CPU time of a session",
+    "video": "Pictures through a thin channel",
+    "voice": "Speech through a lossy network",
+    "link": "The radio link",
+    "haptics": "Stability and passivity of the hand",
+    "sync": "Sight, hearing and touch, by content: virtual time",
+    "sync-live": "Sight, hearing and touch, by content: live",
+    "passes": "Sessions of a whole pass",
+    "fanout": "One picture for many processes",
+}
+_VIRTUAL = ("haptics", "sync", "passes")
+
+#: In all three the benches and their order are the same.
+_OPTIONS: Mapping[str, Mapping[str, str]] = {
+    "quick": {
+        "latency": "--seconds 10 --live-seconds 10",
+        "cpu": "--runs 1 --seconds 10",
+        "video": "--seconds 8 --only bikes --only scene",
+        "voice": "--seconds 10",
+        "link": "--seconds 5 --blackouts 20",
+        "haptics": "--grid small",
+        "sync": "--seconds 60",
+        "sync-live": "--live --seconds 15",
+        "passes": "--sessions 3 --no-media",
+        "fanout": "--seconds 2 --readers 1,8",
+    },
+    "full": {
+        "latency": "--seconds 60 --live-seconds 60",
+        "cpu": "--runs 1 --seconds 30",
+        "video": "--seconds 20 --wide",
+        "voice": "--seconds 40",
+        "link": "--seconds 20 --blackouts 100",
+        "haptics": "--grid full",
+        "sync": "--seconds 300",
+        "sync-live": "--live --seconds 60",
+        "passes": "--sessions 23",
+        "fanout": "--seconds 10",
+    },
+    "smoke": {
+        "latency": "--seconds 1 --live-seconds 5",
+        "cpu": "--runs 1 --seconds 2",
+        "video": "--seconds 1 --only scene --size 320x240",
+        "voice": "--seconds 1",
+        "link": "--seconds 1 --blackouts 1",
+        "haptics": "--cell delay=100 --seconds 4",
+        "sync": "--seconds 10",
+        "sync-live": "--live --seconds 8",
+        "passes": "--sessions 1 --seconds 4 --radio clean --no-media",
+        "fanout": "--seconds 0.2 --readers 1",
+    },
+}
+#: `smoke` shows that all of it works; its figures mean nothing.
+LENGTHS = tuple(_OPTIONS)
+
+
+def measurements(length: str, only: str | None = None) -> list[Measurement]:
+    """The measurements of one of `LENGTHS`.
+
+    only: names with commas between them; ConfigError for one that is unknown.
+    """
+    options = _OPTIONS[length]
+    chosen = list(options) if only is None else [name.strip() for name in only.split(",")]
+    for name in chosen:
+        if name not in options:
+            raise ConfigError(f"--only {name}: choose of {', '.join(options)}")
+    return [
+        Measurement(
+            name=name,
+            title=_TITLES[name],
+            words=(name.removesuffix("-live"), *words.split()),
+            runs=1 if name in _VIRTUAL or length == "smoke" else LIVE_RUNS,
+        )
+        for name, words in options.items()
+        if name in chosen
+    ]
+
+
+def in_turn(plan: Sequence[Measurement]) -> Iterator[tuple[Measurement, int]]:
+    """(measurement, number of its run from 1): every first run, then every second one, ...
+
+    The runs of one bench then lie minutes apart, so that a busy minute falls on one of them only.
+    """
+    for number in range(1, max((one.runs for one in plan), default=0) + 1):
+        for measurement in plan:
+            if number <= measurement.runs:
+                yield measurement, number

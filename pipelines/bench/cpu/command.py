@@ -1,0 +1,101 @@
+"""`kontur-av bench cpu`: what a live session costs, also beside another checkout of the project.
+
+With `--against` the two trees take turns (A B A B ...), so that a change of the machine's load
+falls on both. Each run is `kontur-av stream` in a new process.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.table import Table
+
+from kontur_av.errors import ConfigError
+from pipelines.bench.console import open_console
+from pipelines.bench.cpu.figures import CpuResult, CpuRun, headlines, middle, read_run
+from pipelines.bench.result import write_result
+from pipelines.bench.session import live_report
+from pipelines.commands.session_options import add_setup_argument
+from pipelines.report.report_file import check_writable
+from pipelines.setup.setup_file import load_setup
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av bench cpu`."""
+    add_setup_argument(parser, default="spacejustin")
+    parser.add_argument(
+        "--against", type=Path, metavar="DIR", help="another checkout, measured in turn with this"
+    )
+    parser.add_argument("--runs", type=int, default=5, metavar="N", help="of each (default 5)")
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, metavar="S", help="of each session (default 20)"
+    )
+    parser.add_argument("--base-port", type=int, default=27_000, metavar="P", help="of the runs")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the sessions in turn, and print each as soon as it is over."""
+    if not 1 <= args.runs <= 1000:
+        raise ConfigError(f"--runs {args.runs}: give 1 to 1000")
+    if not 2 <= args.seconds <= 3600:
+        raise ConfigError(f"--seconds {args.seconds:g}: give 2 to 3600")
+    other = _checked_tree(args.against)
+    check_writable(args.report)
+    load_setup(args.setup)
+    console = open_console(args)
+    words = ["stream", "--setup", args.setup, "--base-port", str(args.base_port)]
+    found: dict[str, list[CpuRun]] = {"this tree": []}
+    trees: dict[str, Path | None] = {"this tree": None}
+    if other is not None:
+        found[str(args.against)] = []
+        trees[str(args.against)] = other
+    for number in range(1, args.runs + 1):
+        for name, tree in trees.items():
+            report = live_report(words, seconds=args.seconds, tree=tree)
+            found[name].append(read_run(report))
+            told = found[name][-1].cpu_s_per_s
+            console.print(f"run {number}, {name}: {told:.3f} CPU s a second", highlight=False)
+    ours, *others = found.values()
+    against = tuple(others[0]) if others else ()
+    result = CpuResult(args.setup, args.seconds, tuple(ours), against)
+    console.print(_table(found, result))
+    write_result(args.report, result, headlines(result))
+    return 0
+
+
+def _checked_tree(path: Path | None) -> Path | None:
+    if path is None:
+        return None
+    if not (path / "pipelines" / "cli.py").is_file():
+        raise ConfigError(f"--against {path}: no checkout of kontur-av (pipelines/cli.py)")
+    return path.resolve()
+
+
+def _table(found: dict[str, list[CpuRun]], result: CpuResult) -> Table:
+    table = Table(
+        title=f"{result.setup}, {len(result.runs)} sessions of {result.seconds:g} s each: "
+        "median (least to most)",
+        title_justify="left",
+    )
+    table.add_column("tree")
+    for heading in ("CPU s a second", "uplink picture p50, ms", "p99, ms"):
+        table.add_column(heading, justify="right")
+    for name, runs in found.items():
+        table.add_row(
+            name,
+            _words([run.cpu_s_per_s for run in runs], 3),
+            _words([run.video_p50_ms for run in runs], 1),
+            _words([run.video_p99_ms for run in runs], 1),
+        )
+    if result.ratios:
+        table.add_section()
+        table.add_row("this tree over the other, pair by pair", _words(result.ratios, 3), "", "")
+    return table
+
+
+def _words(values: Sequence[float | None], digits: int) -> str:
+    median, known = middle(values), [value for value in values if value is not None]
+    if median is None:
+        return "–"
+    return f"{median:.{digits}f} ({min(known):.{digits}f} to {max(known):.{digits}f})"

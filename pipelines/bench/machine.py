@@ -1,0 +1,56 @@
+"""The machine and the code of a measurement: a figure without them cannot be compared."""
+
+import os
+import platform
+import re
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+
+import av
+
+import kontur_av
+import pipelines
+import telepresence
+
+_CPU_INFO = Path("/proc/cpuinfo")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Machine:
+    """cores: that this process may use."""
+
+    cpu: str
+    cores: int
+    kernel: str
+    python: str
+    pyav: str
+
+    def __str__(self) -> str:
+        cores = f"{self.cores} core{'s' if self.cores > 1 else ''}"
+        return f"{self.cpu}, {cores}, {self.kernel}, Python {self.python}, PyAV {self.pyav}"
+
+
+def this_machine() -> Machine:
+    """The machine on which this process runs (Linux, proc(5))."""
+    told = _CPU_INFO.read_text(errors="replace") if _CPU_INFO.exists() else ""
+    model = re.search(r"^model name\s*: (.*)$", told, re.M)
+    return Machine(
+        cpu=" ".join(model[1].split()) if model else platform.machine(),
+        cores=len(os.sched_getaffinity(0)),
+        kernel=f"{platform.system()} {platform.release()}",
+        python=platform.python_version(),
+        pyav=av.__version__,
+    )
+
+
+def code_digest() -> str:
+    """A digest of the modules of the three packages: equal for equal code."""
+    digest = sha256()
+    for package in (kontur_av, telepresence, pipelines):
+        root = Path(str(package.__file__)).parent
+        for path in sorted(root.rglob("*")):
+            if path.suffix in (".py", ".toml"):
+                digest.update(path.relative_to(root.parent).as_posix().encode())
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]

@@ -1,0 +1,155 @@
+"""What a bench found: its headline figures, its percentiles, and one way to JSON."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+from pipelines.report.report_file import write_report
+
+Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Headline:
+    """One figure of a run for the page of measurements.
+
+    group: the table that it stands in. who: the column, where several things are compared.
+    value: in `unit`; None if this run could not measure it. target: in words, empty for none;
+    met: whether `value` reaches the target, None without a target.
+    """
+
+    group: str = ""
+    what: str
+    who: str = ""
+    unit: str
+    value: float | None
+    target: str = ""
+    met: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Percentiles by nearest rank, and the maximum; NaN where nothing was measured."""
+
+    p50: float
+    p95: float
+    p99: float
+    max: float
+
+
+def spread(values: Sequence[float], *, per_unit: float = 1.0) -> Spread:
+    """The spread of `values`, each divided by `per_unit` (ns to ms: NS_PER_MS)."""
+    ordered = sorted(values)
+    if not ordered:
+        return Spread(math.nan, math.nan, math.nan, math.nan)
+    p50, p95, p99, largest = (
+        ordered[-(-len(ordered) * percent // 100) - 1] / per_unit for percent in (50, 95, 99, 100)
+    )
+    return Spread(p50, p95, p99, largest)
+
+
+def as_json(value: object, *, digits: int | None = None) -> Json:
+    """`value` as JSON holds it: a dataclass as an object of its fields, NaN and infinity as null.
+
+    digits: decimals kept of a float. TypeError for a value that has no such form.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return {
+            field.name: as_json(getattr(value, field.name), digits=digits)
+            for field in fields(value)
+        }
+    if isinstance(value, Mapping):
+        return {str(key): as_json(item, digits=digits) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_json(item, digits=digits) for item in value]
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return None
+        return value if digits is None else round(value, digits)
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} has no JSON form")
+
+
+def write_result(
+    path: Path | None, result: object, headlines: Sequence[Headline], *, digits: int | None = None
+) -> None:
+    """Write `result`, a dataclass or a mapping, and its `headlines` as one JSON object.
+
+    path: None writes nothing.
+    """
+    if path is None:
+        return
+    body = as_json(result, digits=digits)
+    assert isinstance(body, dict)
+    write_report(path, {**body, "headlines": as_json(headlines, digits=6)})
+
+
+class Reading:
+    """A JSON value whose parts are read by their keys, with the type checked.
+
+    Every method raises ValueError, with the keys, where the value is missing or of another type.
+    """
+
+    def __init__(self, value: object, where: str = "report") -> None:
+        self.value = value
+        self._where = where
+
+    @property
+    def json(self) -> Json:
+        """The whole value."""
+        return as_json(self.value)
+
+    def at(self, *keys: str) -> "Reading":
+        """The part under `keys`, one after the other."""
+        part = self
+        for key in keys:
+            if not isinstance(part.value, Mapping) or key not in part.value:
+                raise ValueError(f"{part._where}: it has no {key!r}")
+            part = Reading(part.value[key], f"{part._where}.{key}")
+        return part
+
+    def has(self, *keys: str) -> bool:
+        """Whether there is a value other than null under `keys`."""
+        try:
+            return self.at(*keys).value is not None
+        except ValueError:
+            return False
+
+    def number(self, *keys: str) -> float:
+        """The number under `keys`."""
+        value = self.at(*keys).value
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{self._where}.{'.'.join(keys)}: {value!r} is no number")
+        return value
+
+    def number_or_none(self, *keys: str) -> float | None:
+        """The number under `keys`; None where there is none."""
+        return self.number(*keys) if self.has(*keys) else None
+
+    def text(self, *keys: str) -> str:
+        """The text under `keys`."""
+        value = self.at(*keys).value
+        if not isinstance(value, str):
+            raise ValueError(f"{self._where}.{'.'.join(keys)}: {value!r} is no text")
+        return value
+
+    def items(self, *keys: str) -> Iterator[tuple[str, "Reading"]]:
+        """Names and parts of the object under `keys`."""
+        part = self.at(*keys)
+        if not isinstance(part.value, Mapping):
+            raise ValueError(f"{part._where}: no object")
+        for name, value in part.value.items():
+            yield str(name), Reading(value, f"{part._where}.{name}")
+
+    def elements(self, *keys: str) -> Iterator["Reading"]:
+        """The parts of the list under `keys`."""
+        part = self.at(*keys)
+        if isinstance(part.value, str) or not isinstance(part.value, Sequence):
+            raise ValueError(f"{part._where}: no list")
+        for number, value in enumerate(part.value):
+            yield Reading(value, f"{part._where}[{number}]")

@@ -1,0 +1,74 @@
+"""Live sessions of a bench: a command of `kontur-av` in a process of its own, and its report."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from kontur_av.errors import ConfigError
+from pipelines.bench.children import end_all, ended_alike
+from pipelines.bench.result import Reading
+
+#: How much longer than the session the command may take to start and to end.
+_PATIENCE_S = 60
+#: The exit code of every command of the project for a mistake of the user.
+_USERS_FAULT = 2
+
+
+def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = None) -> Reading:
+    """Run `kontur-av` with `words` for `seconds`; the report that it wrote.
+
+    tree: the checkout whose code runs; None: this one. ConfigError, in the command's own words,
+    when the session could not begin; RuntimeError when it failed or did not end.
+    """
+    environment = dict(os.environ)
+    if tree is not None:
+        environment["PYTHONPATH"] = str(tree)
+    with ended_alike(), TemporaryDirectory() as name:
+        directory = Path(name)
+        report_file, errors = directory / "report.json", directory / "errors"
+        command = [sys.executable, "-m", "pipelines.cli", *words, "-q"]
+        command += ["--seconds", f"{seconds:g}", "--report", str(report_file)]
+        with errors.open("wb") as stderr:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=stderr,
+                env=environment,
+                # `python -m` looks in the working directory first: there shall be no other tree.
+                cwd=None if tree is None else directory,
+                # A session of its own: this process takes Ctrl-C and ends the other.
+                start_new_session=True,
+            )
+            try:
+                returncode = process.wait(seconds + _PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                raise RuntimeError(f"the live session has not ended after {seconds:g} s") from None
+            finally:
+                end_all([process])
+        told = errors.read_text(encoding="utf-8", errors="replace").strip()
+        if returncode == _USERS_FAULT:
+            raise ConfigError(told.rpartition("\n")[2].removeprefix("kontur-av: "))
+        if not report_file.exists():
+            raise RuntimeError(f"the live session failed: {told}")
+        return Reading(json.loads(report_file.read_text(encoding="utf-8")))
+
+
+def live_session(
+    setup: str,
+    *,
+    seconds: float,
+    seed: int,
+    radio: str,
+    base_port: int,
+    deadband: str | None = None,
+) -> Reading:
+    """The report of a live session of the setup called `setup`; errors as of `live_report`."""
+    words = ["stream", "--setup", setup, "--seed", str(seed), "--radio", radio]
+    words += ["--base-port", str(base_port)]
+    words += [] if deadband is None else ["--deadband", deadband]
+    return live_report(words, seconds=seconds)

@@ -1,0 +1,78 @@
+"""The bench of CPU time: its figures, pairs of runs, and its mistakes."""
+
+import json
+
+import pytest
+
+from pipelines.bench.cpu import command
+from pipelines.bench.cpu.figures import CpuResult, CpuRun, headlines, read_run
+from pipelines.bench.result import Reading
+from pipelines.cli import main
+
+
+def report(cpu_s, count=9):
+    latency = {"p50": 40.0, "p99": 60.0, "count": count}
+    return Reading(
+        {
+            "seconds": 10.0,
+            "cpu": {"total_s": cpu_s},
+            "streams": {"uplink_video": {"latency_ms": latency}},
+        }
+    )
+
+
+def test_a_run_is_read_from_the_report_of_its_session():
+    assert read_run(report(12.0)) == CpuRun(cpu_s_per_s=1.2, video_p50_ms=40.0, video_p99_ms=60.0)
+    assert read_run(report(12.0, count=0)).video_p99_ms is None
+    with pytest.raises(ValueError, match="streams"):
+        read_run(Reading({"seconds": 1.0}))
+
+
+def test_ratios_are_those_of_pairs():
+    def runs(*values):
+        return tuple(read_run(report(10 * value)) for value in values)
+
+    result = CpuResult("spacejustin", 10.0, runs(1.0, 0.8, 0.9), runs(1.25, 1.0, 1.0))
+    assert result.ratios == pytest.approx([0.8, 0.8, 0.9])
+    found = {(one.what, one.who): one.value for one in headlines(result)}
+    assert found["CPU time, this tree over the other", "pairs"] == pytest.approx(0.8)
+    assert found["CPU of a session second, all processes", "other tree"] == pytest.approx(1.0)
+    alone = headlines(CpuResult("spacejustin", 10.0, runs(1.0)))
+    assert [one.who for one in alone] == [""] * 3
+
+
+def test_two_trees_take_turns(tmp_path, monkeypatch, capsys):
+    other = tmp_path / "other"
+    (other / "pipelines").mkdir(parents=True)
+    (other / "pipelines" / "cli.py").touch()
+    asked = []
+
+    def live_report(words, *, seconds, tree=None):
+        asked.append(tree)
+        return report(8.0 if tree is None else 10.0)
+
+    monkeypatch.setattr(command, "live_report", live_report)
+    written = tmp_path / "cpu.json"
+    words = ["bench", "cpu", "--against", str(other), "--runs", "2", "--report", str(written)]
+    assert main(words) == 0
+    assert asked == [None, other, None, other]
+    assert "0.800 (0.800 to 0.800)" in capsys.readouterr().out
+    figures = json.loads(written.read_text())
+    assert [one["cpu_s_per_s"] for one in figures["against"]] == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--runs", "0"], "--runs 0"),
+        (["--seconds", "1"], "--seconds 1"),
+        (["--against", "/nowhere"], "--against /nowhere"),
+        (["--setup", "nowhere"], "nowhere"),
+        (["--report", "/nowhere/at/all.json"], "--report"),
+    ],
+)
+def test_mistakes_are_one_line(options, told, capsys):
+    assert main(["bench", "cpu", *options]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert error.count("\n") == 1

@@ -1,0 +1,66 @@
+"""What all benches share: percentiles, JSON, and reading a report by its keys."""
+
+import json
+import math
+from dataclasses import dataclass
+
+import pytest
+
+from pipelines.bench.result import Headline, Reading, as_json, spread, write_result
+
+
+@dataclass
+class Inner:
+    ratio: float
+    names: tuple[str, ...]
+
+
+@dataclass
+class Outer:
+    inner: Inner
+    by_name: dict[str, Inner]
+
+
+def test_a_spread_is_by_nearest_rank():
+    found = spread([3e6, 1e6, 2e6, 4e6], per_unit=1e6)
+    assert (found.p50, found.p95, found.p99, found.max) == (2.0, 4.0, 4.0, 4.0)
+    assert math.isnan(spread([]).p50)
+
+
+def test_a_dataclass_becomes_an_object_and_what_is_no_number_null():
+    inner = Inner(math.nan, ("a", "b"))
+    body = {"ratio": None, "names": ["a", "b"]}
+    assert as_json(Outer(inner, {"x": inner})) == {"inner": body, "by_name": {"x": body}}
+    assert as_json(Inner(0.123456, ()), digits=2) == {"ratio": 0.12, "names": []}
+    with pytest.raises(TypeError, match="object"):
+        as_json(object())
+
+
+def test_a_result_is_written_with_its_headlines(tmp_path):
+    path = tmp_path / "r.json"
+    write_result(path, Inner(1.5, ()), [Headline(what="x", unit="ms", value=2.0)])
+    written = json.loads(path.read_text())
+    assert written["ratio"] == 1.5
+    assert written["headlines"][0]["value"] == 2.0
+    write_result(None, Inner(1.5, ()), [])
+
+
+def test_a_report_is_read_by_its_keys_and_what_is_missing_is_named():
+    report = Reading({"a": {"b": 1.5, "c": None, "d": "text", "e": [1, 2]}})
+    assert report.number("a", "b") == 1.5
+    assert report.number_or_none("a", "c") is None
+    assert report.text("a", "d") == "text"
+    assert [one.number() for one in report.elements("a", "e")] == [1, 2]
+    assert [name for name, _ in report.items("a")] == ["b", "c", "d", "e"]
+    assert report.has("a", "b")
+    assert not report.has("a", "c")
+    assert not report.has("a", "z")
+    for read in (
+        lambda: report.number("a", "z"),
+        lambda: report.number("a", "d"),
+        lambda: report.text("a", "b"),
+        lambda: list(report.items("a", "b")),
+        lambda: list(report.elements("a", "d")),
+    ):
+        with pytest.raises(ValueError, match=r"report\.a"):
+            read()
