@@ -3,6 +3,8 @@
 import contextlib
 import ctypes
 import os
+import re
+import shlex
 import shutil
 import signal
 import socket
@@ -11,6 +13,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from places import ROOT
 from running_link import RunningLink, assert_books_are_right, came, eventually
 
 from pipelines.setup.built_in import BUILT_IN
@@ -82,6 +85,45 @@ def test_gstreamer_sends_its_video_up_and_gets_it_back_whole(tmp_path):
     assert up["refused"]["garbage"] == 0
     assert up["octets"]["video"] > 0
     assert_books_are_right(report, BUILT_IN["taskboard"])
+
+
+def pipelines_of(document):
+    """Every `gst-launch-1.0` line of a document, without the command's name."""
+    text = (ROOT / document).read_text(encoding="utf-8").replace("\\\n", " ")
+    found = re.findall(r"^gst-launch-1\.0 (.*?)\s*&?$", text, re.MULTILINE)
+    return [" ".join(shlex.split(line)) for line in found]
+
+
+@pytest.mark.parametrize("document", ["README.md", "docs/link-examples.md"])
+def test_the_documents_example_shows_a_picture_to_a_late_receiver(document, tmp_path):
+    needs("x264enc", "rtph264pay", "rtph264depay", "avdec_h264", "udpsink")
+    (send,) = (line for line in pipelines_of(document) if "port=27010" in line)
+    (receive, *_) = (
+        line for line in pipelines_of("docs/link-examples.md") if "udpsrc port=27012" in line
+    )
+    raw = tmp_path / "out.i420"
+    with RunningLink("--setup", "spacejustin", "--radio", "cable", directory=tmp_path) as link:
+        ports = link.ports
+        send = send.replace("port=27010", f"port={ports.entry('uplink_video')}")
+        receive = receive.replace("port=27012", f"port={ports.exit('uplink_video')}")
+        assert receive.endswith("! autovideosink")
+        receive = receive.replace(
+            "autovideosink", f"filesink buffer-mode=unbuffered location={raw}"
+        )
+        link.wait_for_line("ground approve")
+        with gst(send, tmp_path / "send.txt") as sender:
+            # For some seconds there is no receiver: the first key pictures are gone.
+            for _ in range(4):
+                link.wait_for_line("ground")
+            with gst(receive, tmp_path / "receive.txt"):
+
+                def shown():
+                    assert sender.poll() is None, (tmp_path / "send.txt").read_text()
+                    return raw.exists() and raw.stat().st_size >= 320 * 240 * 3 // 2
+
+                eventually(shown, "a picture")
+        code, _ = link.interrupt()
+    assert code == 0, link.output()
 
 
 @pytest.fixture

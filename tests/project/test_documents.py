@@ -67,3 +67,14 @@ def _defined(name: str) -> bool:
         for package in packages
         for path in package.rglob("*.py")
     )
+
+
+@pytest.mark.parametrize("page", [*PAGES, *_experiments()[0][1]], ids=lambda page: page.stem)
+def test_every_fragment_of_a_link_is_a_heading(page):
+    for name, fragment in re.findall(
+        r"\]\(([\w./-]*)#([\w-]+)\)", page.read_text(encoding="utf-8")
+    ):
+        target = page.parent / name if name else page
+        headings = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), re.MULTILINE)
+        anchors = {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in headings}
+        assert fragment in anchors, f"{name}#{fragment}"
