@@ -1,4 +1,4 @@
-"""Joystick and robot through a delay, on virtual time: the touch is felt and stays calm."""
+"""Joystick and robot with a delay, on virtual time: the contact is felt and remains stable."""
 
 from collections import deque
 from itertools import pairwise
@@ -97,7 +97,7 @@ def test_the_press_is_felt() -> None:
     assert (sample.contact, sample.lit, sample.mode) == (True, 0, MODE_IMPEDANCE)
 
 
-def test_without_the_controllers_a_delay_of_25_ms_swings_and_with_them_it_rests() -> None:
+def test_only_with_the_controllers_a_contact_at_25_ms_delay_comes_to_rest() -> None:
     script = (Waypoint(0.085, -0.05, 1_000 * MS, 60_000 * MS), Waypoint(0.0, -0.05, 500 * MS, 0))
     swings = []
     for passive in (False, True):
@@ -112,7 +112,7 @@ def test_without_the_controllers_a_delay_of_25_ms_swings_and_with_them_it_rests(
     assert swings[1] < 0.2
 
 
-def test_an_outage_in_the_press_ends_at_rest_and_resumes_without_a_jump() -> None:
+def test_an_outage_during_contact_ends_at_rest_and_resumes_without_a_jump() -> None:
     session = Session(10, script=PRESS_AND_SLIDE)
     session.run(3_400)
     robot = session.ground.robot
@@ -121,7 +121,7 @@ def test_an_outage_in_the_press_ends_at_rest_and_resumes_without_a_jump() -> Non
     session.run(1_500)
     assert session.ground.controller.holding
     assert robot.force_n < 0.2
-    # Of what is left only the damping moves with the hand.
+    # Only the damping of the hand's motion remains.
     assert session.felt_n < 0.1 + session.space.controller.model.damping_n_s_m * 0.15
 
     session.cut = False
@@ -138,20 +138,20 @@ def test_an_outage_in_the_press_ends_at_rest_and_resumes_without_a_jump() -> Non
     assert session.ground.link.report()["lost"] == 1_500
 
 
-def test_a_restarted_joystick_begins_with_no_credit_and_goes_on() -> None:
+def test_a_restarted_joystick_begins_without_credit_and_continues() -> None:
     session = Session(5)
     session.run(2_000)
     before = session.ground.controller.port.received_j
     session.space = JoystickSide()
     session.run(8_000)
     assert session.ground.link.report()["restarts"] == 1
-    # Its totals begin at 0: that is no gain of 4295 J.
+    # The new totals begin at 0, which must not count as a gain of 4295 J.
     assert before < session.ground.controller.port.received_j < before + 2.0
     assert session.ground.controller.least_observed_uj >= -1.0
     assert session.ground.robot.work_j > 0.1
 
 
-def test_a_robot_in_another_mode_is_felt_by_nobody_and_stays_where_it_is() -> None:
+def test_a_robot_in_another_mode_displays_no_force_and_stays() -> None:
     session = Session(5, script=PRESS_AND_SLIDE)
     session.run(3_300)
     robot = session.ground.robot
@@ -176,7 +176,7 @@ def test_a_halted_joystick_says_so_and_the_robot_holds() -> None:
     assert session.ground.controller.holding
 
 
-def test_a_cycle_that_came_late_makes_up_for_the_time_in_small_steps() -> None:
+def test_a_late_cycle_simulates_the_time_in_small_steps() -> None:
     even, late = JoystickSide(), JoystickSide()
     for k in range(40):
         even.handle_cycle(k * MS, MS)
@@ -194,7 +194,7 @@ def test_a_cycle_that_came_late_makes_up_for_the_time_in_small_steps() -> None:
     assert not isinstance(robot.link.latest(0), Feedback)
 
 
-def test_every_samples_delay_is_met_through_more_than_one_wrap() -> None:
+def test_delays_are_matched_through_several_wraps() -> None:
     session, matcher = Session(25), LatencyMatcher()
     latencies: list[int] = []
     for cycle in range(70_000):

@@ -1,4 +1,4 @@
-"""The force at the handle never pulls into the wall that it comes from."""
+"""A cut of the force at the handle never turns it into the wall."""
 
 import pytest
 from haptic_pair import MS, each_cycle
@@ -12,7 +12,7 @@ def waypoint(x_m: float, y_m: float, move_ms: int, stay_ms: int) -> Waypoint:
     return Waypoint(x_m, y_m, move_ms * MS, stay_ms * MS)
 
 
-#: Against the wall at three places, at a slant.
+#: Pressing against the wall at three places, at an angle.
 TOUCHES = (
     waypoint(0.085, -0.05, 600, 500),
     waypoint(0.02, -0.05, 500, 200),
@@ -33,7 +33,7 @@ def test_a_force_that_was_cut_is_not_turned_into_the_wall(wall_n_m, delay_ms):
         feedback = space.link.latest(now_ns)
         if feedback is not None and feedback[0] < -1.0:
             x_n, y_n = space.controller.robot_force_n
-            # The wall pushes along -x; friction gives what there is along y, a seventh of it.
+            # The wall pushes along -x. Friction adds at most a seventh of that along y.
             assert x_n <= 0.0
             assert abs(y_n) < 4.0
             cut = space.controller.acted

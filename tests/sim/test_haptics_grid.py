@@ -1,4 +1,4 @@
-"""The corners of the grid of `kontur-av bench haptics`: passive, calm and bounded, or not."""
+"""The corner cells of the grid of `kontur-av bench haptics`: passive, calm and bounded, or not."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from telepresence.haptics.sample import Feedback
 MS = 1_000_000
 
 SECONDS = 4.0
-#: A hard wall, and whatever the radio can do to it.
+#: A hard wall under the worst conditions of the radio.
 CELLS = (
     Cell(),
     Cell(delay=20.0),
@@ -39,7 +39,7 @@ def test_every_claim_holds(with_controllers) -> None:
 
 
 def test_the_wall_is_met_and_felt(with_controllers) -> None:
-    """Passive is easy for who does nothing at all."""
+    """A controller that does nothing would be passive too."""
     assert with_controllers.touches >= 2
     assert with_controllers.displayed_peak_n > 3.0
 
@@ -65,12 +65,12 @@ def test_a_blackout_brings_both_ends_to_rest_and_resumption_no_jump(wall) -> Non
     planned = plan(cell, SECONDS)
     _, trace = run_cell(cell, seconds=SECONDS, seed=1, passive=True)
     for begin, end in ((b // 1_000_000, e // 1_000_000) for b, e in planned.down_dark):
-        # The robot hears nothing: it presses no more, and stands still.
+        # The robot receives nothing, so it stops pressing and stands still.
         assert trace.contact_n[end - 100 : end].max() < 0.1
         assert np.ptp(trace.tip[end - 100 : end], axis=0).max() < 1e-4
         assert trace.contact_n[begin] > 1.0
     for _, end in ((b // 1_000_000, e // 1_000_000) for b, e in planned.up_dark):
-        # The joystick hears nothing: it shows only its own damping.
+        # The joystick receives nothing, so it displays only its own damping.
         assert np.abs(trace.displayed[end - 100 : end]).max() < 1.0
     for _, end in {*planned.down_dark, *planned.up_dark}:
         back = slice(end // 1_000_000 - 1, end // 1_000_000 + 500)
@@ -79,7 +79,7 @@ def test_a_blackout_brings_both_ends_to_rest_and_resumption_no_jump(wall) -> Non
         assert np.abs(np.diff(trace.tip[back], axis=0)).max() < 0.6e-3
 
 
-def test_what_is_given_back_is_no_longer_there() -> None:
+def test_returned_credit_is_gone() -> None:
     port = Port(reserve_j=0.01, limit_j=0.1)
     port.handle_total(0, MS)
     for step in range(200):
@@ -92,13 +92,13 @@ def test_what_is_given_back_is_no_longer_there() -> None:
         )
 
 
-def test_a_force_that_was_cut_comes_back_slowly() -> None:
-    """Else it would be cut again at once, a hundred times a second, and buzz."""
+def test_a_cut_force_returns_slowly() -> None:
+    """A fast return would be cut again at once, a hundred times a second, and buzz."""
     joystick_side = JoystickController()
     wall, x_m = Feedback(-8.0, 0.0, 0, True), 0.05
     forces = []
     for step in range(400):
-        # The hand goes with a force that nobody paid for; then it keeps still.
+        # The hand moves along with a force that nobody paid for; then it rests.
         x_m -= 2e-4 if step < 100 else 0.0
         forces.append(joystick_side.step(wall, x_m, 0.0, MS)[0])
         if step == 100:

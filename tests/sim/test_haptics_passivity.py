@@ -1,4 +1,4 @@
-"""Whatever moves, and whatever becomes of the samples: no port gives what was not granted."""
+"""For any motion and any loss of samples, no port gives out energy that was not granted."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -20,8 +20,8 @@ DT = 1e-3
 COUNT_J = 1e-6
 
 unit = st.floats(-1.0, 1.0)
-#: For so many ms, the hand accelerates so and the tip moves so; the path delays each sample by
-#: something up to so many ms, and loses this share of them.
+#: Each span lasts some ms with one acceleration of the hand and one motion of the tip. The path
+#: delays each sample by up to some ms, and loses a share of them.
 spans = st.tuples(
     st.integers(1, 100),
     st.tuples(unit, unit),
@@ -33,7 +33,7 @@ spans = st.tuples(
 
 
 class Ends:
-    """Both controllers; the hand and the tip do what they are told, whatever the forces say."""
+    """Both controllers; hand and tip move as they are told, whatever the forces are."""
 
     def __init__(self, random: Callable[[], float]) -> None:
         self.random = random
@@ -43,7 +43,7 @@ class Ends:
         self.push = (0.0, 0.0)
         self.path: list[tuple[int, int, bytes]] = []
         self.now_ns = 0
-        #: In and out of both ports over all their lives, those that have ended.
+        #: Energy into and out of both ports in all their lives, also those that have ended.
         self.taken_j = self.given_j = 0.0
 
     def restart_joystick(self) -> None:
@@ -74,7 +74,7 @@ class Ends:
         for _, to, data in sorted(due, key=lambda sample: sample[0]):
             (self.ground if to else self.space).handle_datagram(data, now_ns)
         hand = self.hand
-        # As much as the controller is promised to see, in any direction.
+        # The greatest acceleration that the controller allows for, in any direction.
         most = JoystickControllerModel().acceleration_m_s2 / 2**0.5
         for axis in (0, 1):
             hand[2 + axis] += pull[axis] * most * DT
@@ -104,7 +104,7 @@ class Ends:
 
 @settings(max_examples=50, deadline=None)
 @example(
-    # A joystick that restarts in the hand's motion: its first force must not meet that unawares.
+    # The joystick restarts while the hand moves: its first force must allow for that.
     spans=[
         (3, (0.0, 1.0), (0.0, 0.0), (0.0, 1.0), 0, 0.0),
         (2, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), 0, 0.0),
@@ -152,17 +152,17 @@ def test_a_wrap_of_the_total_is_no_restart() -> None:
 
 
 @pytest.mark.parametrize("jump_uj", [-1, -5_000_000, 20_000_000, 1 << 31])
-def test_a_total_that_no_peer_can_have_reached_gives_nothing(jump_uj: int) -> None:
+def test_an_implausible_total_gives_no_credit(jump_uj: int) -> None:
     port = Port()
     port.handle_total(50_000_000, MS)
     port.handle_total((50_000_000 + jump_uj) % (1 << 32), MS)
     assert (port.credit_j, port.refused) == (0.0, 1)
-    # Counting goes on from there.
+    # Counting continues from there.
     port.handle_total((50_000_000 + jump_uj + 10) % (1 << 32), MS)
     assert port.credit_j == pytest.approx(10e-6)
 
 
-def test_after_a_silence_in_which_the_total_may_have_wrapped_it_gives_nothing() -> None:
+def test_a_total_after_a_possible_wrap_gives_no_credit() -> None:
     port = Port()
     port.handle_total(0, MS)
     port.handle_silence(100_000 * MS)
@@ -170,7 +170,7 @@ def test_after_a_silence_in_which_the_total_may_have_wrapped_it_gives_nothing() 
     assert (port.credit_j, port.refused) == (0.0, 1)
 
 
-def test_what_is_kept_is_not_granted_and_credit_has_a_limit() -> None:
+def test_kept_energy_is_not_granted_and_credit_is_limited() -> None:
     port = Port(reserve_j=0.004, limit_j=0.5)
     port.handle_flow(-0.003)
     assert (port.credit_j, port.granted_uj) == (pytest.approx(0.003), 0)
@@ -198,7 +198,7 @@ def test_without_the_controllers_the_observers_only_observe() -> None:
     assert held.acted > 150
 
 
-def test_the_reference_makes_up_for_what_it_lacks_at_a_bounded_speed() -> None:
+def test_the_reference_catches_up_at_a_bounded_speed() -> None:
     robot_side = RobotController()
     x_m, v_m_s, places = 0.0, 0.0, []
     for k in range(1500):

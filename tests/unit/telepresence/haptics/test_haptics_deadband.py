@@ -1,4 +1,4 @@
-"""What is left out, what is not, and that nobody takes it for lost."""
+"""Deadband: which samples are sent, which are left out, and that none of them counts as lost."""
 
 from itertools import pairwise
 from math import hypot
@@ -26,7 +26,7 @@ REST = Feedback(-5.0, 0.0, 100, True)
 
 
 def sent(deadband, values, holding=False):
-    """The cycles, counted from 0, whose samples are sent: one a millisecond."""
+    """Return the cycles, counted from 0, whose samples are sent; one cycle a millisecond."""
     return [
         k
         for k, value in enumerate(values)
@@ -34,7 +34,7 @@ def sent(deadband, values, holding=False):
     ]
 
 
-def test_what_does_not_change_goes_every_few_milliseconds_so_that_two_may_be_lost():
+def test_an_unchanged_value_is_repeated_so_that_two_samples_may_be_lost():
     band = feedback_deadband()
     cycles = sent(band, [REST] * 100)
     assert {b - a for a, b in pairwise(cycles)} == {LONGEST_PAUSE_NS // NS_PER_MS}
@@ -54,7 +54,7 @@ def test_what_does_not_change_goes_every_few_milliseconds_so_that_two_may_be_los
         {"energy_uj": 100 + FEEDBACK_ENERGY_UJ},
     ],
 )
-def test_news_of_the_robot_goes_at_once(news):
+def test_a_changed_field_of_the_robot_is_sent_at_once(news):
     assert sent(feedback_deadband(), [REST, REST, REST._replace(**news)]) == [0, 2]
 
 
@@ -68,19 +68,19 @@ def test_news_of_the_robot_goes_at_once(news):
         {"energy_uj": COMMAND_ENERGY_UJ},
     ],
 )
-def test_news_of_the_joystick_goes_at_once(news):
+def test_a_changed_field_of_the_joystick_is_sent_at_once(news):
     rest = Command(0.01, 0.0, 0)
     assert sent(command_deadband(), [rest, rest, rest._replace(**news)]) == [0, 2]
 
 
-def test_that_the_peer_is_not_heard_any_more_is_said_at_once():
+def test_losing_the_peer_is_sent_at_once():
     band = feedback_deadband()
     assert band.handle_sample(REST, False, 0) == REST
     assert band.handle_sample(REST, False, NS_PER_MS) is None
     assert band.handle_sample(REST, True, 2 * NS_PER_MS) == REST
 
 
-def test_that_the_controller_acted_meanwhile_is_said_by_the_next_sample():
+def test_the_next_sample_says_that_the_controller_acted_meanwhile():
     band = feedback_deadband()
     band.handle_sample(REST, False, 0)
     assert band.handle_sample(REST._replace(acted=True), False, NS_PER_MS) is None
@@ -88,7 +88,7 @@ def test_that_the_controller_acted_meanwhile_is_said_by_the_next_sample():
     assert not band.handle_sample(REST, False, 2 * LONGEST_PAUSE_NS).acted
 
 
-def test_a_fast_hand_may_be_further_from_what_was_sent_than_a_slow_one():
+def test_the_band_of_a_fast_hand_is_wider():
     def worst_m(speed_m_s):
         band, held, worst = command_deadband(), None, 0.0
         for k in range(200):
@@ -106,7 +106,7 @@ forces = st.floats(-65, 65, allow_nan=False)
 
 
 @given(st.lists(st.tuples(forces, forces, st.integers(0, 300)), min_size=1, max_size=60))
-def test_what_is_held_is_never_further_off_than_the_band(steps):
+def test_the_held_value_stays_within_the_band(steps):
     band = feedback_deadband()
     held, held_k, energy_uj = None, 0, 0
     for k, (fx_n, fy_n, more_uj) in enumerate(steps):
@@ -120,13 +120,13 @@ def test_what_is_held_is_never_further_off_than_the_band(steps):
         assert k - held_k < LONGEST_PAUSE_NS // NS_PER_MS
 
 
-def test_a_sample_that_is_left_out_is_neither_lost_nor_missed():
+def test_a_sample_left_out_does_not_count_as_lost():
     robot, joystick = robot_link(deadband=True), joystick_link(deadband=True)
     matcher = LatencyMatcher()
     events = []
     for k in range(3000):
         now_ns = k * NS_PER_MS
-        # Pressed, released and pressed again, with quiet between.
+        # Pressed, released and pressed again, with pauses between.
         push = 5.0 if k // 200 % 2 else 0.0
         robot.handle_local(Feedback(-push, 0.0, k, push > 0), now_ns)
         joystick.handle_local(Command(0.0, 0.0, k), now_ns)
@@ -150,7 +150,7 @@ def test_a_sample_that_is_left_out_is_neither_lost_nor_missed():
     assert len(latencies) == report["received"] and set(latencies) == {NS_PER_MS // 2}
 
 
-def test_without_a_deadband_every_sample_goes():
+def test_without_a_deadband_every_sample_is_sent():
     link = robot_link()
     link.handle_local(REST, 0)
     assert link.poll_transmit(0) is not None

@@ -31,7 +31,7 @@ def test_the_wall_pushes_and_never_pulls() -> None:
     push, rub = board.press(0.061, 0.0, 0.0, 0.2)
     assert push == pytest.approx(-5.0)
     assert board.touching
-    # Coulomb friction against the motion, nearly whole at 0.2 m/s.
+    # Coulomb friction against the motion; at 0.2 m/s it has almost its full value.
     assert -0.15 * 5.0 < rub < -0.9 * 0.15 * 5.0
     assert board.press(0.0601, 0.0, -1.0, 0.0) == (0.0, 0.0)
 
@@ -56,16 +56,16 @@ def test_a_press_on_any_wall_comes_to_rest(stiffness_n_m: float) -> None:
     assert robot.push_x_n == -robot.force_n
 
 
-def test_the_groove_lies_where_the_contour_is_drawn_and_gives_back_what_it_takes() -> None:
+def test_the_groove_follows_the_drawn_contour_and_is_lossless() -> None:
     board = Board()
     for x, y in contour_m()[::7]:
         assert board.press(x, y, 0.0, 0.0) == pytest.approx((0.0, 0.0), abs=0.03)
         assert not board.touching
-    # Beside the curve the push is towards it, inside and outside.
+    # Inside and outside the curve, the push points towards it.
     x, y = contour_point(pi / 2)
     assert board.press(x, y + 0.003, 0.0, 0.0)[1] < -0.5
     assert board.press(x, y - 0.003, 0.0, 0.0)[1] > 0.5
-    # Once around a loop that crosses the groove: a potential does no work.
+    # Once around a loop that crosses the groove: the work in a potential is zero.
     work, step, at = 0.0, 2e-5, (x - 0.01, y - 0.012)
     for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1)):
         for _ in range(1000):
@@ -100,7 +100,7 @@ def test_torque_mode_gives_the_torque_through_the_lever() -> None:
     assert robot.work_j == pytest.approx(0.5 * 0.5 * (0.1**2 + 0.05**2), rel=0.02)
 
 
-def test_position_mode_goes_there_at_its_speed_and_stays() -> None:
+def test_position_mode_moves_at_its_speed_and_stays() -> None:
     robot = Robot()
     robot.set_position(0.03, 0.06)
     steps = []
@@ -112,7 +112,7 @@ def test_position_mode_goes_there_at_its_speed_and_stays() -> None:
     assert max(steps) < 1.1 * RobotModel().position_m_s * 1e-3
 
 
-def test_off_means_the_brakes_hold() -> None:
+def test_when_off_the_brakes_hold() -> None:
     robot = Robot()
     robot.vx_m_s = 0.3
     robot.set_off()
@@ -123,7 +123,7 @@ def test_off_means_the_brakes_hold() -> None:
     assert robot.work_j < 0.0
 
 
-def test_the_hand_follows_its_script_and_begins_anew() -> None:
+def test_the_hand_follows_its_script_and_repeats_it() -> None:
     joystick = Joystick()
     hand = Hand(
         FIRM_GRIP,
@@ -137,7 +137,7 @@ def test_the_hand_follows_its_script_and_begins_anew() -> None:
         assert (joystick.x_m, joystick.y_m) == pytest.approx(target, abs=1e-3)
 
 
-def test_a_soft_grip_gives_way_more_than_a_firm_one() -> None:
+def test_a_soft_grip_yields_more_than_a_firm_one() -> None:
     ways = []
     for grip in (SOFT_GRIP, FIRM_GRIP):
         joystick = Joystick()
@@ -164,7 +164,7 @@ def test_the_stops_end_the_workspace() -> None:
     assert -model.half_height_m - 0.01 < joystick.y_m < -model.half_height_m
 
 
-def test_hot_motors_give_less_until_they_have_cooled_down() -> None:
+def test_hot_motors_exert_less_force_until_they_cool_down() -> None:
     joystick = Joystick(JoystickModel(warm_s=2.0))
     limits = []
     for _ in range(20_000):
@@ -173,7 +173,7 @@ def test_hot_motors_give_less_until_they_have_cooled_down() -> None:
         assert joystick.motor_x_n == pytest.approx(limits[-1])
     assert limits[0] == 12.0
     assert all(later <= earlier for earlier, later in pairwise(limits))
-    # Where it warms as much as it cools: the derating itself keeps it below its end.
+    # At this temperature heating equals cooling, so derating keeps it below its end.
     assert 60.0 < joystick.temperature_c < 80.0
     assert 3.0 < limits[-1] < 12.0
     for _ in range(10_000):
@@ -198,7 +198,7 @@ def test_the_displayed_force_is_limited_in_size_and_in_rate_and_decays_in_silenc
 
 
 class Rail:
-    """A handle that glides with 0.2 m/s along +x, whatever pushes it."""
+    """A handle that glides at 0.2 m/s along +x, whatever force acts on it."""
 
     x_m = y_m = 0.0
     force_limit_n, dead_man, buttons, state = 12.0, True, 0, STATE_APPLICATION
@@ -212,7 +212,7 @@ class Rail:
 
 
 @pytest.mark.parametrize("advances_ns", [[MS], [1_020_000], [980_000, 1_050_000], [MS, MS, 4 * MS]])
-def test_a_cycle_that_is_late_is_not_felt_as_a_jerk(advances_ns: list[int]) -> None:
+def test_a_late_cycle_causes_no_jerk(advances_ns: list[int]) -> None:
     handle, now_ns = Rail(), 0
     side = JoystickSide(handle=handle)
     for k in range(400):
@@ -223,31 +223,31 @@ def test_a_cycle_that_is_late_is_not_felt_as_a_jerk(advances_ns: list[int]) -> N
 
 
 def moving_along(fx_n: float, fy_n: float, credit_j: float) -> tuple[float, float]:
-    """What is displayed of a force to a handle that moves with 0.3 m/s along +x."""
+    """Return the displayed part of a force on a handle that moves at 0.3 m/s along +x."""
     joystick_side = JoystickController(JoystickControllerModel(damping_n_s_m=0.0, rate_n_s=1e6))
     joystick_side.port.credit_j = credit_j
     joystick_side.step(None, 0.0, 0.0, MS)
     return joystick_side.step(Feedback(fx_n, fy_n, 0, True), 3e-4, 0.0, MS)
 
 
-def test_at_the_joystick_only_the_force_along_the_motion_is_cut() -> None:
+def test_the_joystick_cuts_only_the_force_along_the_motion() -> None:
     assert moving_along(6.0, 6.0, 0.1) == pytest.approx((6.0, 6.0))
     fx, fy = moving_along(6.0, 6.0, 0.004)
     assert fy == pytest.approx(6.0)
     assert 0.0 <= fx < 3.0
-    # A force against the motion takes energy in: it stays whole without any credit.
+    # A force against the motion takes energy in, so it needs no credit.
     assert moving_along(-6.0, 0.0, 0.0) == pytest.approx((-6.0, 0.0))
     assert moving_along(6.0, 0.0, 0.0) == pytest.approx((0.0, 0.0), abs=0.01)
 
 
-def test_a_hand_that_gives_way_at_once_gets_no_more_than_the_credit() -> None:
+def test_a_hand_that_yields_at_once_receives_no_more_than_the_credit() -> None:
     for credit_j in (0.0, 1e-5, 1e-4, 1e-3):
         joystick_side = JoystickController(JoystickControllerModel(rate_n_s=1e6))
         joystick_side.port.credit_j = credit_j
         x_m = v_m_s = 0.0
         for k in range(100):
             joystick_side.step(Feedback(10.0, 0.0, 0, True), x_m, 0.0, MS)
-            # At rest first, then as fast as the controller is promised at most.
+            # First at rest, then with the greatest acceleration that the controller allows for.
             v_m_s += joystick_side.model.acceleration_m_s2 * 1e-3 if 50 <= k < 60 else 0.0
             x_m += v_m_s * 1e-3
             assert joystick_side.observed_uj >= -1.0
@@ -262,7 +262,7 @@ def test_a_hand_that_gives_way_at_once_gets_no_more_than_the_credit() -> None:
         Command(0.1, 0.0, 0, halted=True),
     ],
 )
-def test_without_a_command_to_follow_the_robot_holds_and_its_press_decays(
+def test_without_a_valid_command_the_robot_holds_and_its_pressure_decays(
     command: Command | None,
 ) -> None:
     robot_side, robot = RobotController(x_m=0.085), Robot(x_m=0.061)
@@ -279,9 +279,9 @@ def test_without_a_command_to_follow_the_robot_holds_and_its_press_decays(
     assert robot_side.observed_uj >= 0.0
 
 
-def test_a_reference_that_may_not_move_pulls_no_more_than_its_spring() -> None:
-    # Of the step the part to the left brings energy and the part upwards costs some. With the force
-    # to the left cut to its limit the one pays no more for the other, and there is no credit.
+def test_a_blocked_reference_pulls_only_with_its_spring() -> None:
+    # The step's part to the left brings energy, and its part upwards costs some. With the force to
+    # the left cut to its limit, the first no longer pays for the second, and there is no credit.
     robot_side = RobotController()
     force = robot_side.step(Command(-0.05, 0.1, 0), -0.05, -0.02, 0.0, 0.0, MS)
     assert force == pytest.approx((30.0, 20.0))

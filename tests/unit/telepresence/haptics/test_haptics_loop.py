@@ -1,4 +1,4 @@
-"""The ends of the haptic exchange: newest wins, restarts, silence, and the schedule."""
+"""The ends of the haptic exchange: newest sample wins, restarts, silence, and the schedule."""
 
 import pytest
 
@@ -41,7 +41,7 @@ def test_the_newest_sample_wins_and_a_late_one_is_not_used() -> None:
     assert link.take_received_stamps() == []
 
 
-def test_what_was_sent_is_dated_by_its_number_also_where_that_wraps_and_the_oldest_go() -> None:
+def test_sent_stamps_survive_a_wrap_of_numbers_and_drop_the_oldest() -> None:
     link = robot_link()
     numbers = []
     for now_ns in range(65_530, 65_540):
@@ -59,7 +59,7 @@ def test_what_was_sent_is_dated_by_its_number_also_where_that_wraps_and_the_olde
     assert link.take_sent_stamps()[0] == ((65_540 + 20_000 - 8192) % 65_536, 20_000 - 8192)
 
 
-def test_an_outage_is_counted_as_loss_even_when_it_is_long() -> None:
+def test_a_long_outage_counts_as_loss() -> None:
     link = robot_link()
     link.handle_datagram(pack_command(0, command(0.0)), 0)
     link.handle_datagram(pack_command(30_000, command(0.0)), 30_000 * MS)
@@ -86,7 +86,7 @@ def test_a_restarted_peer_is_heard_within_a_tenth_of_a_second(newest: int) -> No
     assert link.lost < 100
 
 
-def test_silence_is_told_once_and_to_the_peer_too() -> None:
+def test_silence_is_reported_once_and_sent_to_the_peer() -> None:
     link = joystick_link(max_age_ns=20 * MS)
     robot = robot_link()
     robot.handle_local(Feedback(0.0, 0.0, 0, False), 0)
@@ -109,7 +109,7 @@ def test_silence_is_told_once_and_to_the_peer_too() -> None:
     assert link.next_event() is None
 
 
-def test_a_sample_is_sent_once_and_only_the_newest() -> None:
+def test_only_the_newest_sample_is_sent_and_only_once() -> None:
     link = joystick_link()
     assert link.poll_transmit(0) is None
     link.handle_local(command(0.1), 0)
@@ -129,7 +129,7 @@ def test_restart_is_an_event() -> None:
     assert (link.received, link.late, link.lost) == (2, 2, 0)
 
 
-def test_a_missed_cycle_is_skipped_and_never_caught_up() -> None:
+def test_a_missed_cycle_is_skipped_and_not_made_up() -> None:
     schedule = PeriodicSchedule(start_ns=10 * MS)
     assert schedule.handle_wakeup(10 * MS - 1) == -1
     assert schedule.cycles == 0

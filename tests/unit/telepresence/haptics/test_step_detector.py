@@ -9,7 +9,7 @@ from telepresence.haptics.step_detector import StepDetector
 
 
 def steps(samples):
-    """(index of the sample, rise) of each step; samples: (fx, fy, contact), one a millisecond."""
+    """Return (index of the sample, rise) of each step; samples: (fx, fy, contact), at 1 kHz."""
     detector = StepDetector()
     for number, (fx, fy, contact) in enumerate(samples):
         detector.handle_sample(number * NS_PER_MS, fx, fy, contact)
@@ -32,7 +32,7 @@ def test_a_step_is_dated_at_its_first_sample(rise, force, hold, flag):
     yes, no = (True, False) if flag else (None, None)
     found = steps(free(contact=no) + press(yes, force, rise, hold) + free(contact=no))
     assert len(found) == 1
-    # What is below the noise is not seen yet.
+    # Changes below the noise level are not detected yet.
     assert 200 <= found[0][0] <= 200 + 0.02 / force * rise + 1
 
 
@@ -45,15 +45,15 @@ def test_a_bounce_is_no_second_step():
     assert len(steps(free() + press(hold=10) + free(30) + press())) == 1
 
 
-def test_letting_go_is_no_step():
+def test_a_release_is_no_step():
     assert len(steps(free(contact=None) + press(None, hold=800) + free(400, None))) == 1
 
 
-def test_without_contact_nothing_that_the_force_does_is_a_step():
+def test_without_contact_no_change_of_force_is_a_step():
     assert steps(free() + press(False) + free()) == []
 
 
-def test_a_force_that_was_there_before_the_contact_hides_no_step():
+def test_a_constant_force_before_the_contact_hides_no_step():
     moving = [(0.5, 0.1, False)] * 200
     ((index, rise),) = steps(moving + [(0.5 - 0.1 * k, 0.1, True) for k in range(1, 30)])
     assert index == 200

@@ -1,4 +1,4 @@
-"""The functional checks pass on a sound joystick, and each finds the fault that it is for."""
+"""The functional checks pass on a healthy joystick, and each detects its own fault."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from telepresence.haptics.device.simulated import FACTS, FAULTS, Faults, Simulat
 
 
 def checked(names, faults=None, device=None, during=None):
-    """The results of the checks called `names`, by name; `during(bench, device)` in each cycle."""
+    """Return the results of the checks by name; `during(bench, device)` runs in each cycle."""
     device = device or SimulatedDevice(faults)
     bench = CheckBench(device, names)
     now_ns = 0
@@ -21,7 +21,7 @@ def checked(names, faults=None, device=None, during=None):
     return {result.name: result for result in bench.results}
 
 
-def test_a_sound_joystick_passes_all_and_the_figures_are_its_own():
+def test_a_healthy_joystick_passes_all_checks_with_its_own_figures():
     device = SimulatedDevice()
     results = checked(list(CHECKS), device=device)
     assert [name for name, result in results.items() if result.passed] == list(CHECKS)
@@ -31,7 +31,7 @@ def test_a_sound_joystick_passes_all_and_the_figures_are_its_own():
     assert figures["Coulomb friction x"] == pytest.approx(FACTS.coulomb_n, rel=0.15)
     assert figures["viscous friction y"] == pytest.approx(FACTS.viscous_n_s_m, rel=0.15)
     assert figures["stiffness x"] == pytest.approx(200, rel=0.02)
-    # Pushed with 4 N the handle goes into its stops by a little, never less far than to them.
+    # A push of 4 N moves the handle slightly into its stops, never less far than to them.
     assert 150 <= figures["right end"] < 152
     assert abs(device.joystick.x_m) < 0.005 and abs(device.joystick.y_m) < 0.005
 
@@ -44,7 +44,7 @@ def test_a_sound_joystick_passes_all_and_the_figures_are_its_own():
         ("buttons", "button", "button 2 pressed and let go"),
     ],
 )
-def test_a_fault_fails_the_check_that_is_for_it(check, fault, words):
+def test_a_fault_fails_its_check(check, fault, words):
     result = checked([check], FAULTS[fault])[check]
     assert result.failed
     assert words in [figure.name for figure in result.figures if not figure.passed]
@@ -52,14 +52,14 @@ def test_a_fault_fails_the_check_that_is_for_it(check, fault, words):
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_an_axis_that_is_stuck_is_never_calibrated(axis):
+def test_a_stuck_axis_is_never_calibrated(axis):
     result = checked(["workspace"], Faults(stuck=axis))["workspace"]
     assert result.failed
     assert f"calibration error: axis {'xy'[axis]} moves by ±0 mm" in result.trouble
 
 
 @pytest.mark.parametrize("check", ["workspace", "friction", "spring"])
-def test_an_axis_that_sticks_after_the_calibration_fails_what_moves_it(check):
+def test_an_axis_stuck_after_the_calibration_fails_checks_that_move_it(check):
     def stick(bench, device):
         if bench.operation.calibration is not None:
             device.stuck = 1
@@ -80,13 +80,13 @@ def test_hot_motors_end_a_check_with_the_reason():
     assert cold.failed and "103 °C" in cold.trouble
 
 
-def test_an_unplugged_joystick_fails_all_that_is_left():
+def test_an_unplugged_joystick_fails_all_remaining_checks():
     results = checked(list(CHECKS), FAULTS["unplugged"])
     assert len(results) == len(CHECKS)
     assert all("the device is gone" in result.trouble for result in results.values())
 
 
-def test_buttons_that_are_pressed_unasked_are_counted():
+def test_unexpected_button_presses_are_counted():
     def lean(bench, device):
         if bench.prompt.startswith("press button"):
             device.fingers.buttons |= 0b1000

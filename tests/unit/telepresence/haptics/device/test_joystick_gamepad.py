@@ -26,7 +26,7 @@ AXES = (Axis(128, 0, 255, 15), Axis(0, -32768, 32767, 128))
 
 
 class Pad:
-    """A device around a `Stick`, without the kernel's."""
+    """A device around a `Stick`, without a kernel device."""
 
     def __init__(self):
         self.stick = Stick("pad", AXES, KEYS)
@@ -50,21 +50,21 @@ def settled(stick):
     return stick.reading()
 
 
-def test_full_travel_is_the_workspace_and_the_flat_middle_is_nothing():
+def test_full_travel_maps_to_the_workspace_and_the_flat_middle_to_zero():
     stick = Stick("pad", AXES, KEYS)
     assert settled(stick)[:2] == (0.0, 0.0)
     stick.handle_event(3, 0, 255)
     stick.handle_event(3, 1, -32768)
     reading = settled(stick)
     assert reading.x_m == pytest.approx(0.1, abs=1e-6)
-    # The kernel's y grows downwards.
+    # The kernel's y axis points down.
     assert reading.y_m == pytest.approx(0.08, abs=1e-6)
     stick.handle_event(3, 0, 140)
     assert settled(stick).x_m == pytest.approx(0.0, abs=1e-6)
 
 
 @given(st.lists(st.tuples(st.integers(0, 255), st.integers(1, 120)), min_size=1, max_size=12))
-def test_a_jump_of_the_stick_is_no_jump_of_the_handle(jumps):
+def test_the_handle_follows_a_jump_of_the_stick_smoothly(jumps):
     stick = Stick("pad", AXES, KEYS)
     before = (0.0, 0.0, 0.0, 0.0)
     for value, cycles in jumps:
@@ -79,7 +79,7 @@ def test_a_jump_of_the_stick_is_no_jump_of_the_handle(jumps):
             )
             assert hypot(vx, vy) < 3.0
             assert (x - before[0], y - before[1]) == pytest.approx((vx * 1e-3, vy * 1e-3))
-            # It does not swing beyond where the stick has ever been.
+            # It never overshoots the positions of the stick.
             assert abs(x) < 0.1005 and abs(y) < 0.0805
             before = (x, y, vx, vy)
     stick.handle_event(3, 0, 255)
@@ -87,7 +87,7 @@ def test_a_jump_of_the_stick_is_no_jump_of_the_handle(jumps):
 
 
 @pytest.mark.parametrize("release_ms", [0, 16, 64])
-def test_a_stick_that_is_let_go_of_at_a_wall_takes_no_energy_that_is_not_there(release_ms):
+def test_releasing_the_stick_at_a_wall_keeps_the_observers_positive(release_ms):
     device = Pad()
     space, ground = JoystickSide(handle=OperatedHandle(device)), RobotSide()
     device.stick.handle_event(1, 0x136, 1)
@@ -111,7 +111,7 @@ def test_the_dead_man_button_is_the_left_shoulder_or_the_trigger_or_always():
     assert Stick("bare", AXES, frozenset({0x130})).reading().dead_man
 
 
-def test_lost_events_are_asked_for():
+def test_after_lost_events_the_state_is_requested():
     stick = Stick("pad", AXES, KEYS)
     stick.handle_event(1, 0x130, 1)
     stick.handle_event(0, 3, 0)
@@ -126,7 +126,7 @@ EVENTS = st.tuples(st.integers(0, 31), st.integers(0, 0x2FF), st.integers(-(2**3
 
 
 @given(st.lists(EVENTS), st.sampled_from([AXES, (Axis(0, 0, 0), Axis(7, 5, 3, 2))]))
-def test_no_event_brings_it_out_of_its_workspace(events, axes):
+def test_no_event_leads_outside_the_workspace(events, axes):
     stick = Stick("pad", axes, KEYS)
     for kind, code, value in events:
         stick.handle_event(kind, code, value)
@@ -136,7 +136,7 @@ def test_no_event_brings_it_out_of_its_workspace(events, axes):
     assert 0 <= reading.buttons < 16
 
 
-def test_it_rumbles_in_steps_and_is_quiet_at_once():
+def test_rumble_changes_in_steps_and_stops_at_once():
     meter = RumbleMeter(8.0)
     assert meter.handle_force(0.0, NS_PER_MS) is None
     assert meter.handle_force(4.0, NS_PER_MS) == round(0.5 * 0xFFFF)
@@ -146,7 +146,7 @@ def test_it_rumbles_in_steps_and_is_quiet_at_once():
     assert meter.handle_force(0.0, NS_PER_MS) == 0
 
 
-def test_a_force_that_stays_rumbles_on_and_one_that_nobody_feels_never_begins():
+def test_a_constant_force_keeps_rumbling_and_a_tiny_one_never_starts():
     meter = RumbleMeter(8.0)
     set_ms = [ms for ms in range(10_000) if meter.handle_force(6.0, NS_PER_MS) is not None]
     gaps_ms = [later - earlier for earlier, later in pairwise([*set_ms, 10_000])]
@@ -173,7 +173,7 @@ def test_a_stick_at_rest_is_calibrated_and_needs_its_dead_man_button():
     assert operation.force_limit_n == 0.0
     operation.device.stick.handle_event(1, 0x136, 1)
     run(operation, 500, now_ns)
-    # Nobody feels it, but the energies are those of a hand that does.
+    # Nobody feels this force, but the energies must be those of a hand that does.
     assert operation.force_limit_n == UNFELT_FORCE_LIMIT_N
 
 
@@ -183,14 +183,14 @@ def test_a_stick_that_is_held_is_not_calibrated():
     run(operation, 500)
     assert operation.state is JoystickState.CALIBRATION_ERROR
     assert "does not rest at its middle (+" in operation.reason
-    # It pushes nobody: it is tried until the stick is let go of.
+    # It pushes nobody, so it is repeated until the stick is released.
     now_ns = run(operation, 20_000, 500 * NS_PER_MS)
     operation.device.stick.handle_event(3, 0, 128)
     run(operation, 2_000, now_ns)
     assert operation.state is JoystickState.APPLICATION
 
 
-def test_no_controller_is_one_line(tmp_path):
+def test_a_missing_controller_is_refused_in_one_line(tmp_path):
     pytest.importorskip("evdev")
     assert find_gamepads(tmp_path) == []
     with pytest.raises(ConfigError, match="no game controller here: plug one in"):
@@ -204,12 +204,12 @@ def test_no_controller_is_one_line(tmp_path):
 
 
 @pytest.mark.parametrize("spec", ["", "usb", "sim:tired"])
-def test_a_spec_that_names_nothing_is_one_line(spec):
+def test_an_invalid_spec_is_refused_in_one_line(spec):
     with pytest.raises(ConfigError, match="joystick"):
         check_joystick(spec)
 
 
-def test_the_kernels_octets_come_through_the_librarys_reader():
+def test_the_library_reads_the_kernels_octets():
     evdev = pytest.importorskip("evdev")
     read_end, write_end = os.pipe2(os.O_NONBLOCK)
 

@@ -1,4 +1,4 @@
-"""The joystick in operation: who has its motors, what halts it, and what the samples say of it."""
+"""The joystick in operation: control of its motors, causes of a halt, and contents of samples."""
 
 from copy import deepcopy
 from math import hypot, inf, nan
@@ -22,7 +22,7 @@ QUIET = Feedback(0.0, 0.0, 0, False)
 
 
 class Session:
-    """An operated handle on virtual time, with a robot that sends as long as `robot` is set."""
+    """An operated handle on virtual time, with a robot that sends while `robot` is set."""
 
     def __init__(self, device=None, limits=None):
         self.device = device or SimulatedDevice(hand=Hand())
@@ -45,7 +45,7 @@ class Session:
         return self
 
 
-def test_it_goes_into_the_application_by_itself_and_finds_its_middle():
+def test_it_enters_the_application_by_itself_and_finds_its_middle():
     session = Session(SimulatedDevice(hand=Hand(), start_m=(0.03, -0.04)))
     states = []
     session.run(4, each=lambda: states.append(session.handle.state))
@@ -56,7 +56,7 @@ def test_it_goes_into_the_application_by_itself_and_finds_its_middle():
     assert log == ["self-test passed", "calibrate", "calibration passed", "start"]
 
 
-def test_without_a_calibration_there_is_no_place_and_no_force_for_the_controller():
+def test_without_a_calibration_there_is_no_position_and_no_force():
     session = Session()
     places = set()
 
@@ -68,7 +68,7 @@ def test_without_a_calibration_there_is_no_place_and_no_force_for_the_controller
     assert places == {(0.0, 0.0, 0.0)}
 
 
-def test_a_hand_in_the_way_of_the_calibration_is_pushed_with_no_more_than_its_five_newton():
+def test_the_calibration_pushes_a_hand_with_at_most_five_newton():
     device = SimulatedDevice()
     session, joystick, write_force = Session(device), device.joystick, device.write_force
     asked, been_right = [], False
@@ -89,7 +89,7 @@ def test_a_hand_in_the_way_of_the_calibration_is_pushed_with_no_more_than_its_fi
     assert 4.5 < max(asked) <= 5.000001
 
 
-def test_a_released_dead_man_button_takes_the_force_and_its_return_is_slow():
+def test_releasing_the_dead_man_button_removes_the_force_which_returns_slowly():
     session = Session().into_application()
     assert session.handle.force_limit_n == FACTS.force_limit_n
     session.device.show_state(JoystickState.HALTED)  # the hand lets go
@@ -113,7 +113,7 @@ def test_heat_warns_then_weakens_then_halts_until_it_is_cool():
     session.run(0.1)
     report = session.handle.report()
     assert report["temperature_warnings"] == 1
-    # The device and its supervisor take the same from it.
+    # The device and its supervisor reduce the force by the same amount.
     assert abs(session.handle.force_limit_n - joystick.force_limit_n) < 0.1
     assert 0.25 < report["force_share"] < 1.0
     joystick.temperature_c = 80.5
@@ -130,7 +130,7 @@ def test_heat_warns_then_weakens_then_halts_until_it_is_cool():
     joystick.temperature_c = 50.0
     session.run(0.5)
     assert session.operation.state is JoystickState.APPLICATION
-    # Each time is a warning, also one that is not as hot as the last.
+    # Each rise is a warning, even if it is lower than the last one.
     joystick.temperature_c = 65.0
     session.run(0.1)
     report = session.handle.report()
@@ -138,7 +138,7 @@ def test_heat_warns_then_weakens_then_halts_until_it_is_cool():
     assert report["hottest_c"] == 80.5
 
 
-def test_a_thermometer_that_reads_no_number_is_an_error_and_frees_no_force():
+def test_an_invalid_temperature_is_an_error_without_force():
     session = Session().into_application()
     joystick = session.device.joystick
     for wrong_c in (nan, inf, -inf):
@@ -167,7 +167,7 @@ def test_silence_halts_it_and_the_first_sample_brings_it_back():
     assert session.operation.state is JoystickState.APPLICATION
 
 
-def test_a_person_may_halt_and_resume_and_is_told_why_not():
+def test_a_person_may_halt_and_resume_and_refusals_give_a_reason():
     operation = Operation(SimulatedDevice(), automatic=False)
     now_ns = 0
 
@@ -195,7 +195,7 @@ def test_a_person_may_halt_and_resume_and_is_told_why_not():
     assert operation.state is JoystickState.CALIBRATED
 
 
-def test_a_handle_beyond_its_workspace_is_an_error_that_a_calibration_mends():
+def test_a_handle_outside_its_workspace_is_an_error_until_the_next_calibration():
     session = Session().into_application()
     session.device.set_zero(0.3, 0.0)  # an encoder that has jumped
     session.run(0.01)
@@ -208,7 +208,7 @@ def test_a_handle_beyond_its_workspace_is_an_error_that_a_calibration_mends():
 
 
 @pytest.mark.parametrize("seconds", [0.001, 0.9, 1.1, 5])
-def test_a_fault_that_is_gone_is_mended_however_long_it_was_and_however_often(seconds):
+def test_recovery_works_after_any_duration_and_number_of_faults(seconds):
     session = Session().into_application()
     read = session.device.read
     for _ in range(5):
@@ -220,7 +220,7 @@ def test_a_fault_that_is_gone_is_mended_however_long_it_was_and_however_often(se
         assert session.operation.state is JoystickState.APPLICATION
 
 
-def test_motors_that_push_in_vain_give_up_after_three_more_tries():
+def test_motors_give_up_after_three_retries():
     session = Session(SimulatedDevice(FAULTS["stuck-x"]))
     session.run(30)
     assert session.operation.state is JoystickState.CALIBRATION_ERROR and session.operation.given_up
@@ -258,7 +258,7 @@ readings = st.builds(
     st.lists(st.tuples(readings, st.integers(1, 60), st.floats(-50, 50) | numbers), max_size=30),
     st.booleans(),
 )
-def test_whatever_the_sensors_say_force_stays_within_what_is_allowed(script, calibrated):
+def test_no_sensor_reading_lets_the_force_exceed_its_limit(script, calibrated):
     operation, now_ns = deepcopy(CALIBRATED) if calibrated else (Operation(SimulatedDevice()), 0)
     device = operation.device
 
@@ -283,8 +283,8 @@ def test_whatever_the_sensors_say_force_stays_within_what_is_allowed(script, cal
         assert reading.present or state is JoystickState.FATAL
 
 
-def test_a_sensor_that_fails_is_noticed_in_the_very_cycle():
-    # Not by the look at what counts in seconds, which is taken every ten cycles only.
+def test_a_sensor_failure_is_noticed_in_the_same_cycle():
+    # Not only by the full check, which runs only every ten cycles.
     for wait in range(10):
         session = Session().into_application().run(wait / 1000)
         wrong = session.device.read()._replace(vx_m_s=100.0)
@@ -294,7 +294,7 @@ def test_a_sensor_that_fails_is_noticed_in_the_very_cycle():
         assert session.handle.force_limit_n == 0.0
 
 
-def test_the_samples_carry_its_state_and_the_fatal_one_is_final():
+def test_samples_carry_the_state_and_the_fatal_state_is_final():
     device = SimulatedDevice(FAULTS["unplugged"], hand=Hand())
     handle = OperatedHandle(device)
     joystick_side, robot_side = JoystickSide(handle=handle), RobotSide()
@@ -322,6 +322,6 @@ def test_the_samples_carry_its_state_and_the_fatal_one_is_final():
             )
     assert seen == [0, 1, 2, 3, 7]
     assert pushed_after == 0.0
-    # The LED that the robot has lit is lit on the joystick too.
+    # The LED that the robot lights is lit on the joystick too.
     assert (0b001, 0) in lights
     assert joystick_side.controller.least_observed_uj >= -1

@@ -1,4 +1,4 @@
-"""The joystick's states: nothing leads outside the table, and nothing out of a fatal error."""
+"""The joystick's states: only transitions of the table, and none out of a fatal error."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +14,7 @@ from telepresence.haptics.device.states import (
 
 
 @given(st.lists(st.sampled_from(JoystickEvent), max_size=60))
-def test_no_sequence_of_events_leads_outside_the_table(events):
+def test_no_sequence_of_events_leaves_the_table(events):
     machine, fatal = StateMachine(), False
     for number, event in enumerate(events):
         before = machine.state
@@ -33,7 +33,7 @@ def test_no_sequence_of_events_leads_outside_the_table(events):
 
 
 def test_force_only_after_a_calibration_and_a_request():
-    # Every way into the application, back to its beginning.
+    # All transitions into the application, followed back to their begin.
     assert {
         before for (before, _), after in TRANSITIONS.items() if after is JoystickState.APPLICATION
     } == {JoystickState.CALIBRATED}
@@ -43,7 +43,7 @@ def test_force_only_after_a_calibration_and_a_request():
         (JoystickState.APPLICATION, JoystickEvent.STOP),
         (JoystickState.HALTED, JoystickEvent.RESUME),
     }
-    # What is halted was calibrated.
+    # The halted state is reached only from calibrated states.
     assert {
         before for (before, _), after in TRANSITIONS.items() if after is JoystickState.HALTED
     } == {
@@ -52,7 +52,7 @@ def test_force_only_after_a_calibration_and_a_request():
     }
 
 
-def test_every_state_but_the_fatal_one_can_be_left_by_a_request_or_by_itself():
+def test_every_state_except_fatal_can_be_left():
     for state in JoystickState:
         ways = {event for (before, event) in TRANSITIONS if before is state}
         if state is JoystickState.FATAL:
