@@ -1,4 +1,4 @@
-"""Whatever a haptic port receives, in whatever order: it is counted once and never raises."""
+"""Any datagrams in any order: each is counted once, and nothing raises."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -64,9 +64,7 @@ def test_feedback_round_trip(
 
 
 @given(st.floats(allow_nan=False), st.floats(allow_nan=False), st.integers(0, 1 << 80))
-def test_whatever_is_sent_is_read_within_half_a_count_or_saturated(
-    x: float, y: float, uj: int
-) -> None:
+def test_values_round_trip_within_half_a_count_or_saturate(x: float, y: float, uj: int) -> None:
     sample = unpack_command(pack_command(0, Command(x, y, uj)))
     saturated = bool(sample.flags & FLAG_SATURATED)
     assert saturated is (max(abs(x), abs(y)) / POSITION_M >= 32767.5)
@@ -88,8 +86,8 @@ def test_everything_is_counted_exactly_once(datagrams: list[bytes]) -> None:
     st.integers(0, 65535),
     st.lists(st.sampled_from(["deliver", "lose", "repeat", "swap"]), min_size=1, max_size=300),
 )
-def test_counters_are_true_for_any_path(first: int, path: list[str]) -> None:
-    """Against a plain reckoning with unbounded sequence numbers."""
+def test_counters_are_correct_for_any_path(first: int, path: list[str]) -> None:
+    """Compares with simple counting on unbounded sequence numbers."""
     link = robot_link()
     arrivals: list[int] = []
     for number, fate in enumerate(path):

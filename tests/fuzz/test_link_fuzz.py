@@ -1,8 +1,8 @@
-"""The invariant: whatever arrives, the receiver counts it and goes on.
+"""Invariant: whatever arrives, the receiver counts it and continues.
 
-That is: it never raises, books each frame once as received or as dropped for one reason, holds
-no more than it must, and after any garbage understands a healthy peer again.
-KONTUR_FUZZ_FRAMES makes it long; half of the frames go each way.
+It never raises. It counts each frame once, as received or as dropped for one reason. It holds no
+more than necessary, and after any garbage it understands a healthy peer again. KONTUR_FUZZ_FRAMES
+sets the length; half of the frames go each way.
 """
 
 import os
@@ -32,7 +32,7 @@ FLOWS = [
 
 
 def mutated(frame, random):
-    """One of the ways in which a frame can be wrong; some keep, or repair, the checksum."""
+    """Corrupt a frame in one of several ways; some keep, or repair, the checksum."""
     octets = bytearray(frame)
     way = random.randrange(7)
     if way == 0:
@@ -103,14 +103,14 @@ def test_mutated_frames(profile):
         while event := receiver.next_event():
             assert isinstance(event, PacketReceived)
             out.append(event.data)
-    # The new life is seen with its first frame; only the packet before may end with that frame.
+    # The first frame shows the new life; only the last packet before may be lost with it.
     assert out[-40:] == [struct.pack(">I", slot) for slot in range(40)]
 
 
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
 @given(data=st.data())
-def test_any_octets_behind_a_right_header_and_checksum(profile, data):
-    """What no checksum stops: a peer that does not keep to the tags, frame after frame."""
+def test_any_octets_after_a_valid_header_with_a_valid_checksum(profile, data):
+    """What no checksum detects: a peer that violates the tag format, frame after frame."""
     receiver = LinkReceiver(profile, FLOWS)
     frames = data.draw(
         st.lists(

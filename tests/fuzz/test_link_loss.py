@@ -1,9 +1,11 @@
-"""The invariant: whatever the radio does to frames, each packet that comes out was put in, whole,
-in the order of its flow and once; samples come in order. What is sent after the last disturbance
-comes out. Each packet is accounted for where it was dropped, and the ledger is exact.
+"""Invariants for any disturbance by the radio.
 
-The radio loses frames, repeats and reorders them, and flips up to three bits or a burst of up to
-16, which the FECF always finds out (docs/link.md has what it may not).
+Each packet that comes out was put in, is whole, and comes once and in the order of its flow.
+Samples come in order. What is sent after the last disturbance comes out. Each lost packet is
+counted where it was dropped, and the octet counts are exact.
+
+The radio loses, repeats and reorders frames. It flips up to three bits, or a burst of up to 16,
+which the FECF always detects (docs/link.md has what it may miss).
 """
 
 import struct
@@ -31,7 +33,7 @@ FLOWS = [
     packet_flow("maintenance", Level.MAINTENANCE),
 ]
 RTP_FLOWS = ("video", "voice")
-#: A zone of few octets with an M_PDU header: each packet is in pieces, each length a corner case.
+#: A zone of few octets with an M_PDU header: all packets are in pieces, all lengths corner cases.
 NARROW = LinkProfile(name="narrow", frame_octets=34, scid=1)
 
 arrivals = st.lists(
@@ -54,12 +56,12 @@ disturbances = st.lists(
     ),
     max_size=12,
 )
-#: Which slots have a sample, and which are for supervision: every n-th, 0 for none.
+#: Which slots have a sample, and which have a supervision message: every n-th, 0 for none.
 every = st.sampled_from([0, 1, 1, 2, 3, 7])
 
 
 class Traffic:
-    """Packets that differ from each other wherever their length allows it."""
+    """Return packets that differ from each other wherever their length allows it."""
 
     def __init__(self):
         self.number = 0
@@ -77,7 +79,7 @@ class Traffic:
 
 
 class Radio:
-    """Frames in, disturbed frames out."""
+    """Takes frames and returns disturbed frames."""
 
     def __init__(self, disturbances):
         self.ways = {}
@@ -172,7 +174,7 @@ def test_what_comes_out_was_put_in(profile, arrivals, disturbances, sampled, sup
     carrying = range(0, slot, sampled) if sampled else range(0)
     ends = {level: sender.report(slot * MS)["queue"][level.name.lower()] for level in Level}
     assert sum(sender.octets().values()) == slot * profile.frame_octets
-    # In order and once, whatever happened; all of it, where nothing did.
+    # In order and once for any disturbance; complete without one.
     assert samples == sorted(set(samples) & set(carrying))
     assert messages == sorted({(number, 1) for number, _ in messages})
     if not radio.ways:
@@ -191,7 +193,7 @@ def test_what_comes_out_was_put_in(profile, arrivals, disturbances, sampled, sup
         elif name not in RTP_FLOWS:
             after = [data for data, since in packets if since > radio.last + 1]
             assert out[len(out) - len(after) :] == after
-    # Each packet that was accepted was dropped by its queue, or sent and received or dropped there.
+    # Each accepted packet was dropped by its queue, or sent; then it was received or dropped there.
     accepted = sum(queue["accepted"] for queue in ends.values())
     dropped = sum(sum(queue["drops"].values()) for queue in ends.values())
     refused = sum(queue["drops"]["full"] for queue in ends.values())

@@ -1,9 +1,9 @@
-"""The invariants of a sender, seen by a reader written from docs/link.md, link-packets.md alone.
+"""Invariants of a sender, checked by a reader written from docs/link.md and link-packets.md alone.
 
-In each frame the levels of the pieces only go down, and a piece of a lower level stands only behind
-the ends of all packets of higher levels that waited when the frame began. There is no fill while
-anything waits. Each channel's packets come in order, once and whole, whatever supervision slots and
-missing samples do to the zones. And the sender's ledger is what the reader counts, octet by octet.
+In each frame the levels of the pieces only fall. A piece of a lower level follows only after all
+packets of higher levels that waited when the frame began. There is no fill while anything waits.
+Each channel's packets come in order, once and whole, for any supervision slots and missing samples.
+The sender's counts equal the reader's, octet by octet.
 """
 
 from collections import Counter
@@ -30,12 +30,12 @@ KINDS = [level.name.lower() for level in Level]
 PATIENT = QueueLimits(
     depth_octets=100_000, max_age_ns=3_600_000 * MS, policy=DropPolicy.REJECT_NEWEST
 )
-#: Its zone of 190 octets is the smallest in which both lengths of lengths occur.
+#: Its zone of 190 octets is the smallest in which both sizes of length fields occur.
 MIDDLE = LinkProfile(name="middle", frame_octets=212, scid=1)
 
 
 class Reader:
-    """The tables of docs/link*.md, read as they stand: no loss, no restart, raw packets only."""
+    """Implements the tables of docs/link*.md: no loss, no restart, raw packets only."""
 
     def __init__(self, profile):
         self.short = profile.pointer_in_signaling
@@ -168,7 +168,7 @@ def test_priorities_fill_order_and_ledger(profile, slots):
         frame = sender.poll_transmit(frames * MS, message)
         frames += 1
         assert reader.frame(frame) == message
-        # A packet that fills its zone to the last octet is known to have ended by the next frame.
+        # Only the next frame shows that a packet which fills its zone has ended.
         for number, _ in reader.packets[ended:]:
             unfinished[LEVELS[number]] -= 1
         if message:
@@ -197,7 +197,7 @@ def test_priorities_fill_order_and_ledger(profile, slots):
         if not any(unfinished):
             break
         slot(True, None)
-    # Within a level first come, first served; across levels anything goes.
+    # Within a level packets come in order; across levels any order is possible.
     for level in Level:
         assert [p for p in reader.packets if LEVELS[p[0]] == level] == [
             p for p in put if LEVELS[p[0]] == level

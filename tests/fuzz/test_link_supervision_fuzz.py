@@ -1,8 +1,8 @@
-"""Invariant: whatever a supervisor is handed as a message, it counts it and goes on.
+"""Invariant: whatever a supervisor receives as a message, it counts it and continues.
 
-Nothing is raised, the peer is never taken for connected or fit to deliver on the strength of
-octets that no end of this configuration sent, the rate of messages stays bounded, and a peer
-that does fit is found again as soon as it is heard.
+Nothing raises. Octets that no end with this configuration sent never make the peer count as
+connected, or fit for delivery. The rate of messages stays bounded. A matching peer is found again
+as soon as it is heard.
 """
 
 import os
@@ -52,7 +52,7 @@ def drain(supervisor):
 
 
 def talk(one, other, since, slots):
-    """Both ends hear each other, with data, for so many slots."""
+    """Let both ends hear each other, with data, for this many slots."""
     for slot in range(since, since + slots):
         for sender, receiver in ((one, other), (other, one)):
             message = sender.poll_transmit(slot * MS)

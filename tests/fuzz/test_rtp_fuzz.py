@@ -1,5 +1,6 @@
-"""Invariants: an access unit that comes out whole is octet for octet what went in, whatever the
-network did; and no octets from outside make a parser do anything but refuse.
+"""Invariants: a complete access unit equals the one that was sent, whatever the network did.
+
+No octets from outside make a parser do anything but refuse.
 """
 
 import contextlib
@@ -24,20 +25,20 @@ from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.rtp.sender import RtpSender
 from kontur_av.rtp.wire import parse_rtcp, parse_rtp
 
-# A slice that begins a picture; its body has no zeros, so it holds no start code.
+# A slice that begins a picture. Its body has no zeros, so it contains no start code.
 BODY = st.integers(1, 6000).map(lambda n: bytes(1 + (n * i) % 255 for i in range(n)))
 SLICE = BODY.map(lambda body: b"\x41\x88" + body)
 SETS = st.just([b"\x67\x42\xc0\x1e\x11", b"\x68\xce\x3c\x80"])
 PICTURE = st.one_of(
     SLICE.map(lambda unit: [unit]),
     st.tuples(SETS, SLICE).map(lambda both: [*both[0], b"\x65" + both[1][1:]]),
-    # Two slices: the second does not begin a picture.
+    # Two slices: the second one does not begin a picture.
     st.tuples(SLICE, BODY).map(lambda both: [both[0], b"\x41\x22" + both[1]]),
 )
 
 
 class Stream:
-    """Sender to depacketizer, over whatever `network` makes of the packets."""
+    """Send to the depacketizer what `network` makes of the packets."""
 
     def __init__(self, pictures, first_sequence, offset, max_payload_octets):
         sender = RtpSender(
@@ -90,7 +91,7 @@ STREAM = st.builds(
 
 @settings(max_examples=80, deadline=None)
 @given(STREAM)
-def test_a_clean_network_gives_every_picture_back(stream):
+def test_a_clean_network_delivers_every_picture(stream):
     received = stream.deliver(stream.packets)
     assert [unit.data for unit in received] == list(stream.sent.values())
     assert not any(unit.damaged or unit.lost_before for unit in received)
@@ -100,12 +101,12 @@ def test_a_clean_network_gives_every_picture_back(stream):
 @settings(max_examples=80, deadline=None)
 @given(STREAM, st.data())
 def test_small_reordering_and_duplicates_are_repaired(stream, data):
-    # The first two stay in order: a source is believed only after two in sequence.
+    # The first two stay in order, because a source is accepted only after two in sequence.
     head, rest = stream.packets[:2], stream.packets[2:]
     shuffled = []
     for start in range(0, len(rest), 4):
         shuffled += data.draw(st.permutations(rest[start : start + 4]))
-    # Older ones in a row are a source that began anew (RFC 3550, appendix A.1: MAX_MISORDER).
+    # Several older ones in a row mean that the source restarted (RFC 3550 A.1: MAX_MISORDER).
     late = stream.packets[-(MAX_MISORDER - 4) :]
     copies = data.draw(st.lists(st.sampled_from(late), max_size=5))
     received = stream.deliver([*head, *shuffled, *copies])
@@ -115,7 +116,7 @@ def test_small_reordering_and_duplicates_are_repaired(stream, data):
 
 @settings(max_examples=120, deadline=None)
 @given(STREAM, st.data())
-def test_what_comes_out_whole_is_what_was_sent(stream, data):
+def test_complete_access_units_equal_those_sent(stream, data):
     packets = stream.packets[:2]
     for packet in stream.packets[2:]:
         fate = data.draw(st.sampled_from(["come", "come", "come", "lost", "late"]))
@@ -132,7 +133,7 @@ def test_what_comes_out_whole_is_what_was_sent(stream, data):
             assert unit.data == stream.sent[unit.timestamp]
     counts = stream.receiver.counts
     assert counts.received == len(packets)
-    # Those lost at the end have no successor that could show it.
+    # Packets lost at the end have no successor that could reveal the loss.
     assert counts.received + counts.lost <= len(stream.packets)
     shown = 1 + max(stream.packets.index(packet) for packet in packets)
     assert counts.received + counts.lost == shown
@@ -149,7 +150,7 @@ def test_every_parser_refuses_or_accepts_any_octets(octets):
 
 
 SOURCE = st.sampled_from([b"\0\0\0\x07", b"\0\0\0\x07", b"\0\0\0\x08"])
-# Octets that look right at the beginning get further into the parsers.
+# Octets with a valid begin get further into the parsers.
 RTP = st.builds(
     lambda first, number, stamp, source, payload: (
         bytes((first, 0x60 | 0x80 * (number & 1)))
@@ -191,7 +192,7 @@ REPORTS = st.one_of(RTCP, SENDER_REPORT, GOODBYE, st.tuples(SENDER_REPORT, GOODB
     st.lists(st.one_of(st.none(), REPORTS), max_size=20),
     st.sampled_from([3, 40, 700]),
 )
-def test_a_whole_receiver_survives_any_datagrams(datagrams, reports, apart_ms):
+def test_the_receiver_survives_any_datagrams(datagrams, reports, apart_ms):
     receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000, from_ntp=ManualClock().from_ntp)
     depacketizer, playout = H264Depacketizer(), PlayoutBuffer()
     for index, datagram in enumerate(datagrams):
@@ -263,7 +264,7 @@ def test_any_mixture_of_sdp_lines_is_refused_or_understood(lines):
     st.none() | st.integers(1, 65_535),
     st.none() | st.integers(1, 4000).map(lambda k: k * 1000),
 )
-def test_sdp_survives_the_way_there_and_back(kind, port, payload_type, rtcp_port, bandwidth_bps):
+def test_sdp_round_trip(kind, port, payload_type, rtcp_port, bandwidth_bps):
     stream = StreamDescription(
         kind=kind,
         host="::1" if port % 2 else "10.0.0.1",

@@ -1,4 +1,4 @@
-"""Whatever octets come: a packet is refused, or packing it again gives the same octets."""
+"""Any octets: a packet is refused, or packing it again gives the same octets."""
 
 import contextlib
 
@@ -36,7 +36,7 @@ def test_round_trip(message: SelectCamera | SelectAck | Housekeeping, count: int
 
 
 @given(messages, st.data())
-def test_mutations_are_refused_or_mean_themselves(
+def test_mutated_packets_are_refused_or_pack_to_the_same_octets(
     message: SelectCamera | SelectAck | Housekeeping, data: st.DataObject
 ) -> None:
     octets = bytearray(pack_packet(message, 0))

@@ -1,4 +1,4 @@
-"""The 12-octet sample, octet by octet: worked out by hand from the table in sample.py."""
+"""The 12-octet sample, octet by octet: computed by hand from the table in sample.py."""
 
 import math
 
@@ -51,7 +51,7 @@ def test_the_energy_wraps() -> None:
     assert feedback.value.energy_uj == 0
 
 
-def test_flags_say_what_happened_at_the_sender() -> None:
+def test_flags_show_the_senders_state() -> None:
     command = Command(0.0, 0.0, 0, False, STATE_HALTED, 0, True, True)
     data = pack_command(1, command, holding=True)
     assert data == bytes.fromhex("0001 2c 04 0000 0000 00000000")
@@ -63,7 +63,7 @@ def test_flags_say_what_happened_at_the_sender() -> None:
     assert unpack_feedback(data).value == feedback
 
 
-def test_values_out_of_range_saturate_and_say_so() -> None:
+def test_values_out_of_range_saturate_and_set_a_flag() -> None:
     data = pack_command(0, Command(9.0, -math.inf, 0), holding=True)
     assert data == bytes.fromhex("0000 16 03 7fff 8001 00000000")
     assert unpack_command(data).flags == FLAG_DEAD_MAN | FLAG_SATURATED | FLAG_HOLDING
@@ -84,13 +84,13 @@ def test_not_a_number_is_refused() -> None:
     "data",
     [b"", COMMAND[:-1], COMMAND + b"\0", FEEDBACK, bytes.fromhex("0000 10 03 8000 0000 00000000")],
 )
-def test_what_is_no_command_is_refused(data: bytes) -> None:
+def test_an_invalid_command_is_refused(data: bytes) -> None:
     with pytest.raises(ProtocolError):
         unpack_command(data)
 
 
 @pytest.mark.parametrize("data", [COMMAND, bytes.fromhex("0000 80 03 0000 8000 00000000")])
-def test_what_is_no_feedback_is_refused(data: bytes) -> None:
+def test_an_invalid_feedback_is_refused(data: bytes) -> None:
     with pytest.raises(ProtocolError):
         unpack_feedback(data)
 

@@ -1,4 +1,4 @@
-"""Transfer frames octet by octet, both ways, against the book's arithmetic done bit by bit."""
+"""Transfer frames octet by octet, compared with the standard's arithmetic done bit by bit."""
 
 import struct
 from binascii import crc_hqx
@@ -29,7 +29,7 @@ MESSAGE = b"supervision!"
 
 
 def crc16_by_division(octets: bytes) -> int:
-    """x^16 + x^12 + x^5 + 1 divided out bit by bit from all ones (CCSDS 732.0-B 4.1.6.2)."""
+    """Return the remainder of division by x^16 + x^12 + x^5 + 1 from all ones (4.1.6.2)."""
     register = 0xFFFF
     for octet in octets:
         for bit in range(7, -1, -1):
@@ -44,7 +44,7 @@ def bits(value: int, width: int) -> str:
 
 
 def frame_by_bits(profile, count, sample, pointer, zone):
-    """The fields of CCSDS 732.0-B 4.1.2, one after the other, as strings of bits."""
+    """Return the fields of CCSDS 732.0-B 4.1.2, one after the other, as strings of bits."""
     in_signaling = profile.pointer_in_signaling
     header = (
         "01"  # transfer frame version number
@@ -64,12 +64,12 @@ def frame_by_bits(profile, count, sample, pointer, zone):
     return octets + crc16_by_division(octets).to_bytes(2, "big")
 
 
-def test_fecf_is_the_books_crc():
+def test_fecf_is_the_standards_crc():
     assert crc16_by_division(b"123456789") == 0x29B1
     assert crc_hqx(b"123456789", 0xFFFF) == 0x29B1
 
 
-#: Room for every code beside the largest zone: 27 octets of zones, and 2043.
+#: Profiles with the largest zones that leave room for all codes: 27 octets, and 2043.
 WIDEST = [
     LinkProfile(name="short", frame_octets=35, scid=0, vcid=63, pointer_in_signaling=True),
     LinkProfile(name="long", frame_octets=2053, scid=255, vcid=0),
@@ -78,7 +78,7 @@ WIDEST = [
 
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK, *WIDEST], ids=lambda profile: profile.name)
 @given(data=st.data())
-def test_codec_writes_and_reads_what_the_book_says(profile, data):
+def test_codec_follows_the_standard(profile, data):
     count = data.draw(st.integers(0, 2**25))
     insert = st.binary(min_size=profile.insert_octets, max_size=profile.insert_octets)
     sample = data.draw(st.none() | insert)
@@ -96,7 +96,7 @@ def test_codec_writes_and_reads_what_the_book_says(profile, data):
     idle = codec.pack_idle(count, sample)
     assert idle == codec.pack(count, sample, codes.idle, bytes(size))
     assert codec.parse(idle) == (count % 2**24, sample, codes.idle, bytes(size))
-    # Up to three flipped bits are always noticed, in a frame that is idle, too.
+    # Up to three flipped bits are always detected, also in an idle frame.
     for flipped in (frame, idle):
         wrong = int.from_bytes(flipped, "big")
         for bit in data.draw(st.sets(st.integers(0, 8 * len(frame) - 1), min_size=1, max_size=3)):
@@ -118,7 +118,7 @@ def test_uplink_frame_by_hand():
     assert frame.hex() == "52c100000520000102030405060708090a0b8b0361626300000000000000" + "46dd"
 
 
-def test_uplink_packet_over_frames_a_telecommand_between_and_a_slot_without_sample():
+def test_uplink_packet_over_several_frames_with_an_interrupting_telecommand():
     sender = LinkSender(UPLINK, FLOWS, first_count=0xFFFFFF)
     sender.handle_packet("maintenance", bytes(range(0x30, 0x60)), 0)  # 48 octets
     zones = []
@@ -136,7 +136,7 @@ def test_uplink_packet_over_frames_a_telecommand_between_and_a_slot_without_samp
         ("0000001f", bytes(range(0x3B, 0x53)).hex()),
         # Pointer 29: preempted. The telecommand closed, then level 3 resumed (open) to the end.
         ("0000013d", "8b025443" + "07" + bytes(range(0x53, 0x5A)).hex()),
-        # Pointer 28: a supervision message has the zone.
+        # Pointer 28: a supervision message takes the zone.
         ("0000023c", MESSAGE.hex()),
         # Pointer 6: the packet's last six octets, then fill.
         ("00000326", bytes(range(0x5A, 0x60)).hex() + "000000000000"),
@@ -172,7 +172,7 @@ def test_downlink_frame():
     # SCID 0x4C; M_PDU header: five spare bits and pointer 0.
     assert frame[:20].hex() == "5301" + "000000" + "20" + SAMPLE.hex() + "0000"
     assert frame[20:42] == bytes.fromhex("8b 14") + bytes(range(20))
-    # 200 octets are told by two: 1 and 15 bits of length.
+    # The length of 200 octets takes two octets: 1 bit and 15 bits of length.
     assert frame[42:245] == bytes.fromhex("8a 80c8") + b"m" * 200
     assert frame[245:498] == bytes.fromhex("0a") + b"n" * 252
     assert frame[498:] == struct.pack(">H", crc16_by_division(frame[:498]))
@@ -197,8 +197,8 @@ def test_one_octet_too_long_for_its_length_is_padded():
     assert sender.poll_transmit(0)[6:8].hex() == "07fe"  # it has ended with that zone
 
 
-def test_what_was_cut_off_is_not_told_to_have_ended():
-    """Its tag stands in the frame before, so the next one must not say that it ends here."""
+def test_a_dropped_packet_is_not_reported_as_ended():
+    """Its tag is in the frame before, so the next frame must not say that it ends here."""
     sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
     sender.handle_packet("maintenance", bytes(100), 0)
     frames = [sender.poll_transmit(0)]
@@ -231,7 +231,7 @@ def test_kinds_of_rtp_packets_and_their_flow():
     assert 2 in kinds
 
 
-def test_what_is_written_is_read():
+def test_parsing_restores_what_was_packed():
     for profile in (UPLINK, DOWNLINK):
         sender, receiver = LinkSender(profile, FLOWS), LinkReceiver(profile, FLOWS)
         sender.handle_haptic(SAMPLE, 0)

@@ -1,4 +1,4 @@
-"""Contexts and compressed headers octet by octet, worked out by hand from docs/link-headers.md."""
+"""Contexts and compressed headers octet by octet, computed by hand from docs/link-headers.md."""
 
 import pytest
 from hypothesis import given
@@ -42,8 +42,8 @@ def test_a_context_octet_by_octet():
     assert parse_context(bytes(18), 0) is None
 
 
-# 100 slots later 9000 ticks have passed; the context had waited 3 leads of 180 ticks less than
-# usual, so 8460 are due, and the nearest grid point is the third: timestamp + 9000 - 2.
+# 100 slots later 9000 ticks have passed. The context waited 3 leads of 180 ticks less than usual.
+# So 8460 ticks are due, and the nearest grid point is the third: timestamp + 9000 - 2.
 @pytest.mark.parametrize(
     ("kind", "residue", "marker", "sequence", "timestamp"),
     [
@@ -51,15 +51,15 @@ def test_a_context_octet_by_octet():
         # 0x1325 = 4901 = 2 modulo 3; marker 0, index 3 + 3 = 2 modulo 4, sequence 65 535.
         (5 + 2, "5f", 0, 65_535, 0x1325),
         (5 + 0, "c1", 1, 1, 0x1326),
-        # The point before, and a tick after it; the third packet of that picture.
+        # The grid point before, and a tick after it; the third packet of that picture.
         (5 + 1, "a2", 1, 2, 0x1326 - 3000 + 1),
         (8 + 2, "e0", 1, 1, 0x12E0),
         (8 + 1, "6e", 1, 0, 0x076E),
         # Marker 1, sequence 4 low bits 0101, timestamp 13 low bits of 0x1400.
         (12 + 2, "b400", 1, 5, 0x1400),
         (12 + 1, "f000", 0, 65_535, 0x1000),
-        # The windows' edges: the point less 128 and plus 127; 12 before number 1 and 19 after it;
-        # 5120 ticks before due, at the first grid point, 6 before its number 65 535.
+        # The limits of the windows: the grid point -128 and +127; 12 before number 1 and 19 after
+        # it; 5120 ticks before the due time, at the first grid point, 6 before its number 65 535.
         (8 + 2, "a6", 1, 1, 0x1326 - 128),
         (8 + 2, "a5", 1, 1, 0x1326 + 127),
         (5 + 0, "d5", 1, 65_525, 0x1326),
@@ -91,7 +91,7 @@ def test_any_context_packs_to_what_was_parsed(body):
 
 
 @given(octets, st.integers(4, 15), st.binary(max_size=3), st.integers(0, 1 << 26))
-def test_any_residue_is_fields_or_too_short(body, kind, residue, slots):
+def test_any_residue_gives_fields_or_is_too_short(body, kind, residue, slots):
     context = parse_context(body, 0)
     if context is None:
         return
@@ -107,8 +107,8 @@ def test_any_residue_is_fields_or_too_short(body, kind, residue, slots):
 
 
 @given(octets, st.integers(0, 1 << 20), st.integers(4, 15), st.binary(min_size=2, max_size=2))
-def test_what_a_header_gives_is_packed_into_the_same_header(body, slots, kind, residue):
-    """Each form is the inverse of its reading, whatever the context; the index comes from it."""
+def test_restored_fields_pack_into_the_same_header(body, slots, kind, residue):
+    """Each form's packing is the inverse of its parsing, for any context."""
     context = parse_context(body, 0)
     if context is None:
         return
@@ -117,7 +117,7 @@ def test_what_a_header_gives_is_packed_into_the_same_header(body, slots, kind, r
     fields = forms.unpack(kind, residue, context, slots)
     packed = [pack(*fields, index) for pack in forms.packers for index in range(4)]
     if kind in (5, 6, 7) and (kind - 5, residue[0]) != (fields[2] % 3, residue[0]):
-        # Beside the wrap of the timestamp thirds do not go round; such a header is never sent.
+        # At the wrap of the timestamp, thirds do not continue; such a header is never sent.
         assert min(fields[2], (1 << 32) - 1 - fields[2]) < 2
         return
     assert (kind, residue) in packed

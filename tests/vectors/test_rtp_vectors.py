@@ -1,4 +1,4 @@
-"""Bytes made by hand after the standards, so that an error in both directions cannot hide."""
+"""Octets derived by hand from the standards, so that errors in both directions cannot cancel."""
 
 import pytest
 
@@ -30,7 +30,7 @@ def sender(**changes) -> RtpSender:
 
 
 def test_an_rtp_packet_octet_for_octet():
-    # 1 s after the epoch of the clock: 90000 = 0x15F90 ticks behind the offset.
+    # 1 s after the epoch of the clock: 90000 = 0x15F90 ticks after the offset.
     stamp = CaptureStamp(1_000_000_000, 0, "left")
     unit = AccessUnit(b"\x00\x00\x00\x01\x41\x9a\x55", stamp, False, 0)
     (packet,) = sender().video_packets(unit)
@@ -70,7 +70,7 @@ def test_a_large_nal_unit_is_cut_into_fu_a():
     ]
 
 
-def test_fu_a_gives_the_nal_header_back():
+def test_fu_a_restores_the_nal_header():
     first = parse_payload(bytes.fromhex("7c858884"))
     assert (first.nal_units, first.starts, first.ends) == ((bytes.fromhex("658884"),), True, False)
 
@@ -132,7 +132,7 @@ def test_sdp_of_a_video_stream():
     assert parse_sdp(write_sdp(stream)) == stream
 
 
-def test_the_sdp_that_ffmpeg_writes():
+def test_sdp_written_by_ffmpeg_is_understood():
     text = (
         "SDP:\nv=0\no=- 0 0 IN IP4 127.0.0.1\ns=No Name\nc=IN IP4 127.0.0.1\nt=0 0\n"
         "a=tool:libavformat 59.27.100\nm=video 6000 RTP/AVP 96\nb=AS:200\n"

@@ -1,4 +1,4 @@
-"""The supervision message octet by octet, as docs/link-messages.md has it."""
+"""The supervision message octet by octet, as docs/link-messages.md defines it."""
 
 import pytest
 from hypothesis import given
@@ -105,12 +105,12 @@ def test_golden(message, octets):
         ("", "nothing"),
     ],
 )
-def test_what_no_end_sends_is_no_message(octets, what):
+def test_impossible_messages_are_refused(octets, what):
     assert parse_message(bytes.fromhex(octets)) is None, what
 
 
 @given(st.binary(min_size=12, max_size=12))
-def test_what_is_read_is_written_the_same(data):
+def test_packing_restores_what_was_parsed(data):
     message = parse_message(data)
     if message is not None:
         assert message_version(data) == message.version
@@ -130,15 +130,15 @@ tm 0 raw 0 0
 """
 
 
-def test_digest_is_the_crc_of_this_text_at_both_ends():
+def test_digest_is_the_crc_of_the_text_at_both_ends():
     assert GROUND.text(master=True) == SPACE.text(master=False) == TEXT
     assert GROUND.digest(master=True) == SPACE.digest(master=False) == crc16(TEXT.encode())
-    # Which of the ends is the master is part of it: the ways have a direction.
+    # The digest includes which end is the master, because the directions differ.
     assert GROUND.digest(master=True) != SPACE.digest(master=True)
 
 
 def crc16(data):
-    """x^16 + x^12 + x^5 + 1, begun with all ones (CCSDS 732.0-B clause 4.1.6.2), bit by bit."""
+    """Return the CRC with x^16 + x^12 + x^5 + 1 from all ones (CCSDS 732.0-B 4.1.6.2), by bits."""
     register = 0xFFFF
     for octet in data:
         for bit in range(7, -1, -1):

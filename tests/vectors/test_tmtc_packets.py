@@ -1,4 +1,4 @@
-"""Space packets octet by octet: worked out by hand from CCSDS 133.0-B-2, clause 4.1.3."""
+"""Space packets octet by octet: computed by hand from CCSDS 133.0-B-2, clause 4.1.3."""
 
 import pytest
 
@@ -49,7 +49,7 @@ def test_the_longest_packet_has_twenty_octets() -> None:
 
 
 @pytest.mark.parametrize("name", ["", "x" * 11, "käfer", "a\nb"])
-def test_a_name_that_does_not_fit_is_the_users_mistake(name: str) -> None:
+def test_an_unfit_name_is_a_config_error(name: str) -> None:
     with pytest.raises(ConfigError, match="1 to 10 printable ASCII"):
         pack_packet(SelectCamera(name, 0), 0)
 

@@ -1,4 +1,4 @@
-"""Rates of the profiles, and which caps fit."""
+"""Capacity arithmetic: rates of the profiles, and which caps fit."""
 
 import struct
 
@@ -34,8 +34,8 @@ def test_rates_of_the_profiles():
 
 
 def test_the_setups_fit():
-    # 93 000 payload; 30*3 + 50*2 octets of headers and resume tags, a context a second each; 480 in
-    # reserve for TM/TC and RTCP, and three supervision messages a second of 12 octets.
+    # 93 000 payload; 30*3 + 50*2 octets of headers and resume tags; a context a second each; 480 of
+    # reserve for TM/TC and RTCP; three supervision messages a second of 12 octets.
     need = check_fit(UPLINK, [video(85), VOICE])
     assert need.needed_bps == 93_000 + (30 * 3 + 50 * 2 + 17 + 19) * 8 + 480 + 3 * 12 * 8
     assert need.spare_bps == 96_000 - need.needed_bps == 424
@@ -43,7 +43,7 @@ def test_the_setups_fit():
     assert channel_need(UPLINK, [video(90, packets_per_s=35)]).fits
 
 
-def test_a_cap_too_high_is_refused_with_the_one_that_fits():
+def test_too_high_a_cap_is_refused_with_the_highest_that_fits():
     with pytest.raises(ConfigError, match=r"uplink_video at 95 kbit/s .* at most 94 kbit/s$"):
         check_fit(UPLINK, [video(95)])
     with pytest.raises(ConfigError, match="at most 85 kbit/s"):
@@ -77,7 +77,7 @@ def test_the_table_adds_up_to_the_channel(profile, streams):
 
 
 def overhead_bps_of_a_run(profile, video_bps, packets_per_s, voice_bps, seconds=30):
-    """Headers and framing that a sender's ledger shows for streams at these rates."""
+    """Return the bit rate of headers and framing in a real run of a sender at these rates."""
     sender = LinkSender(profile, [video_flow("video"), voice_flow("voice")])
     video_octets, sent = video_bps // 8 // packets_per_s, 0
     for slot in range(seconds * 1000):
@@ -109,7 +109,7 @@ def overhead_bps_of_a_run(profile, video_bps, packets_per_s, voice_bps, seconds=
         (DOWNLINK, 3000, 375, 64),
     ],
 )
-def test_no_run_needs_more_than_was_reckoned(profile, video_kbps, packets_per_s, voice_kbps):
+def test_no_run_needs_more_than_computed(profile, video_kbps, packets_per_s, voice_kbps):
     streams = [video(video_kbps, packets_per_s)]
     if voice_kbps:
         voice = {"name": "voice", "payload_bps": voice_kbps * 1000, "packets_per_s": 50}
@@ -119,7 +119,7 @@ def test_no_run_needs_more_than_was_reckoned(profile, video_kbps, packets_per_s,
     measured_bps = overhead_bps_of_a_run(profile, *rates)
     print(f"{measured_bps:.0f} of {reckoned_bps}")
     assert measured_bps <= reckoned_bps
-    # Above that rate the reckoning is for a source with many packets a picture.
+    # Above that rate the arithmetic assumes a source with many packets a picture.
     assert measured_bps > 0.5 * reckoned_bps or packets_per_s > MOST_COMPRESSED_PER_S
 
 
@@ -132,12 +132,12 @@ def test_no_run_needs_more_than_was_reckoned(profile, video_kbps, packets_per_s,
         ({"frame_octets": 32, "scid": 256}, "scid"),
     ],
 )
-def test_profiles_that_cannot_be(changes, message):
+def test_invalid_profiles_are_refused(changes, message):
     with pytest.raises(ConfigError, match=message):
         LinkProfile(**{"name": "odd", "scid": 1, **changes})
 
 
-def test_flow_tables_that_cannot_be():
+def test_invalid_flow_tables_are_refused():
     with pytest.raises(ConfigError, match="twice"):
         check_flows([video_flow("a"), video_flow("a")])
     with pytest.raises(ConfigError, match="at most 8"):

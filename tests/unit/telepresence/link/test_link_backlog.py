@@ -1,4 +1,4 @@
-"""What a gateway tells the sender of video: how often, how rounded, and only when it changes."""
+"""Reports to the sender of video: their rate, their rounding, and only on changes."""
 
 from itertools import pairwise
 from random import Random
@@ -12,7 +12,7 @@ SLOTS = 4000
 
 
 def truth(gateway):
-    """What a sender would be told at once and exactly."""
+    """Return the exact present state."""
     return Backlog(
         gateway.sender.waiting_octets(Level.VIDEO),
         gateway.contacts,
@@ -26,7 +26,7 @@ def rounded(backlog):
 
 
 def session(seed=1):
-    """Four seconds with video and with samples left out: (instant, truth, what was told)."""
+    """Run four seconds with video and missing samples: (instant, exact state, report)."""
     link = VirtualLink(
         uplink_flows=[packet_flow("picture", Level.VIDEO)],
         downlink_flows=[packet_flow("command", Level.TMTC)],
@@ -35,7 +35,7 @@ def session(seed=1):
     reporter = BacklogReporter(link.ground)
     told = []
     for slot in range(SLOTS):
-        # A picture now and then, one second without samples, and one with nothing new at all.
+        # A picture now and then, one second without samples, and one without any change.
         busy = slot < 3000
         if busy and chance.random() < 0.02:
             link.ground.handle_datagram("picture", bytes(chance.randrange(50, 900)), link.now_ns)
@@ -48,17 +48,17 @@ def session(seed=1):
     return told
 
 
-def test_at_most_every_four_milliseconds_and_only_a_change():
+def test_reports_only_changes_at_most_every_four_milliseconds():
     messages = [(now_ns, message) for now_ns, _, message in session() if message is not None]
     assert len(messages) > 200
     for (earlier_ns, earlier), (later_ns, later) in pairwise(messages):
         assert later_ns - earlier_ns >= 4 * MS == REPORT_NS
         assert later != earlier
-    # Now and then something changes as soon as it may be told again.
+    # Sometimes a change is reported at the earliest allowed instant.
     assert min(b[0] - a[0] for a, b in pairwise(messages)) == 4 * MS
 
 
-def test_what_is_freed_is_rounded_down():
+def test_freed_capacity_is_rounded_down():
     messages = [(true, message) for _, true, message in session() if message is not None]
     freed = {message.freed_bps for _, message in messages}
     assert len(freed) > 10
@@ -66,11 +66,11 @@ def test_what_is_freed_is_rounded_down():
     for true, message in messages:
         assert 0 <= true.freed_bps - message.freed_bps < 1000
         assert message == rounded(true)
-    # Not every value is a round one: without rounding this test would see nothing.
+    # Some exact values are not round; without them this test would show nothing.
     assert any(true.freed_bps % 1000 for true, _ in messages)
 
 
-def test_no_change_is_told_later_than_four_milliseconds_after_it():
+def test_a_change_is_reported_within_four_milliseconds():
     known = None
     wrong_since_ns = None
     for now_ns, true, message in session():
@@ -83,8 +83,8 @@ def test_no_change_is_told_later_than_four_milliseconds_after_it():
             assert now_ns - wrong_since_ns < 4 * MS
 
 
-def test_nothing_is_told_while_nothing_changes():
-    # In the last second every slot has a sample; from when the window holds no other, all is still.
+def test_nothing_is_reported_without_a_change():
+    # In the last second every slot has a sample. Once the window holds no other, nothing changes.
     told = session()
     quiet_ns = (SLOTS + 10) * MS
     for now_ns, true, _ in reversed(told):
@@ -96,6 +96,6 @@ def test_nothing_is_told_while_nothing_changes():
     assert quiet_ns < SLOTS * MS
 
 
-def test_the_first_slot_tells_how_things_are():
+def test_the_first_slot_reports_the_state():
     _, true, message = session()[0]
     assert message == rounded(true)

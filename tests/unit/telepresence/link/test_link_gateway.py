@@ -1,4 +1,4 @@
-"""Two gateways with a radio between them: what joins sender, receiver and supervision."""
+"""Two gateways with a radio between them: how sender, receiver and supervision work together."""
 
 import struct
 
@@ -31,8 +31,10 @@ def linked(delay_ns=0, blackouts=()):
 
 
 def run(link, until_ns, sent=(), samples=()):
-    """Step until `until_ns`; `sent` are (instant, side, flow, data), `samples` the sides that
-    have one in each slot."""
+    """Step until `until_ns`.
+
+    sent: (instant, side, flow, data). samples: the sides that have a sample in each slot.
+    """
     sent = sorted(sent, reverse=True)
     arrived = []
     while link.now_ns < until_ns:
@@ -84,9 +86,9 @@ def test_radio_loss_is_repeatable():
     assert 100 < len(survivors(1)) < 180
 
 
-def test_a_loss_of_signal_takes_what_was_queued_and_haptics_return_with_the_first_frame():
+def test_a_loss_of_signal_flushes_the_queues_and_haptics_return_at_once():
     link = linked(delay_ns=2 * MS, blackouts=(Blackout(start_s=1.0, seconds=0.3),))
-    # More than the blackout lets out: the queue is full when the signal goes.
+    # More than can be sent before the blackout, so the queue is full when the signal is lost.
     old = [(950 * MS, "ground", "tc", b"old" + bytes(100))] * 40
     new = [(1_301 * MS, "ground", "tc", b"new")]
     arrived = run(link, 1_500 * MS, [*old, *new], samples=("ground", "space"))
@@ -102,7 +104,7 @@ def test_a_loss_of_signal_takes_what_was_queued_and_haptics_return_with_the_firs
         assert gateway.supervisor.state is LinkState.CONNECTED
 
 
-def test_one_living_direction_goes_on_carrying():
+def test_a_single_working_direction_keeps_carrying():
     link = linked(blackouts=(Blackout(start_s=0.5, seconds=10, direction="downlink"),))
     sent = [(2000 * MS, "ground", "tc", b"up"), (2000 * MS, "space", "tm", b"down")]
     arrived = run(link, 2_100 * MS, sent)
@@ -111,7 +113,7 @@ def test_one_living_direction_goes_on_carrying():
     assert link.space.supervisor.signal
 
 
-def test_ends_that_differ_deliver_nothing_and_say_what_differs():
+def test_ends_with_different_configurations_deliver_nothing_and_say_why():
     flows = {"transmit_flows": UP, "receive_flows": DOWN}
     wide = LinkProfile(name="uplink", frame_octets=32, scid=0x4B, pointer_in_signaling=True)
     other = LinkProfile(name="downlink", frame_octets=500, scid=0x4C, slot_ns=2 * MS)
@@ -141,8 +143,8 @@ def test_ends_that_differ_deliver_nothing_and_say_what_differs():
 
 
 @pytest.mark.parametrize("restart_at", [105, 505])
-def test_a_peer_that_begins_late_or_anew_understands_the_next_packet(restart_at):
-    """Contexts go out a second apart; a peer that has just come up need not wait for the next."""
+def test_a_peer_that_starts_late_or_restarts_understands_the_next_packet(restart_at):
+    """A peer that has just started must not have to wait for the next context, a second later."""
     flow = voice_flow("voice")
     heard = []
 
@@ -190,11 +192,11 @@ def test_a_peer_that_begins_late_or_anew_understands_the_next_packet(restart_at)
                 heard.append(event.data[3])
     assert heard[0] in (2, 3)
     after = restart_at // 20 + 1
-    # None of the packets from the first whole one after a supervision message on is missing.
+    # After a supervision message, no packet from the first whole one on is missing.
     assert set(range(after + 1, 45)) <= set(heard)
 
 
-def test_garbage_on_a_telecommand_port_does_not_travel_ahead_of_the_media():
+def test_garbage_on_a_telecommand_port_is_not_sent():
     sender = LinkSender(UPLINK, [tmtc_flow("telemetry")])
     select = pack_packet(SelectCamera("static", 7), 1)
     telemetry = Housekeeping("taskboard1", contact=True, force_n=3.0)

@@ -1,4 +1,4 @@
-"""Queues: depth, age and drops, each by its policy."""
+"""Queues: depth, age and drops by policy."""
 
 from telepresence.link.queues import DropPolicy, PacketQueue, QueueLimits
 
@@ -46,7 +46,7 @@ def test_too_old_is_dropped_and_counted():
     assert taken(packets, 60 * MS) == [b"young"]
 
 
-def test_patience_is_shorter_than_the_limit_or_none():
+def test_patience_applies_only_if_shorter_than_the_limit():
     packets = queue(DropPolicy.REJECT_NEWEST)
     packets.set_patience(20 * MS)
     packets.handle_packet(0, b"old", 0)

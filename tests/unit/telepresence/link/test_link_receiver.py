@@ -1,4 +1,4 @@
-"""What the receiver counts: losses, restarts, late frames, frames that are none."""
+"""What the receiver counts: losses, restarts, late frames, invalid frames."""
 
 import struct
 from binascii import crc_hqx
@@ -44,7 +44,7 @@ def test_restarted_peer_is_followed_at_once():
 
 
 def test_restart_whose_first_frames_are_lost():
-    """Far below the last count the second frame shows it; just below, the fourth."""
+    """With a far lower count the second frame shows the restart; just below, the fourth does."""
     for first_count in (1_000_000, 0):
         receiver = LinkReceiver(UPLINK, FLOWS)
         now_ns = feed(receiver, frames(20, first_count))
@@ -54,14 +54,14 @@ def test_restart_whose_first_frames_are_lost():
         assert receiver.frames_received >= 20 + 6
 
 
-def test_jump_ahead_that_no_time_explains_is_a_restart():
+def test_an_implausible_jump_ahead_is_a_restart():
     receiver = LinkReceiver(UPLINK, FLOWS)
     now_ns = feed(receiver, frames(5, 7_000_000))
     feed(receiver, frames(5, 9_000_000), now_ns)
     assert (receiver.restarts, receiver.frames_lost) == (1, 0)
 
 
-def test_a_count_that_comes_from_nowhere_once_is_a_flipped_bit():
+def test_a_single_implausible_count_is_a_bit_error():
     receiver = LinkReceiver(UPLINK, FLOWS)
     sent = frames(10, 100)
     for wild in (5_000_000, 99 - 40, 1):
@@ -73,7 +73,7 @@ def test_a_count_that_comes_from_nowhere_once_is_a_flipped_bit():
 
 
 def test_contexts_of_a_former_life_are_not_used():
-    """The new peer believes its contexts to be held; the frames with them are lost."""
+    """The new peer assumes that its contexts are held, but the frames with them are lost."""
     receiver = LinkReceiver(UPLINK, FLOWS)
     now_ns = 0
     for life in range(2):
@@ -98,7 +98,7 @@ def test_contexts_of_a_former_life_are_not_used():
     assert receiver.packets_dropped["no_context"] > 0
 
 
-def test_nothing_is_delivered_unapproved_but_supervision():
+def test_without_approval_only_supervision_is_delivered():
     sender, receiver = LinkSender(DOWNLINK, FLOWS), LinkReceiver(DOWNLINK, FLOWS)
     receiver.deliver = False
     sender.handle_haptic(bytes(12), 0)
@@ -115,7 +115,7 @@ def test_nothing_is_delivered_unapproved_but_supervision():
     assert receiver.next_event().data == b"telecommand"
 
 
-def test_signal_lost_drops_what_came_in_part():
+def test_a_loss_of_signal_drops_incomplete_packets():
     sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
     sender.handle_packet("tmtc", bytes(100), 0)
     for slot in range(3):
@@ -127,7 +127,7 @@ def test_signal_lost_drops_what_came_in_part():
     assert receiver.packets_dropped == {"incomplete": 1}
 
 
-def test_flushed_is_never_sent_and_counted_by_level():
+def test_flushed_packets_are_never_sent_and_counted_by_level():
     sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
     for name, data in (("rtcp", b"\x80\xc8" + bytes(60)), ("tmtc", b"t" * 60), ("tmtc", b"u" * 9)):
         sender.handle_packet(name, data, 0)
@@ -142,8 +142,8 @@ def test_flushed_is_never_sent_and_counted_by_level():
     assert queues["video"]["drops"]["signal_lost"] == 1
 
 
-def test_patience_and_interruption_end_what_waits():
-    """A packet that is being sent waits for nothing; one that is interrupted waits."""
+def test_patience_ends_waiting_and_interrupted_packets():
+    """A packet on air does not age; an interrupted packet does."""
     for patience_ns, reason, age in ((None, "expired", 700), (50 * MS, "signal_lost", 60)):
         sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
         sender.set_patience(patience_ns)
@@ -170,7 +170,7 @@ def test_repeated_and_late_frames_are_dropped():
     assert (receiver.frames_received, receiver.restarts) == (7, 0)
 
 
-def test_a_packet_without_end_is_dropped_when_it_is_too_long():
+def test_an_endless_packet_is_dropped_at_the_size_limit():
     receiver, codec = LinkReceiver(UPLINK, FLOWS), FrameCodec(UPLINK)
     receiver.handle_frame(codec.pack(0, None, 0, b"\x08" + bytes(23)), 0)
     for count in range(1, 100):
@@ -192,7 +192,7 @@ def test_a_packet_without_end_is_dropped_when_it_is_too_long():
         ("signaling", lambda frame: resealed(frame[:5] + bytes([frame[5] | 0x80]) + frame[6:-2])),
     ],
 )
-def test_frames_that_are_none_of_ours(reason, mutate):
+def test_invalid_frames_are_dropped(reason, mutate):
     receiver = LinkReceiver(UPLINK, FLOWS)
     receiver.handle_frame(mutate(frames(1)[0]), 0)
     assert receiver.frames_dropped == {reason: 1}
@@ -206,12 +206,12 @@ def resealed(body):
     return body + crc_hqx(body, 0xFFFF).to_bytes(2, "big")
 
 
-def test_tags_that_mean_nothing_are_counted():
+def test_undefined_tags_are_counted():
     receiver = LinkReceiver(UPLINK, FLOWS)
     codec = FrameCodec(UPLINK)
-    # A control code that means nothing; a flow that is not in the table; pieces that end beyond the
-    # zone, with a short length and a long one; a length, and its second octet, beyond the zone;
-    # a reserved kind.
+    # An undefined control code; a flow that is not in the table; pieces that end beyond the zone,
+    # with a short length and a long one; a length, and its second octet, beyond the zone; a
+    # reserved kind.
     zones = ["03", "0b", "8817", "888100", "01" * 23 + "88", "01" * 22 + "8880", "9802abcd"]
     for count, zone in enumerate(zones):
         zone = bytes.fromhex(zone).ljust(24, b"\0")
@@ -226,7 +226,7 @@ def test_tags_that_mean_nothing_are_counted():
 
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
 def test_every_length_from_every_position(profile):
-    """A packet of each length, begun at each place of the zone, arrives as it was sent."""
+    """A packet of each length, begun at each position in the zone, arrives unchanged."""
     zone = profile.largest_zone_octets
     positions = range(zone) if zone < 25 else (0, 1, zone - 5, zone - 4, zone - 3, zone - 2)
     lengths = [*range(40), *range(zone - 12, zone + 4), 127, 128, 2 * zone]
@@ -247,7 +247,7 @@ def test_every_length_from_every_position(profile):
             assert sum(sender.octets().values()) == sender.frames_sent * profile.frame_octets
 
 
-def test_garbage_at_the_door_does_not_take_the_channel():
+def test_garbage_from_a_local_port_takes_no_capacity():
     sender = LinkSender(UPLINK, FLOWS)
     assert not sender.handle_packet("video", b"no RTP at all", 0)
     assert not sender.handle_packet("rtcp", b"\x80\x60" + bytes(20), 0)

@@ -1,4 +1,4 @@
-"""When an end of the link wakes, and what a slot does in which order."""
+"""When an end of the link wakes up, and the order of work in a slot."""
 
 import random
 from itertools import pairwise
@@ -34,7 +34,7 @@ def make_slots(first_ns=0, delay_ns=0):
 
 
 def late(margin, lateness_ns):
-    """How many of the wake-ups came after the deadline that the margin was for."""
+    """Return how many wake-ups came after the deadline in spite of the margin."""
     missed = 0
     for late_ns in lateness_ns:
         missed += late_ns > margin.ns
@@ -57,18 +57,18 @@ def test_the_margin_follows_the_machine_and_stays_small():
     margin = WakeMargin()
     late(margin, [10 * US] * 5000)
     assert 9 * US < margin.ns < 13 * US
-    # Held up for milliseconds again and again: no margin would help.
+    # Repeatedly held up for milliseconds: no margin would help.
     late(margin, [3000 * US] * 5000)
     assert margin.ns == 60 * US
     late(margin, [0] * 5000)
     assert margin.ns == 0
 
 
-def test_it_wakes_as_much_before_a_slot_as_it_has_learned():
+def test_it_wakes_before_a_slot_by_the_learned_margin():
     gateway, slots = make_slots(first_ns=MS)
     assert slots.wake_ns == slots.deadline_ns == slots.poll_timeout() == MS
     for slot in range(1, 1001):
-        # Ready 20 µs after it asked to be woken.
+        # Ready 20 µs after the requested wake-up.
         ready_ns = slots.wake_ns + 20 * US
         slots.handle_ready(ready_ns)
         assert slots.handle_slot([], max(ready_ns, slots.deadline_ns)) >= 0
@@ -86,7 +86,7 @@ def test_it_wakes_for_the_radio_between_two_slots():
     assert slots.poll_timeout() == MS
 
 
-def test_the_newest_sample_goes_and_the_others_are_counted():
+def test_the_newest_sample_is_sent_and_the_others_are_counted():
     gateway, slots = make_slots()
     samples = [bytes([number] * UPLINK.insert_octets) for number in range(3)]
     slots.handle_slot([samples[0], None, samples[1], samples[2]], 0)
@@ -94,7 +94,7 @@ def test_the_newest_sample_goes_and_the_others_are_counted():
     assert gateway.sender.haptic_superseded == 2
 
 
-def test_a_slot_takes_no_more_than_its_share_and_leaves_the_rest_where_it_is():
+def test_a_slot_takes_a_limited_number_of_datagrams():
     gateway, slots = make_slots()
     waiting = [("picture", bytes(10))] * (MOST_DATAGRAMS + 5)
 
@@ -105,14 +105,14 @@ def test_a_slot_takes_no_more_than_its_share_and_leaves_the_rest_where_it_is():
     slots.handle_datagrams(port(), 0)
     assert len(waiting) == 5
     assert gateway.sender.waiting_octets(Level.VIDEO) == 10 * MOST_DATAGRAMS
-    # What strangers send takes time as well, and no more of it.
+    # Datagrams of unknown senders take time too, so they count for the limit.
     waiting += [("radio", None)] * 100
     slots.handle_datagrams(port(), MS)
     assert len(waiting) == 105 - MOST_DATAGRAMS
     assert gateway.sender.waiting_octets(Level.VIDEO) == 10 * MOST_DATAGRAMS
 
 
-def test_before_its_instant_there_is_no_slot_and_late_ones_are_skipped():
+def test_early_slots_do_nothing_and_late_ones_are_skipped():
     gateway, slots = make_slots(first_ns=MS)
     assert slots.handle_slot([bytes(12)], MS - 1) == -1
     assert gateway.poll_transmit(MS) is None
@@ -121,7 +121,7 @@ def test_before_its_instant_there_is_no_slot_and_late_ones_are_skipped():
     assert slots.deadline_ns == 4 * MS
 
 
-def test_a_late_slot_delays_no_message():
+def test_a_late_slot_delays_no_report():
     _, slots = make_slots()
     chance = random.Random(2)
     told = []
@@ -134,7 +134,7 @@ def test_a_late_slot_delays_no_message():
 
 
 @pytest.mark.parametrize("heard", [True, False])
-def test_figures_wait_for_a_frame_of_the_peer_as_long_as_there_is_a_peer(heard):
+def test_figures_wait_for_a_frame_while_the_peer_is_heard(heard):
     _, slots = make_slots()
     done = []
     for slot in range(500):
@@ -149,7 +149,7 @@ def test_figures_wait_for_a_frame_of_the_peer_as_long_as_there_is_a_peer(heard):
     assert len(done) == (5 if heard else 2)
 
 
-def test_no_figures_are_begun_shortly_before_a_slot():
+def test_figures_are_not_collected_shortly_before_a_slot():
     _, slots = make_slots()
     slots.handle_slot([], 0)
     assert not slots.poll_figures(600 * US, heard=True)

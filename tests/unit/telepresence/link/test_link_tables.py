@@ -1,4 +1,4 @@
-"""What a profile and a flow table refuse, and what they call it."""
+"""What profiles and flow tables refuse, and with which words."""
 
 import pytest
 
@@ -17,7 +17,7 @@ from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
         ({"frame_octets": 2054, "insert_octets": 0}, "must be at most 2053"),
     ],
 )
-def test_a_profile_whose_pointer_cannot_tell_its_zone_is_refused(fields, message):
+def test_a_profile_with_a_pointer_too_narrow_for_its_zone_is_refused(fields, message):
     with pytest.raises(ConfigError, match=message):
         LinkProfile(name="own", scid=1, **fields)
 

@@ -1,4 +1,4 @@
-"""A telecommand is repeated until acknowledged and executed once, over a way that loses."""
+"""A telecommand is repeated until acknowledged, and executed once, over a lossy path."""
 
 import pytest
 from hypothesis import given
@@ -21,7 +21,7 @@ MS = 1_000_000
 
 
 def answer(receiver: TelecommandReceiver, packet: bytes, now_ns: int, ok: bool = True) -> bytes:
-    """Hand `packet` to the receiver, execute what it gives out; its answer."""
+    """Pass `packet` to the receiver, execute its telecommand, and return the answer."""
     receiver.handle_packet(packet, now_ns)
     if request := receiver.next_event():
         receiver.handle_result(
@@ -32,7 +32,7 @@ def answer(receiver: TelecommandReceiver, packet: bytes, now_ns: int, ok: bool =
     return reply
 
 
-def test_a_selection_there_and_back() -> None:
+def test_a_selection_and_its_acknowledgement() -> None:
     sender, receiver = TelecommandSender(first_token=65535), TelecommandReceiver()
     assert sender.poll_timeout() is None
     assert sender.select("static", 0) == 65535
@@ -46,7 +46,7 @@ def test_a_selection_there_and_back() -> None:
     assert sender.select("left", 50 * MS) == 0
 
 
-def test_a_refusal_names_the_camera_that_stays() -> None:
+def test_a_refusal_names_the_selected_camera() -> None:
     sender, receiver = TelecommandSender(first_token=7), TelecommandReceiver()
     sender.select("nowhere", 0)
     packet = sender.poll_transmit(0)
@@ -100,7 +100,7 @@ def test_a_later_selection_supersedes_an_open_one() -> None:
     assert (sender.unexpected, sender.poll_timeout()) == (1, 600 * MS)
 
 
-def test_a_token_is_known_for_a_while_and_not_for_ever() -> None:
+def test_a_token_is_forgotten_after_some_time() -> None:
     receiver = TelecommandReceiver(memory_ns=1_000 * MS)
     packet = pack_packet(SelectCamera("static", 5), 0)
     answer(receiver, packet, 0)
@@ -112,7 +112,7 @@ def test_a_token_is_known_for_a_while_and_not_for_ever() -> None:
     assert receiver.executed == 3
 
 
-def test_what_waits_is_bounded() -> None:
+def test_waiting_answers_are_bounded() -> None:
     receiver = TelecommandReceiver()
     for token in range(1000):
         receiver.handle_packet(pack_packet(SelectCamera("static", token), 0), 0)
@@ -136,7 +136,7 @@ def test_housekeeping_reaches_the_sender() -> None:
     assert sender.next_event() == message
 
 
-def test_the_users_mistakes_are_refused() -> None:
+def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(ConfigError, match="1 to 10"):
         TelecommandSender(first_token=0).select("the-overhead-camera", 0)
     with pytest.raises(ConfigError, match="at least one try"):
@@ -147,7 +147,7 @@ def test_the_users_mistakes_are_refused() -> None:
     st.lists(st.tuples(st.booleans(), st.booleans(), st.integers(0, 3)), min_size=3, max_size=3),
     st.integers(0, 65535),
 )
-def test_executed_at_most_once_and_done_means_executed(
+def test_a_command_is_executed_at_most_once_and_done_means_executed(
     ways: list[tuple[bool, bool, int]], token: int
 ) -> None:
     """ways: for each try, whether the command and the answer pass, and how often it doubles."""

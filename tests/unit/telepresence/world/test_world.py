@@ -1,4 +1,4 @@
-"""The task board: what hides what, what lights up, what is heard."""
+"""The task board: what hides what, which targets light up, what is heard."""
 
 import hashlib
 import math
@@ -36,7 +36,7 @@ def seen(view, state, frame=0, size=SIZE):
 
 
 def hidden(view, state):
-    """Which LED targets the arm hides: their pixels differ from the board without an arm."""
+    """Return the LED targets that the arm hides, by comparison with a picture without the arm."""
     drawn = GroundView(view, *SIZE)
     bare, covered = empty_picture(*SIZE), empty_picture(*SIZE)
     drawn.draw(state, bare, 0, stylus=False)
@@ -96,7 +96,7 @@ def test_the_same_arguments_give_the_same_picture():
 
 
 @pytest.mark.parametrize("size", [(64, 48), (320, 240), (848, 480), (480, 640), (1280, 720)])
-def test_every_view_draws_at_every_size_wherever_the_stylus_is(size):
+def test_every_view_draws_any_size_and_stylus_position(size):
     for view in VIEWS:
         for x, y in ((0.0, 0.0), (WALL_X_M, 0.05), (-0.15, -0.1), (0.15, 0.1), (3.0, -3.0)):
             picture = seen(view, WorldState(NS_PER_S, x, y), 3, size)
@@ -141,7 +141,7 @@ def test_cameras_of_one_pair_capture_at_the_same_instants():
     assert stamps["left"] == stamps["right"]
 
 
-def test_a_late_camera_skips_and_never_bursts():
+def test_a_late_camera_skips_pictures_without_a_burst():
     clock = ManualClock(0)
     source = open_video("scene:left", name="left", width=64, height=48, fps=30, clock=clock,
                         scenes=video_scenes())  # fmt: skip
@@ -154,7 +154,7 @@ def test_a_late_camera_skips_and_never_bursts():
     assert [first.sequence, second.sequence, third.sequence] == [0, 1, 2]
 
 
-def test_nothing_is_written_when_no_picture_is_due():
+def test_nothing_is_written_if_no_picture_is_due():
     clock = ManualClock(1)
     source = open_video("scene:left", name="left", width=64, height=48, fps=30, clock=clock,
                         scenes=video_scenes())  # fmt: skip
@@ -203,7 +203,7 @@ def test_the_click_begins_with_the_contact():
 
 
 def heard_of(states, blocks=20, begin_ns=2 * NS_PER_S):
-    """What a room adds to its silence for these states, told at the end of each block."""
+    """Return what a room adds to its silence for these states, reported at each block's end."""
 
     def sound(state_at):
         room = Room("ground", fan=False, state_at=state_at, seed=21)
@@ -217,11 +217,11 @@ def heard_of(states, blocks=20, begin_ns=2 * NS_PER_S):
 
 
 @pytest.mark.parametrize("after_ms", [0.0, 3.02, 19.98, 20.0, 41.5])
-def test_a_click_begins_at_the_very_sample(after_ms):
+def test_a_click_begins_at_the_exact_sample(after_ms):
     touched_ns = 2 * NS_PER_S + 40 * NS_PER_MS + round(after_ms * NS_PER_MS)
 
     def state_at(now_ns):
-        # Over again after 4 ms: a microphone that asks every 20 ms hardly sees it.
+        # The contact ends after 4 ms, so a microphone that asks every 20 ms hardly sees it.
         contact = touched_ns <= now_ns < touched_ns + 4 * NS_PER_MS
         since_ns = touched_ns if contact else None
         known_ns = touched_ns if now_ns >= touched_ns else None
@@ -233,11 +233,11 @@ def test_a_click_begins_at_the_very_sample(after_ms):
     assert room.late_clicks == 0
 
 
-def test_a_click_that_is_told_late_sounds_where_it_should_all_the_same():
+def test_a_click_reported_late_still_sounds_at_its_instant():
     touched_ns = 2 * NS_PER_S + 39 * NS_PER_MS
 
     def state_at(now_ns):
-        # Told to the block after the one in which it began.
+        # Reported to the block after the one in which it began.
         known = now_ns > 2 * NS_PER_S + 40 * NS_PER_MS
         return WorldState(now_ns, touched_ns=touched_ns if known else None)
 

@@ -1,4 +1,4 @@
-"""Which context serves when: two-way, one-way, after gaps, restarts and changes of the source."""
+"""Which context is used when: two-way, one-way, after gaps, restarts and source changes."""
 
 from itertools import islice, pairwise
 from random import Random
@@ -22,7 +22,7 @@ FLEETING_SLOTS, LIFE_SLOTS = FLEETING_LIFE_NS // SLOT_NS, LIFE_NS // SLOT_NS
 
 DOWN = {"packets": (3,), "wait_ms": (8, 12)}
 CROWDED_DOWN = {"packets": (2, 3, 3, 3, 4), "wait_ms": (8, 12)}
-#: What each source may cost in octets a packet with its tag, contexts and first packets included.
+#: Largest mean cost of each source in octets a packet, with tag, contexts and first packets.
 SOURCES = {
     "down, on its grid": (VIDEO, 2.0, lambda r: video(r, 60, **DOWN)),
     "down, 2 to 4 packets": (VIDEO, 2.2, lambda r: video(r, 60, **CROWDED_DOWN)),
@@ -68,7 +68,7 @@ def test_the_streams_of_a_setup_cost_less_than_two_octets_together():
     assert octets < 2 * packets
 
 
-def test_one_way_a_context_a_second_serves_without_any_acknowledgement():
+def test_one_way_a_context_a_second_works_without_acknowledgements():
     for flow, source, most in (
         (VIDEO, video(Random(1), 60), 2.2),
         (VOICE, voice(Random(1), 60), 1.5),
@@ -98,14 +98,14 @@ def test_one_way_a_few_whole_headers_come_first():
 @pytest.mark.parametrize("flow", [VIDEO, VOICE], ids=["video", "voice"])
 @pytest.mark.parametrize("deaf", [False, True], ids=["hearing", "deaf"])
 def test_first_packet_after_any_gap_is_exact(flow, gap_s, deaf):
-    """Two-way before; in the gap nothing arrives in one direction, or in either."""
+    """Two-way before; during the gap nothing arrives in one direction, or in both."""
     path = Path(flow)
     start, end = 5000, 5000 + round(gap_s * 1000)
     seconds = gap_s + 15
     source = video(Random(2), seconds, jitter_ms=1) if flow is VIDEO else voice(Random(2), seconds)
     for count, packet in source:
         lost = start <= count < end
-        # The peer is heard again only after what was sent first has arrived.
+        # The peer is heard again only after the packets that were sent first have arrived.
         path.hear(not (deaf and start <= count < end + 300))
         path.send(count, packet, arrives=not lost, told=not lost)
     assert any(count >= end for count, _, _ in path.outcomes)
@@ -120,7 +120,7 @@ def test_one_way_the_first_packet_after_ten_seconds_is_exact():
         assert all(exact for _, _, exact in path.outcomes)
 
 
-def test_one_way_after_a_longer_gap_only_the_next_context_is_waited_for():
+def test_one_way_a_longer_gap_ends_with_the_next_context():
     path = Path(VOICE, heard=False)
     for count, packet in voice(Random(3), 60):
         path.send(count, packet, arrives=not 5000 <= count < 35_000)
@@ -129,7 +129,7 @@ def test_one_way_after_a_longer_gap_only_the_next_context_is_waited_for():
     assert max(dropped) < 35_000 + 1000 + 20
 
 
-def test_a_source_that_begins_anew_goes_whole_until_the_peer_holds_its_context():
+def test_a_restarted_source_sends_whole_headers_until_its_context_is_held():
     path = Path(VIDEO)
     for count, packet in video(Random(1), 5):
         path.send(count, packet)
@@ -141,7 +141,7 @@ def test_a_source_that_begins_anew_goes_whole_until_the_peer_holds_its_context()
     assert all(exact for _, _, exact in path.outcomes)
 
 
-def test_a_peer_that_begins_anew_is_sent_whole_headers_once_that_is_known():
+def test_a_restarted_peer_gets_whole_headers_once_the_restart_is_known():
     path = Path(VOICE)
     for number, (count, packet) in enumerate(voice(Random(1), 10)):
         if number == 200:  # at about 5000
@@ -162,8 +162,8 @@ def test_whole_headers_again_as_soon_as_the_peers_new_life_is_known():
     assert path.send(*next(source)) in (KIND_RAW, KIND_CONTEXT)
 
 
-def test_no_more_contexts_than_a_second_needs_while_nothing_is_acknowledged():
-    """A peer that is heard and holds nothing: the sender tries again, less and less often."""
+def test_unacknowledged_contexts_are_sent_at_a_limited_rate():
+    """A peer that is heard but holds nothing: the sender retries at growing intervals."""
     compressor = RtpCompressor(VOICE, SLOT_NS)
     compressor.handle_peer(heard=True)
     counts = []
@@ -178,8 +178,8 @@ def test_no_more_contexts_than_a_second_needs_while_nothing_is_acknowledged():
     assert len(counts) < 60
 
 
-def test_a_number_that_the_peer_may_still_tell_is_not_given_to_another_context():
-    """The peer holds a context, even a dead one, and hears nothing more, while hundreds follow."""
+def test_a_number_that_may_still_be_acknowledged_is_not_reused():
+    """The peer holds an old context and receives nothing more, while hundreds follow."""
     compressor = RtpCompressor(VOICE, SLOT_NS)
     compressor.handle_peer(heard=True)
     given = []
@@ -193,8 +193,8 @@ def test_a_number_that_the_peer_may_still_tell_is_not_given_to_another_context()
     assert set(given[1:]) == set(range(1, 256)) - {given[0]}
 
 
-def test_an_acknowledgement_tells_what_has_not_arrived():
-    """Contexts sent long before it and after the one it names are not held to be possible."""
+def test_an_acknowledgement_shows_which_contexts_did_not_arrive():
+    """Contexts sent long before it, and after the one it names, are no longer possible."""
     compressor = RtpCompressor(VIDEO, SLOT_NS)
     compressor.handle_peer(heard=True)
     first = None
@@ -206,14 +206,14 @@ def test_an_acknowledgement_tells_what_has_not_arrived():
         if first is None and kind == KIND_CONTEXT:
             first = body[0]
         compressor.handle_acknowledgement(first, count)
-    # The new source's contexts are all lost; the sender has kept trying.
+    # All contexts of the new source are lost; the sender has kept trying.
     assert compressor._possible[0].number == first
     assert 3 < len(compressor._possible) < MOST_POSSIBLE
     assert all(context.count > count - 30_000 for context in compressor._possible[1:])
 
 
 @pytest.mark.parametrize(("heard", "life"), [(True, LIFE_SLOTS), (False, FLEETING_SLOTS)])
-def test_a_context_dies_at_both_ends_at_once(heard, life):
+def test_a_context_expires_at_both_ends_at_the_same_time(heard, life):
     compressor, decompressor = RtpCompressor(VOICE, SLOT_NS), RtpDecompressor(VOICE, SLOT_NS)
     compressor.handle_peer(heard=heard)
     kind, body, _ = compressor.compress(rtp(0, 0), 0)
@@ -233,7 +233,7 @@ def test_a_context_dies_at_both_ends_at_once(heard, life):
     [b"\x81\x60", b"\x90\x60", b"\xa0\x60", b"\x60\x60"],
     ids=["csrc", "extension", "padding", "version"],
 )
-def test_other_headers_go_as_they_are(first_octets):
+def test_other_headers_are_sent_unchanged(first_octets):
     compressor, decompressor = RtpCompressor(VIDEO, SLOT_NS), RtpDecompressor(VIDEO, SLOT_NS)
     packet = first_octets + bytes(30)
     assert compressor.compress(packet, 0) == (KIND_RAW, packet, 12)
@@ -241,7 +241,7 @@ def test_other_headers_go_as_they_are(first_octets):
     assert compressor.compress(b"short", 0) == (KIND_RAW, b"short", 5)
 
 
-def test_garbage_is_told_in_one_word():
+def test_garbage_is_reported_in_one_word():
     decompressor = RtpDecompressor(VIDEO, SLOT_NS)
     assert decompressor.decompress(3, bytes(40), 0) == "malformed"
     assert decompressor.decompress(KIND_CONTEXT, bytes(18), 0) == "malformed"
@@ -254,9 +254,12 @@ def test_garbage_is_told_in_one_word():
     assert decompressor.decompress(12, b"1", 0) == "malformed"
 
 
-def test_a_start_that_made_the_first_pictures_wait_costs_no_more_headers():
-    """Live, processes start while the first pictures wait: of ten in the first third of a second
-    two are encoded, the first 200 ms late, and it takes as long again until none waits."""
+def test_a_slow_start_costs_no_additional_headers():
+    """In a live session, processes start while the first pictures wait.
+
+    Of ten pictures in the first third of a second two are encoded, the first 200 ms late. As much
+    time passes again until no picture waits.
+    """
     waits_ms = {0: 205, 6: 115, 10: 60, 11: 54, 12: 46, 13: 46, 14: 37, 15: 28, 16: 33, 17: 25}
     path = Path(VIDEO)
     sent = [(1000 + round(n * 100 / 3) + waits_ms.get(n, 0), n) for n in (0, 6, *range(10, 300))]

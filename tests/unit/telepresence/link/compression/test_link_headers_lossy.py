@@ -1,4 +1,4 @@
-"""Whatever the source does and whatever gets lost, no header comes out wrong (hypothesis)."""
+"""For any source and any loss, no header is restored wrongly (hypothesis)."""
 
 from random import Random
 
@@ -12,8 +12,8 @@ from telepresence.link.flows import video_flow, voice_flow
 VIDEO, VOICE = video_flow("video"), voice_flow("voice")
 FLOWS = pytest.mark.parametrize("flow", [VIDEO, VOICE], ids=["video", "voice"])
 
-#: One thing a source does: how often, and per packet: slots since the last one; steps of the
-#: sequence number; how far the timestamp is from where the link's time would have it; marker.
+#: One behaviour of a source: its number of packets, and for each packet: slots since the last one,
+#: step of the sequence number, distance of the timestamp from the link's time, marker.
 habits = st.fixed_dictionaries(
     {
         "packets": st.integers(1, 60),
@@ -37,7 +37,7 @@ habits = st.fixed_dictionaries(
 
 
 class Source:
-    """Packets by habits; offsets near their wraps, so that they do wrap."""
+    """Packets by habits, with numbers and timestamps near their wraps."""
 
     def __init__(self, seed):
         self.random = Random(seed)
@@ -91,13 +91,13 @@ def run(flow, path, source, habit):
 @given(seed=st.integers(0, 1 << 30), history=st.lists(habits, max_size=12), heard=st.booleans())
 @settings(max_examples=150)
 def test_exact_or_not_at_all(flow, seed, history, heard):
-    """Restarts of either end, deafness, losses of anything: `Path.send` asserts what comes out."""
+    """Restarts of either end, deafness, any losses: `Path.send` checks all that comes out."""
     source, path = Source(seed), Path(flow, heard=heard)
     for habit in history:
         if habit["event"] == "receiver":
             path.receiver_restarts(source.count, habit["delay_slots"])
         elif habit["event"] == "sender":
-            # The receiver notices; nothing told to the old life reaches the new one.
+            # The receiver notices; acknowledgements to the old life never reach the new one.
             path = Path(flow, heard=path.heard)
         elif habit["event"]:
             path.hear(habit["event"] == "heard")
@@ -107,8 +107,8 @@ def test_exact_or_not_at_all(flow, seed, history, heard):
 @FLOWS
 @given(seed=st.integers(0, 1 << 30), history=st.lists(habits, max_size=12))
 @settings(max_examples=150)
-def test_two_way_every_packet_that_arrives_is_decompressed(flow, seed, history):
-    """Once the peer is heard and stays the same, no loss keeps a packet back, of any length."""
+def test_two_way_every_received_packet_is_decompressed(flow, seed, history):
+    """While the peer is heard and does not restart, no loss makes a later packet unreadable."""
     source, path = Source(seed), Path(flow)
     for habit in history:
         run(flow, path, source, habit)

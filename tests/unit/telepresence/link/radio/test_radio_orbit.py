@@ -53,7 +53,7 @@ def test_the_stored_pass_is_the_one_of_18_august_2015():
     assert 60 < windows["peak_deg"] <= 90
 
 
-def test_a_set_that_was_copied_wrongly_is_refused(tmp_path):
+def test_elements_with_a_wrong_checksum_are_refused(tmp_path):
     lines = read_elements(STORED_ELEMENTS)
     path = tmp_path / "bad.tle"
     path.write_text("\n".join([lines[0].replace("15239", "15238"), lines[1]]))
@@ -69,7 +69,7 @@ def test_a_set_that_was_copied_wrongly_is_refused(tmp_path):
         read_elements(tmp_path / "none.tle")
 
 
-def test_no_such_pass_is_said():
+def test_a_missing_pass_is_reported():
     elements = read_elements(STORED_ELEMENTS)
     with pytest.raises(ConfigError, match="no pass gets 30° high within 3 days"):
         next_overflight(elements, (-89.0, 0.0, 0.0), "2015-08-18T14:00:00Z", 1.5, 30.0)
@@ -86,7 +86,7 @@ def test_the_next_pass_is_one_orbit_later_even_over_the_turn_of_a_month():
 
 
 @pytest.mark.parametrize("text", ["", "2015-08-18", "2015-13-18T14:00:00Z", "2015-08-18T24:00:00Z"])
-def test_what_is_no_instant(text):
+def test_invalid_instants_are_refused(text):
     assert parse_utc(text) is None
 
 
@@ -107,7 +107,7 @@ def test_fading_is_continuous_and_the_same_in_whatever_order():
     assert [again.at(time) for time in (19_990, 0, 7770)] == [values[-1], values[0], values[777]]
 
 
-def test_both_ends_see_the_same_fade_though_they_ask_at_instants_of_their_own():
+def test_both_ends_see_the_same_fading_at_different_instants():
     here, there = ContactFading(Contact(), seed=6), ContactFading(Contact(), seed=6)
     rates = set()
     for step_ns in range(0, 60_000_000_000, 30_000_000):

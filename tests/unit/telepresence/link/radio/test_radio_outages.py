@@ -1,4 +1,4 @@
-"""Bursts follow the chain of Gilbert and Elliott; blackouts overlap, and hit both ways alike."""
+"""Bursts follow the chain of Gilbert and Elliott; blackouts overlap and affect both directions."""
 
 from itertools import islice, pairwise
 from random import Random
@@ -23,7 +23,7 @@ def clock(gap_s=0.1, mean_ms=5.0, seed=1):
     )
 
 
-def test_stays_are_geometric_with_the_means_asked_for():
+def test_stays_are_geometric_with_the_requested_means():
     bursts = clock()
     bad = [bursts.state(slot * MS)[0] for slot in range(400_000)]
     # Step probabilities of the chain, from the states alone.
@@ -32,7 +32,7 @@ def test_stays_are_geometric_with_the_means_asked_for():
     in_bad, in_good = sum(bad), len(bad) - sum(bad)
     assert abs(leaving / in_bad - 1 / 5) < 5 * (0.2 * 0.8 / in_bad) ** 0.5
     assert abs(entering / in_good - 1 / 100) < 5 * (0.01 / in_good) ** 0.5
-    # Without memory: after ten bad slots the eleventh is as likely as the second.
+    # Memoryless: after ten bad slots the eleventh is as likely as the second.
     after_ten = [all(bad[k : k + 10]) for k in range(len(bad) - 10)]
     still = sum(bad[k + 10] for k, ten in enumerate(after_ten) if ten)
     assert abs(still / sum(after_ten) - 0.8) < 0.05
@@ -45,7 +45,7 @@ def test_a_mean_of_one_slot_is_always_one_slot():
     assert not any(a and b for a, b in pairwise(bad))
 
 
-def test_states_do_not_depend_on_who_asks_how_often():
+def test_states_do_not_depend_on_the_number_of_requests():
     often, seldom = clock(seed=9), clock(seed=9)
     every = [often.state(slot * MS // 4)[0] for slot in range(40_000)]
     assert [seldom.state(slot * MS)[0] for slot in range(0, 10_000, 7)] == every[::28]

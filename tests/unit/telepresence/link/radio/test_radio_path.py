@@ -1,4 +1,4 @@
-"""The radio path: delay and order, bits that are really flipped, and the statistics of both."""
+"""The radio path: delay, order, flipped bits, and their statistics."""
 
 import itertools
 from collections import Counter
@@ -22,7 +22,7 @@ MS, S = 1_000_000, 1_000_000_000
 
 
 def through(path, frames, *, step_ns=MS):
-    """What arrives of frames sent once a step, as (index, frame), in order."""
+    """Return what arrives of frames sent once a step, as (index, frame), in order."""
     arrived = []
     for index, frame in enumerate(frames):
         before = path.frames_lost
@@ -45,7 +45,7 @@ def flipped(one, other):
     ]
 
 
-def test_a_fixed_delay_and_no_loss_as_before():
+def test_a_fixed_delay_without_loss():
     path = RadioPath(delay_ns=5 * MS)
     path.handle_frame(b"a", 0)
     path.handle_frame(b"b", MS)
@@ -59,7 +59,7 @@ def test_a_fixed_delay_and_no_loss_as_before():
 
 
 @pytest.mark.parametrize("probability", [0.0, 0.03, 0.5, 1.0])
-def test_frames_get_lost_as_often_as_asked(probability):
+def test_frames_are_lost_at_the_requested_rate(probability):
     path = RadioPath(loss=probability, seed=3)
     number = 20_000
     arrived = through(path, [bytes(32)] * number)
@@ -70,7 +70,7 @@ def test_frames_get_lost_as_often_as_asked(probability):
 
 
 @pytest.mark.parametrize("rate", [1e-4, 1e-2, 0.5])
-def test_bits_flip_as_often_as_asked_and_anywhere(rate):
+def test_bits_flip_at_the_requested_rate_and_everywhere(rate):
     profile = RadioProfile(name="noisy", bit_error_rate=rate)
     path = profile.path("downlink", seed=1, epoch_ns=0)
     number, octets = (4000 if rate < 1e-3 else 200), 250
@@ -200,7 +200,7 @@ def test_the_delay_swings_between_its_limits():
     assert report["delay_max_ns"] <= quiet.longest_delay_ns
 
 
-def test_a_blackout_ends_what_it_ends_and_is_accounted_for():
+def test_a_blackout_drops_its_frames_and_is_counted():
     profile = RadioProfile(
         name="dark",
         blackouts=(
@@ -218,7 +218,7 @@ def test_a_blackout_ends_what_it_ends_and_is_accounted_for():
     assert got["downlink"] == [*range(1000), *range(1100, 2000), *range(3000, 5000)]
 
 
-def test_a_fixed_delay_instead_of_the_profiles_own():
+def test_a_fixed_delay_replaces_the_profiles_delay():
     for name in ("geo", "iss-pass", "cable"):
         profile = delayed(load_radio(name), 12.5)
         assert profile.longest_delay_ns == 12_500_000
