@@ -1,10 +1,11 @@
 """Write what documents take from the code.
 
-    python docs/generate.py            docs/python.md, from the docstrings of what is exported
+    python docs/generate.py            docs/python.md, from the docstrings of what is exported, and
+                                       the tables of processes, topics and ports
     python docs/generate.py --run      the README's table, too: a session of 20 s on virtual time
 
-A test holds docs/python.md to the code. griffe reads source text, so the page is the same under
-every Python version.
+Tests hold all but the README's table to the code. griffe reads source text, so the page is the same
+under every Python version.
 """
 
 import json
@@ -15,6 +16,9 @@ import tempfile
 from pathlib import Path
 
 import griffe
+
+from pipelines.setup.setup_file import load_setup
+from pipelines.topology import tables, topology_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("kontur_av", "telepresence", "pipelines")
@@ -163,8 +167,35 @@ def run_table() -> str:
     return "\n".join(rows) + "\n"
 
 
+def topology_blocks() -> dict[str, str]:
+    """By name: what stands between `<!-- generated: NAME -->` and `<!-- /generated -->`."""
+    session = topology_of(load_setup("spacejustin"), snapshots=True)
+    processes = tables.processes_table(session)
+    for heading in ("priority", "reads", "writes"):
+        processes = processes.without(heading)
+    topics = tables.topics_table(session)
+    channels = tables.channels_table(session, topology_of(load_setup("taskboard")))
+    return {
+        "processes": tables.in_code(processes, "process").markdown(),
+        "topics": tables.in_code(topics, "topic", "writer", "readers").markdown(),
+        "ports": tables.ports_table(session).markdown(),
+        "channels": channels.markdown(),
+    }
+
+
+def filled(document: str, blocks: dict[str, str]) -> str:
+    """The document with these blocks in it."""
+    for name, block in blocks.items():
+        marks = rf"(<!-- generated: {name} -->\n).*?(<!-- /generated -->)"
+        document = re.sub(marks, lambda m, b=block: f"{m[1]}{b}{m[2]}", document, flags=re.DOTALL)
+    return document
+
+
 def main() -> None:
     (ROOT / "docs" / "python.md").write_text(python_page(), encoding="utf-8")
+    blocks = topology_blocks()
+    for page in sorted((ROOT / "docs").glob("*.md")):
+        page.write_text(filled(page.read_text(encoding="utf-8"), blocks), encoding="utf-8")
     if sys.argv[1:] == ["--run"]:
         readme = ROOT / "README.md"
         marks = r"(<!-- generated: run -->\n).*?(<!-- /generated -->)"

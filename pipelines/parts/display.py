@@ -13,8 +13,8 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.streams.staleness import Staleness
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.cores.showing import Showing
+from pipelines.cores.watching import OPERATORS, Watching
 from pipelines.parts.marking import mark_stale
-from pipelines.report.sync.watching import OPERATORS, Watching
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.names import CONCEALED as CONCEALED
 from pipelines.setup.names import LAG, displayed_topic, lag_topic, received_topic

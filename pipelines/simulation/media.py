@@ -12,7 +12,7 @@ from pipelines.cores.gain import gain_of
 from pipelines.cores.receiving import VideoReceiving, VoiceReceiving
 from pipelines.cores.sending import RtpIdentity, VideoSending, VoiceSending
 from pipelines.cores.showing import Showing
-from pipelines.report.sync.watching import OPERATORS
+from pipelines.cores.watching import OPERATORS
 from pipelines.setup.table import (
     GROUND_MIC,
     ISS_CAMERA,

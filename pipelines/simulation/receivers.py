@@ -11,7 +11,7 @@ from functools import partial
 from kontur_av.rtp.playout import PlayoutBlock
 from pipelines.cores.receiving import VideoReceiving, VoiceReceiving
 from pipelines.cores.showing import Showing
-from pipelines.report.sync.watching import Recall, tell_click, tell_light
+from pipelines.cores.watching import Recall, tell_click, tell_light
 from pipelines.simulation.agenda import Agenda, Timer
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.workers import Batch, Worker

@@ -8,6 +8,18 @@ from places import ROOT
 #: Each may import itself and what stands before it.
 ORDER = ("kontur_av", "telepresence", "pipelines")
 
+#: The rooms of `pipelines`: a module may import its own tier and those before it.
+TIERS = (
+    {"setup"},
+    {"topology"},
+    {"runtime"},
+    {"cores", "parts"},
+    {"simulation", "report"},
+    {"commands", "bench"},
+)
+#: What stands in the root of `pipelines`.
+MOST_IN_THE_ROOT = 6
+
 #: Doors to the world outside: a core is handed the time, the octets and the random numbers.
 DOORS = {
     "asyncio",
@@ -105,6 +117,37 @@ def test_imports_run_one_way(package):
         if module.startswith(f"{package}/") and (found := imported(module) & later)
     }
     assert not wrong
+
+
+def rooms_of_pipelines(module: str) -> set[str]:
+    """The rooms of `pipelines` that a module imports, within functions too."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    found = {tuple(name.split(".")[:2]) for name in names}
+    return {room for package, *rest in found for room in rest if package == "pipelines"}
+
+
+@pytest.mark.parametrize("tier", range(len(TIERS)), ids=lambda tier: "-".join(sorted(TIERS[tier])))
+def test_imports_of_pipelines_run_one_way(tier):
+    above = set().union(*TIERS[tier + 1 :])
+    wrong = {
+        module: found
+        for module in modules()
+        for room in TIERS[tier]
+        if module.startswith(f"pipelines/{room}/") and (found := rooms_of_pipelines(module) & above)
+    }
+    assert not wrong
+
+
+def test_every_room_of_pipelines_has_its_tier():
+    rooms = {path.parent.name for path in (ROOT / "pipelines").glob("*/__init__.py")}
+    assert rooms == set().union(*TIERS)
+    in_the_root = {path.name for path in (ROOT / "pipelines").glob("*.py")}
+    assert len(in_the_root) <= MOST_IN_THE_ROOT
 
 
 def test_cores_have_no_door_to_the_world():

@@ -1,4 +1,4 @@
-"""docs/python.md is what the docstrings say, and its links lead somewhere."""
+"""What documents take from the code is up to date; the links of docs/python.md lead somewhere."""
 
 import importlib.util
 import re
@@ -25,3 +25,13 @@ def test_its_links_lead_to_a_heading():
     page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     headings = {generate().anchor(name) for name in re.findall(r"^#+ (.*)$", page, re.MULTILINE)}
     assert set(re.findall(r"\]\(#([\w-]+)\)", page)) <= headings
+
+
+def test_the_tables_of_the_documents_are_those_of_the_topology():
+    blocks = generate().topology_blocks()
+    found = set()
+    for page in (ROOT / "docs").glob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        assert text == generate().filled(text, blocks), f"{page.name}: run docs/generate.py"
+        found |= set(re.findall(r"<!-- generated: ([\w ]+) -->", text))
+    assert set(blocks) <= found

@@ -13,7 +13,7 @@ from pipelines.cli import _parser
 from pipelines.report.collector import Collector
 from pipelines.report.session_report import build_report
 from pipelines.setup.setup_file import load_setup, setup_from_table
-from pipelines.setup.table import Ports, Setup
+from pipelines.setup.table import Setup
 from pipelines.topology import topology_of
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -103,21 +103,6 @@ def test_the_annotated_setup_is_one_and_has_every_field():
     assert plain.uplink_video == setup.uplink_video
     assert (plain.uplink, plain.downlink) == (setup.uplink, setup.downlink)
     assert (plain.base_port, plain.radio_delay_ms) == (setup.base_port, 0)
-
-
-def test_the_ports_are_those_of_the_document():
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    numbers = {
-        int(number)
-        for row in re.findall(r"^\| ([\d, →]+) \|", text, re.MULTILINE)
-        for number in re.findall(r"\d+", row)
-    }
-    ports, setup = Ports(base=2000), load_setup("spacejustin")
-    used = {ports.ground_radio, ports.space_radio, ports.ground_haptic, ports.space_haptic}
-    used |= {ports.robot, ports.joystick, ports.launcher}
-    for flow in (*setup.uplink_flows, *setup.downlink_flows):
-        used |= {ports.entry(flow.name), ports.exit(flow.name)}
-    assert {port - 2000 for port in used} == numbers
 
 
 def test_every_key_of_the_report_is_in_the_document():

@@ -7,12 +7,13 @@ from math import ceil
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.watching import WATCHED
 from pipelines.report.sync.limits import LIMITS
 from pipelines.report.sync.matching import Found, match
 from pipelines.report.sync.verdict import judge
 
 #: The senses, and what carries them to the operator.
-SENSES = {"light": "uplink_video", "click": "uplink_voice", "force": "haptic_up"}
+SENSES = {**WATCHED, "force": "haptic_up"}
 #: The rows that processes tell of contacts and of what they perceived.
 PERCEIVED = frozenset({"contact", "light", "click", "step"})
 #: The pairs of the report: how much later the first comes than the second.
@@ -61,7 +62,7 @@ class SyncFigures:
         """Rows of one of `PERCEIVED`, as a process tells them.
 
         contact: (instant, index of the LED or -1). step: (instant). light and click, of `stream`:
-        see `pipelines.report.sync.watching`.
+        see `pipelines.cores.watching`.
         """
         if kind == "contact":
             self._contacts.extend((instant_ns, led) for instant_ns, led in rows)

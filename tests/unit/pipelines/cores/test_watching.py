@@ -5,7 +5,7 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS
 from kontur_av.detect import Click, Light
 from kontur_av.media import CaptureStamp, empty_picture
-from pipelines.report.sync.watching import Recall, Watching, tell_click, tell_light
+from pipelines.cores.watching import Recall, Watching, tell_click, tell_light
 from pipelines.runtime.probe import Probe
 
 LATE_NS = 60 * NS_PER_MS

@@ -10,11 +10,11 @@ from typing import Protocol
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
 from kontur_av.sources.source import BLOCK_NS
-from pipelines.report.sync.figures import SENSES
 from pipelines.runtime.probe import Probe
 
-#: The streams that show the operator where the contacts are.
-OPERATORS = frozenset({SENSES["light"], SENSES["click"]})
+#: The streams that show the operator where the contacts are, by what is looked and listened for.
+WATCHED = {"light": "uplink_video", "click": "uplink_voice"}
+OPERATORS = frozenset(WATCHED.values())
 
 
 class Sample(Protocol):
@@ -38,7 +38,7 @@ class Watching:
 
     def handle_sample(self, stream: str, sample: Sample, now_ns: int) -> None:
         """Whatever there is of `stream` is shown, or heard, from `now_ns` on."""
-        if stream == SENSES["light"]:
+        if stream == WATCHED["light"]:
             self.handle_picture(stream, sample.video().data, sample.stamp, now_ns)
         else:
             self.handle_sound(stream, sample.audio().samples, sample.stamp, now_ns)

@@ -1,0 +1,39 @@
+"""`kontur-av topology`: the processes, streams and topics of a session."""
+
+import argparse
+import shutil
+from dataclasses import replace
+
+from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.session_options import add_setup_argument, port_changes
+from pipelines.setup.setup_file import load_setup
+from pipelines.topology import topology_of
+from pipelines.topology.graph import dot
+from pipelines.topology.tables import processes_table, streams_table, topics_table
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av topology`."""
+    add_setup_argument(parser)
+    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
+    parser.add_argument("--dot", action="store_true", help="a graph for Graphviz instead")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the table of a setup."""
+    topology = topology_of(replace(load_setup(args.setup), **port_changes(args)))
+    if args.dot:
+        text = dot(topology)
+    else:
+        width = shutil.get_terminal_size().columns
+        parts = {
+            "Processes, in the order in which they are started": processes_table(topology),
+            "Streams on the radio link: caps in kbit/s, UDP ports": streams_table(topology),
+            "Topics in shared memory": topics_table(topology),
+        }
+        text = "\n\n".join(
+            "\n".join([heading, "", *table.lines(width)]) for heading, table in parts.items()
+        )
+    with output_that_may_fail():
+        print(text.rstrip("\n"))
+    return 0
