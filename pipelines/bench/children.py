@@ -1,4 +1,4 @@
-"""Processes that a bench starts, and their end with it."""
+"""Ending the processes that a bench has started."""
 
 import signal
 import subprocess
@@ -7,20 +7,20 @@ from contextlib import contextmanager
 from time import monotonic
 from types import FrameType
 
-#: How long what was asked to end may take.
+#: How long processes may take to end after SIGTERM, together.
 _END_S = 10.0
 
 
 @contextmanager
 def ended_alike() -> Iterator[None]:
-    """SIGTERM interrupts as Ctrl-C does, and so does a terminal that is closed."""
+    """Within it, SIGTERM and SIGHUP (a closed terminal) raise KeyboardInterrupt, as Ctrl-C does."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     for number, handler in before.items():
-        # `nohup` means it.
+        # `nohup` ignores SIGHUP: leave it so.
         if handler is not signal.SIG_IGN:
             signal.signal(number, interrupt)
     try:
@@ -31,7 +31,10 @@ def ended_alike() -> Iterator[None]:
 
 
 def end_all(processes: Sequence[subprocess.Popen[bytes]]) -> None:
-    """End those that still run, whatever they do: at once if this is interrupted, too."""
+    """Terminate the processes that still run; kill those that take too long.
+
+    An interrupt in the meantime kills all of them at once.
+    """
     try:
         for process in processes:
             process.terminate()

@@ -1,4 +1,4 @@
-"""Which UDP ports are open on this machine: a peer that has opened its own loses nothing."""
+"""The open UDP ports of this machine: a receiver loses nothing once its port is open."""
 
 from pathlib import Path
 

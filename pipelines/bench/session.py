@@ -21,12 +21,13 @@ _USERS_FAULT = 2
 def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = None) -> Reading:
     """Run `kontur-av` with `words` for `seconds`; the report that it wrote.
 
-    tree: the checkout whose code runs; None: this one. ConfigError, in the command's own words,
-    when the session could not begin; RuntimeError when it failed or did not end.
+    tree: the checkout whose code runs; None: the one that Python finds. ConfigError, in the words
+    of the command, when the session could not begin; RuntimeError when it failed or did not end.
     """
     environment = dict(os.environ)
     if tree is not None:
-        environment["PYTHONPATH"] = str(tree)
+        # `python -m` would look for the package in the working directory first.
+        environment |= {"PYTHONPATH": str(tree), "PYTHONSAFEPATH": "1"}
     with ended_alike(), TemporaryDirectory() as name:
         directory = Path(name)
         report_file, errors = directory / "report.json", directory / "errors"
@@ -39,8 +40,6 @@ def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = Non
                 stdout=subprocess.DEVNULL,
                 stderr=stderr,
                 env=environment,
-                # `python -m` looks in the working directory first: there shall be no other tree.
-                cwd=None if tree is None else directory,
                 # A session of its own: this process takes Ctrl-C and ends the other.
                 start_new_session=True,
             )

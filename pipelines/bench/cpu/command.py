@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+import pipelines
 from kontur_av.errors import ConfigError
 from pipelines.bench.console import open_console
 from pipelines.bench.cpu.figures import CpuResult, CpuRun, headlines, middle, read_run
@@ -18,6 +19,8 @@ from pipelines.bench.session import live_report
 from pipelines.commands.session_options import add_setup_argument
 from pipelines.report.report_file import check_writable
 from pipelines.setup.setup_file import load_setup
+
+_THIS_TREE = Path(str(pipelines.__file__)).parent.parent
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     console = open_console(args)
     words = ["stream", "--setup", args.setup, "--base-port", str(args.base_port)]
     found: dict[str, list[CpuRun]] = {"this tree": []}
-    trees: dict[str, Path | None] = {"this tree": None}
+    trees = {"this tree": _THIS_TREE}
     if other is not None:
         found[str(args.against)] = []
         trees[str(args.against)] = other

@@ -1,9 +1,9 @@
-"""GStreamer's shmsink and shmsrc, as its own C programs would use them.
+"""GStreamer's shmsink and shmsrc through their C interface, as C programs use them.
 
-By its C interface, because `gst-launch-1.0` can neither stamp a picture nor say when it came: a
-pipe on each side would be measured as well. A picture is handed to shmsink's pad in the caller's
-thread, which returns when shmsink has copied it into shared memory and told all its clients. A
-reader has the pipeline `shmsrc ! appsink` and sees the picture where it lies.
+`gst-launch-1.0` can neither stamp a picture nor tell its arrival, so it would need a pipe on each
+side, and the pipes would be measured too. The caller's thread hands a picture to the pad of
+shmsink, and returns when shmsink has copied it into shared memory and told all its clients. A
+reader runs the pipeline `shmsrc ! appsink` and reads the picture in place.
 """
 
 import ctypes
@@ -28,11 +28,11 @@ from pipelines.bench.fanout.ways import (
 )
 
 _CAPS = f"video/x-raw,format=I420,width={WIDTH},height={HEIGHT},framerate=30/1"
-#: Room for pictures that readers still hold.
+#: Room for the pictures that readers still hold.
 _POOL_OCTETS = 64 * PICTURE_OCTETS
 
 _SHARED_MEMORY = Path("/dev/shm")
-#: A file that says whose shared memory it is.
+#: A file with the process id of the owner of the shared memory.
 _OWNER = "owner"
 
 _NULL, _PLAYING = 1, 4  # GstState
@@ -56,7 +56,7 @@ class _MapInfo(Structure):
     )
 
 
-#: What is used of the C interface: results and arguments.
+#: Results and arguments of the C functions that are used.
 _FUNCTIONS: dict[str, tuple[Any, ...]] = {
     "gst_init": (None, c_void_p, c_void_p),
     "gst_element_factory_find": (c_void_p, c_char_p),
@@ -102,9 +102,9 @@ class _Library:
 
 
 def lacking() -> str | None:
-    """What of GStreamer is not installed, and how to get it; None if all is there.
+    """What is missing of GStreamer, and the packages that have it; None if nothing is.
 
-    In a child: whoever forks later shall not have its threads.
+    It looks in a child process, because GStreamer starts threads and this process forks later.
     """
     read_fd, write_fd = os.pipe()
     child = os.fork()
@@ -148,7 +148,7 @@ class ShmSinkWay:
         return _Reading(_Library(), self._directory / "socket")
 
     def clear(self) -> None:
-        # What shmsink itself removes, unless it was killed.
+        # shmsink removes its shared memory itself, unless it was killed.
         with suppress(FileNotFoundError):
             owner = int((self._directory / _OWNER).read_text())
             for leftover in _SHARED_MEMORY.glob(f"shmpipe.{owner:5d}.*"):
@@ -188,7 +188,7 @@ class _Publishing:
         address, octets = self._picture.ctypes.data, PICTURE_OCTETS
         buffer = self._gst.gst_buffer_new_wrapped_full(0, address, octets, 0, octets, None, None)
         if self._gst.gst_pad_chain(self._pad, buffer) != _FLOW_OK:
-            raise RuntimeError("shmsink takes no picture")
+            raise RuntimeError("shmsink refuses a picture")
 
     def close(self) -> None:
         # It removes its socket and its shared memory.
@@ -217,7 +217,7 @@ class _Reading:
             return None
         self._buffer = gst.gst_sample_get_buffer(self._sample)
         if not gst.gst_buffer_map(self._buffer, ctypes.byref(self._map), _MAP_READ):
-            raise RuntimeError("a picture cannot be looked at")
+            raise RuntimeError("a picture cannot be mapped")
         if self._map.size != PICTURE_OCTETS:
             raise RuntimeError(f"a picture of {self._map.size} octets")
         return (ctypes.c_uint8 * PICTURE_OCTETS).from_address(self._map.data)

@@ -1,8 +1,8 @@
 """The ways to bring one picture to many processes that `kontur-av bench fanout` compares.
 
-A way is made before its processes are forked. Then the publisher's process asks it for its end,
-and each reader's for another. A picture carries its stamp in its first and in its last octets: a
-reader sees by it how old the picture is, and that it is whole.
+A way is made before its processes are forked. The publisher's process then asks it for the
+publishing end, and each reader for a reading end. A picture carries a stamp in its first and in its
+last octets: a reader derives its age from it, and checks that both are equal.
 """
 
 import os
@@ -27,27 +27,27 @@ TOPIC = "pictures"
 _STAMP = struct.Struct("=qQ")
 _LAST = PICTURE_OCTETS - _STAMP.size
 
-#: Whatever exposes its octets: an array, bytes, foreign memory.
+#: An object that exposes its octets: an array, bytes, foreign memory.
 Octets = Any
 
 
 class PublishingEnd(Protocol):
-    """What a publisher's process holds."""
+    """The end in the publisher's process."""
 
     def publish(self, now_ns: int, sequence: int) -> None:
-        """Stamp the picture, hand it to all readers, and return when it may be drawn anew."""
+        """Stamp the picture, publish it to all readers, and return when it may be overwritten."""
 
     def close(self) -> None: ...
 
 
 class ReadingEnd(Protocol):
-    """What a reader's process holds."""
+    """The end in a reader's process."""
 
     def take(self, timeout_ns: int) -> Octets | None:
         """The octets of the newest picture; None when none came in time."""
 
     def release(self) -> None:
-        """Give back what `take` gave."""
+        """Release the picture that `take` returned."""
 
     def close(self) -> None: ...
 
@@ -63,10 +63,10 @@ class Way(Protocol):
     def publishing_end(self) -> PublishingEnd: ...
 
     def reading_end(self, reader: int) -> ReadingEnd:
-        """For the reader of that number. Not before the publishing end was made."""
+        """For reader number `reader`. Call it after the publishing end was made."""
 
     def clear(self) -> None:
-        """In the parent, when all processes have ended: leave nothing behind."""
+        """In the parent, after all processes have ended: remove files and shared memory."""
 
 
 def stamp_picture(picture: NDArray[np.uint8], now_ns: int, sequence: int) -> None:
@@ -76,13 +76,13 @@ def stamp_picture(picture: NDArray[np.uint8], now_ns: int, sequence: int) -> Non
 
 
 def read_stamp(picture: Octets) -> tuple[int, int, bool]:
-    """Instant and sequence of a picture, and whether both its ends say the same."""
+    """Instant (ns) and sequence of a picture, and whether the stamps at both its ends are equal."""
     first = _STAMP.unpack_from(picture, 0)
     return first[0], first[1], first == _STAMP.unpack_from(picture, _LAST)
 
 
 def noise() -> NDArray[np.uint8]:
-    """A flat picture that no memory can guess."""
+    """A flat picture of random octets, which cannot be compressed."""
     return np.random.default_rng(1).integers(0, 256, PICTURE_OCTETS, np.uint8)
 
 
@@ -160,10 +160,10 @@ class _TopicReading:
 
 
 class QueueWay:
-    """A `multiprocessing.Queue` for each reader; what finds one full is lost to that reader."""
+    """A `multiprocessing.Queue` for each reader; a full queue drops the newest picture."""
 
     name = "mp.Queue"
-    #: A reader that is late shall not show what is older than this many pictures.
+    #: In pictures: a late reader shall not show older ones.
     _DEPTH = 2
 
     def __init__(self) -> None:
@@ -198,7 +198,7 @@ class _QueuePublishing:
 
     def close(self) -> None:
         for each in self._queues:
-            # What nobody has fetched by now, nobody will.
+            # Do not wait for readers that no longer fetch.
             each.cancel_join_thread()
             each.close()
 

@@ -1,4 +1,4 @@
-"""One cell of the grid of `kontur-av bench haptics`: what lies between the hand and the wall."""
+"""One cell of the grid of `kontur-av bench haptics`: a channel and a wall."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
@@ -6,7 +6,7 @@ from itertools import product
 
 from kontur_av.errors import ConfigError
 
-#: What a cell's text may say, and its limits. Loss in per cent, as the text has it.
+#: The names in a cell's text, with least and largest value and the unit.
 _LIMITS = {
     "delay": (0.0, 1000.0, "ms, there and back"),
     "jitter": (0.0, 50.0, "ms"),
@@ -19,11 +19,13 @@ _LIMITS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cell:
-    """delay: of the round trip (ms), half of it each way. jitter: each sample takes up to so
-    much more (ms, uniform), so that samples overtake each other. loss: of samples each way (%),
-    `burst` of them in a row on average (1: each by chance). blackout: how long each of three
-    outages lasts (s): of both ways, of the commands alone, of the feedback alone; 0: none.
-    wall: its stiffness (N/m).
+    """The channel between hand and wall, and the wall.
+
+    delay: of the round trip (ms), half of it each way. jitter: largest random addition to the delay
+    of a sample (ms, uniform), so samples overtake each other. loss: of samples each way (%), in
+    bursts of `burst` samples on average (1: independent). blackout: length (s) of each of three
+    outages, of both ways, of the commands alone and of the feedback alone; 0: none. wall: its
+    stiffness (N/m).
     """
 
     delay: float = 0.0
@@ -41,7 +43,7 @@ class Cell:
 
     @property
     def channel(self) -> str:
-        """What a table calls the cell without its delay and its wall."""
+        """The cell without its delay and its wall, for tables."""
         parts = [f"jitter {self.jitter:g} ms"] if self.jitter else []
         if self.loss:
             bursts = f" in bursts of {self.burst:g}" if self.burst > 1 else ""
@@ -52,14 +54,14 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """What a table or a picture calls it."""
+        """The cell, for tables and charts."""
         return f"{self.delay:g} ms, wall {self.wall / 1000:g} kN/m, {self.channel}"
 
 
 def read_cell(text: str) -> Cell:
-    """The cell of `delay=100,wall=5000`; what is not named is as in `Cell`.
+    """The cell of a text like `delay=100,wall=5000`; other values are the defaults of `Cell`.
 
-    ConfigError: an unknown name, no number, or out of range.
+    ConfigError for an unknown name, no number, or a value out of range.
     """
     known = [field.name for field in fields(Cell)]
     values: dict[str, float] = {}
@@ -74,7 +76,7 @@ def read_cell(text: str) -> Cell:
     return replace(Cell(), **values)
 
 
-#: Losses of the grids: none, each by chance, and in bursts that last into the hold of 20 ms.
+#: Loss (%) and burst of the grids: none, independent, and in bursts.
 _CALM, _CHANCE, _BURSTS = (0.0, 1.0), (30.0, 1.0), (30.0, 10.0)
 
 
@@ -87,7 +89,7 @@ def small_grid() -> Iterator[Cell]:
 
 
 def full_grid() -> Iterator[Cell]:
-    """All that the claims speak of, in every combination: 648 cells."""
+    """Every combination of the values in the claims: 648 cells."""
     for delay, wall, jitter, (loss, burst), blackout in product(
         (0.0, 20.0, 50.0, 100.0, 300.0, 1000.0),
         (500.0, 1500.0, 5000.0),

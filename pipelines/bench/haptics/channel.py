@@ -1,4 +1,4 @@
-"""The way of the samples in one direction, on virtual time: delay, jitter, loss, outages."""
+"""The channel of haptic samples in one direction on virtual time. A core."""
 
 from collections.abc import Sequence
 from heapq import heappop, heappush
@@ -6,12 +6,12 @@ from random import Random
 
 
 class SampleChannel:
-    """Takes datagrams at one end and gives them back later, out of order where jitter says so.
+    """Delays, reorders and loses datagrams.
 
-    delay_ns: least time of every datagram; up to `jitter_ns` more by chance (uniform).
-    loss: share that is lost, 0 to below 1, `burst` in a row on average (Gilbert's model of two
-    states, E. N. Gilbert, Bell Syst. Tech. J. 39, 1960); 1: each by chance alone.
-    dark: (begin, end) in ns; what is handed over then is lost.
+    delay_ns: least delay of a datagram; jitter_ns: largest random addition (uniform). loss: share
+    of lost datagrams, 0 to below 1, in bursts of `burst` on average (Gilbert's model of two states,
+    E. N. Gilbert, Bell Syst. Tech. J. 39, 1960); 1: independent. dark: (begin, end) in ns of
+    outages, which lose every datagram.
     """
 
     def __init__(
@@ -28,7 +28,7 @@ class SampleChannel:
         self.lost = 0
         self._random = Random(seed)
         self._delay_ns, self._jitter_ns = delay_ns, jitter_ns
-        # From the loss and the length of a burst: probabilities to stay in it and to enter one.
+        # Probabilities to stay in a burst and to enter one, from loss and length of a burst.
         self._stay = 1.0 - 1.0 / burst if burst > 1.0 else loss
         self._enter = (1.0 - self._stay) * loss / (1.0 - loss)
         self._bad = False

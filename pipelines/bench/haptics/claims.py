@@ -1,19 +1,19 @@
-"""What is claimed of the bilateral controller, held against figures."""
+"""The claims about the bilateral controller, checked against figures. A core."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pipelines.bench.haptics.figures import SWING_N, Figures
 
-#: Of a total, which is sent in whole µJ, rounded down.
+#: Energy totals are sent in whole µJ, rounded down.
 ROUNDING_UJ = 1.0
-#: How fast the joystick side lets the received force grow, and what its damping may add.
+#: Largest growth of the received force at the joystick side, and of its damping.
 RISE_N_MS = 1.1
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A sentence, what was found, and whether it holds."""
+    """text: the claim. found: in words. holds: whether it is true."""
 
     text: str
     found: str
@@ -21,7 +21,7 @@ class Claim:
 
 
 def claims(with_: Sequence[Figures]) -> list[Claim]:
-    """What is claimed of the passivity controllers, each on the worst of these runs with them."""
+    """The claims about the passivity controllers, each checked on the worst of these runs."""
     least = min(with_, key=_least_uj)
     given = max(with_, key=lambda f: f.given_uj)
     contact = max(with_, key=lambda f: f.contact_peak_n / f.contact_bound_n)
@@ -35,18 +35,18 @@ def claims(with_: Sequence[Figures]) -> list[Claim]:
             _least_uj(least) >= -ROUNDING_UJ,
         ),
         Claim(
-            "in all, the network never gives out more energy than it got",
+            "in total, the network never gives out more energy than it received",
             f"{given.given_uj:.2f} µJ: {given.cell.name}",
             given.given_uj <= ROUNDING_UJ,
         ),
         Claim(
-            "the wall is never pressed harder than a tip that only follows the hand can press it",
+            "the contact force stays below that of a tip that only follows the hand",
             f"{contact.contact_peak_n:.1f} N, bound {contact.contact_bound_n:.1f} N: "
             f"{contact.cell.name}",
             contact.contact_peak_n <= contact.contact_bound_n,
         ),
         Claim(
-            f"on a still hand no force swings on by more than {SWING_N:g} N",
+            f"with a still hand no force keeps oscillating by more than {SWING_N:g} N",
             f"{len(swings)} of {len(with_)}; most {swing.swing_n:.2f} N: {swing.cell.name}",
             not swings,
         ),
@@ -59,12 +59,12 @@ def claims(with_: Sequence[Figures]) -> list[Claim]:
 
 
 def needed(without: Sequence[Figures]) -> Claim:
-    """That the controllers are needed: what these runs without them come to."""
+    """The claim that the controllers are needed, checked on runs without them."""
     swung = sum(f.unstable for f in without)
     made = sum(f.given_uj > ROUNDING_UJ for f in without)
     return Claim(
-        "without the controllers the network makes energy, and forces swing on",
-        f"it makes energy in {made}, swings on in {swung} of {len(without)}",
+        "without the controllers the network makes energy, and forces oscillate",
+        f"energy in {made}, oscillation in {swung} of {len(without)} cells",
         made > 0 and swung > 0,
     )
 

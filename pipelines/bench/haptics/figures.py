@@ -1,4 +1,4 @@
-"""What a run of a cell comes to: figures out of what the plants really did."""
+"""The figures of one run of a cell, from the motion and forces of its plants. A core."""
 
 from dataclasses import dataclass
 from math import sqrt
@@ -11,11 +11,11 @@ from pipelines.bench.haptics.plan import DEPTH_M, Plan
 from telepresence.haptics.robot import RobotModel
 from telepresence.haptics.robot_controller import RobotControllerModel
 
-#: A hand that keeps still on a wall feels a still force. A swing beyond this (N, peak to peak)
-#: that does not fade is an oscillation: a quarter of the press on the softest wall of the grids,
-#: all of which an unstable loop gives and takes.
+#: A hand that keeps still on a wall feels a constant force. A swing above this (N, peak to peak)
+#: that does not fade is an oscillation. It is a quarter of the force on the softest wall of the
+#: grids; an unstable loop swings by all of that force.
 SWING_N = 2.0
-#: It fades if the last third of the hold swings less than this share of the middle third.
+#: A swing fades if it is less than this share of the middle third in the last third of the hold.
 FADES = 0.7
 
 Values = NDArray[np.float64]
@@ -25,11 +25,11 @@ Values = NDArray[np.float64]
 class Trace:
     """A run, one value a millisecond. Positions in m, forces in N, energies in J.
 
-    handle, tip, reference: (n, 2): what the hand holds, what touches the wall, what pulls the
-    tip. displayed, drive: (n, 2), the forces of the network on the handle and on the tip.
-    contact_n: what the wall gives back. joystick_observed_j, robot_observed_j: of the observers.
-    joystick_given_j, robot_given_j: what the network has given out at its ends, net, by force and
-    displacement of handle and tip: no observer has a part in it.
+    handle, tip: (n, 2), positions of the joystick's handle and of the robot's tip. displayed,
+    drive: (n, 2), the forces of the network on the handle and on the tip. contact_n: force of the
+    wall. joystick_observed_j, robot_observed_j: energy by the passivity observers.
+    joystick_given_j, robot_given_j: net energy that the network has given out at its ends, from
+    force and displacement of handle and tip, without the observers.
     """
 
     handle: Values
@@ -47,15 +47,15 @@ class Trace:
 class Figures:
     """Energies in µJ, forces in N, force changes in N/ms, positions in mm.
 
-    least_joystick_uj, least_robot_uj: least energy that the observers saw, below 0: the port gave
-    more than had come in at the other. given_uj: most that the network had given out in all, at
-    any instant, above 0: it made energy. contact_peak_n, displayed_peak_n: the largest forces
-    of the wall and on the handle; contact_bound_n: see `contact_bound_n`. swing_n: of both forces
-    in the last third of the hold, middle_swing_n: in the middle third. felt: the mean force on
-    the handle over that of the wall in the last third. rise_n_ms, drop_n_ms: the largest growth
-    and the largest fall of the force on the handle from one cycle to the next. drift_mm: how far
-    apart handle and tip are at the very end, at rest and free. touches: how often the wall was
-    met. acted_joystick, acted_robot: cycles in which a controller took something away.
+    least_joystick_uj, least_robot_uj: least energy by the observers; below 0, the port gave out
+    more than the other port had taken in. given_uj: the most net energy that the network had given
+    out at any instant; above 0, it made energy. contact_peak_n, displayed_peak_n: the largest
+    forces of the wall and on the handle; contact_bound_n: see the function of that name. swing_n,
+    middle_swing_n: peak to peak of both forces in the last and in the middle third of the hold.
+    felt: mean force on the handle over that of the wall in the last third. rise_n_ms, drop_n_ms:
+    the largest growth and fall of the force on the handle from one cycle to the next. drift_mm:
+    distance of handle and tip at the end, at rest and free. touches: number of contacts.
+    acted_joystick, acted_robot: cycles in which a passivity controller dissipated energy.
     """
 
     cell: Cell
@@ -78,7 +78,7 @@ class Figures:
 
     @property
     def unstable(self) -> bool:
-        """It swings on although the hand keeps still."""
+        """Whether a force keeps oscillating although the hand keeps still."""
         return self.swing_n > SWING_N and self.swing_n > FADES * self.middle_swing_n
 
 
@@ -89,7 +89,7 @@ def figures(
     begin, end = (instant // 1_000_000 for instant in plan.hold_ns)
     third = (end - begin) // 3
     contact = trace.contact_n > 0.0
-    # The last tenth of a second: hand and tip have been at rest for long.
+    # In the last tenth of a second hand and tip have been at rest for long.
     apart = trace.handle[-100:] - trace.tip[-100:]
     sizes = np.hypot(*trace.displayed.T)
     changes = np.diff(sizes)
@@ -122,11 +122,11 @@ def _swing(trace: Trace, begin: int, end: int) -> float:
 
 
 def contact_bound_n(wall_n_m: float) -> float:
-    """The largest force (N) with which a tip that only follows the hand can press this wall.
+    """The largest force (N) of this wall on a tip that only follows the hand.
 
-    It is the press when the hand is as deep behind the wall as it means to be (the controller's
-    spring and the wall in series), and on top of that the blow of the tip's mass at the greatest
-    speed of the reference, v * sqrt(k * m) of an undamped wall.
+    It is the static force with the hand at its intended depth behind the wall (the spring of the
+    controller and the wall in series), plus the impact of the tip's mass at the largest speed of
+    the reference, v * sqrt(k * m) of an undamped wall.
     """
     robot_side, robot = RobotControllerModel(), RobotModel()
     spring = robot_side.stiffness_n_m * wall_n_m / (robot_side.stiffness_n_m + wall_n_m)

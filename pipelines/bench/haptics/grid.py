@@ -1,4 +1,4 @@
-"""Many cells at once, a process for each processor."""
+"""Many cells at once, in a pool of processes."""
 
 import multiprocessing
 import os
@@ -12,17 +12,17 @@ from pipelines.bench.haptics.run import run_cell
 
 
 def processors() -> int:
-    """How many this process may use."""
+    """The number of processors that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 def run_grid(
     cells: Sequence[Cell], *, seconds: float, seed: int, jobs: int
 ) -> Iterator[tuple[Figures, Figures]]:
-    """(without, with) the controllers for each of `cells`, in order, as soon as it is known.
+    """Figures (without, with) the controllers for each of `cells`, in order, as they are known.
 
-    The figures are the same for every number of `jobs`: a cell's chance depends on `seed` and
-    on the cell alone.
+    They are the same for every number of `jobs`: the randomness of a cell depends on `seed` and the
+    cell only.
     """
     both = partial(_both, seconds=seconds, seed=seed)
     if jobs == 1:

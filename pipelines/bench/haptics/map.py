@@ -1,4 +1,4 @@
-"""Which delays and walls are stable, whatever else the radio does."""
+"""Stability by delay and wall, over all other values of the grid. A core."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ from pipelines.bench.haptics.figures import Figures
 
 
 class StabilityMap:
-    """Delay by wall: the worst of the other axes."""
+    """The cells of a grid by wall (falling) and delay (rising)."""
 
     def __init__(self, found: Sequence[Figures]) -> None:
         self.delays = sorted({figures.cell.delay for figures in found})
@@ -18,10 +18,10 @@ class StabilityMap:
         }
 
     def unstable(self, wall: float, delay: float) -> tuple[int, int]:
-        """How many of how many cells swing on."""
+        """(unstable cells, all cells) at this wall and delay."""
         cells = self.cells[wall, delay]
         return sum(figures.unstable for figures in cells), len(cells)
 
     def peak_n(self, wall: float, delay: float) -> float:
-        """The largest contact force (N) of them."""
+        """The largest contact force (N) at this wall and delay."""
         return max((f.contact_peak_n for f in self.cells[wall, delay]), default=0.0)

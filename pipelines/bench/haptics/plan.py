@@ -1,9 +1,9 @@
-"""What happens in a run of a cell: where the hand means to be, and when the radio is dark.
+"""The schedule of a run of a cell: the motion of the hand, and the blackouts. A core.
 
-First the three targets are touched in turn (`touch`), then the first one is pressed and held
-(`hold`), then the hand lets go and goes back to the middle (`release`). Blackouts: of both ways
-while the targets are touched, then, while the hand presses, of the commands alone and of the
-feedback alone; `hold` begins after the last of them, with time to recover.
+First the hand touches the three targets in turn, then it presses the first one and holds it, then
+it goes back to the middle. One blackout of both ways falls into the touches. While the hand
+presses, one blackout of the commands and one of the feedback follow. The hold begins after the
+last one, with time to recover.
 """
 
 from dataclasses import dataclass
@@ -14,19 +14,20 @@ from telepresence.haptics.board import WALL_X_M
 from telepresence.haptics.hand import Waypoint
 
 _TARGETS_Y_M = (-0.05, 0.0, 0.05)
-#: The hand means to be so far behind the wall, as one presses a button.
+#: The intended depth of the hand behind the wall, as when pressing a button.
 DEPTH_M = 0.025
 _AWAY_M = 0.04
-#: An oscillation of the delayed loop takes 2 to 4 round trips: three thirds of 4 round trips.
+#: An oscillation of the delayed loop has a period of 2 to 4 round trips; the hold has three thirds.
 _HOLD_ROUND_TRIPS = 12.0
 _RECOVERY_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """script: of the hand. down_dark, up_dark: (begin, end) in ns, of commands and feedback.
+    """script: waypoints of the hand. down_dark, up_dark: blackouts of commands and of feedback.
 
-    hold_ns: (begin, end) in which a stable loop comes to rest. end_ns: of the run.
+    All spans are (begin, end) in ns. hold_ns: in which a stable loop comes to rest. end_ns: of the
+    run.
     """
 
     script: tuple[Waypoint, ...]
@@ -37,7 +38,7 @@ class Plan:
 
 
 def plan(cell: Cell, seconds: float) -> Plan:
-    """Half of `seconds` to touch and half to hold; more where delay and blackouts need it."""
+    """Half of `seconds` for touches and half for the hold; more for delay and blackouts."""
     round_trip_s = (cell.delay + cell.jitter) / 1000.0
     recovery_s = _RECOVERY_S + 2.0 * round_trip_s
     touch_s = seconds / 2.0
@@ -88,5 +89,5 @@ def _duration_s(script: list[Waypoint]) -> float:
 
 
 def _ns(seconds: float) -> int:
-    """On the grid of the cycles."""
+    """In whole cycles of 1 ms."""
     return round(seconds * 1000) * NS_PER_MS

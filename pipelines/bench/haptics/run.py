@@ -1,4 +1,4 @@
-"""One run of a cell on virtual time: both sides, and a channel each way between them."""
+"""One run of a cell on virtual time: both sides, and a channel in each direction. A core."""
 
 import numpy as np
 
@@ -13,7 +13,10 @@ from telepresence.haptics.hand import Hand
 
 
 def run_cell(cell: Cell, *, seconds: float, seed: int, passive: bool) -> tuple[Figures, Trace]:
-    """Hand, joystick, robot and wall for `seconds` and more, with the controllers or without."""
+    """Run hand, joystick, robot and wall as planned for `seconds`.
+
+    passive: with the passivity controllers.
+    """
     planned = plan(cell, seconds)
     joystick_handle = HeldJoystick(hand=Hand(script=planned.script))
     joystick_side = JoystickSide(passive=passive, handle=joystick_handle)

@@ -1,4 +1,4 @@
-"""How fast the link comes back after a blackout, and that nothing old comes out of it."""
+"""Recovery of the link after a blackout, and the age of what comes out of it. A core."""
 
 import struct
 from dataclasses import dataclass, field
@@ -13,8 +13,8 @@ from telepresence.link.receiver import HapticReceived, PacketReceived
 from telepresence.link.supervision.supervisor import LinkState
 from telepresence.link.virtual import VirtualLink
 
-#: How often each kind of packet is offered, and the octets of its payload. Together they take nine
-#: tenths of the uplink: what waits there waits for the signal, not for its turn.
+#: Period and payload octets of each kind of packet. Together they take nine tenths of the uplink,
+#: so that packets wait for the signal and not for each other.
 _OFFERS = {
     COMMANDS: (20 * NS_PER_MS, 12),
     VOICE: (20 * NS_PER_MS, 19),
@@ -22,8 +22,7 @@ _OFFERS = {
 }
 _STAMP = struct.Struct(">Q")
 _LEAD_IN_NS = 3 * NS_PER_S
-#: What is a packet's age worth: one that was put in before its blackout began and comes out after
-#: its end is stale in any case; this is the bound for those that were put in meanwhile.
+#: A packet that comes out older than this is stale.
 _STALE_NS = 100 * NS_PER_MS
 HAPTIC = "haptic"
 CONNECTED = "connected"
@@ -31,13 +30,13 @@ CONNECTED = "connected"
 
 @dataclass
 class Resumptions:
-    """Of blackouts of one length; all in ns, one value a blackout and direction.
+    """Of blackouts of one length; durations in ns, one for each blackout and direction.
 
     noticed: from the last good frame to the notice that the signal is lost.
-    first: of `haptic` and of each flow, from the first good frame after the blackout to the first
-        that comes out of the link; `connected`: to the end of the negotiation.
-    packets, stale: how many packets came out, and how many of them later than 100 ms (and the
-        radio's delay) after they had been put in.
+    first: from the first good frame after the blackout to the first sample (`haptic`), to the first
+        packet of each flow, and to the end of the negotiation (`connected`).
+    packets, stale: packets that came out, and those of them that were older than 100 ms plus the
+        delay of the radio.
     """
 
     noticed: list[int] = field(default_factory=list)
@@ -49,7 +48,7 @@ class Resumptions:
 
 
 class _Offers:
-    """Packets of every level for one segment, each stamped with its instant."""
+    """Offers packets of every level to one segment, each stamped with its instant."""
 
     def __init__(self, gateway: Gateway, random: Random) -> None:
         self._gateway = gateway
@@ -59,7 +58,7 @@ class _Offers:
         }
 
     def handle_slot(self, now_ns: int) -> None:
-        """Put in what is due by `now_ns`, and a sample."""
+        """Offer a sample and the packets that are due by `now_ns`."""
         self._gateway.handle_haptic(bytes(12), now_ns)
         for flow, (period_ns, octets) in _OFFERS.items():
             due_ns = self._due_ns[flow]
@@ -72,7 +71,7 @@ class _Offers:
 
 
 class _Watch:
-    """One receiving segment through one blackout."""
+    """Watches one receiving segment through one blackout."""
 
     def __init__(self, gateway: Gateway, last_good_ns: int, back_ns: int) -> None:
         self._gateway = gateway
@@ -100,10 +99,9 @@ class _Watch:
 def resumptions(
     blackout_s: float, *, blackouts: int, delay_ns: int = 0, seed: int = 1
 ) -> Resumptions:
-    """Put `blackouts` of `blackout_s` seconds each over both directions, one after the other.
+    """Run `blackouts` of `blackout_s` seconds each in both directions, 2 to 3 s apart.
 
-    2 to 3 s lie between them. Packets of all levels are offered all the time, at phases that the
-    seed gives.
+    Packets of all levels are offered all the time, at phases that depend on `seed`.
     """
     random = Random(seed)
     length_ns = round(blackout_s * NS_PER_S)
@@ -130,7 +128,7 @@ def resumptions(
     offers = [_Offers(gateway, random) for gateway in (link.ground, link.space)]
     watches: dict[int, _Watch] = {}
     for start_ns, end_ns in zip(starts_ns, (*starts_ns[1:], at_ns), strict=True):
-        # The last slot before the blackout, and the first one after it, as they arrive.
+        # Arrival of the last slot before the blackout and of the first one after it.
         last_good_ns = -(-start_ns // slot_ns) * slot_ns - slot_ns + delay_ns
         back_ns = -(-(start_ns + length_ns) // slot_ns) * slot_ns + delay_ns
         while link.now_ns < end_ns:

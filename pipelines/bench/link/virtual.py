@@ -1,4 +1,4 @@
-"""What the link does to its traffic, exactly: on virtual time, the same gateways as live."""
+"""Delays, headers and goodput of the link on virtual time, with the gateways of a session."""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,15 +25,15 @@ FLOWS: tuple[Flow, ...] = (
 )
 
 _RTP = struct.Struct(">BBHII")
-#: What waits in a queue that shall never be empty, in octets.
+#: Octets that keep a queue from running empty.
 _ENOUGH = 2048
-#: After this the two ends have agreed, and supervision is as seldom as it will stay.
+#: After this the negotiation is over, and supervision messages are rare.
 _LEAD_IN_NS = 3 * NS_PER_S
 
 
 @dataclass
 class Talker:
-    """RTP packets of one voice or one video, as a program would send them."""
+    """Makes the RTP packets of one voice or one video."""
 
     flow: str
     payload_octets: int
@@ -41,9 +41,9 @@ class Talker:
     sequence: int = 0xFFF0
 
     def packet(self, now_ns: int, *, last: bool = True) -> bytes:
-        """The next packet: voice counts its samples, video tells the instant of capture.
+        """The next packet; the timestamp of voice counts samples, that of video is `now_ns`.
 
-        last: whether it ends its picture, which the marker tells (RFC 6184).
+        last: whether it ends its picture; sets the marker (RFC 6184).
         """
         if self.flow == VOICE:
             timestamp = self.sequence * BLOCK_SAMPLES
@@ -57,7 +57,7 @@ class Talker:
 
 
 def _saturate(gateway: Gateway, talkers: Sequence[Talker], now_ns: int) -> None:
-    """Let every level have more to say than fits."""
+    """Fill the queue of every level."""
     sender = gateway.sender
     for flow in FLOWS:
         while sender.waiting_octets(flow.level) < _ENOUGH:
@@ -68,9 +68,9 @@ def _saturate(gateway: Gateway, talkers: Sequence[Talker], now_ns: int) -> None:
 
 
 def haptic_delays(seconds: float, *, saturated: bool, radio: Sequence[RadioPath]) -> list[int]:
-    """One-way delay (ns) of every sample of both directions, in the order of handing over.
+    """One-way delay (ns) of every sample of both directions, in order; -1 for a lost one.
 
-    radio: the path up and the path down. A sample is handed over at the instant of its slot.
+    radio: the path up and the path down. A sample is offered at the instant of its slot.
     """
     link = VirtualLink(uplink_flows=FLOWS, downlink_flows=FLOWS, up=radio[0], down=radio[1])
     talkers = (Talker(VOICE, 19), Talker(VIDEO, 354))
@@ -91,10 +91,10 @@ def haptic_delays(seconds: float, *, saturated: bool, radio: Sequence[RadioPath]
 
 @dataclass(frozen=True)
 class HapticDifference:
-    """The same samples, alone and beside media that fill every slot.
+    """The delays of samples on an idle link and on a saturated one.
 
-    samples: compared. largest_slots: the largest difference between the two delays of a sample,
-    in slots. delay_ms: of the samples alone, least and most.
+    samples: number of pairs. largest_slots: the largest difference between the two delays of a
+    sample. delay_ms: least and largest on the idle link.
     """
 
     samples: int
@@ -103,7 +103,7 @@ class HapticDifference:
 
 
 def haptic_difference(seconds: float, *, delay_ns: int) -> HapticDifference:
-    """Compare every sample that arrived in both runs."""
+    """Compare every sample that arrived in both runs; delay_ns: one-way delay of the radio."""
     alone, beside = (
         haptic_delays(
             seconds,
@@ -122,7 +122,7 @@ def haptic_difference(seconds: float, *, delay_ns: int) -> HapticDifference:
 
 
 def voice_waits(seconds: float, profile: LinkProfile, *, seed: int = 1) -> list[int]:
-    """How long (ns) each voice packet waited for its first slot, video and files never ceasing.
+    """The wait (ns) of each voice packet for its first slot, with endless video and files.
 
     The packets come every 20 ms and up to 5 ms later, at any instant between two slots.
     """
@@ -155,11 +155,11 @@ def voice_waits(seconds: float, profile: LinkProfile, *, seed: int = 1) -> list[
 
 @dataclass(frozen=True)
 class Goodput:
-    """What arrives of one kind of traffic that never ceases.
+    """The goodput of one kind of endless traffic.
 
-    zone_bps: what the frames leave to the levels below haptics. payload_bps: of the UDP payloads
-    that came out, for RTP with its 12 octets of header, which hardly take a place on the link.
-    packets, framing, supervision, idle: shares of the zone; the first with tags and headers.
+    zone_bps: rate that the frames leave to the levels below haptics. payload_bps: of the UDP
+    payloads that came out; for RTP with its 12 octets of header, which travel compressed. packets
+    (with tags and headers), framing, supervision, idle: shares of the zone.
     """
 
     zone_bps: int
@@ -209,10 +209,10 @@ def goodput(
 
 @dataclass(frozen=True)
 class HeaderOctets:
-    """What the headers of a flow took on the link, tags included.
+    """Octets of the headers of a flow on the link, tags included.
 
-    packets, whole: how many there were, and how many of them had their whole header along.
-    mean: of all. most_compressed: of those that were compressed, in octets.
+    packets, whole: number of packets, and of those with a whole header. mean: over all packets.
+    most_compressed: the largest compressed header.
     """
 
     packets: int
@@ -273,7 +273,7 @@ def _voice_packets(
         yield handed_ns, gateway, VOICE, talker.packet(handed_ns)
 
 
-#: Octets with the tag, of each way that a header may go (`rtp_forms`).
+#: Octets of each compressed form of a header, with the tag (`rtp_forms`).
 _COMPRESSED = {"bare": 1, "short": 2, "near": 2, "long": 3}
 
 

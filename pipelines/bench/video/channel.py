@@ -7,7 +7,7 @@ from kontur_av.clock import NS_PER_S
 
 
 class Departure(NamedTuple):
-    """A datagram that has passed the channel. due_ns: when its last bit had."""
+    """A datagram that has passed the channel. due_ns: when its last bit passed."""
 
     due_ns: int
     port: int
@@ -15,10 +15,10 @@ class Departure(NamedTuple):
 
 
 class Channel:
-    """Passes datagrams on in their order, each after the time that its octets take at `rate_bps`.
+    """Passes datagrams on in order, each after the time that its octets take at `rate_bps`.
 
-    All octets of a datagram count (RTP with its header, RTCP); those of UDP and IP do not.
-    Nothing is dropped: what comes faster than the rate waits.
+    All octets of a datagram count (RTP with its header, RTCP), but not those of UDP and IP.
+    The queue is unlimited and drops nothing.
     """
 
     def __init__(self, rate_bps: int) -> None:
@@ -28,9 +28,9 @@ class Channel:
         self.longest_wait_ns = 0
 
     def handle_datagram(self, datagram: bytes, port: int, now_ns: int) -> None:
-        """A datagram has come, whole, at `now_ns`; `port` says which of the ports it came to."""
+        """A whole datagram has come at `now_ns` to the port of index `port`."""
         begin_ns = max(self._free_ns, now_ns)
-        # Rounded up: no datagram is ever through before its last bit is.
+        # Rounded up, so that no datagram leaves before its last bit.
         self._free_ns = begin_ns - (-len(datagram) * 8 * NS_PER_S // self._rate_bps)
         self.longest_wait_ns = max(self.longest_wait_ns, begin_ns - now_ns)
         self._queue.append(Departure(self._free_ns, port, datagram))

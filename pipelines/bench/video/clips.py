@@ -1,7 +1,7 @@
-"""What is filmed in `bench video`: real footage, and the built-in scene with camera switches.
+"""The clips of `bench video`: real footage, and the built-in scene with camera switches.
 
-Each picture of a clip is shown once, 30 (`fps`) a second, whatever the file's own rate was; after
-the last one the clip runs backwards, then forwards again, so that no cut is added to it.
+Each picture of a clip is shown once, `fps` a second, whatever the rate of the file. After the last
+picture the clip runs backwards, then forwards again: that adds no cut.
 """
 
 import mmap
@@ -32,10 +32,10 @@ _CAMERAS = ("stereo", "static", "head")
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """Pictures in memory that child processes share, in the order in which they are shown.
+    """Pictures in memory that child processes share, and the order in which they are shown.
 
     pictures: shape (count, height * 3 // 2, width), uint8: each an `I420`.
-    order: for each number, which of the pictures it is.
+    order: the index of the picture for each number.
     """
 
     name: str
@@ -50,14 +50,14 @@ class Clip:
 
 
 def shared_array(*shape: int) -> NDArray[np.uint8]:
-    """Zeros that this process and those that it forks see alike, already in memory."""
+    """Zeros in memory that this process shares with its forks, with all pages present."""
     octets = int(np.prod(shape))
     fd = os.memfd_create("kontur-av bench", os.MFD_CLOEXEC)
     os.ftruncate(fd, octets)
     memory = mmap.mmap(fd, octets)
     os.close(fd)
     array = np.frombuffer(memory, np.uint8).reshape(shape)
-    # A page that is touched for the first time while the clock runs costs its reader a fault.
+    # Touch every page now: a page fault while the clock runs would cost its reader time.
     array[:] = 0
     return array
 
@@ -129,7 +129,7 @@ def _fitted(frame: av.VideoFrame, width: int, height: int) -> I420:
 
 
 def scene(width: int, height: int, fps: int, count: int) -> Clip:
-    """The built-in task board as its cameras see it, another camera every 5 s."""
+    """The built-in task board through its cameras, with a camera switch every 5 s."""
     pictures = shared_array(count, height * 3 // 2, width)
     left, right = empty_picture(width, height), empty_picture(width, height)
     for number in range(count):
@@ -147,7 +147,7 @@ def scene(width: int, height: int, fps: int, count: int) -> Clip:
 def clips(
     files: list[Path], width: int, height: int, fps: int, count: int, say: Callable[[str], None]
 ) -> Iterator[tuple[str, Callable[[], Clip]]]:
-    """Name and maker of each clip that this machine has; `say` tells of those that it has not."""
+    """Name and maker of each clip that this machine has; `say` prints a line for a missing one."""
     for name in FOOTAGE:
         path = footage(name)
         if path is None:

@@ -1,14 +1,13 @@
-"""`kontur-av bench video`: pictures through a thin channel, beside GStreamer's.
+"""`kontur-av bench video`: pictures through a thin channel, beside GStreamer.
 
-Each contender is two commands as a user types them, sender and receiver, with real sockets. One
-process films: it writes the clip's pictures into a FIFO, each at its exact instant with its
-number drawn into it. One is the channel: a FIFO of a fixed rate, in which RTP headers and RTCP
-count, and which drops nothing; what a receiver answers goes back at once. One watches: it takes
-full-size pictures out of a second FIFO and reads their numbers. So a latency runs from the instant
-of capture, through the pipe to the sender, coding, channel, decoding and scaling, to the last octet
-of the picture in the watching process. Both pipes are the same for all. PSNR and SSIM are of the
-luma, against the captured picture of the same number, without the 16 rows that hold the numbers.
-The first second does not count, except against the cap.
+Each contender is two commands as a user types them, sender and receiver, with real sockets. The
+camera writes the pictures of a clip into a pipe, each at its exact instant with its number drawn
+into it. The channel is a queue of a fixed rate: RTP headers and RTCP count, nothing is dropped, and
+answers of the receiver go back at once. The screen reads full-size pictures from a second pipe and
+reads their numbers. So a latency runs from the instant of capture, through the pipe to the sender,
+coding, channel, decoding and scaling, to the last octet of the picture in the screen's process.
+Both pipes are the same for all. PSNR and SSIM compare the luma with the captured picture of the
+same number, without the 16 rows of the number. The first second counts only against the cap.
 """
 
 import argparse
@@ -57,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--channel-kbps", type=float, default=88.0, metavar="C", help="default 88")
     parser.add_argument("--wide", action="store_true", help="then the same at 512 in 530 kbit/s")
     parser.add_argument(
-        "--clip", type=Path, action="append", default=[], metavar="FILE", help="film this, too"
+        "--clip", type=Path, action="append", default=[], metavar="FILE", help="another clip"
     )
     parser.add_argument(
         "--only",
@@ -73,14 +72,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, and print each table as soon as it is known; 1 if somebody could not be measured."""
+    """Measure, and print each table as soon as it is known; 1 if a contender failed."""
     width, height, terms = _checked(args)
-    # Its threads would not survive the forks, and one is enough.
+    # Threads of OpenCV would not survive the forks, and one is enough.
     cv2.setNumThreads(1)
     console = open_console(args)
 
     def say(line: str) -> None:
-        """A line as it is, however long."""
+        """Print a line unwrapped."""
         console.print(line, highlight=False, markup=False, soft_wrap=True)
 
     count = round((args.seconds + terms[0].settle_s) * _FPS)
@@ -205,7 +204,7 @@ def _contenders(chosen: set[str], say: Callable[[str], None]) -> list[str]:
 def _measured(
     contenders: Sequence[str], clip: Clip, terms: Terms, say: Callable[[str], None]
 ) -> dict[str, tuple[Figures, list[float]]]:
-    """Those that could be measured, in turn."""
+    """The contenders that could be measured, in turn."""
     found = {}
     for name in contenders:
         try:
@@ -215,7 +214,7 @@ def _measured(
     return found
 
 
-#: What a row is about, and its words from the figures.
+#: Heading of a row, and its text from the figures.
 _ROWS: tuple[tuple[str, Callable[[Figures], str]], ...] = (
     *(
         (f"capture to displayed, {key}, ms", lambda found, key=key: f"{found.latency_ms[key]:.1f}")
@@ -251,22 +250,22 @@ def _table(title: str, measured: Mapping[str, Figures]) -> Table:
 
 
 def _notes(name: str, found: Figures) -> list[str]:
-    """What the figures of this run have to be taken with."""
+    """What disturbed this run."""
     notes = []
     if found.guessed or found.unreadable:
         notes.append(
-            f"{name}: {found.guessed} numbers known by their neighbours only, "
+            f"{name}: {found.guessed} numbers known only from their neighbours, "
             f"{found.unreadable} not at all"
         )
     if found.left_out_by_camera:
         notes.append(
             f"{name}: {found.left_out_by_camera} pictures left out by the camera, "
-            "because the sender had not taken those before"
+            "because the sender had not read the ones before"
         )
     if found.others_cores > 0.1:
         notes.append(
-            f"{name}: other programs took {found.others_cores:.1f} cores meanwhile: "
-            "latencies and rates of a machine without them are better"
+            f"{name}: other programs used {found.others_cores:.1f} cores: "
+            "an idle machine has lower latencies and higher rates"
         )
     if not found.realtime or found.camera_latest_us > 1000 or found.channel_late_us["p99"] > 500:
         notes.append(

@@ -1,4 +1,4 @@
-"""Who is measured in `bench video`: commands that a user would type, this project's and others'."""
+"""The contenders of `bench video`: commands of this project and of GStreamer."""
 
 import os
 import shutil
@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
@@ -33,11 +32,11 @@ _STOP_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """What all contenders run through.
+    """The measuring course, the same for all contenders.
 
     width, height, fps: of the pictures. cap_kbps: what the encoder may use. channel_kbps: what
     the channel carries. entrance, exit: the UDP ports of RTP at its two ends; RTCP is one higher.
-    film, screen: the FIFOs from which pictures come and into which they go. directory: for files.
+    film, screen: the FIFOs for pictures to the sender and from the receiver. directory: for files.
     """
 
     width: int
@@ -59,7 +58,7 @@ class Course:
 
 
 class ContenderError(RuntimeError):
-    """What is measured did not run; its own last words."""
+    """A contender did not run; with the last words of its output."""
 
 
 def missing(name: str) -> str | None:
@@ -75,7 +74,7 @@ def missing(name: str) -> str | None:
 
 
 class Process:
-    """A command that runs; its CPU time is the kernel's."""
+    """A running command; its CPU time is measured by the kernel."""
 
     def __init__(self, name: str, command: Sequence[str], log: Path, fds: Sequence[int]) -> None:
         self.name = name
@@ -87,7 +86,7 @@ class Process:
                 stdout=output,
                 stderr=output,
                 pass_fds=fds,
-                # Ctrl-C is the bench's, which ends its children itself.
+                # A session of its own: the bench takes Ctrl-C and ends its children itself.
                 start_new_session=True,
             )
         self._cpu_s: float | None = None
@@ -99,7 +98,7 @@ class Process:
             raise ContenderError(f"{self.name} has ended: {' / '.join(words[-3:])}")
 
     def stop(self, wait_s: float) -> float:
-        """Wait for its end, then ask for it, then enforce it; CPU seconds of its whole life."""
+        """Wait for its end, then interrupt it, then kill it; CPU seconds of its whole life."""
         for number in (None, signal.SIGINT, signal.SIGKILL):
             if self._cpu_s is None and number is not None:
                 with suppress(ProcessLookupError):
@@ -143,7 +142,7 @@ def started(name: str, course: Course) -> Iterator[tuple[Process, Process]]:
 
 
 def _our_sender(course: Course) -> Process:
-    options: dict[str, Any] = {
+    options: dict[str, object] = {
         "--video": f"pipe:{course.film}",
         "--to": f"127.0.0.1:{course.entrance}",
         "--cap-kbps": f"{course.cap_kbps:g}",
@@ -160,7 +159,7 @@ def _our_receiver(course: Course, sender: Process) -> Process:
     sent, received = course.directory / "sent.sdp", course.directory / "received.sdp"
     give_up_ns = time.monotonic_ns() + round(_START_S * NS_PER_S)
     while True:
-        # It is written while this looks: whole once it can be read.
+        # The file may still be incomplete: try until it can be parsed.
         with suppress(ConfigError, FileNotFoundError):
             stream = parse_sdp(sent.read_text())
             break
@@ -169,7 +168,7 @@ def _our_receiver(course: Course, sender: Process) -> Process:
             raise ContenderError(f"{sender.name} wrote no SDP")
         time.sleep(0.02)
     received.write_text(write_sdp(replace(stream, port=course.exit)))
-    options: dict[str, Any] = {
+    options: dict[str, object] = {
         "--sdp": received,
         "--raw": course.screen,
         "--size": f"{course.width}x{course.height}",
@@ -178,7 +177,7 @@ def _our_receiver(course: Course, sender: Process) -> Process:
     return _ours("receive", options, course)
 
 
-def _ours(command: str, options: dict[str, Any], course: Course) -> Process:
+def _ours(command: str, options: dict[str, object], course: Course) -> Process:
     words = [str(word) for option in options.items() for word in option]
     return Process(
         f"kontur-av {command}",
@@ -189,7 +188,7 @@ def _ours(command: str, options: dict[str, Any], course: Course) -> Process:
 
 
 def _gst_sender(name: str, course: Course) -> Process:
-    # A source opens the FIFO before there is a writer, as ours does.
+    # Open the FIFO before there is a writer, as `kontur-av send` does.
     fd = os.open(course.film, os.O_RDONLY | os.O_NONBLOCK)
     os.set_blocking(fd, True)
     encoder = _ENCODERS[name].format(cap_kbps=round(course.cap_kbps))
@@ -210,7 +209,7 @@ def _gst_receiver(course: Course) -> Process:
     try:
         return _gst(
             "receiver",
-            # Rendered directly, its pictures would have padding, which y4menc passes on.
+            # With direct rendering pictures have padding, which y4menc would pass on.
             f"udpsrc port={course.exit} caps={_H264_CAPS} ! rtph264depay "
             f"! avdec_h264 direct-rendering=false ! y4menc ! fdsink fd={fd} sync=false",
             course,

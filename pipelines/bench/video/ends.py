@@ -1,7 +1,7 @@
-"""The processes around the two that are measured: who films, the channel, and who watches.
+"""The processes around the two that are measured: camera, channel and screen.
 
-Each does next to nothing, keeps absolute deadlines, and has a real-time priority where the system
-permits one, so that it is the same for everybody that is measured.
+Each does little work, keeps absolute deadlines, and has real-time priority where the system permits
+it, so that all contenders are measured alike.
 """
 
 import fcntl
@@ -33,7 +33,7 @@ from pipelines.bench.video.clips import Clip
 from pipelines.bench.video.marks import SQUARES, draw_number, levels
 
 _CHANNEL_PRIORITY, _WATCH_PRIORITY, _FILM_PRIORITY = 12, 11, 11
-#: A sleeper wakes up later than told to: what remains of the wait is spent awake.
+#: The last part of a wait is spent awake, because a sleeper wakes up late.
 _AWAKE_NS = 150 * NS_PER_US
 _JOIN_S = 5
 #: asm-generic/socket.h; Python's `socket` does not name it.
@@ -43,11 +43,11 @@ _LOOPBACK = "127.0.0.1"
 
 
 class EndError(RuntimeError):
-    """One of the bench's own processes failed: not a matter of what is measured."""
+    """A process of the bench itself failed, not a contender."""
 
 
 class End:
-    """A child process that runs `work(link)` and gives its result when it is asked to end."""
+    """A child process that runs `work(link)` and returns the result through the pipe."""
 
     def __init__(self, name: str, priority: int, work: Callable[[Connection], Any]) -> None:
         context = multiprocessing.get_context("fork")
@@ -60,24 +60,24 @@ class End:
         theirs.close()
 
     def result(self, timeout_s: float) -> Any:
-        """What the work gave, after its own end or after `end`."""
+        """The result of the work, after its own end or after `end`; EndError if there is none."""
         try:
             if not self._link.poll(timeout_s):
                 raise EndError(f"{self._name} has not ended after {timeout_s:g} s")
             fault, result = self._link.recv()
         except (EOFError, ConnectionError):
-            raise EndError(f"{self._name} has ended without a word") from None
+            raise EndError(f"{self._name} has ended without a result") from None
         if fault:
             raise EndError(f"{self._name} failed: {fault}")
         return result
 
     def end(self) -> None:
-        """Ask it to end."""
+        """Ask the work to end."""
         with suppress(OSError):
             self._link.send(None)
 
     def close(self) -> None:
-        """It ends now, whatever it does."""
+        """End the process now, whatever it does."""
         self._link.close()
         self._process.join(0.1)
         if self._process.is_alive():
@@ -89,10 +89,10 @@ def _become(
     work: Callable[[Connection], Any], link: Connection, others: Connection, priority: int
 ) -> None:
     others.close()
-    # Ctrl-C is the bench's: it ends its children itself.
+    # Ctrl-C is for the bench, which ends its children itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in (signal.SIGTERM, signal.SIGHUP):
-        # What the bench does on it, is not for its children; under nohup they stay deaf.
+        # The handlers of the bench are not for its children; what nohup ignores stays ignored.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
     with suppress(OSError):
@@ -110,9 +110,12 @@ def _become(
 
 @dataclass(frozen=True, slots=True)
 class Filmed:
-    """captured_ns: for each number the instant of its capture; 0 where the pipe had no room, so
-    that the picture was left out, as a camera leaves out what nobody takes. realtime: whether it
-    had a real-time priority. latest_ns: the latest start of a picture after its instant."""
+    """What the camera did.
+
+    captured_ns: the instant of capture by number; 0 for a picture that was left out because the
+    pipe had no room. latest_ns: the latest start of a picture after its instant. realtime: whether
+    the process had real-time priority.
+    """
 
     captured_ns: NDArray[np.int64]
     latest_ns: int
@@ -120,10 +123,10 @@ class Filmed:
 
 
 def film_to(clip: Clip, path: str, fps: int, patience_s: float) -> End:
-    """Who films: writes the clip into a FIFO as YUV4MPEG2, each picture at its exact instant.
+    """The camera: write the clip into a FIFO as YUV4MPEG2, each picture at its exact instant.
 
-    A picture is captured at that instant, before its first octet is written. Waits up to
-    `patience_s` for a reader, then half a second for that reader to settle. Ends by itself.
+    The capture is at that instant, before the first octet is written. The camera waits up to
+    `patience_s` for a reader, then half a second, and ends by itself after the clip.
     """
 
     def work(_: Connection) -> Filmed:
@@ -138,12 +141,12 @@ def _opened_for_writing(path: str, patience_s: float) -> Iterator[int]:
     give_up_ns = time.monotonic_ns() + round(patience_s * NS_PER_S)
     while True:
         try:
-            # It opens only where somebody reads (fifo(7)).
+            # Opening fails until there is a reader (fifo(7)).
             fd = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
             break
         except OSError:
             if time.monotonic_ns() > give_up_ns:
-                raise TimeoutError("nobody came to read its pictures") from None
+                raise TimeoutError("no reader opened the pipe of the camera") from None
             time.sleep(0.01)
     try:
         os.set_blocking(fd, True)
@@ -169,7 +172,7 @@ def _film(clip: Clip, fd: int, fps: int) -> Filmed:
         draw_number(picture, number)
         due_ns = start_ns + number * NS_PER_S // fps
         if time.monotonic_ns() > due_ns + NS_PER_S // fps:
-            # A pipe smaller than a picture holds its writer up until the reader has caught up.
+            # A pipe smaller than a picture blocks its writer until the reader has caught up.
             continue
         _sleep_until(due_ns)
         if capacity >= len(octets) > capacity - _unread(fd):
@@ -196,9 +199,12 @@ def _sleep_until(due_ns: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """shown_ns: when each picture came, in order: when its last octet was in the memory of this
-    process. squares: what was seen of its number, as `video_marks.levels`; all of one level for a
-    picture that has not the full size. unkept: pictures for which there was no more room."""
+    """What the screen saw.
+
+    shown_ns: for each picture, in order, the instant at which its last octet was in the memory of
+    this process. squares: its number as `marks.levels` reads it; all of one level for a picture of
+    another size. unkept: pictures beyond the room for them.
+    """
 
     shown_ns: list[int]
     squares: list[NDArray[np.uint8]]
@@ -208,12 +214,12 @@ class Watched:
 
 
 def watch(path: str, lumas: NDArray[np.uint8]) -> End:
-    """Who watches: takes YUV4MPEG2 from a FIFO, and notes which picture came when.
+    """The screen: read YUV4MPEG2 from a FIFO, and note the instant of each picture.
 
-    lumas: shape (count, height, width): the luma planes go there, in the order of their coming.
+    lumas: shape (count, height, width), uint8; takes the luma planes in order of arrival.
     Runs until `End.end`.
     """
-    # Opened here: who writes into a FIFO may look at once whether somebody reads.
+    # Open it here: a writer may check at once whether the FIFO has a reader.
     fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with suppress(OSError):
         fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, PIPE_OCTETS)
@@ -236,7 +242,7 @@ def _watch(fd: int, link: Connection, lumas: NDArray[np.uint8]) -> Watched:
         with suppress(BlockingIOError):
             octets = os.readv(fd, [reader.write_view()])
             if not octets:
-                # No writer (yet): such a FIFO is always readable.
+                # A FIFO without a writer is always readable: do not spin.
                 time.sleep(0.001)
             reader.handle_written(octets)
         now_ns = time.monotonic_ns()
@@ -258,10 +264,11 @@ def _watch(fd: int, link: Connection, lumas: NDArray[np.uint8]) -> Watched:
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """What passed the channel: for each RTP packet when it came, its octets and its payload's.
+    """What passed the channel.
 
-    control_octets: of RTCP. returned: datagrams that went back from the receiver to the sender.
-    late_ns: how much after its instant each datagram left.
+    came_ns, octets, payload_octets: of each RTP packet. control_octets: of RTCP. returned:
+    datagrams from the receiver back to the sender. late_ns: delay of each datagram after its due
+    instant.
     """
 
     came_ns: list[int]
@@ -275,7 +282,7 @@ class Carried:
 
 
 class _Ports(Protocol):
-    """What `carry` needs to know: where the channel begins and where it leads."""
+    """The first ports at both ends of the channel."""
 
     @property
     def entrance(self) -> int: ...
@@ -287,8 +294,8 @@ class _Ports(Protocol):
 def carry(ports: _Ports, rate_bps: int) -> End:
     """The channel: RTP and RTCP from port `entrance` and the next one to `exit` and the next one.
 
-    Both share the rate. What the receiver answers goes back to the sender at once: the other
-    direction is not the thin one. Runs until `End.end`.
+    Both share the rate. Answers of the receiver go back to the sender at once, because only the
+    forward direction is thin. Runs until `End.end`.
     """
     with ExitStack() as stack:
         entrances = [stack.enter_context(_bound(ports.entrance + index)) for index in (0, 1)]
@@ -344,7 +351,7 @@ def _carry(
         if due_ns is not None and due_ns - time.monotonic_ns() < 2 * _AWAKE_NS:
             _sleep_until(due_ns)
         while (departure := channel.poll_transmit(time.monotonic_ns())) is not None:
-            # A receiver that has not begun yet, or has gone, is no matter of the channel.
+            # The channel does not care whether a receiver is there.
             with suppress(OSError):
                 out.sendto(departure.datagram, (_LOOPBACK, exit_port + departure.port))
             carried.late_ns.append(time.monotonic_ns() - departure.due_ns)
@@ -361,7 +368,7 @@ def _carry(
 
 
 def _arrived(entrances: list[socket.socket]) -> Iterator[tuple[int, int, bytes, Any]]:
-    """(when, port, datagram, source) by the kernel's own stamp: however late this process looks."""
+    """(instant, port, datagram, source); the instant is the kernel's, however late this reads."""
     for port, udp in enumerate(entrances):
         with suppress(BlockingIOError):
             while True:
@@ -372,7 +379,7 @@ def _arrived(entrances: list[socket.socket]) -> Iterator[tuple[int, int, bytes, 
                     if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS:
                         seconds, rest_ns = _TIMESPEC.unpack(data)
                         age_ns = wall_ns - seconds * NS_PER_S - rest_ns
-                # A wall clock that is set meanwhile must not move an arrival by more than this.
+                # Limit the effect of a wall clock that is set meanwhile.
                 yield now_ns - min(max(age_ns, 0), 100 * NS_PER_MS), port, datagram, source
 
 

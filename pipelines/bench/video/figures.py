@@ -1,4 +1,4 @@
-"""From what was seen and carried to figures. A core."""
+"""From what the screen saw and the channel carried to figures. A core."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ _WINDOWS_NS = (NS_PER_S, 100 * NS_PER_MS)
 class Shown:
     """What the screen showed of the numbers that count.
 
-    latency_ms: of each picture shown, in the order of their coming: capture to shown.
+    latency_ms: capture to shown, of each picture in order of arrival.
     per_second: pictures shown, over the time of those captured.
     longest_gap_ms: the longest time without a new picture.
     """
@@ -38,7 +38,7 @@ def shown(
     """
     counted = {number: at for number, at in shown_ns.items() if number >= first}
     latency_ms = [(at - int(captured_ns[number])) / NS_PER_MS for number, at in counted.items()]
-    # From the picture before the first that counts, to the end of the last one's time.
+    # From the last picture that does not count to the end of the last picture's period.
     before = [at for number, at in shown_ns.items() if number < first]
     begin_ns = max(before) if before else int(captured_ns[first:].max(initial=0))
     instants = sorted([*counted.values(), begin_ns, int(captured_ns.max()) + NS_PER_S // fps])
@@ -71,15 +71,15 @@ def largest_bps(came_ns: Sequence[int], octets: Sequence[int]) -> tuple[float, f
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figures:
-    """Of one contender on one clip. Rates in bit/s, as they came to the channel.
+    """Of one contender on one clip. Rates in bit/s, at the entrance of the channel.
 
-    payload_*: RTP payload, rtp_*: with RTP headers: the largest windows of 1 s and of 100 ms.
-    rtcp_octets: of the sender's reports. answers: the receiver's datagrams to the sender.
+    payload_*, rtp_*: the largest windows of 1 s and of 100 ms, of RTP payload and with RTP headers.
+    rtcp_octets: of the sender's reports. answers: datagrams from the receiver to the sender.
     *_cpu_s: of the whole life of the process, its start included.
-    guessed: pictures whose number stood between those of its neighbours, but could not be read by
-    itself; unreadable: that got no number at all.
-    camera_latest_us, channel_late_us: how late the bench itself was. realtime: whether all its
-    own processes had real-time priority. others_cores: what the rest of the machine took.
+    guessed: pictures whose number follows only from those of their neighbours; unreadable: pictures
+    without a number.
+    camera_latest_us, channel_late_us: delays of the bench itself. realtime: whether all its own
+    processes had real-time priority. others_cores: cores that other programs used.
     """
 
     latency_ms: dict[str, float]

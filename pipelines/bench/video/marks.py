@@ -1,10 +1,10 @@
 """A picture's number, drawn into it so that it can be read after any coding.
 
-Squares of 16 x 16 pixels in the top left corner, black for 0 and white for 1: the number in Gray
-code, the lowest bit first, and before it the parity of the Gray code, which is the number's own
-lowest bit. From one picture to the next two squares change, so a coder pays next to nothing for
-them, and one that left one of the two as it was gives itself away. The squares lie on the grid of
-macroblocks, also where a picture is coded at half its width and height.
+Squares of 16 x 16 pixels in the top left corner are black for 0 and white for 1. The first square
+is the parity of the Gray code, which equals the lowest bit of the number. Then follows the Gray
+code, lowest bit first. From one picture to the next two squares change: that costs a coder few
+bits, and a coder that skips one of the two is detected. The squares lie on the grid of macroblocks,
+also where a picture is coded at half its width and height.
 """
 
 from bisect import bisect_left
@@ -21,16 +21,16 @@ Levels = NDArray[np.uint8]
 #: Rows of the picture that hold the number. Quality is measured below them.
 MARK_ROWS = 16
 _SIDE = 16
-#: One for the parity, and one for each bit.
+#: One square for the parity, and one for each bit.
 SQUARES = 14
 #: Numbers are below this.
 NUMBERS = 1 << (SQUARES - 1)
 
 _DARK, _BRIGHT = 16, 235
 _MIDDLE = (_DARK + _BRIGHT) // 2
-#: A square whose mean is nearer to the middle than this is neither.
+#: A square whose mean is nearer to the middle than this is undecided.
 _DOUBT = 24
-#: The rim of a square, which scaling and deblocking blend with its neighbours, is not looked at.
+#: The rim of a square is ignored, because scaling and deblocking blend it with its neighbours.
 _RIM = 4
 _SMALLEST_WIDTH = _SIDE * SQUARES
 

@@ -1,4 +1,4 @@
-"""How much a picture still is what it was: PSNR and SSIM of its luma. A core."""
+"""Picture quality: PSNR and SSIM of the luma. A core."""
 
 import math
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-#: The PSNR that is said of a picture without any error.
+#: The PSNR of a picture without any error.
 BEST_DB = 100.0
 
 _WINDOW, _SIGMA = (11, 11), 1.5
@@ -27,7 +27,7 @@ def ssim(picture: Luma, original: Luma) -> float:
 
     Z. Wang et al., "Image quality assessment: from error visibility to structural similarity",
     IEEE Trans. Image Processing 13 (4), 2004: Gaussian window of 11 x 11, sigma 1.5. Only windows
-    that lie whole in the picture count.
+    that lie wholly in the picture count.
     """
     a, b = picture.astype(np.float32), original.astype(np.float32)
     mean_a, mean_b = _blurred(a), _blurred(b)

@@ -1,4 +1,4 @@
-"""One contender on one clip: start all, film, watch, stop all, and look at what came out."""
+"""One run: a contender on a clip, from the start of its processes to its figures."""
 
 import os
 import resource
@@ -28,14 +28,16 @@ from pipelines.bench.video.marks import MARK_ROWS, read_all, read_number
 from pipelines.bench.video.quality import psnr_db, ssim, summarise
 
 _START_S = 30.0
-#: What is still on its way when the camera has ended gets this long to arrive.
+#: After the end of the camera, the last pictures have this long to arrive.
 _REST_S = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Terms:
-    """The same for all. settle_s: so much of the beginning is filmed and does not count, except
-    against the cap."""
+    """The same for all contenders.
+
+    settle_s: length of the beginning that counts only against the cap.
+    """
 
     fps: int = 30
     cap_kbps: float
@@ -46,7 +48,7 @@ class Terms:
 def measure(name: str, clip: Clip, terms: Terms) -> tuple[Figures, list[float]]:
     """The figures of contender `name`, and each latency in ms.
 
-    Raises ContenderFailed when it does not run, EndFailed when the bench itself does not.
+    Raises ContenderError when it does not run, EndError when the bench itself fails.
     """
     _, rows, width = clip.pictures.shape
     height = rows * 2 // 3
@@ -146,13 +148,13 @@ def _numbers(filmed: Filmed, watched: Watched) -> list[int | None]:
 
 
 class _Machine:
-    """What all other programs take of the machine's cores, since this was made."""
+    """The cores that all other programs use, since this was made."""
 
     def __init__(self) -> None:
         self._start = self._read()
 
     def others(self) -> float:
-        """In cores; when all of this process's children have been waited for."""
+        """In cores. Call it after all children of this process have been waited for."""
         start_ns, start_s = self._start
         now_ns, now_s = self._read()
         return max(now_s - start_s, 0.0) * NS_PER_S / (now_ns - start_ns)

@@ -1,4 +1,4 @@
-"""GStreamer's voice over the same network, live: what an expert would take instead."""
+"""GStreamer's voice over the same network, live: the alternative that an expert would take."""
 
 import os
 import select
@@ -26,13 +26,13 @@ from pipelines.bench.voice.virtual import Heard
 _LOOPBACK = "127.0.0.1"
 _HEADER_OCTETS = 12
 _PAYLOAD_TYPE = 97
-#: So large that a block of plain sound is one packet.
+#: Large enough for a block of uncompressed sound in one packet.
 _MTU = 4000
-#: What the pipelines take to start, before the first block is said, when their ports are open.
+#: From open ports to the first block: the pipelines still start.
 _START_NS = 1500 * NS_PER_MS
-#: So long they have to open their ports; then it begins without the ones that are late.
+#: How long the pipelines may take to open their ports; the bench then begins without late ones.
 _PATIENCE_NS = 20 * NS_PER_S
-#: After the last block, so that it is heard.
+#: After the last block, until it has been played.
 _END_NS = 700 * NS_PER_MS
 #: The `alignment-threshold` of GstAudioBaseSink.
 _ALIGNMENT_NS = 40 * NS_PER_MS
@@ -41,7 +41,7 @@ _NEEDED = ("opusenc", "rtpopuspay", "rtpopusdepay", "opusdec", "rtpjitterbuffer"
 
 @dataclass(frozen=True)
 class Peer:
-    """A receiver of GStreamer's behind a network. latency_ms: of its jitter buffer."""
+    """A GStreamer receiver behind a network. latency_ms: of its jitter buffer."""
 
     network: Network
     latency_ms: int
@@ -49,18 +49,18 @@ class Peer:
 
 @dataclass
 class _Receiver:
-    """A running receiver, and what it has given so far."""
+    """A running receiver, and the sound that it has played so far."""
 
     ear: socket.socket
     port: int
     lost: frozenset[int]
     delays_ns: list[int]
-    #: When sound came, its RTP timestamp and its samples.
+    #: Instant (ns), RTP timestamp and samples of each packet of sound.
     arrivals: list[tuple[int, int, Pcm]] = field(default_factory=list)
 
 
 def missing() -> str | None:
-    """What is missing for GStreamer to take part, in a line; None: nothing."""
+    """What is missing for GStreamer to take part, in one line; None if nothing is."""
     if shutil.which("gst-launch-1.0") is None or shutil.which("gst-inspect-1.0") is None:
         return "GStreamer is not installed (Debian packages gstreamer1.0-tools and -plugins-*)"
     for element in _NEEDED:
@@ -71,11 +71,11 @@ def missing() -> str | None:
 
 
 def listen_live(track: Track, cap_bps: int, peers: Sequence[Peer]) -> list[Heard]:
-    """Say the track once, in real time, to all `peers` at the same time; what each has heard.
+    """Play the track once, in real time, to all `peers` at the same time; what each has heard.
 
-    Each block is handed to the encoder when it is complete. A receiver gives its sound in step
-    with its clock (`sync=true`), as to a sound card, but as plain RTP: the arrival of a packet is
-    when it is heard, its timestamp says where in the sound it belongs.
+    The encoder gets each block when it is complete. A receiver plays in step with its clock
+    (`sync=true`), as to a sound card, but as RTP: the arrival of a packet is its playout, and its
+    timestamp is its place in the sound.
     """
     with ended_alike(), ExitStack() as stack:
         relay = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
@@ -113,7 +113,7 @@ def _start_receiver(stack: ExitStack, peer: Peer, packets: int) -> _Receiver:
 
 
 def _start_sender(stack: ExitStack, cap_bps: int, port: int) -> int:
-    """Where to write the blocks that are said."""
+    """The file descriptor that takes the blocks of sound."""
     read_end, write_end = os.pipe()
     stack.callback(os.close, write_end)
     _launch(
@@ -130,7 +130,7 @@ def _start_sender(stack: ExitStack, cap_bps: int, port: int) -> int:
 
 
 def _wait_for_ports(ports: set[int]) -> None:
-    """Until all are open: what is sent to a receiver earlier is lost, however slow the machine."""
+    """Wait until all are open, because a receiver loses what is sent earlier."""
     clock = MonotonicClock()
     deadline_ns = clock.now_ns() + _PATIENCE_NS
     while not ports <= open_udp_ports() and clock.now_ns() < deadline_ns:
@@ -150,7 +150,7 @@ def _launch(stack: ExitStack, pipeline: str, pass_fds: tuple[int, ...] = ()) -> 
 
 
 class _Run:
-    """Says the track, carries the packets, and hears what comes out: one loop, no thread."""
+    """Plays the track, carries the packets and records the sound, in one loop without threads."""
 
     def __init__(self, relay: socket.socket, mouth: int, receivers: list[_Receiver]) -> None:
         self._clock = MonotonicClock()
@@ -164,7 +164,7 @@ class _Run:
         self.payload_octets = 0
 
     def run(self, track: Track) -> None:
-        """Until all is said and heard."""
+        """Run until the whole track has been played and heard."""
         self.begin_ns = self._clock.now_ns() + _START_NS
         said = 0
         end_ns = self.begin_ns + track.blocks * BLOCK_NS + _END_NS
@@ -228,7 +228,7 @@ def _heard(track: Track, receiver: _Receiver, run: _Run) -> Heard:
     lag_of_second = lags(track, heard.samples)
     heard.lag_samples = sorted(lag_of_second)[len(lag_of_second) // 2]
     for instant_ns, at in places:
-        # Which sample of the track is heard first of what was written then.
+        # The sample of the track that is heard first in this packet.
         said = at - lag_of_second[min(at // AUDIO_CLOCK_HZ, len(lag_of_second) - 1)]
         if LEAD_IN_BLOCKS * BLOCK_SAMPLES <= said < len(track.samples):
             mouth_ns = run.begin_ns + said * NS_PER_S // AUDIO_CLOCK_HZ
@@ -237,11 +237,12 @@ def _heard(track: Track, receiver: _Receiver, run: _Run) -> Heard:
 
 
 def laid_out(arrivals: Sequence[tuple[int, int, Pcm]]) -> tuple[Pcm, list[tuple[int, int]]]:
-    """The sound as GStreamer's sinks for sound cards play it, and what came when, as (instant,
-    place of its first sample): each packet after the one before, except where its timestamp is
-    farther away than `_ALIGNMENT_NS`; silence where nothing came.
+    """The sound as GStreamer's sinks for sound cards play it, and (instant, place) of each packet.
 
-    arrivals: when sound came, in nanoseconds, its RTP timestamp, its samples; at least one.
+    A packet follows the one before, except where its timestamp is farther away than
+    `_ALIGNMENT_NS`. Gaps are silent. place: index of the packet's first sample in the sound.
+
+    arrivals: instant (ns), RTP timestamp and samples of each packet; at least one.
     """
     first = arrivals[0][1]
     line = np.zeros(0, np.int16)

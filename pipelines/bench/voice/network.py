@@ -1,4 +1,4 @@
-"""The network of the voice bench: which packets it loses, and how long it takes for each."""
+"""The network of the voice bench: losses and delays of packets, by seed."""
 
 from dataclasses import dataclass
 from random import Random
@@ -13,8 +13,8 @@ BURST_PACKETS = 3.0
 class Network:
     """A one-way path. loss: the share of packets lost, from 0 to 1.
 
-    bursts: they are lost `BURST_PACKETS` in a row on average (Gilbert's model), else each by
-    chance. delay_ms, jitter_ms: a packet takes the first and up to the second more, by chance.
+    bursts: losses come `BURST_PACKETS` in a row on average (Gilbert's model); otherwise they are
+    independent. delay_ms: of every packet; jitter_ms: the largest random addition (uniform).
     """
 
     loss: float
@@ -25,13 +25,13 @@ class Network:
 
     @property
     def name(self) -> str:
-        """What a table calls it."""
+        """Its name in tables."""
         if not self.loss:
             return "none"
         return f"{100 * self.loss:g} %, {'bursts' if self.bursts else 'random'}"
 
     def lost(self, packets: int, *, spared: int) -> frozenset[int]:
-        """Which of `packets` are lost; the first `spared` are not."""
+        """The numbers of lost packets, out of `packets`; the first `spared` are never lost."""
         random = Random(f"{self.seed} {self.name}")
         leave = 1 / BURST_PACKETS if self.bursts else 1 - self.loss
         enter = leave * self.loss / (1 - self.loss) if self.bursts else self.loss
@@ -43,7 +43,7 @@ class Network:
         return frozenset(found)
 
     def delays_ns(self, packets: int) -> list[int]:
-        """How long each packet takes; none overtakes another within 20 ms."""
+        """The delay of each packet; with up to 20 ms of jitter no packet overtakes another."""
         random = Random(f"{self.seed} delays")
         return [
             round((self.delay_ms + random.random() * self.jitter_ms) * NS_PER_MS)

@@ -1,4 +1,4 @@
-"""What is said in the voice bench, and how well it was heard."""
+"""The speech of the voice bench, and the quality of what was heard."""
 
 from dataclasses import dataclass
 from importlib import import_module
@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
 from telepresence.world.speech import Speaker, speech
 
-#: PESQ for wide band (ITU-T P.862.2) listens at this rate.
+#: The sample rate of wide-band PESQ (ITU-T P.862.2).
 _PESQ_HZ = 16_000
-#: Before the first word: what starts up has this time, and loses nothing in it.
+#: Silence before the first word: the ends start up in it, and lose nothing.
 LEAD_IN_BLOCKS = 50
 _SPEAKERS: tuple[Speaker, Speaker] = ("ground", "cabin")
 _WINDOW = AUDIO_CLOCK_HZ
 _FARTHEST = 2 * AUDIO_CLOCK_HZ
-#: A window that is less like what was said tells nothing about its delay.
+#: A window with a lower correlation tells nothing about its delay.
 _ALIKE = 0.5
 
 
 @dataclass(frozen=True)
 class Track:
-    """samples: what is said, whole blocks. turns: from and to of each speaker's turn in it."""
+    """samples: the speech, whole blocks. turns: begin and end of each speaker's turn."""
 
     samples: Pcm
     turns: tuple[tuple[int, int], ...]
@@ -35,7 +35,7 @@ class Track:
 
 
 def speech_track(seconds: float) -> Track:
-    """The two speakers of `samples/media` in turn, each to his end, for at least `seconds`."""
+    """The two speakers of `samples/media` in turn, whole turns, for at least `seconds`."""
     pieces: list[Pcm] = [np.zeros(LEAD_IN_BLOCKS * BLOCK_SAMPLES, np.int16)]
     turns: list[tuple[int, int]] = []
     at = len(pieces[0])
@@ -45,21 +45,21 @@ def speech_track(seconds: float) -> Track:
         turns.append((at, at + len(said)))
         pieces.append(said)
         at += len(said)
-    # So much more is said into the void that the last word is heard.
+    # Silence at the end, so that the last word is played.
     pieces.append(np.zeros(LEAD_IN_BLOCKS * BLOCK_SAMPLES, np.int16))
     return Track(np.concatenate(pieces), tuple(turns))
 
 
 def pesq_is_there() -> bool:
-    """Whether the quality can be measured: the package `pesq` is of the extra `bench`."""
+    """Whether quality can be measured: the package `pesq` comes with the extra `bench`."""
     return find_spec("pesq") is not None
 
 
 def quality(track: Track, heard: Pcm, lag_samples: int) -> list[float]:
-    """PESQ's MOS-LQO (ITU-T P.862.2, 1.0 to 4.6) of each turn of which anything was heard.
+    """PESQ's MOS-LQO (ITU-T P.862.2, 1.0 to 4.6) of each turn that is not silent in `heard`.
 
-    heard: what was heard; its sample k + lag_samples belongs to sample k of the track. PESQ itself
-    follows what varies.
+    heard: its sample k + lag_samples corresponds to sample k of the track; PESQ itself aligns
+    variations of the delay.
     """
     pesq = import_module("pesq").pesq
     found = []
@@ -72,7 +72,7 @@ def quality(track: Track, heard: Pcm, lag_samples: int) -> list[float]:
 
 
 def _cut(sound: Pcm, begin: int, end: int) -> Pcm:
-    """From `begin` to `end`, with silence where there is nothing."""
+    """From `begin` to `end`, with silence outside the sound."""
     room = np.zeros(end - begin, np.int16)
     part = sound[max(begin, 0) : max(end, 0)]
     at = max(-begin, 0)
@@ -90,11 +90,11 @@ def _at_16_khz(sound: Pcm) -> Pcm:
 
 
 def lags(track: Track, heard: Pcm) -> list[int]:
-    """For each second of what was heard how many samples it lies behind the track.
+    """The lag of each second of `heard` behind the track, in samples.
 
-    By correlation with the track; a second that is like nothing has the lag of the one before.
+    By correlation with the track; a second without a clear match has the lag of the one before.
     """
-    # Not farther: the speakers repeat themselves.
+    # Search no farther, because the speakers repeat themselves.
     whole = _best_shift(track.samples, heard, -_FARTHEST, _FARTHEST)
     found, last = [], whole
     for begin in range(0, len(heard), _WINDOW):
@@ -110,7 +110,7 @@ def lags(track: Track, heard: Pcm) -> list[int]:
 
 
 def _best_shift(said: Pcm, heard: Pcm, least: int, most: int) -> int:
-    """The shift s from `least` to `most` for which heard[k + s] is most like said[k]."""
+    """The shift s from `least` to `most` with the best correlation of heard[k + s] and said[k]."""
     size = 1 << (len(said) + len(heard)).bit_length()
     product = np.fft.irfft(
         np.fft.rfft(heard.astype(np.float64), size)

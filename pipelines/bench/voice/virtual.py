@@ -1,4 +1,4 @@
-"""This project's voice over a network that loses packets, on virtual time: it repeats exactly."""
+"""This project's voice over a lossy network on virtual time: every run gives the same."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -21,11 +21,11 @@ from pipelines.simulation.costs import CodingCosts
 
 @dataclass
 class Heard:
-    """What came out at the ear.
+    """The sound at the ear.
 
-    samples: int16 at 48 kHz, silence where nothing was given. lag_samples: by how much they lie
-    behind the track. mouth_to_ear_ns: of each block that was decoded. made_up_ns: what was
-    concealed or inserted; None: not known. payload_octets: of all packets sent.
+    samples: int16 at 48 kHz, with silence in gaps. lag_samples: delay behind the track.
+    mouth_to_ear_ns: of each decoded block. made_up_ns: duration of concealed or inserted sound;
+    None if unknown. payload_octets: of all packets sent.
     """
 
     samples: Pcm
@@ -98,7 +98,7 @@ def listen(
 
 
 class _Ear:
-    """Plays what is due, and keeps what was heard and when."""
+    """Plays blocks when they are due, and keeps their samples and instants."""
 
     def __init__(self, receiving: VoiceReceiving, cost_ns: int) -> None:
         self._receiving = receiving
@@ -127,12 +127,12 @@ class _Ear:
                 self._mouth_to_ear_ns.append(heard_ns - capture_ns)
 
     def fill(self, heard: Heard) -> None:
-        """Lay what was heard on one line of time, which begins with the track."""
+        """Put the sound on one time line that begins with the track."""
         length = _samples(self._pieces[-1][0]) + len(self._pieces[-1][1])
         line = np.zeros(length, np.int16)
         at = 0
         for instant_ns, samples in self._pieces:
-            # Gapless to the sample, whatever the instants were rounded to.
+            # Rounding of instants must not make gaps.
             if abs(_samples(instant_ns) - at) > 2:
                 at = _samples(instant_ns)
             part = samples[: length - at]
