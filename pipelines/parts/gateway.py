@@ -52,7 +52,7 @@ def run_gateway(
     clock_ns, sleep, frame_of_peer = clock.now_ns, select.select, ports.frame
     handle_radio, poll_radio, next_event = (
         gateway.handle_radio,
-        gateway.poll_transmit,
+        gateway.radio.poll_transmit,
         gateway.next_event,
     )
     handle_slot, poll_timeout, poll_backlog = (
@@ -95,7 +95,7 @@ def run_gateway(
             now_ns = clock_ns()
             if heard:
                 fetch_radio(now_ns)
-                if slots.poll_figures(now_ns, heard=True):
+                if now_ns >= slots.figures_ns and slots.poll_figures(now_ns, heard=True):
                     context.tick(now_ns)
             if now_ns < alarm_ns:
                 continue
@@ -115,7 +115,7 @@ def run_gateway(
                 add_sending(clock_ns() - deadline_ns)
                 if publish is not None and (backlog := poll_backlog()) is not None:
                     publish(backlog, now_ns)
-                if slots.poll_figures(now_ns, heard=False):
+                if now_ns >= slots.figures_ns and slots.poll_figures(now_ns, heard=False):
                     context.tick(now_ns)
             alarm_ns = poll_timeout()
 

@@ -4,6 +4,7 @@ import socket
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 from pipelines.runtime.process import LOOPBACK
 
@@ -98,10 +99,9 @@ class Inlet:
         self._host = host
         # Nothing but this machine reaches its loopback: to ask who it was would cost a third more.
         local = host == LOOPBACK and is_loopback(bind[0])
-        self.receive: Callable[[int], bytes | None] = self._any if local else self._known
-
-    def _any(self, most_octets: int) -> bytes | None:
-        return receive(self.udp, most_octets)
+        self.receive: Callable[[int], bytes | None] = (
+            partial(receive, self.udp) if local else self._known
+        )
 
     def _known(self, most_octets: int) -> bytes | None:
         try:

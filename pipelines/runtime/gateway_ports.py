@@ -1,7 +1,8 @@
 """The UDP ports of one end of the link, and what waits in them."""
 
 import select
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 from pipelines.runtime.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
 from pipelines.runtime.process import LOOPBACK
@@ -34,7 +35,10 @@ class GatewayPorts:
         self.radio, self._not_peer = open_peer(
             (addresses.bind, radio), addresses.peer or (LOOPBACK, peer)
         )
-        self._radio_octets = gateway.receiver.profile.frame_octets + 1
+        #: The next frame of the peer, or None.
+        self.frame: Callable[[], bytes | None] = partial(
+            receive, self.radio, gateway.receiver.profile.frame_octets + 1
+        )
         self._haptic_octets = gateway.sender.profile.insert_octets + 1
         self.to_peer = Outlet(self.radio)
         self._haptic = entry(haptic_entry)
@@ -53,10 +57,6 @@ class GatewayPorts:
         #: Which of the flows' ports have something: one question for all of them, because an empty
         #: socket takes longer to say that it is empty.
         self.poll_flows = flow_ports.poll
-
-    def frame(self) -> bytes | None:
-        """The next frame of the peer, or None."""
-        return receive(self.radio, self._radio_octets)
 
     def datagrams(self, ready: list[tuple[int, int]]) -> Iterator[tuple[str, bytes | None]]:
         """What waits in the flows' ports, one of each port in turn; `ready`: from `poll_flows`."""

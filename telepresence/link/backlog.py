@@ -32,7 +32,9 @@ class BacklogReporter:
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
-        self._waiting_octets = gateway.sender.waiting_octets
+        self._supervisor = gateway.supervisor
+        self._video = gateway.sender.queue(Level.VIDEO)
+        self._seen: tuple[int, int, bool, int] | None = None
         self._reported: Backlog | None = None
         self._due_ns = 0
 
@@ -41,13 +43,13 @@ class BacklogReporter:
         if now_ns < self._due_ns:
             return None
         gateway = self._gateway
+        waiting_octets = self._video.octets
+        seen = waiting_octets, gateway.contacts, self._supervisor.signal, gateway.free_slots
+        if seen == self._seen:
+            return None
+        self._seen = seen
         freed_bps = gateway.freed_bps
-        backlog = Backlog(
-            self._waiting_octets(Level.VIDEO),
-            gateway.contacts,
-            gateway.supervisor.signal,
-            freed_bps - freed_bps % FREED_STEP_BPS,
-        )
+        backlog = Backlog(*seen[:3], freed_bps - freed_bps % FREED_STEP_BPS)
         if backlog == self._reported:
             return None
         self._reported = backlog

@@ -152,7 +152,7 @@ class Gateway:
         """A slot begins: send exactly one frame."""
         supervisor, sender = self.supervisor, self.sender
         message = None
-        if now_ns >= supervisor.poll_timeout():
+        if now_ns >= supervisor.next_ns:
             message = supervisor.poll_transmit(now_ns)
             self._follow_supervision()
         frame = sender.poll_transmit(now_ns, message)
@@ -180,7 +180,9 @@ class Gateway:
     def next_event(self) -> LinkEvent | None:
         """The next sample or packet from the other segment, or None. Call until None."""
         receiver, supervisor = self.receiver, self.supervisor
-        while (event := receiver.next_event()) is not None:
+        events = receiver.events
+        while events:
+            event = events.popleft()
             if isinstance(event, HapticReceived):
                 supervisor.handle_application(event.now_ns)
                 return event

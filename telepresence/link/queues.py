@@ -61,7 +61,8 @@ class PacketQueue:
     def __init__(self, limits: QueueLimits) -> None:
         self.limits = limits
         self.items: deque[tuple[int, int, bytes]] = deque()
-        self._octets = 0
+        #: Sum of the lengths of all packets in the queue.
+        self.octets = 0
         self.accepted_packets = 0
         self.max_depth_octets = 0
         self.max_age_ns = 0
@@ -73,27 +74,22 @@ class PacketQueue:
     def __len__(self) -> int:
         return len(self.items)
 
-    @property
-    def octets(self) -> int:
-        """Sum of the lengths of all packets in the queue."""
-        return self._octets
-
     def handle_packet(self, flow: int, data: bytes, now_ns: int) -> bool:
         """Queue `data`; return False if the policy rejects it. Older packets may be dropped."""
         self.waiting(now_ns)
         limits = self.limits
-        if self._octets + len(data) > limits.depth_octets:
+        if self.octets + len(data) > limits.depth_octets:
             if limits.policy is DropPolicy.REJECT_NEWEST or len(data) > limits.depth_octets:
                 self.drops["full"] += 1
                 return False
-            while self._octets + len(data) > limits.depth_octets:
-                self._octets -= len(self.items.popleft()[2])
+            while self.octets + len(data) > limits.depth_octets:
+                self.octets -= len(self.items.popleft()[2])
                 self.drops["full"] += 1
         self.items.append((now_ns, flow, data))
-        self._octets += len(data)
+        self.octets += len(data)
         self.accepted_packets += 1
-        if self._octets > self.max_depth_octets:
-            self.max_depth_octets = self._octets
+        if self.octets > self.max_depth_octets:
+            self.max_depth_octets = self.octets
         return True
 
     def waiting(self, now_ns: int) -> bool:
@@ -104,7 +100,7 @@ class PacketQueue:
         age_ns = self._age_ns
         oldest_allowed_ns = now_ns - age_ns
         while items and items[0][0] < oldest_allowed_ns:
-            self._octets -= len(items.popleft()[2])
+            self.octets -= len(items.popleft()[2])
             self.drops[self._too_old] += 1
             if self.max_age_ns < age_ns:
                 self.max_age_ns = age_ns
@@ -132,12 +128,12 @@ class PacketQueue:
             self.max_age_ns = max(self.max_age_ns, now_ns - self.items[0][0])
         self.drops["signal_lost"] += begun + len(self.items)
         self.items.clear()
-        self._octets = 0
+        self.octets = 0
 
     def take(self, now_ns: int) -> tuple[int, bytes]:
         """Return flow number and data of the oldest packet. Call `waiting` before."""
         queued_ns, flow, data = self.items.popleft()
-        self._octets -= len(data)
+        self.octets -= len(data)
         if now_ns - queued_ns > self.max_age_ns:
             self.max_age_ns = now_ns - queued_ns
         return flow, data
@@ -149,7 +145,7 @@ class PacketQueue:
         return {
             "policy": self.limits.policy.value,
             "packets": len(self.items),
-            "octets": self._octets,
+            "octets": self.octets,
             "oldest_age_ns": oldest_ns,
             "max_octets": self.max_depth_octets,
             "max_age_ns": max(self.max_age_ns, oldest_ns),

@@ -99,7 +99,8 @@ class LinkReceiver:
         self._levels = [int(flow.level) for flow in self.flows]
         self._levels += [-1] * (MAX_FLOWS - len(self.flows))
         self._context_ids = (0,) * sum(item is not None for item in self._decompressors)
-        self._events: deque[LinkEvent] = deque()
+        #: The events of `next_event`, oldest first.
+        self.events: deque[LinkEvent] = deque()
         self._partials: list[_Partial | None] = [None] * len(Level)
         self._on_air: int | None = None
         #: The last frame's count, without the wraps of its 24 bits; -1 before the first.
@@ -142,7 +143,7 @@ class LinkReceiver:
             if self.deliver:
                 self.haptic_received += 1
                 # This skips the NamedTuple's own `__new__`, once a millisecond.
-                self._events.append(_new_event(HapticReceived, (sample, now_ns)))
+                self.events.append(_new_event(HapticReceived, (sample, now_ns)))
             else:
                 self.haptic_unapproved += 1
         on_air = self._on_air
@@ -177,7 +178,7 @@ class LinkReceiver:
 
     def next_event(self) -> LinkEvent | None:
         """The next event in the order of reception, or None. Call until None."""
-        return self._events.popleft() if self._events else None
+        return self.events.popleft() if self.events else None
 
     def _follow(self, count24: int, now_ns: int) -> bool:
         """Handle a frame count that is not the next one; return whether to use the frame."""
@@ -267,7 +268,7 @@ class LinkReceiver:
         on_air, pointers = self._on_air, self._pointers
         if pointer == pointers.supervision:
             self.supervision_received += 1
-            self._events.append(SupervisionReceived(zone[:SUPERVISION_OCTETS], now_ns))
+            self.events.append(SupervisionReceived(zone[:SUPERVISION_OCTETS], now_ns))
         elif pointer == pointers.preempt:
             self._parse_tags(zone, 0, now_ns)
         elif pointer > len(zone):
@@ -343,7 +344,7 @@ class LinkReceiver:
             return
         if self.deliver:
             self.packets_received[number] += 1
-            self._events.append(PacketReceived(self.flows[number], packet, now_ns))
+            self.events.append(PacketReceived(self.flows[number], packet, now_ns))
         else:
             self._drop_packet("unapproved")
 

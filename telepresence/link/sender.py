@@ -130,6 +130,10 @@ class LinkSender:
         self._nothing_queued = False
         return self._queues[known.level].handle_packet(number, data, now_ns)
 
+    def queue(self, level: Level) -> PacketQueue:
+        """The queue of `level`, read-only: its packets were not sent yet, not even in part."""
+        return self._queues[level]
+
     def waiting_octets(self, level: Level) -> int:
         """Octets of the level's packets of which nothing was sent yet."""
         return self._queues[level].octets

@@ -90,6 +90,7 @@ class Supervisor:
     peer_hears: the peer is heard and says that it hears this end.
     delivering: received data may be delivered to the applications, because this life of the peer
     was checked. It stays true during a loss of signal.
+    next_ns: the same as `poll_timeout()`.
     """
 
     # These attributes are read thousands of times a second; slots are the fastest to read.
@@ -101,7 +102,6 @@ class Supervisor:
         "_fault",
         "_frame_ns",
         "_negotiation",
-        "_next_ns",
         "_pacing",
         "_record",
         "_silence_ns",
@@ -109,6 +109,7 @@ class Supervisor:
         "delivering",
         "life",
         "master",
+        "next_ns",
         "peer_hears",
         "signal",
         "state",
@@ -144,7 +145,7 @@ class Supervisor:
         self._fault: str | None = self.why
         self._contexts: tuple[int, int, int, int] = _NO_CONTEXTS
         self._frame_ns = now_ns
-        self._next_ns = now_ns
+        self.next_ns = now_ns
         self._negotiation = Negotiation(
             master=master,
             configuration=configuration,
@@ -241,13 +242,13 @@ class Supervisor:
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """Return the message for this slot, or None. Call once each slot."""
-        if now_ns < self._next_ns:
+        if now_ns < self.next_ns:
             return None
         return self._run_slot(now_ns)
 
     def poll_timeout(self) -> int:
         """When `poll_transmit` has something to do."""
-        return self._next_ns
+        return self.next_ns
 
     def next_event(self) -> SupervisionEvent | None:
         """The oldest event that was not fetched yet, or None."""
@@ -372,9 +373,9 @@ class Supervisor:
         pacing.handle_content(
             self._content(), self._contexts, now_ns, heard=self.peer_hears, settled=settled
         )
-        self._next_ns = pacing.due_ns
+        self.next_ns = pacing.due_ns
         if self.signal:
-            self._next_ns = min(self._next_ns, self._frame_ns + self._silence_ns)
+            self.next_ns = min(self.next_ns, self._frame_ns + self._silence_ns)
 
     def _content(self) -> tuple[int, ...]:
         """Return the parts of a message whose change the peer must learn at once."""
