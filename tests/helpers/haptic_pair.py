@@ -1,4 +1,4 @@
-"""Both sides of the haptic loop with a delay between them, a millisecond at a time."""
+"""Both sides of the haptic loop with a delay between them, one millisecond at a time."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ MS = 1_000_000
 def each_cycle(
     space: JoystickSide, ground: RobotSide, *, count: int, delay_ms: int
 ) -> Iterator[int]:
-    """The number of each cycle, before it happens."""
+    """Yield the number of each cycle before it runs."""
     down, up = deque(), deque()
     for cycle in range(count):
         yield cycle

@@ -1,4 +1,4 @@
-"""RTP sources with the habits of real ones, and a lossy path between the two ends of a flow."""
+"""RTP sources that behave like real ones, and a lossy path between the two ends of a flow."""
 
 import struct
 from collections import deque
@@ -15,9 +15,9 @@ def rtp(sequence, timestamp, *, marker=0, payload_type=96, ssrc=7, payload=b"pay
 
 
 def video(random, seconds, *, hz=30, packets=(1,), jitter_ms=0.0, wait_ms=(5, 60), ppm=0, skip=0.0):
-    """(count, packet) of a source of pictures: random offsets, and its own clock.
+    """Return (count, packet) of a source of pictures with random offsets and its own clock.
 
-    packets: how many a picture has, one of these. wait_ms: from capture to the first frame.
+    packets: possible numbers of packets a picture. wait_ms: from capture to the first frame.
     """
     sequence, offset, ssrc = random.randrange(1 << 16), random.randrange(1 << 32), random.random()
     ssrc = int(ssrc * (1 << 32))
@@ -38,7 +38,7 @@ def video(random, seconds, *, hz=30, packets=(1,), jitter_ms=0.0, wait_ms=(5, 60
 
 
 def voice(random, seconds, *, jitter_ms=3.0, ppm=0):
-    """(count, packet) of a source of 20 ms blocks of sound at 48 kHz."""
+    """Return (count, packet) of a source of 20 ms blocks of sound at 48 kHz."""
     sequence, offset, ssrc = random.randrange(1 << 16), random.randrange(1 << 32), 0x8000_0001
     count = 0
     for block in range(round(seconds * 50)):
@@ -49,7 +49,7 @@ def voice(random, seconds, *, jitter_ms=3.0, ppm=0):
 
 
 class Path:
-    """One flow from end to end. Acknowledgements take their time, and keep their order."""
+    """One flow from end to end. Acknowledgements are delayed and keep their order."""
 
     def __init__(self, flow, *, heard=True, alive_slots=500):
         self.compressor = RtpCompressor(flow, SLOT_NS)
@@ -59,7 +59,7 @@ class Path:
         self._alive_slots = alive_slots
         self._acknowledgements = deque()
         self._told = (0, -alive_slots)
-        #: What came of the packets that arrived: (count, kind, whether it was the packet).
+        #: Result of each received packet: (count, kind, whether it equals the sent one).
         self.outcomes = []
 
     def hear(self, heard):
@@ -73,7 +73,7 @@ class Path:
         self._acknowledgements.append((count + delay_slots, None))
 
     def send(self, count, packet, *, arrives=True, told=True, delay_slots=40):
-        """The kind that the packet took; asserts that nothing wrong came out."""
+        """Send `packet` and return its kind; assert that nothing wrong comes out."""
         while self._acknowledgements and self._acknowledgements[0][0] <= count:
             at, number = self._acknowledgements.popleft()
             if not self.heard:

@@ -1,4 +1,4 @@
-"""Two ends of supervision on virtual time, with a path between them that fails in every way."""
+"""Two ends of supervision on virtual time, and a path between them that can fail in any way."""
 
 from collections import deque
 from random import Random
@@ -20,14 +20,14 @@ SPACE = Configuration(transmit=DOWNLINK, transmit_flows=DOWN, receive=UPLINK, re
 
 
 class End:
-    """A supervisor with the least gateway around it: application data each slot, if it has any."""
+    """A supervisor with a minimal gateway: application data in each slot, if there is any."""
 
     def __init__(self, name, configuration, *, master):
         self.name, self.configuration, self.master = name, configuration, master
         self.supervisor = None
         self.life = 0
         self.sends = True
-        #: Of every so many-th slot.
+        #: Interval of the slots with application data.
         self.period = 1
         self.events = []
         self.sent = []
@@ -45,7 +45,7 @@ class End:
 
 
 class Pair:
-    """Ground is the master. `up` and `down` say of each slot whether its frame comes through."""
+    """Ground is the master. `up` and `down` say for each slot whether its frame arrives."""
 
     def __init__(self, *, delay_slots=5, ground=GROUND, space=SPACE, masters=(True, False)):
         self.ground = End("ground", ground, master=masters[0])

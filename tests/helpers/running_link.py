@@ -1,4 +1,4 @@
-"""`kontur-av link`, run as a user runs it, and programs' sockets at its ports."""
+"""`kontur-av link` as a process, and sockets of other programs at its ports."""
 
 import contextlib
 import json
@@ -15,14 +15,14 @@ import pytest
 from pipelines.setup.table import PORTS, Ports
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
-#: Guards against a hang; nothing is judged by it.
+#: Protects against a hang; no test result depends on it.
 PATIENCE_S = 40.0
 
 
 def free_base_port(hosts=("127.0.0.1",)):
-    """The first of a block of ports that are free on all `hosts`."""
+    """Return the first of a block of ports that are free on all `hosts`."""
     bases = range(20_000, 26_960 - PORTS, PORTS)
-    # Another run of these tests, on the same machine, begins elsewhere.
+    # Another run of these tests on the same machine begins elsewhere.
     first = os.getpid() % len(bases)
     for base in (*bases[first:], *bases[:first]):
         with contextlib.ExitStack() as stack:
@@ -38,7 +38,7 @@ def free_base_port(hosts=("127.0.0.1",)):
 
 
 def eventually(ask, what, pause_s=0.02):
-    """`ask()` until it is true, and what it returned."""
+    """Call `ask()` until its result is true; return the result."""
     deadline_s = time.monotonic() + PATIENCE_S
     while not (answer := ask()):
         if time.monotonic() > deadline_s:
@@ -48,7 +48,7 @@ def eventually(ask, what, pause_s=0.02):
 
 
 def listening(port, host="127.0.0.1"):
-    """A program's socket."""
+    """Open the socket of a program."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     udp.setblocking(False)
     udp.bind((host, port))
@@ -56,7 +56,7 @@ def listening(port, host="127.0.0.1"):
 
 
 def came(udp):
-    """All datagrams that have come."""
+    """Return all datagrams that have arrived."""
     found = []
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -65,9 +65,9 @@ def came(udp):
 
 
 class RunningLink:
-    """The command with options; close it to have nothing of it left, whatever happened.
+    """The command with options. Its exit ends the process in any case.
 
-    prefix: what runs it, as `ip netns exec NAME`.
+    prefix: command that runs it, such as `ip netns exec NAME`.
     """
 
     def __init__(self, *options, directory, name="link", prefix=(), base_port=None):
@@ -104,11 +104,11 @@ class RunningLink:
         return self._out_path.read_text()
 
     def lines(self):
-        """The lines of figures so far."""
+        """Return the lines of figures so far."""
         return [line for line in self.output().splitlines() if line.lstrip()[:1].isdigit()]
 
     def wait_for_line(self, word):
-        """Until a line of figures has `word`, of those that come from now on."""
+        """Wait until a new line of figures contains `word`."""
         seen = len(self.lines())
 
         def there():
@@ -122,19 +122,19 @@ class RunningLink:
         return [int(pid) for pid in path.read_text().split()]
 
     def interrupt(self):
-        """Ctrl-C; its exit code and its report."""
+        """Press Ctrl-C; return the exit code and the report."""
         self.process.send_signal(signal.SIGINT)
         return self.end()
 
     def end(self):
-        """Its exit code and its report, after its own end."""
+        """Wait for the end; return the exit code and the report."""
         code = self.process.wait(PATIENCE_S)
         assert self.report_path.exists(), self.output()
         return code, json.loads(self.report_path.read_text())
 
 
 def assert_books_are_right(report, setup):
-    """Every octet of every frame is booked."""
+    """Assert that every octet of every frame is counted."""
     profiles = {"uplink": setup.uplink, "downlink": setup.downlink}
     for direction, link in report["link"].items():
         booked = sum(link["octets"].values())

@@ -1,4 +1,4 @@
-"""A whole session, run as a user runs it: the real command, in a process of its own."""
+"""A whole session as a user runs it: the real command, in its own process."""
 
 import contextlib
 import json
@@ -22,16 +22,16 @@ from pipelines.setup.table import PORTS
 from pipelines.topology import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
-#: Guards against a hang; nothing is judged by it.
+#: Protects against a hang; no test result depends on it.
 PATIENCE_S = 40.0
 _LIVE_STREAM = re.compile(r"(\w+) [\d.]+/[\d.]+ kbit/s (\d+) shown")
 _LIVE_HAPTIC = re.compile(r"(haptic_\w+) (\d+) received")
 
 
 def free_base_port():
-    """The first of a block of free ports, below those that the kernel gives out itself."""
+    """Return the first of a block of free ports, below the kernel's range of ephemeral ports."""
     bases = range(28_200, 32_700 - PORTS, PORTS)
-    # Another run of these tests, on the same machine, begins elsewhere.
+    # Another run of these tests on the same machine begins elsewhere.
     first = os.getpid() % len(bases)
     for base in (*bases[first:], *bases[:first]):
         with contextlib.ExitStack() as stack:
@@ -46,7 +46,7 @@ def free_base_port():
 
 
 def eventually(ask, what):
-    """`ask()` until it is true, and what it returned."""
+    """Call `ask()` until its result is true; return the result."""
     deadline_s = time.monotonic() + PATIENCE_S
     while not (answer := ask()):
         if time.monotonic() > deadline_s:
@@ -69,15 +69,15 @@ def _name_of(pid):
 
 
 class RunningSession:
-    """`kontur-av stream` with options; close it to have nothing of it left, whatever happened.
+    """`kontur-av stream` with options. Its exit ends the session in any case.
 
-    It has a directory for temporary files to itself, so that no other session is found in it.
+    It has its own directory for temporary files, so that no other session is found there.
     """
 
     def __init__(self, setup, *options, directory):
         self.directory = Path(directory)
         self.report_path = self.directory / "report.json"
-        # Short, because the path of a Unix socket has 107 octets at most.
+        # Short, because the path of a Unix socket has at most 107 octets.
         self.temporary = Path(tempfile.mkdtemp(prefix="kav"))
         self.base_port = free_base_port()
         self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
@@ -118,7 +118,7 @@ class RunningSession:
         self._error.close()
 
     def children(self):
-        """The pids of its processes, in the order in which they were started."""
+        """Return the pids of its processes in the order of their start."""
         try:
             text = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text()
         except OSError:
@@ -128,7 +128,7 @@ class RunningSession:
         return pids
 
     def pids(self):
-        """The pids by the parts' names, once all of them were started."""
+        """Return the pids by the parts' names, once all have started."""
 
         def all_started():
             assert self.process.poll() is None, self.errors()
@@ -142,12 +142,12 @@ class RunningSession:
         return pids
 
     def lines(self):
-        """The lines of figures that were shown so far."""
+        """Return the lines of figures so far."""
         text = (self.directory / "out.txt").read_text()
         return [line for line in text.splitlines() if re.match(r" *[\d.]+ s  ", line)]
 
     def shown(self):
-        """How much of each stream was displayed or felt, by the newest line of figures."""
+        """Return how much of each stream was displayed or felt, by the newest line of figures."""
         lines = self.lines()
         if not lines:
             return {}
@@ -155,7 +155,7 @@ class RunningSession:
         return {name: int(count) for name, count in found}
 
     def wait_for_flow(self, names=None):
-        """Until every stream (or those of `names`) has been shown, once more than before."""
+        """Wait until every stream (or those of `names`) shows more than before."""
         before = self.shown()
 
         def flowing():
@@ -165,7 +165,7 @@ class RunningSession:
         eventually(flowing, "the flow of all streams")
 
     def wait_for_snapshot(self, prefix, more_than):
-        """Until there are more than so many pictures of a kind in the report's directory."""
+        """Wait until the report's directory has more than `more_than` pictures of a kind."""
         eventually(
             lambda: len(list(self.directory.glob(f"{prefix}*.png"))) > more_than,
             f"a snapshot of {prefix}",
@@ -179,7 +179,7 @@ class RunningSession:
 
     @contextlib.contextmanager
     def bus(self, monkeypatch):
-        """A door of our own to the topics of the session."""
+        """Open our own access to the topics of the session."""
         monkeypatch.setattr(tempfile, "tempdir", str(self.temporary))
         with TopicBus(self.session) as bus:
             yield bus
@@ -189,12 +189,12 @@ class RunningSession:
         return (self.directory / "error.txt").read_text()
 
     def interrupt(self):
-        """Ctrl-C; its exit code and its report."""
+        """Press Ctrl-C; return the exit code and the report."""
         self.process.send_signal(signal.SIGINT)
         return self.end()
 
     def end(self):
-        """Its exit code and its report, after its own end."""
+        """Wait for the end; return the exit code and the report."""
         code = self.process.wait(PATIENCE_S)
         return code, json.loads(self.report_path.read_text())
 
@@ -208,7 +208,7 @@ class RunningSession:
 
 
 def assert_sound(report):
-    """What holds for every report of every session, however slow the machine."""
+    """Assert what holds for every report of every session, however slow the machine is."""
     assert report["failures"] == []
     for name, stream in report["streams"].items():
         assert 0 < stream["payload_bps_max_1s"] <= stream["cap_bps"], name

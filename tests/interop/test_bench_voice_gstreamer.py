@@ -1,8 +1,8 @@
-"""GStreamer's voice in the bench: it is heard, and by all that listen.
+"""GStreamer's voice in the bench: every receiver hears it.
 
-When it is heard is GStreamer's affair and the machine's: a host that stands still for 30 ms moves
-all sound after it by as much, or tears a hole. So each second is sought where it is, and only some
-have to be whole.
+When it is heard depends on GStreamer and the machine. A host that stalls for 30 ms shifts all
+later sound by as much, or leaves a gap. So each second is searched around its place, and only some
+must be complete.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
 pytestmark = pytest.mark.interop
 
 
-def test_what_is_said_is_heard_by_every_receiver():
+def test_every_receiver_hears_the_speech():
     absent = missing()
     if absent is not None:
         pytest.skip(absent)
@@ -31,7 +31,7 @@ def test_what_is_said_is_heard_by_every_receiver():
 
 
 def likenesses(track, heard):
-    """How like what was said each whole second of what was heard is: correlation, 0 to 1."""
+    """Return the correlation, 0 to 1, of each whole second of what was heard with the original."""
     found = []
     for second, lag in enumerate(lags(track, heard)):
         begin = second * 48_000 - lag

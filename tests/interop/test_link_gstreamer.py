@@ -1,4 +1,4 @@
-"""Programs that know nothing of the link talk through it: GStreamer; and two network namespaces."""
+"""Programs without knowledge of the link use it: GStreamer, and two network namespaces."""
 
 import contextlib
 import ctypes
@@ -35,7 +35,7 @@ def needs(*elements):
 
 @contextlib.contextmanager
 def gst(text, log):
-    """`gst-launch-1.0 -e` with a pipeline; Ctrl-C ends it as it ends the user's."""
+    """Run `gst-launch-1.0 -e` with a pipeline; Ctrl-C ends it as it ends the user's."""
     with log.open("w") as out:
         process = subprocess.Popen(
             ["gst-launch-1.0", "-e", *text.split()], stdout=out, stderr=subprocess.STDOUT
@@ -52,7 +52,7 @@ def gst(text, log):
             process.wait()
 
 
-def test_gstreamer_sends_its_video_up_and_gets_it_back_whole(tmp_path):
+def test_gstreamer_sends_video_up_and_receives_it_complete(tmp_path):
     needs("x264enc", "rtph264pay", "rtph264depay", "avdec_h264", "udpsink")
     with RunningLink("--setup", "taskboard", directory=tmp_path) as link:
         entry, out = link.ports.entry("uplink_video"), link.ports.exit("uplink_video")
@@ -128,7 +128,7 @@ def test_the_documents_example_shows_a_picture_to_a_late_receiver(document, tmp_
 
 @pytest.fixture
 def namespaces():
-    """Two network namespaces with a cable between them, and their addresses."""
+    """Return two network namespaces with a cable between them, and their addresses."""
     if os.geteuid() or shutil.which("ip") is None:
         pytest.skip("network namespaces need root and iproute2")
     names = [f"kav{end}{os.getpid()}" for end in "gs"]
@@ -152,7 +152,7 @@ def namespaces():
 
 
 def socket_in(namespace):
-    """A UDP socket of a namespace: a socket stays in that of the thread that made it."""
+    """Return a UDP socket of a namespace; a socket belongs to the namespace of its thread."""
     made = []
 
     def make():

@@ -1,4 +1,4 @@
-"""`send` and `receive` against GStreamer and FFmpeg, over real sockets, with real codecs."""
+"""`send` and `receive` with GStreamer and FFmpeg, over real sockets, with real codecs."""
 
 import contextlib
 import json
@@ -42,7 +42,7 @@ def needs_ffmpeg() -> None:
 
 
 def free_ports() -> int:
-    """The first of two neighbouring UDP ports that are free."""
+    """Return the first of two neighbouring UDP ports that are free."""
     for _ in range(50):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as first:
             first.bind(("127.0.0.1", 0))
@@ -83,7 +83,7 @@ def finish(process, seconds: float = 30) -> str:
 
 
 def finish_or_kill(process, seconds: float = 8) -> None:
-    """For a pipeline with rtpbin: some in ten of them hang when all has been sent."""
+    """For a pipeline with rtpbin: about one in ten of them hangs after everything was sent."""
     with contextlib.suppress(subprocess.TimeoutExpired):
         finish(process, seconds)
 
@@ -96,7 +96,7 @@ def wait_for_line(process, text: str) -> None:
 
 
 def scene(number: int) -> np.ndarray:
-    """A bright square that moves over a gradient: shape (360, 320), I420."""
+    """Return a bright square that moves over a gradient: shape (360, 320), I420."""
     picture = np.full((HEIGHT * 3 // 2, WIDTH), 128, np.uint8)
     picture[:HEIGHT] = np.linspace(30, 150, WIDTH, dtype=np.uint8)
     left, top = 4 * (number % 60), 2 * (number % 60)
@@ -110,9 +110,9 @@ def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def assert_is_the_film(path) -> None:
-    """Each picture in the raw file is one of the film, and the last ones come in its order.
+    """Assert that each picture in the raw file is one of the film, the last ones in order.
 
-    Some may be left out, or come twice: the player, too, goes by the clock of a busy machine.
+    Pictures may be missing or repeated, because the player follows the clock of a busy machine.
     """
     pictures = np.fromfile(path, np.uint8).reshape(-1, HEIGHT * 3 // 2, WIDTH)
     film = [scene(number) for number in range(60)]
@@ -212,7 +212,7 @@ def test_gstreamer_plays_the_voice_we_send(tone, tmp_path):
 
 
 def receive(tmp_path, port, kind, seconds=20, **description):
-    """Start `receive` on a stream; its process and the path of its report."""
+    """Start `receive` on a stream; return its process and the path of its report."""
     sdp, report = tmp_path / "r.sdp", tmp_path / "r.json"
     stream = StreamDescription(
         kind=kind, host="127.0.0.1", port=port, payload_type=96, **description
@@ -227,7 +227,7 @@ def test_we_play_what_gstreamer_sends(tmp_path, aggregate):
     needs("x264enc", "rtph264pay", "rtpbin")
     port = free_ports()
     process, report_file = receive(tmp_path, port, "video", seconds=12)
-    # rtpbin sends reports, so that the latency is known.
+    # rtpbin sends reports, so the latency is known.
     pipeline = (
         "rtpbin name=r videotestsrc is-live=true num-buffers=75 pattern=ball ! "
         f"video/x-raw,width={WIDTH},height={HEIGHT},framerate={FPS}/1 ! "
@@ -266,7 +266,7 @@ def test_we_play_the_opus_that_gstreamer_sends(tmp_path):
         finish(receiver)
     report = json.loads(report_file.read_text())
     assert report["rtp_lost"] == 0
-    # What comes too late to be heard, because the machine stood still, is left out.
+    # Sound that is too late to be heard, because the machine stalled, is left out.
     left_out = report["frames_late"] + report["frames_dropped"]
     assert report["frames_decoded"] + left_out >= 99
     with av.open(str(tmp_path / "r.mkv")) as saved:
@@ -277,7 +277,7 @@ def test_we_play_the_opus_that_gstreamer_sends(tmp_path):
 def test_we_play_what_ffmpeg_sends_by_its_own_sdp(tmp_path):
     needs_ffmpeg()
     port, sdp, report_file = free_ports(), tmp_path / "f.sdp", tmp_path / "f.json"
-    # With a global header SPS and PPS are in the SDP alone.
+    # With a global header, SPS and PPS are only in the SDP.
     with started(
         *("ffmpeg", "-v", "error", "-re", "-f", "lavfi"),
         *("-i", f"testsrc=size={WIDTH}x{HEIGHT}:rate={FPS}", "-t", 4, "-pix_fmt", "yuv420p"),

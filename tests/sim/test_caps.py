@@ -1,4 +1,4 @@
-"""The caps, with the real encoders on virtual time: nothing that a camera shows may break one."""
+"""The caps with real encoders on virtual time: no picture content may exceed them."""
 
 from dataclasses import dataclass, field
 
@@ -19,7 +19,7 @@ SIZE = (640, 480)
 
 @dataclass
 class Run:
-    """What left, and when."""
+    """What was sent, and when."""
 
     releases: list[tuple[int, int]] = field(default_factory=list)
     wait_ns: list[int] = field(default_factory=list)
@@ -32,7 +32,7 @@ class Run:
         return self.shown * FPS / self.captured
 
     def largest_bps(self, window_ns):
-        """The fullest window, ends included, searched without the code under test."""
+        """Search the fullest window, ends included, without the code under test."""
         times = np.array([t for t, _ in self.releases])
         total = np.concatenate([[0], np.cumsum([octets for _, octets in self.releases])])
         last = np.searchsorted(times, times + window_ns, side="right")
@@ -90,7 +90,7 @@ def flat(level, count=1):
 
 
 def half_and_half(clips, every):
-    """A camera switch every so many pictures."""
+    """Return pictures with a camera switch every `every` pictures."""
     count = len(clips[0])
     return [clips[i // every % len(clips)][i] for i in range(count)]
 
@@ -114,13 +114,13 @@ def assert_caps_kept(run, cap_bps):
 
 @pytest.mark.parametrize("cap_bps", [85_000, 512_000])
 @pytest.mark.parametrize("content", HARD)
-def test_no_content_breaks_the_cap(content, cap_bps):
+def test_no_content_exceeds_the_cap(content, cap_bps):
     run = send(HARD[content](), cap_bps)
     assert_caps_kept(run, cap_bps)
     assert run.shown > 0
 
 
-def test_a_fast_channel_does_not_loosen_the_cap():
+def test_a_fast_channel_does_not_raise_the_cap():
     run = send(HARD["black, then noise"](), 85_000, channel_bps=4_000_000)
     assert_caps_kept(run, 85_000)
 
@@ -132,7 +132,7 @@ def test_footage_runs_at_28_pictures_a_second_and_in_time(pictures, clip, cap_bp
     assert_caps_kept(run, cap_bps)
     assert run.shown_hz >= 28
     assert run.largest_bps(NS_PER_S) >= 0.85 * cap_bps
-    # Until the first octet of the last packet leaves: the channel's own time comes on top.
+    # Until the first octet of the last packet is sent; the channel's own time is not included.
     assert np.percentile(run.wait_ns, 95) < 60 * MS
 
 
@@ -157,6 +157,6 @@ def test_voice_keeps_its_cap_on_a_jittery_sender(cap_bps):
     assert run.largest_bps(NS_PER_S) <= cap_bps
     assert run.largest_bps(NS_PER_S) >= 0.94 * cap_bps
     assert run.largest_bps(100 * MS) <= 1.5 * cap_bps
-    # At the full rate, the same jitter would break it: that is why bitrate_under_cap is there.
+    # At the full rate the same jitter would exceed the cap, hence bitrate_under_cap.
     full = Run([(t, cap_bps // 400) for t, _ in run.releases])
     assert full.largest_bps(NS_PER_S) > cap_bps

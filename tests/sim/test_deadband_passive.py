@@ -1,4 +1,4 @@
-"""The bilateral exchange with samples left out: as passive as with all of them, and as good."""
+"""The bilateral exchange with a deadband: as passive as without it, and almost as good."""
 
 from math import hypot
 from random import Random
@@ -13,7 +13,7 @@ from telepresence.haptics.loop import joystick_link, robot_link
 
 
 class Exchange:
-    """Both sides and a path that delays, loses and reorders, a cycle a millisecond."""
+    """Both sides, and a path that delays, loses and reorders; one cycle a millisecond."""
 
     def __init__(self, *, deadband, delay_ms=0.0, jitter_ms=0.0, loss=0.0, seed=0):
         self.joystick_side = JoystickSide(link=joystick_link(deadband=deadband))
@@ -68,7 +68,7 @@ def test_no_port_ever_gives_out_what_was_not_granted(delay_ms, jitter_ms, loss, 
     ):
         report = side.report()
         assert report["least_uj"] >= -1
-        # By the two ends' own totals, which no observer can flatter: what left has entered.
+        # By the ends' own totals, independent of the observers: what left has entered before.
         assert report["energy_out_uj"] <= peer.report()["energy_in_uj"] + (
             report["energy_in_uj"] + 1
         )
@@ -77,14 +77,14 @@ def test_no_port_ever_gives_out_what_was_not_granted(delay_ms, jitter_ms, loss, 
 
 
 @pytest.mark.parametrize("delay_ms", [0, 10])
-def test_what_is_felt_and_done_is_nearly_the_same(delay_ms):
+def test_forces_and_motions_are_nearly_the_same(delay_ms):
     every = Exchange(deadband=False, delay_ms=delay_ms).run(12_000)
     some = Exchange(deadband=True, delay_ms=delay_ms).run(12_000)
     assert some.contacts == every.contacts > 3
     off_m = [hypot(a[0] - b[0], a[1] - b[1]) for a, b in zip(every.tip, some.tip, strict=True)]
     assert sum(off_m) / len(off_m) < 0.3e-3
     off_n = [abs(a - b) for a, b in zip(every.force_n, some.force_n, strict=True)]
-    # On average: at a touch that comes a cycle earlier or later it is the whole force for a moment.
+    # On average, because a contact one cycle earlier differs by the whole force for a moment.
     assert sum(off_n) / len(off_n) < 0.2
     # Four fifths of the robot's samples are not sent, and half of the joystick's.
     assert some.robot_side.link.report()["left_out"] > 0.75 * 12_000
@@ -92,7 +92,7 @@ def test_what_is_felt_and_done_is_nearly_the_same(delay_ms):
     assert some.joystick_side.link.lost == some.robot_side.link.lost == 0
 
 
-def test_two_lost_in_a_row_are_no_silence():
+def test_two_lost_samples_in_a_row_are_no_silence():
     for start in range(500, 506):
         exchange = Exchange(deadband=True, delay_ms=5).run(600, gap=range(start, start + 12))
         assert exchange.joystick_side.link.lost >= 2

@@ -1,4 +1,4 @@
-"""What left-out samples give to the picture, slot by slot: never more than is really there."""
+"""Capacity that left-out samples give to the picture: never more than is really free."""
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -27,9 +27,9 @@ FREED_BITS = 8 * SETUP.uplink.insert_octets
 
 @dataclass
 class Ground:
-    """A gateway and a video sender that always fills its cap and more.
+    """A gateway and a video sender that always has more than its cap to send.
 
-    left: (instant, octets, cap at that instant); free: the slots without a sample.
+    left: (instant, octets, cap at that instant). free: the slots without a sample.
     """
 
     told_every_ms: int = 4
@@ -48,7 +48,7 @@ class Ground:
             life=1,
             now_ns=0,
         )
-        # As if the other end were heard: it need not be there.
+        # Simulates a peer that is heard; no real one is needed.
         self.gateway.sender.set_patience(None)
         identity = RtpIdentity(1, 2, 3)
         self.probe = Probe(None)
@@ -103,12 +103,12 @@ def resting(slot):
 
 
 def resting_and_touching(period, touch):
-    """At rest, but for `touch` slots of each `period`, where every sample goes."""
+    """At rest, except for `touch` slots of each `period`, in which every sample is sent."""
     return lambda slot: slot % 6 == 0 or slot % period < touch
 
 
 def most_above_bits(ground):
-    """The most that left in any sliding second, beyond the cap and all that was freed in it."""
+    """Return the largest excess in any sliding second over the cap and the freed capacity."""
     times = np.array([at_ns for at_ns, _ in ground.left])
     sums = np.concatenate([[0], np.cumsum([8 * octets for _, octets in ground.left])])
     free = np.array(ground.free, dtype=np.int64) * NS_PER_MS
@@ -120,7 +120,7 @@ def most_above_bits(ground):
     return (sent - STREAM.cap_bps - FREED_BITS * freed).max()
 
 
-def test_at_rest_the_rate_rises_by_what_is_saved_and_in_contact_it_falls_at_once():
+def test_the_rate_rises_at_rest_and_falls_at_once_in_contact():
     touched_s = 12
     ground = Ground().run(lambda slot: resting(slot) or slot >= touched_s * 1000, 16)
     before_bps = 8 * ground.octets_in(0, 2) / 2
@@ -129,7 +129,7 @@ def test_at_rest_the_rate_rises_by_what_is_saved_and_in_contact_it_falls_at_once
     gain_bps = max(caps for caps in ground.caps) - STREAM.cap_bps
     assert 0.6 * saved_bps < gain_bps <= saved_bps
     assert after_bps - before_bps > 0.8 * gain_bps
-    # Not before it was steady, and down again as soon as the first second of contact has less.
+    # Not before the rate was steady, and down again once the first second of contact frees less.
     caps = ground.caps
     assert caps[STEADY_NS // NS_PER_MS] == STREAM.cap_bps
     fallen = next(k for k in range(touched_s * 1000, len(caps)) if caps[k] == STREAM.cap_bps)
@@ -147,7 +147,7 @@ def test_at_rest_the_rate_rises_by_what_is_saved_and_in_contact_it_falls_at_once
         resting_and_touching(400, 60),
         lambda slot: slot < 11_000 and slot % 6 != 0,
         lambda slot: slot >= 9000,
-        # Just enough for a step, and then nothing at all.
+        # Just enough for a step, and then nothing.
         lambda slot: slot % 3 == 0 or slot >= 9000,
         lambda slot: slot % 5 in (0, 2) or slot >= 9000,
         lambda slot: slot % 100 < 38 or slot >= 9000,
@@ -155,20 +155,20 @@ def test_at_rest_the_rate_rises_by_what_is_saved_and_in_contact_it_falls_at_once
         lambda slot: True,
     ],
 )
-def test_in_no_sliding_second_more_leaves_than_the_cap_and_what_that_second_freed(pattern):
+def test_no_sliding_second_exceeds_the_cap_and_the_freed_capacity(pattern):
     ground = Ground().run(pattern, 20)
     assert most_above_bits(ground) <= 0
     assert ground.octets_in(10, 20) > 0.8 * STREAM.cap_bps / 8 * 10
 
 
-def test_without_a_deadband_nothing_is_gained_whatever_is_free():
+def test_without_a_deadband_the_cap_stays():
     ground = Ground()
     ground.sending = VideoSending(STREAM, SETUP.uplink, RtpIdentity(1, 2, 3), ground.probe)
     ground.run(lambda slot: False, 8)
     assert set(ground.caps) == {STREAM.cap_bps}
 
 
-def test_a_whole_session_gains_and_says_so():
+def test_a_whole_session_gains_and_reports_it():
     setup = replace(BUILT_IN["taskboard"], radio="clean")
     plain = simulate(setup, seconds=6.0, seed=1)
     saving = simulate(replace(setup, deadband="picture"), seconds=6.0, seed=1)
@@ -176,7 +176,7 @@ def test_a_whole_session_gains_and_says_so():
     video, before = (report["streams"]["uplink_video"] for report in (saving, plain))
     assert video["gained_bps"] > 15_000 and "gained_bps" not in before
     assert video["payload_bps_mean"] > before["payload_bps_mean"] + 5_000
-    # The channel is faster by what is saved, and pictures grow by no more than that.
+    # The channel is faster by what is saved, and pictures do not grow by more than that.
     assert video["latency_ms"]["p50"] < before["latency_ms"]["p50"]
     up = saving["haptic"]["up"]
     assert up["saved_bps"] > 60_000 and up["lost"] == 0
@@ -186,7 +186,7 @@ def test_a_whole_session_gains_and_says_so():
     assert plain["link"]["uplink"]["freed_bps"] < 100
 
 
-def test_what_is_left_out_can_be_spent_on_the_latency_instead():
+def test_freed_capacity_can_reduce_the_latency_instead():
     setup = replace(BUILT_IN["spacejustin"], radio="clean")
     reports = (
         simulate(replace(setup, deadband=deadband), seconds=6.0, seed=1)

@@ -1,4 +1,4 @@
-"""Two gateways on virtual time that lose sight of each other, both ways and one way."""
+"""Two gateways on virtual time that lose contact, in both directions or in one."""
 
 import struct
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ UP, DOWN = [tmtc_flow("tc"), *BOTH], [tmtc_flow("tm"), *BOTH]
 
 
 class Path(RadioPath):
-    """A radio path that can be shut: what leaves the antenna then is gone."""
+    """A radio path that can be closed; frames sent then are lost."""
 
     shut = False
 
@@ -34,9 +34,9 @@ class Path(RadioPath):
 
 @dataclass
 class Arrivals:
-    """What came out at one segment: (instant of arrival, instant at which it was put in).
+    """What arrived at one segment: (instant of arrival, instant of sending).
 
-    packets: without maintenance, which has begun to go and then waits for all others.
+    packets: without maintenance, which may wait for all others after it has begun.
     """
 
     samples: list = field(default_factory=list)
@@ -44,7 +44,7 @@ class Arrivals:
 
 
 class Session:
-    """A full session's traffic both ways, more than the uplink carries, and telecommands up."""
+    """Traffic of a full session both ways, more than the uplink carries, and telecommands up."""
 
     def __init__(self, seed=0):
         self.up, self.down = Path(delay_ns=DELAY_MS * MS), Path(delay_ns=DELAY_MS * MS)
@@ -141,7 +141,7 @@ def test_both_ways(blackout_ms, phase):
     began_ns = one.link.now_ns
     one.shut(one.up, one.down)
     one.run(DELAY_MS + 50)
-    # The last frame left a slot before the path was shut.
+    # The last frame was sent a slot before the path was closed.
     for gateway in (one.link.ground, one.link.space):
         assert not gateway.supervisor.signal
     one.run(blackout_ms - DELAY_MS - 50)
@@ -163,12 +163,12 @@ def test_both_ways(blackout_ms, phase):
         for at_ns, put_ns in arrivals.packets:
             assert put_ns > began_ns
             if at_ns < first_ns + 20 * MS:
-                # So little may wait, and a packet that has begun is finished.
+                # Little may wait, and a packet that has begun is completed.
                 assert at_ns - put_ns <= (DELAY_MS + 50 + 40) * MS
     assert one.states == ("CONNECTED", "CONNECTED")
 
 
-def test_what_waits_is_thrown_away_when_the_signal_is_lost():
+def test_a_loss_of_signal_flushes_waiting_packets():
     one = session()
     sender = one.link.ground.sender
     one.run(25)
@@ -181,7 +181,7 @@ def test_what_waits_is_thrown_away_when_the_signal_is_lost():
     assert sum(drop["signal_lost"] for drop in drops)
 
 
-def test_one_way_up_telecommands_act_without_acknowledgement():
+def test_uplink_only_telecommands_work_without_acknowledgement():
     one = session()
     one.command("left")
     one.run(100)
@@ -196,7 +196,7 @@ def test_one_way_up_telecommands_act_without_acknowledgement():
     (failed,) = one.answers()
     assert isinstance(failed, SelectFailed)
     assert failed.tries == 3
-    # All the rest carries as well, and nothing of it late.
+    # Everything else arrives as well, and nothing late.
     assert len(one.at_space.samples) - samples == 1600
     assert len(one.at_space.packets) - packets >= 1600 // 20
     one.run(10_000)
@@ -210,7 +210,7 @@ def test_one_way_up_telecommands_act_without_acknowledgement():
     assert one.executor.executed == 3
 
 
-def test_one_way_down_pictures_go_on():
+def test_downlink_only_pictures_continue():
     one = session()
     one.shut(one.up)
     one.run(100)
@@ -224,13 +224,13 @@ def test_one_way_down_pictures_go_on():
     one.shut()
     one.run(100)
     assert one.states == ("CONNECTED", "CONNECTED")
-    # What was asked for then has not been kept for later.
+    # What was requested meanwhile was not kept for later.
     one.run(1000)
     assert not one.selected
 
 
 @pytest.mark.parametrize("open_path", ["up", "down"])
-def test_one_way_from_the_beginning(open_path):
+def test_one_direction_from_the_beginning(open_path):
     one = Session()
     one.shut(one.down if open_path == "up" else one.up)
     one.command("right")
@@ -242,7 +242,7 @@ def test_one_way_from_the_beginning(open_path):
     assert one.commands.garbage == one.executor.garbage == 0
 
 
-def test_ledgers_and_reports_hold_over_blackouts():
+def test_counts_and_reports_are_exact_over_blackouts():
     reports = []
     for _ in range(2):
         one = session()

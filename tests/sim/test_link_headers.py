@@ -1,4 +1,4 @@
-"""Header compression between two whole gateways on virtual time: losses, deafness, new lives."""
+"""Header compression between two complete gateways on virtual time: losses and restarts."""
 
 import struct
 from random import Random
@@ -17,7 +17,7 @@ DOWN = [voice_flow("voice"), video_flow("video")]
 
 
 class Path(RadioPath):
-    """A radio path that loses a part of the frames, up to all."""
+    """A radio path that loses some or all frames."""
 
     loss = 0.0
     random = Random(0)
@@ -28,7 +28,7 @@ class Path(RadioPath):
 
 
 class Session:
-    """Voice and video both ways; what comes out must have gone in, and in its order."""
+    """Voice and video both ways; what comes out must have gone in, in its order."""
 
     def __init__(self, delay_ms, seed):
         self.up, self.down = Path(delay_ns=delay_ms * MS), Path(delay_ns=delay_ms * MS)
@@ -53,7 +53,7 @@ class Session:
         }
 
     def new_life(self, side):
-        """The gateway is killed and comes up again; its sources as well."""
+        """Restart the gateway and its sources."""
         old = getattr(self.link, side)
         ground = side == "ground"
         new = Gateway(
@@ -97,7 +97,7 @@ class Session:
         if not hasattr(event, "flow"):
             return
         other = "ground" if side == "space" else "space"
-        # The payload says which packet it is; its header must be that one's.
+        # The payload says which packet it is; the header must belong to it.
         key = (other, event.flow.name, event.data[12:21])
         assert event.data == self.sent[key]
         assert key[2] > self.last.get(key[:2], b"")
@@ -115,7 +115,7 @@ class Session:
 
 
 @pytest.mark.parametrize("delay_ms", [0, 12, 350])
-def test_headers_cost_two_octets_on_average_once_both_hear_each_other(delay_ms):
+def test_headers_cost_two_octets_on_average_two_way(delay_ms):
     session = Session(delay_ms, 1)
     session.run(3000)
     before = {side: session.headers(side) for side in ("ground", "space")}
@@ -133,7 +133,7 @@ def test_headers_cost_two_octets_on_average_once_both_hear_each_other(delay_ms):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_comes_out_went_in_whatever_is_lost_and_whoever_is_killed(seed):
+def test_losses_and_restarts_never_corrupt_a_packet(seed):
     session = Session([0, 12, 120, 350][seed], seed)
     random = Random(seed)
     for _ in range(40):
@@ -150,9 +150,11 @@ def test_what_comes_out_went_in_whatever_is_lost_and_whoever_is_killed(seed):
     assert session.received > 500
 
 
-def test_a_life_that_began_in_a_gap_is_not_believed_to_be_the_former_one():
-    """Its frame count goes on as if frames had been lost, and its contexts have the numbers of the
-    former life's; so the peer would acknowledge a context that this life never gave."""
+def test_a_restart_during_a_gap_is_recognized():
+    """The new life continues the frame count as if frames had been lost, with the same numbers.
+
+    The peer could acknowledge a context that this life never sent.
+    """
     for slots in range(20, 400, 12):
         session = Session(5, slots)
         session.run(1000)
@@ -160,7 +162,7 @@ def test_a_life_that_began_in_a_gap_is_not_believed_to_be_the_former_one():
         session.new_life("ground")
         session.run(1200 + slots)
         session.up.loss = session.down.loss = 0
-        # What is lost now are the first contexts of the new life.
+        # The first contexts of the new life are lost now.
         session.run(40)
         session.up.loss = 0.7
         session.run(300)

@@ -1,4 +1,4 @@
-"""Half a minute of a full uplink on virtual time: who waits for whom, and what the octets did."""
+"""Half a minute of a full uplink on virtual time: priorities, waits, and the use of octets."""
 
 import struct
 from random import Random
@@ -25,8 +25,7 @@ FLOWS = [
 class Run:
     """Traffic at its caps through one direction, slot by slot; what was put in and came out.
 
-    The peer tells within 20 slots what contexts it holds, and each half second has a supervision
-    slot.
+    The peer acknowledges contexts within 20 slots, and each half second has a supervision slot.
     """
 
     def __init__(self, profile, slots, *, video_bps, voice_octets, packets_a_picture=1, flood=()):
@@ -60,7 +59,7 @@ class Run:
 
     def put_video(self, slot, random, octets):
         number = len(self.sent["video"])
-        # 30 pictures a second, captured on time but for a millisecond, and 9 ms ago.
+        # 30 pictures a second, captured 9 ms ago with a jitter of a millisecond.
         captured = round(slot / 100 * 3) * 3000 - 810 + random.randrange(-45, 46)
         fields = (0x80, 0x80 | 96, number & 0xFFFF, captured & 0xFFFFFFFF, 1)
         self.put("video", struct.pack(">BBHII", *fields) + random.randbytes(octets), slot)
@@ -101,13 +100,13 @@ def test_everything_fits_at_its_cap(uplink):
         assert len(sent) - len(uplink.received[name]) <= 2, name
     queues = uplink.sender.report(30_000 * MS)["queue"]
     assert all(not any(queue["drops"].values()) for queue in queues.values())
-    # A picture of 354 octets is 30 slots, and the contexts of the first seconds take some more.
+    # A picture of 354 octets takes 30 slots; the contexts of the first seconds take some more.
     assert max(uplink.delay_slots["video"]) <= 60
     assert max(uplink.delay_slots["video"][90:]) <= 45
 
 
-def test_voice_and_telecommands_overtake_video_in_its_middle(uplink):
-    # 20 octets are two slots; one more may be for a telecommand or for supervision on the way.
+def test_voice_and_telecommands_interrupt_video(uplink):
+    # 20 octets take two slots; one more may be used by a telecommand or by supervision.
     assert max(uplink.delay_slots["tmtc"]) <= 2
     assert max(uplink.delay_slots["voice"]) <= 3
     assert min(uplink.delay_slots["video"]) >= 28
@@ -117,13 +116,13 @@ def test_headers_cost_two_octets_a_packet_on_average(uplink):
     octets = uplink.sender.octets()
     packets = {name: len(received) for name, received in uplink.received.items()}
     others = sum(packets.values()) - packets["video"] - packets["voice"]
-    # Tags and RTP headers, whole ones and contexts included; the others have a tag each.
+    # Tags and RTP headers, including whole ones and contexts; other packets have a tag each.
     assert octets["packet_headers"] - others <= 2.05 * (packets["video"] + packets["voice"])
-    # With the lengths of pieces and the tags that resume.
+    # With the lengths of pieces and the resume tags.
     assert octets["packet_headers"] + octets["framing"] <= 3 * sum(packets.values())
 
 
-def test_ledger_is_exact(uplink):
+def test_octet_counts_are_exact(uplink):
     octets = uplink.sender.octets()
     assert sum(octets.values()) == 30_000 * 32
     assert octets["haptic"] == 30_000 * 12
@@ -134,7 +133,7 @@ def test_ledger_is_exact(uplink):
     assert octets["voice"] == 1500 * 20
 
 
-def test_a_telecommand_goes_in_the_next_slot_and_the_video_goes_on():
+def test_a_telecommand_takes_the_next_slot_and_video_continues():
     sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
     video = struct.pack(">BBHII", 0x80, 96, 1, 2, 3) + bytes(range(100))
     sender.handle_packet("video", video, 0)
@@ -148,7 +147,7 @@ def test_a_telecommand_goes_in_the_next_slot_and_the_video_goes_on():
             if not isinstance(event, HapticReceived):
                 arrived[event.flow.name] = (slot, event.data)
     assert arrived["tmtc"] == (4, b"now")
-    # 113 octets alone take ten slots; the telecommand costs five and its resumption one.
+    # 113 octets alone take ten slots; the telecommand costs five and the resume tag one.
     assert arrived["video"] == (9, video)
 
 
@@ -160,7 +159,7 @@ def test_levels_below_a_flooded_one_wait_and_voice_still_flows():
     assert sum(run.sender.octets().values()) == 5_000 * 32
 
 
-def test_telecommands_that_take_all_starve_even_voice_which_says_so():
+def test_a_flood_of_telecommands_starves_voice_and_is_counted():
     run = Run(UPLINK, 2_000, video_bps=85_000, voice_octets=20, flood=[("tmtc", 20)])
     queues = run.sender.report(2_000 * MS)["queue"]
     assert queues["voice"]["drops"]["expired"] > 80
@@ -170,7 +169,7 @@ def test_telecommands_that_take_all_starve_even_voice_which_says_so():
     assert run.haptic_slots == list(range(2_000))
 
 
-def test_downlink_at_its_caps_waits_for_nobody():
+def test_downlink_at_its_caps_has_no_waiting():
     run = Run(DOWNLINK, 10_000, video_bps=512_000, voice_octets=160, packets_a_picture=2)
     assert max(max(delays, default=0) for delays in run.delay_slots.values()) <= 5
     assert len(run.received["video"]) >= 10 * 60 - 2
@@ -198,8 +197,8 @@ LEVELS = [packet_flow(level.name.lower(), level) for level in Level]
 @pytest.mark.parametrize("sampled", [True, False], ids=["samples", "no samples"])
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
 @pytest.mark.parametrize("level", Level, ids=lambda level: level.name)
-def test_a_saturated_level_fills_what_is_left_to_it(profile, level, sampled, octets):
-    """Higher levels say something now and then; all of the rest is this level's."""
+def test_a_saturated_level_uses_all_remaining_capacity(profile, level, sampled, octets):
+    """Higher levels send something now and then; this level gets all of the rest."""
     slots = 400 if profile is DOWNLINK else 4_000
     limits = QueueLimits(
         depth_octets=10_000, max_age_ns=60_000 * MS, policy=DropPolicy.REJECT_NEWEST
@@ -219,7 +218,7 @@ def test_a_saturated_level_fills_what_is_left_to_it(profile, level, sampled, oct
     books = sender.octets()
     zones = profile.packet_zone_octets if sampled else profile.largest_zone_octets
     higher = [LEVELS[above].name for above in range(level)]
-    # Their tags and lengths, and the tags that resume what they interrupted, are at most 4 each.
+    # Their tags, lengths and resume tags are at most 4 octets each.
     others = sum(books[above] for above in higher)
     packets = sum(sender.report(0)["queue"][above]["accepted"] for above in higher)
     left = zones * slots - others - 4 * packets
@@ -229,13 +228,13 @@ def test_a_saturated_level_fills_what_is_left_to_it(profile, level, sampled, oct
     if octets >= 350:
         assert books[name] >= 0.99 * left
     else:
-        # A tag, and at most two octets of length, where a packet ends in the zone of its beginning.
+        # A tag, and at most two octets of length if a packet ends in the zone where it begins.
         assert books[name] >= 0.995 * octets / (octets + 2) * left
 
 
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
-def test_octets_of_missing_samples_go_to_the_lower_levels(profile):
-    """A deadband holds three samples of four back: their octets carry maintenance."""
+def test_missing_samples_leave_octets_to_lower_levels(profile):
+    """A deadband leaves out three samples of four: their octets carry maintenance."""
     sender, slots = LinkSender(profile, LEVELS), 2_000
     for slot in range(slots):
         if slot % 4 == 0:

@@ -1,4 +1,4 @@
-"""How two ends of the link find each other, what they say then, and how a new life is met."""
+"""How two ends of the link find each other, what they send then, and how a restart is handled."""
 
 import pytest
 from link_supervision_pair import CONNECTED, MS, Pair, S, connected
@@ -25,7 +25,7 @@ def test_connects_in_two_round_trips_and_a_few_messages(delay_slots):
     for end in pair.ends:
         states = pair.history(end)
         assert states[:3] == ["check", "search", "configure"]
-        # Data that came before the two had agreed approves at once.
+        # Data that arrived before the two had agreed approves the link at once.
         assert states[3:] in (["connected"], ["approve", "connected"])
         assert len(end.of(SignalAcquired)) == len(end.of(PeerMet)) == len(end.of(PeerHears)) == 1
         assert not end.of(SignalLost) + end.of(PeerDeaf) + end.of(ApplicationReset)
@@ -33,7 +33,7 @@ def test_connects_in_two_round_trips_and_a_few_messages(delay_slots):
 
 @pytest.mark.parametrize("late", [30, 700, 10_000])
 @pytest.mark.parametrize("first", ["ground", "space"])
-def test_connects_however_late_one_side_starts(late, first):
+def test_connects_for_any_start_delay(late, first):
     pair = Pair(delay_slots=12)
     one, other = pair.ends if first == "ground" else pair.ends[::-1]
     one.start(7, 0)
@@ -44,9 +44,9 @@ def test_connects_however_late_one_side_starts(late, first):
     assert pair.states == CONNECTED
 
 
-def test_settled_it_says_little_and_only_what_is_needed():
+def test_when_settled_messages_are_rare():
     pair = connected()
-    # Each knows that the other is connected: no reason to go on insisting.
+    # Each knows that the other is connected, so frequent messages end.
     assert max(len(end.sent) for end in pair.ends) <= 8
     pair.run(3 * S)
     assert max(len(end.sent) for end in pair.ends) <= 8 + 7
@@ -73,12 +73,12 @@ def test_a_new_life_of_either_side(who, delay_slots):
     assert pair.states == CONNECTED
     (met,) = other.of(PeerMet)
     assert met[1:] == (0x7777, True)
-    # What the other holds of the former life is never said to be held of this one.
+    # Contexts of the former life are never acknowledged to the new one.
     assert {event.ids for event in one.of(ContextsHeld)} == {(0, 0, 0, 0)}
     assert not one.of(ApplicationReset) + other.of(ApplicationReset)
 
 
-def test_a_frame_count_that_begins_anew_holds_delivery_until_the_next_message():
+def test_a_restarted_frame_count_stops_delivery_until_the_next_message():
     pair = connected()
     supervisor = pair.ground.supervisor
     supervisor.handle_restart(pair.slot * MS)
@@ -99,7 +99,7 @@ def test_frames_without_messages_time_out():
     assert pair.ground.supervisor.delivering
 
 
-def test_contexts_are_told_at_once_and_again():
+def test_contexts_are_reported_at_once_and_again():
     pair = connected()
     pair.run(3 * S)
     pair.space.supervisor.handle_contexts((3, 0), pair.slot * MS)
@@ -108,7 +108,7 @@ def test_contexts_are_told_at_once_and_again():
     pair.ground.events.clear()
     pair.run(2 * S)
     assert {event.ids for event in pair.ground.of(ContextsHeld)} == {(3, 0, 0, 0)}
-    # Contexts that change all the time do not take the channel.
+    # Contexts that change all the time do not use up the channel.
     sent = len(pair.space.sent)
     for number in range(S):
         pair.space.supervisor.handle_contexts((1 + number % 255,), pair.slot * MS)

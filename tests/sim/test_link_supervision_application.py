@@ -1,4 +1,4 @@
-"""The application link: idle, one-way, broken, and approved anew."""
+"""The application link: idle, one-way, broken, and approved again."""
 
 import pytest
 from link_supervision_pair import CONNECTED, GROUND, MS, SPACE, Pair, S, connected
@@ -10,7 +10,7 @@ from telepresence.link.supervision.supervisor import (
 )
 
 
-def test_a_link_without_programs_idles_for_minutes_and_is_there_at_once():
+def test_a_link_without_programs_idles_for_minutes_and_then_works_at_once():
     pair = Pair()
     for end in pair.ends:
         end.sends = False
@@ -31,7 +31,7 @@ def test_a_link_without_programs_idles_for_minutes_and_is_there_at_once():
 
 
 @pytest.mark.parametrize("sends", ["ground", "space"])
-def test_data_one_way_is_no_fault(sends):
+def test_one_way_data_is_no_fault(sends):
     pair = Pair()
     for end in pair.ends:
         end.sends = end.name == sends
@@ -40,7 +40,7 @@ def test_data_one_way_is_no_fault(sends):
     assert pair.states == ("APPROVE", "APPROVE")
     for end in pair.ends:
         assert not end.of(ApplicationReset)
-    # A packet against the stream every five seconds, as RTCP: connected, and so it stays.
+    # A packet in the other direction every five seconds, as with RTCP, keeps it connected.
     for end in pair.ends:
         if not end.sends:
             end.sends, end.period = True, 5 * S
@@ -52,7 +52,7 @@ def test_data_one_way_is_no_fault(sends):
 
 
 @pytest.mark.parametrize("first", ["ground", "space"])
-def test_an_idle_link_is_reset_once_and_approved_anew_by_data_both_ways(first):
+def test_an_idle_link_is_reset_once_and_approved_again_by_data_both_ways(first):
     pair = connected()
     for end in pair.ends:
         end.sends = False
@@ -71,10 +71,10 @@ def test_an_idle_link_is_reset_once_and_approved_anew_by_data_both_ways(first):
     assert pair.states == CONNECTED
 
 
-def test_a_broken_application_link_is_reset_again_and_again_but_ever_less_often():
+def test_a_broken_application_link_is_reset_at_growing_intervals():
     pair = connected()
 
-    # What the ground sends gets lost between its receiver and the applications of space.
+    # The ground's data is lost between the receiver and the applications in space.
     def arrive(end, message, data, now_ns):
         Pair.arrive(pair, end, message, None if end is pair.space else data, now_ns)
 
@@ -91,13 +91,13 @@ def test_a_broken_application_link_is_reset_again_and_again_but_ever_less_often(
     assert pair.states == CONNECTED
 
 
-def test_a_slave_that_never_confirms_is_asked_anew_with_patience():
+def test_an_unconfirming_slave_is_configured_again_at_growing_intervals():
     supervisor = Supervisor(master=True, configuration=GROUND, life=5, now_ns=0)
     supervisor.handle_local_check(None, 0)
     slave = Supervisor(master=False, configuration=SPACE, life=6, now_ns=0)
     slave.handle_local_check(None, 0)
     slave.handle_message(supervisor.poll_transmit(0), 0)
-    # It hears its master, and has not been configured yet.
+    # The slave hears its master, and has not been configured yet.
     stuck = slave.poll_transmit(10 * MS)
     for slot in range(1, 100 * S):
         supervisor.handle_frame(slot * MS)

@@ -1,4 +1,4 @@
-"""Losses of signal, one direction alive alone, and whatever else may happen on the way."""
+"""Losses of signal, a single working direction, and any other disturbances."""
 
 from random import Random
 
@@ -31,13 +31,13 @@ def test_blackout_both_ways(blackout, delay_slots):
         end.delivered.clear()
     pair.run(3 * delay_slots + 100)
     for end in pair.ends:
-        # What is lost is noticed where it is, up to a delay after it began.
+        # A loss is noticed at the receiver, up to a delay after it began.
         record = end.supervisor.report(pair.slot * MS)["contacts"]
         assert len(record) == 2
         assert record[1]["acquired_ns"] - back <= MS
         assert record[1]["acquired_ns"] - record[0]["lost_ns"] == (blackout + 1) * MS
         if blackout > 50 + delay_slots:
-            # The very first frame carries: this life had been checked.
+            # The very first frame is delivered, because this life was checked before.
             assert end.delivered[0][0] == record[1]["acquired_ns"]
     if delay_slots <= 12:
         assert pair.states == CONNECTED
@@ -70,10 +70,10 @@ def test_a_gap_below_the_limit_is_no_loss_of_signal(gap):
 
 
 @pytest.mark.parametrize("deaf", ["ground", "space"])
-def test_one_direction_alive_keeps_carrying(deaf):
+def test_one_working_direction_keeps_carrying(deaf):
     pair = connected(delay_slots=12)
     hearing, lost = pair.ends if deaf == "space" else pair.ends[::-1]
-    # The frames of `hearing` do not reach `lost` any more, but those of `lost` do come.
+    # Frames of `hearing` no longer reach `lost`, but those of `lost` still arrive.
     pair.blocked[hearing.name] = True
     pair.run(200)
     assert lost.supervisor.state is LinkState.SEARCH
@@ -87,7 +87,7 @@ def test_one_direction_alive_keeps_carrying(deaf):
     sent = len(lost.sent)
     pair.run(10 * S)
     assert len(hearing.delivered) - count == 10 * S
-    # Messages into the void are dear, where the void may hear and the media share with them.
+    # Messages to a peer that may not hear are limited, because media share the capacity.
     assert len(lost.sent) - sent <= 10 * 20 + 100
     pair.blocked[hearing.name] = False
     pair.run(100 + 3 * 12)
@@ -96,7 +96,7 @@ def test_one_direction_alive_keeps_carrying(deaf):
     assert hearing.of(PeerHears)
 
 
-def test_one_direction_alive_from_the_beginning():
+def test_one_working_direction_from_the_beginning():
     pair = Pair()
     pair.blocked["space"] = True
     pair.start()
@@ -109,7 +109,7 @@ def test_one_direction_alive_from_the_beginning():
     assert len(pair.space.of(StateChanged)) == 2
 
 
-def test_single_messages_that_are_wrong_break_nothing():
+def test_single_wrong_messages_break_nothing():
     pair = connected()
     pair.garble = 0.5
     events = len(pair.ground.events)
@@ -124,8 +124,8 @@ def test_single_messages_that_are_wrong_break_nothing():
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_whatever_happened_it_ends_connected(seed):
-    """Blackouts, lost and garbled messages, restarts, faults; then the link is left alone."""
+def test_it_ends_connected_after_any_disturbances(seed):
+    """Blackouts, lost and corrupted messages, restarts, faults; then no more disturbances."""
     random = Random(seed)
     pair = Pair(delay_slots=random.choice((0, 1, 7, 40, 130, 400)))
     pair.message_loss, pair.garble = random.choice((0.0, 0.3)), random.choice((0.0, 0.1))
@@ -167,7 +167,7 @@ def test_whatever_happened_it_ends_connected(seed):
     assert resets == [len(end.of(ApplicationReset)) for end in pair.ends]
 
 
-def test_the_same_course_gives_the_same_report():
+def test_equal_runs_give_equal_reports():
     reports = []
     for _ in range(2):
         pair = connected(delay_slots=12)

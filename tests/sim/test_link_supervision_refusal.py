@@ -1,4 +1,4 @@
-"""What does not fit together is refused, and named."""
+"""Ends that do not match are refused, and the difference is named."""
 
 import pytest
 from link_supervision_pair import CONNECTED, DOWN, MS, SPACE, UP, Pair, S, connected
@@ -34,7 +34,7 @@ def varied(**changes):
     ],
 )
 @pytest.mark.parametrize("late", [0, 100])
-def test_what_does_not_fit_is_refused_and_named(space, why, late):
+def test_a_mismatch_is_refused_and_named(space, why, late):
     pair = Pair(space=space)
     pair.never_connected = True
     pair.ground.start(1, 0)
@@ -48,7 +48,7 @@ def test_what_does_not_fit_is_refused_and_named(space, why, late):
         assert not end.supervisor.delivering
         assert len(end.sent) < 20 * 20 + 100
         assert "refused" in pair.history(end)
-    # Started again as it should be, it is taken at once.
+    # Restarted with the right configuration, it is accepted at once.
     pair.never_connected = False
     pair.space.configuration = SPACE
     pair.space.start(3, pair.slot)
@@ -56,7 +56,7 @@ def test_what_does_not_fit_is_refused_and_named(space, why, late):
     assert pair.states == CONNECTED
 
 
-def test_a_new_life_that_does_not_fit_is_delivered_no_longer():
+def test_a_mismatching_new_life_stops_delivery():
     pair = connected()
     pair.space.configuration = varied(receive_flows=UP[:2])
     pair.space.start(0x3333, pair.slot)
@@ -69,7 +69,7 @@ def test_a_new_life_that_does_not_fit_is_delivered_no_longer():
 
 
 @pytest.mark.parametrize("masters", [(True, True), (False, False)])
-def test_two_of_the_same_role_refuse_each_other(masters):
+def test_two_ends_with_the_same_role_refuse_each_other(masters):
     pair = Pair(masters=masters)
     pair.never_connected = True
     pair.start()

@@ -1,4 +1,4 @@
-"""A whole pass on virtual time: how long it is, how it begins and ends, and how far it is."""
+"""A whole pass on virtual time: its length, its begin and end, and its delays."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -8,12 +8,12 @@ import pytest
 from telepresence.link.radio import load_radio
 
 MS = 1_000_000
-#: Shorter ones are bursts of errors; from here on a link notices that the signal is gone.
+#: Shorter ones are bursts of errors; from this length on a link notices a loss of signal.
 DROP_OUT = 50
 
 
 class Watched:
-    """A frame every millisecond of eleven minutes through the pass."""
+    """A frame every millisecond through eleven minutes of the pass."""
 
     def __init__(self, seed, direction="uplink", octets=32, **contact):
         profile = load_radio("iss-pass")
@@ -57,7 +57,7 @@ def test_eight_minutes_are_usable_between_two_times_about_a_minute_of_drop_outs(
     assert 1 - len(usable) / (seen.usable_to - seen.usable_from + 1) < 0.01
 
 
-def test_the_windows_are_what_the_orbit_predicts(watched):
+def test_the_windows_match_the_orbits_prediction(watched):
     windows = watched.report["contact"]
     assert windows["usable_to_s"] - windows["usable_from_s"] >= 480
     assert windows["loss_s"] <= 600
@@ -72,7 +72,7 @@ def test_the_delay_falls_to_the_culmination_and_rises_from_there(watched):
     before, after = watched.delays[:peak], watched.delays[peak + 1 : 592]
     assert all(a > b for a, b in pairwise(before))
     assert all(a < b for a, b in pairwise(after))
-    # Both ways together 20 to 31 ms: what Kontur-2 measured is some 20 to 30.
+    # Round trip 20 to 31 ms; Kontur-2 measured about 20 to 30.
     assert 19.5e6 < 2 * watched.report["delay_min_ns"] < 20.5e6
     assert 30e6 < 2 * watched.report["delay_max_ns"] < 32e6
     light_ns = watched.report["contact"]["nearest_km"] / 299792.458 * 1e9
@@ -80,7 +80,7 @@ def test_the_delay_falls_to_the_culmination_and_rises_from_there(watched):
 
 
 def test_both_directions_lose_the_signal_at_the_same_instants():
-    # Without bits going wrong on the way down (lock_db is high), only the common fading is left.
+    # Without bit errors in the downlink (lock_db is high), only the common fading remains.
     profile = load_radio("iss-pass")
     profile = replace(profile, bursts=None, contact=replace(profile.contact, lock_db=3.6))
     up = profile.path("uplink", seed=4, epoch_ns=0)
@@ -92,7 +92,7 @@ def test_both_directions_lose_the_signal_at_the_same_instants():
             up.handle_frame(bytes(32), slot * MS)
         before = up.frames_lost
         up.handle_frame(bytes(32), slot * MS)
-        # The other end's slots begin at instants of their own.
+        # The other end's slots begin at other instants.
         down.handle_frame(bytes(500), slot * MS + 400_000)
         assert (up.frames_lost > before) == (down.frames_lost > lost[1])
         both += up.frames_lost > before
@@ -100,7 +100,7 @@ def test_both_directions_lose_the_signal_at_the_same_instants():
     assert up.frames_hit == down.frames_hit == 0
 
 
-def test_before_and_after_there_is_nothing():
+def test_nothing_arrives_before_and_after_the_pass():
     profile = replace(load_radio("iss-pass"), start_s=-5.0)
     path = profile.path("uplink", seed=1, epoch_ns=0)
     for slot in range(5000):

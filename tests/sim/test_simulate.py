@@ -1,4 +1,4 @@
-"""A whole session on virtual time: every latency here is exact, whatever the machine does."""
+"""A whole session on virtual time: every latency is exact, whatever the machine does."""
 
 import json
 import os
@@ -20,9 +20,9 @@ from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.session import Selection
 
 SECONDS = 4.0
-#: One way, of the radio that does nothing else.
+#: One-way delay of a radio without other effects.
 DELAY_MS = 2.0
-#: From a haptic cycle to the sender's slot, and from the other's slot to its cycle.
+#: From a haptic cycle to the sender's slot, and from the receiver's slot to its cycle.
 TWO_HALVES_MS = 1.0
 COSTS = CodingCosts()
 
@@ -63,21 +63,21 @@ def test_caps_are_kept_over_every_sliding_window(session):
         assert stream["payload_bps_max_100ms"] <= 1.5 * stream["cap_bps"]
 
 
-def test_sequence_numbers_are_whole(session):
+def test_sequence_numbers_are_complete(session):
     _, report = session
     for name, stream in report["streams"].items():
         sent = report["processes"][f"{name}_send"]["counts"]["rtp_packets_sent"]
         for count in ("rtp_lost", "rtp_reordered", "rtp_duplicates", "rtp_late", "garbage"):
             assert stream[count] == 0
-        # What is still under way at the end is less than a picture and its successor.
+        # At the end less than one picture and its successor is in flight.
         assert sent - 8 <= stream["rtp_packets"] <= sent
         looked_at = stream["frames_encoded"] + stream["frames_refused"]
-        # The last one may still be in the encoder.
+        # The last picture may still be in the encoder.
         assert stream["frames_captured"] - 1 <= looked_at <= stream["frames_captured"]
         assert stream["capture_stamp_error_us"] < 12  # a tick of the 90 kHz clock
 
 
-def test_every_haptic_sample_takes_the_same_time_whatever_the_media_do(session):
+def test_haptic_latency_is_constant_under_any_media_load(session):
     for direction in session[1]["haptic"].values():
         assert direction["sent"] == SECONDS * 1000
         assert direction["lost"] == 0
@@ -86,38 +86,38 @@ def test_every_haptic_sample_takes_the_same_time_whatever_the_media_do(session):
             assert direction["latency_ms"][figure] == DELAY_MS + TWO_HALVES_MS
 
 
-def test_latencies_of_pictures_are_costs_link_and_little_else(session):
+def test_picture_latency_consists_of_coding_and_link(session):
     for name, stream in session[1]["streams"].items():
         if not name.endswith("video"):
             continue
         stages = stream["latency_ms"]["stages"]
         coding_ms = COSTS.capture_ms + COSTS.encode_ms
-        # A picture that finds the encoder busy waits for it, half a period at the most.
+        # A picture that finds the encoder busy waits at most half a period.
         assert coding_ms == pytest.approx(stages["capture_to_encoded"]["p50"], rel=0.005)
         assert stages["capture_to_encoded"]["max"] < coding_ms + 17
         assert COSTS.decode_ms <= stages["received_to_displayed"]["p50"] < COSTS.decode_ms + 0.1
         assert stages["sent_to_received"]["p95"] < 45
-        # A key picture, which begins each contact, takes two or three periods.
+        # A key picture, with which each contact begins, takes two or three periods.
         assert stages["sent_to_received"]["max"] < 110
         assert stream["latency_ms"]["p95"] < 75
         assert stream["displayed_hz"] > 25
 
 
-def test_a_voice_waits_for_hardly_more_than_the_slots_it_needs(spacejustin):
+def test_voice_waits_little_more_than_its_slots(spacejustin):
     _, report = spacejustin
     for name in ("uplink_voice", "downlink_voice"):
         stages = report["streams"][name]["latency_ms"]["stages"]
         # A block, the codec's look-ahead, and the coding itself.
         assert stages["capture_to_encoded"]["max"] == 20 + 6.5 + COSTS.voice_encode_ms
-        # Up, its 19 octets and their header fill two slots, and whole headers two more; it may
-        # just have missed one, and supervision may have taken one.
+        # On the uplink, 19 octets and their header take two slots, and whole headers two more. A
+        # packet may just miss a slot, and supervision may take one.
         assert stages["sent_to_received"]["p95"] < DELAY_MS + 2
         assert stages["sent_to_received"]["max"] < DELAY_MS + 5
         assert report["streams"][name]["frames_concealed"] == 0
     assert report["link"]["uplink"]["queue"]["voice"]["max_age_ns"] <= 2_000_000
 
 
-def test_the_ledger_has_every_octet(session):
+def test_every_octet_is_counted(session):
     setup, report = session
     for profile in (setup.uplink, setup.downlink):
         link = report["link"][profile.name]
@@ -135,7 +135,7 @@ def test_the_operator_selects_a_camera(spacejustin):
     assert processes["console"]["counts"]["housekeeping"] > 0
 
 
-def test_the_same_seed_gives_the_same_report_and_another_seed_another(tmp_path):
+def test_reports_depend_on_the_seed_only(tmp_path):
     radio = tmp_path / "noisy.toml"
     radio.write_text("delay_ms = 3.0\nbit_error_rate = 2e-5\nframe_loss = 0.002\n")
 
@@ -158,18 +158,18 @@ def test_the_same_seed_gives_the_same_report_and_another_seed_another(tmp_path):
     assert parts[0]["link"]["uplink"]["frames_lost"] > 0
 
 
-def test_all_resumes_after_a_blackout_and_nothing_comes_late(tmp_path):
+def test_all_streams_resume_after_a_blackout_without_late_data(tmp_path):
     radio = tmp_path / "dark.toml"
     radio.write_text('name = "dark"\ndelay_ms = 2.0\n[[blackouts]]\nstart_s = 1.5\nseconds = 1.0\n')
     setup = replace(load_setup("spacejustin"), radio=str(radio))
     report = simulate(setup, seconds=4.5, seed=3)
     assert report["failures"] == []
     for name, stream in report["streams"].items():
-        # Two seconds of light before the end: whoever had not resumed would miss all of them.
+        # Two seconds remain after the blackout; a stream that does not resume misses all of them.
         least = 2.9 * (25 if name.endswith("video") else 50)
         assert stream["frames_displayed"] >= least
         assert stream["rtp_lost"] > 0
-        # A picture that came out after the dark would be a second old.
+        # A picture kept during the blackout would be a second old.
         assert stream["latency_ms"]["max"] < 150
         assert stream["payload_bps_max_1s"] <= stream["cap_bps"]
     for direction in report["haptic"].values():
@@ -197,7 +197,7 @@ def clip(tmp_path):
     return path
 
 
-def test_files_play_at_their_own_instants_and_go_on_from_their_end(clip):
+def test_files_play_at_their_own_instants_and_loop(clip):
     sources = {"static": str(clip)}
     setup = replace(load_setup("taskboard"), cameras=("static",), sources=sources)
     report = simulate(setup, seconds=2.0, seed=1)
@@ -207,7 +207,7 @@ def test_files_play_at_their_own_instants_and_go_on_from_their_end(clip):
     assert stream["frames_displayed"] >= 45
 
 
-def test_sources_that_live_in_real_time_are_refused_in_one_line(capsys):
+def test_real_time_sources_are_refused_in_one_line(capsys):
     words = ["simulate", "--setup", "taskboard", "--seconds", "1", "--source", "static=v4l2:/dev/x"]
     assert main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -224,7 +224,7 @@ def test_sources_that_live_in_real_time_are_refused_in_one_line(capsys):
         ["--encode-ms", "-1"],
     ],
 )
-def test_what_cannot_be_meant_is_refused(words, capsys):
+def test_invalid_options_are_refused(words, capsys):
     assert main(["simulate", "--setup", "spacejustin", "--seconds", "1", *words]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
 

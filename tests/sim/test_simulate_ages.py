@@ -1,4 +1,4 @@
-"""How old everything is on virtual time: mouth to ear, lip-sync, stale, frozen and damaged."""
+"""Ages on virtual time: mouth to ear, lip-sync, stale, frozen and damaged."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def session(tmp_path, *, seconds, radio="", **options):
     return setup, simulate(setup, seconds=seconds, seed=1, **options)
 
 
-def test_the_operator_hears_within_60_ms_and_sound_and_picture_are_together(usual):
+def test_voice_within_60_ms_and_in_sync_with_pictures(usual):
     report = usual
     for name in ("uplink_voice", "downlink_voice"):
         stream = report["streams"][name]
@@ -31,29 +31,29 @@ def test_the_operator_hears_within_60_ms_and_sound_and_picture_are_together(usua
         assert 30 < stream["latency_ms"]["p50"] < 50
         assert stream["latency_ms"]["p99"] <= 60
         assert (stream["frames_concealed"], stream["stale_ms"]) == (0, 0)
-    # From the very first picture on, though that one says everything.
+    # From the very first picture on, although that one is large.
     assert report["lip_sync"]["within"] == 1
     assert report["skew_ms"]["audio_video"]["p50"] > -45
 
 
-def test_a_sound_waits_for_late_pictures_as_long_as_it_must_and_nothing_else_does(tmp_path, usual):
+def test_only_sound_waits_for_late_pictures_and_no_longer_than_needed(tmp_path, usual):
     _, report = session(tmp_path, seconds=7.0, costs=CodingCosts(capture_ms=95))
     video, voice = (
         report["streams"][name]["latency_ms"] for name in ("uplink_video", "uplink_voice")
     )
     skew = report["skew_ms"]["audio_video"]
-    # Without it the sound would come some 90 ms early; with it at most 45, and no later than that.
+    # Without lip-sync the sound would be about 90 ms early; with it at most 45, and not later.
     assert video["p50"] - usual["streams"]["uplink_voice"]["latency_ms"]["p50"] > 80
     assert -46 < skew["p50"] < -15
     assert voice["max"] < video["max"] - 15
-    # The second and a half in which the voice is stretched.
+    # Except for the 1.5 s in which the voice is stretched.
     assert 0.6 < report["lip_sync"]["within"] < 1
     assert report["lip_sync"]["late"] == 0
     assert report["haptic"]["up"]["latency_ms"]["max"] == DELAY_MS + 1
     assert report["streams"]["uplink_voice"]["frames_concealed"] == 0
 
 
-def test_a_second_of_darkness_is_a_second_of_stale_and_frozen_pictures(tmp_path):
+def test_a_blackout_of_a_second_gives_a_second_of_stale_and_frozen_pictures(tmp_path):
     setup, report = session(
         tmp_path, seconds=4.5, radio="[[blackouts]]\nstart_s = 1.5\nseconds = 1.0\n"
     )
@@ -66,13 +66,13 @@ def test_a_second_of_darkness_is_a_second_of_stale_and_frozen_pictures(tmp_path)
         assert 1000 - figures["stale_after_ms"] < figures["stale_ms"] < 1300
         if stream.name.endswith("video"):
             assert 900 < figures["frozen_ms"] < 1500
-            # What was lost may do harm until the refresh has passed, or a whole picture came.
+            # A loss may damage pictures until the refresh is complete or a key picture arrives.
             assert figures["damaged_ms"] <= 1100
         else:
             assert "frozen_ms" not in figures
 
 
-def test_what_is_lost_now_and_then_is_counted_as_damage_and_concealed(tmp_path):
+def test_occasional_losses_count_as_damaged_and_concealed(tmp_path):
     _, report = session(tmp_path, seconds=3.0, radio="frame_loss = 0.01\n")
     video, voice = (report["streams"][name] for name in ("uplink_video", "uplink_voice"))
     assert video["rtp_lost"] > 0
@@ -83,7 +83,7 @@ def test_what_is_lost_now_and_then_is_counted_as_damage_and_concealed(tmp_path):
     assert voice["latency_ms"]["p99"] <= 60
 
 
-def test_a_stream_that_is_always_older_than_its_setup_says_is_always_stale(tmp_path):
+def test_a_stream_always_above_its_age_limit_is_always_stale(tmp_path):
     setup = load_setup("taskboard")
     setup = replace(setup, uplink_video=replace(setup.uplink_video, stale_after_ms=20))
     figures = simulate(setup, seconds=2.0, seed=1)["streams"]["uplink_video"]

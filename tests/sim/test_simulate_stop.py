@@ -1,4 +1,4 @@
-"""A simulation that is told to stop reports what it has simulated."""
+"""A simulation that is stopped reports what it has simulated."""
 
 import json
 import signal
@@ -27,7 +27,7 @@ def test_a_simulation_that_is_stopped_reports_the_time_until_then():
     assert report["haptic"]["up"]["received"] > 1000
 
 
-def test_pieces_give_the_report_of_the_whole():
+def test_a_run_in_pieces_gives_the_same_report():
     setup = load_setup("spacejustin")
     reports = []
     for stride_ns in (2 * NS_PER_S, 7_300_000):

@@ -1,4 +1,4 @@
-"""A simulation forks its coders off a process that may have done anything before."""
+"""A simulation forks its coders from a process that may have used any library before."""
 
 import subprocess
 import sys
@@ -16,7 +16,7 @@ print(simulate(BUILT_IN["taskboard"], seconds=0.5, seed=1)["seconds"])
 """
 
 
-def test_opencvs_threads_of_before_hold_nobody_up():
+def test_earlier_opencv_threads_do_not_block_workers():
     ended = subprocess.run(
         [sys.executable, "-c", USED_BEFORE], capture_output=True, text=True, timeout=60, check=False
     )

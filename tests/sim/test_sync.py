@@ -1,4 +1,4 @@
-"""Stamps against content: both say the same of a session, and a broken stamp is noticed."""
+"""Stamps and content of a session agree, and a broken stamp is noticed."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ SETUP = Setup(
     name="eyes and ears",
     cameras=("left",),
     uplink_video=VideoStream(name="uplink_video", cap_bps=60_000, width=320, height=240),
-    # Wider than the real one: there is less of a click left that falls into a loud vowel.
+    # A larger cap than usual, because a loud vowel hides less of a click then.
     uplink_voice=VoiceStream(name="uplink_voice", cap_bps=24_000),
     downlink_video=None,
     downlink_voice=None,
@@ -40,7 +40,7 @@ def honest(setup):
 
 @pytest.fixture(scope="module")
 def broken(setup):
-    """The same session; every stamp is off by what would ruin a judgement."""
+    """The same session with every stamp shifted by an amount that would spoil a result."""
     with pytest.MonkeyPatch.context() as patch:
         shown, heard, felt = (
             VideoReceiving.handle_picture,
@@ -81,7 +81,7 @@ def test_stamps_and_content_agree(honest):
 
 def test_force_comes_first_and_its_latency_is_known(honest):
     senses = honest["sync"]["senses"]
-    # From a haptic cycle to the sender's slot, and from the other's slot to its cycle.
+    # From a haptic cycle to the sender's slot, and from the receiver's slot to its cycle.
     assert senses["force"]["latency_ms"] == dict.fromkeys(
         ("p50", "p95", "p99", "max"), DELAY_MS + 1
     )
@@ -93,7 +93,7 @@ def test_force_comes_first_and_its_latency_is_known(honest):
 def test_skews_by_content_are_those_by_stamps(honest):
     period_ms = 1000 / 30
     content, stamps = honest["sync"]["skew_ms"], honest["skew_ms"]
-    # A light waits for the next picture; by the stamps nothing does.
+    # By content a light waits for the next picture; by the stamps nothing waits.
     assert -2 <= content["video_haptic"]["p50"] - stamps["video_haptic"]["p50"] <= period_ms + 2
     assert abs(content["audio_haptic"]["p50"] - stamps["audio_haptic"]["p50"]) <= 2
 

@@ -1,4 +1,4 @@
-"""A picture that takes long to encode is in time: the one before leaves meanwhile."""
+"""A picture with a long coding time is not late: the previous one is sent meanwhile."""
 
 from types import SimpleNamespace
 
@@ -25,7 +25,7 @@ COMING_NS, SHOWING_NS = NS_PER_MS // 2, 3 * NS_PER_MS
 
 
 class Studio:
-    """Encodes at once; the time that takes is virtual."""
+    """Encodes at once; the coding time is virtual."""
 
     def __init__(self, pictures):
         self.pictures = pictures
@@ -45,7 +45,7 @@ class Studio:
 
 
 class Channel:
-    """Carries one octet after the other. arrived_ns: the last one of each picture."""
+    """Carries one octet after the other. arrived_ns: arrival of the last one of each picture."""
 
     freed_bps, contacts = 0, 1
     supervisor = SimpleNamespace(signal=True)
@@ -62,7 +62,7 @@ class Channel:
             self.arrived_ns.append(self.free_ns)
 
 
-# Of a period of 33 ms, in which a picture fills the channel for 32.
+# The period is 33 ms; sending a picture takes 32 of it.
 @pytest.mark.parametrize("coding_ms", [14, 22])
 def test_coding_and_sending_overlap(pictures, coding_ms):
     film = pictures("bikes.mp4", SECONDS * STREAM.fps)
@@ -89,7 +89,7 @@ def test_coding_and_sending_overlap(pictures, coding_ms):
     while agenda.next_ns < (SECONDS + 1) * NS_PER_S:
         agenda.do_next()
 
-    # One after the other, 22 ms of coding gave 25 pictures a second.
+    # One after the other, 22 ms of coding would give 25 pictures a second.
     settled = [number for number in studio.encoded if number >= STREAM.fps]
     assert len(settled) >= 29.5 * (SECONDS - 1)
     latency_ms = [

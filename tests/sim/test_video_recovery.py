@@ -20,7 +20,7 @@ DELAY_MS = 2.0
 
 @pytest.fixture
 def shown(monkeypatch):
-    """Of the uplink: (capture, instant of display, damaged) of every picture."""
+    """Record (capture, instant of display, damaged) of every uplink picture."""
     pictures = []
     handle_shown = Showing.handle_shown
 
@@ -48,7 +48,7 @@ def session(tmp_path, *, dark_s=None, **options):
     return report
 
 
-def test_the_first_picture_after_a_loss_of_signal_is_whole_and_soon_there(tmp_path, shown):
+def test_the_first_picture_after_a_loss_of_signal_is_whole_and_early(tmp_path, shown):
     session(tmp_path, dark_s=0.7, seconds=3.2)
     resumed_ns = round(2.2 * NS_PER_S)
     capture_ns, now_ns, damaged = next(row for row in shown if row[1] > resumed_ns)
@@ -67,7 +67,7 @@ def test_a_loss_without_a_loss_of_signal_heals_after_a_round_trip(tmp_path, show
     assert hurt
     assert min(hurt) > hit_ns
     assert max(hurt) - hit_ns < 250 * NS_PER_MS
-    # A smear is shown, no still.
+    # Damaged pictures are shown; the display does not freeze.
     instants = [now_ns for _, now_ns, _ in shown if now_ns > hit_ns - 50 * NS_PER_MS]
     assert np.diff(instants).max() < 150 * NS_PER_MS
 
@@ -85,7 +85,7 @@ def test_another_camera_is_seen_within_150_ms(tmp_path, shown, monkeypatch):
     asked_ns = 2 * NS_PER_S
     session(tmp_path, seconds=2.6, selections=[Selection(asked_ns, "static")])
     first_ns = next(now_ns for capture_ns, now_ns, _ in shown if capture_ns >= captured[0])
-    # From the operator's telecommand on, two ways through the radio included.
+    # From the operator's telecommand on, with both directions of the radio.
     assert first_ns - asked_ns < 150 * NS_PER_MS
 
 
@@ -106,5 +106,5 @@ def test_a_camera_slower_than_its_stream_uses_the_cap_too(tmp_path):
     setup = replace(load_setup("taskboard"), cameras=("static",), sources={"static": str(path)})
     stream = simulate(setup, seconds=6.0, seed=1)["streams"]["uplink_video"]
     assert stream["displayed_hz"] > 18
-    # If each had the share of one of 30 pictures a second, it could not be more than 0.71 of it.
+    # With the share of one of 30 pictures a second, at most 0.71 of the cap would be used.
     assert 0.75 * stream["cap_bps"] < stream["payload_bps_max_1s"] <= stream["cap_bps"]

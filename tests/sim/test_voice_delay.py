@@ -1,7 +1,7 @@
 """How late a voice is heard on a machine that is busy at times, on virtual time.
 
-The traces have what was seen live: transits that differ by a millisecond or two, a queue that
-empties when processes have started, and now and then a stall, whose packets come together.
+The traces resemble live sessions. Transit times vary by a millisecond or two. A queue empties
+after processes have started. Sometimes a stall makes several packets arrive together.
 """
 
 from random import Random
@@ -15,14 +15,14 @@ from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.rtp.sender import RtpSender
 
 BLOCK_MS = 20
-#: A block has to be complete, the codec looks ahead, encoding and the way take their time.
+#: Duration of a block, look-ahead of the codec, encoding and transmission.
 LEAST_MS = BLOCK_MS + 6.5 + 3.7
-#: Of 95 blocks somebody speaks in 75: 1.5 s, and then a breath.
+#: In 75 of 95 blocks somebody speaks: 1.5 s, followed by a pause.
 SENTENCE, SPOKEN = 95, 75
 
 
 def trace(seed, seconds, *, jitter_ms=1.5, stall_every_s=0.0, start_ms=60.0):
-    """Arrivals in ms after the first block began, one a packet, in order."""
+    """Return arrivals in ms after the begin of the first block, one for each packet, in order."""
     random = Random(seed)
     stalls = [(0.0, start_ms)]
     at_s = random.expovariate(1 / stall_every_s) if stall_every_s else seconds
@@ -41,7 +41,7 @@ def trace(seed, seconds, *, jitter_ms=1.5, stall_every_s=0.0, start_ms=60.0):
 
 
 def listen(arrivals):
-    """Mouth to ear in ms of each block that was heard, and the share that was made up."""
+    """Return mouth-to-ear latency (ms) of each block heard, and the share of concealed blocks."""
     buffer = PlayoutBuffer()
     receiver = RtpReceiver(payload_type=97, clock_rate_hz=48_000, ordered=False)
     sender = RtpSender(
@@ -86,7 +86,7 @@ def listen(arrivals):
     ],
     ids=["calm", "a stall in 30 s", "a stall in 10 s", "a stall in 4 s", "much jitter"],
 )
-def test_what_is_rare_delays_no_more_than_it_hurts(conditions, p50_ms, p99_ms, made_up):
+def test_rare_stalls_raise_the_delay_only_as_needed(conditions, p50_ms, p99_ms, made_up):
     for seed in range(3):
         heard, share = listen(trace(seed, 60, **conditions))
         ordered = sorted(heard)

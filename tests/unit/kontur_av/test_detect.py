@@ -1,4 +1,4 @@
-"""Lights and clicks: found when they are there, to the sample; not found when they are not."""
+"""Lights and clicks: detected exactly if present; no false detections."""
 
 import numpy as np
 import pytest
@@ -19,14 +19,14 @@ RATE = 48_000
 
 
 def found_clicks(samples, blocks=960, start_ns=0):
-    """The instants (s) and strengths of the clicks in `samples`, fed in blocks of that size."""
+    """Return the instants (s) and strengths of the clicks in `samples`, fed in blocks."""
     detector = ClickDetector()
     found = []
     for index, begin in enumerate(range(0, len(samples), blocks)):
         block = samples[begin : begin + blocks]
         detector.handle_block(block, start_ns + begin * NS_PER_S // RATE, index)
         for click in iter(detector.next_event, None):
-            # The tag and the offset say the same as the instant.
+            # Tag and offset agree with the instant.
             assert abs(click.tag * blocks / RATE * 1e9 + click.offset_ns + start_ns
                        - click.instant_ns) < 30_000  # fmt: skip
             found.append((click.instant_ns / 1e9, click.strength))
@@ -63,7 +63,7 @@ def test_noise_tones_and_silence_are_no_clicks():
         assert found_clicks(sound.astype(np.int16)[4800:]) == []
 
 
-def test_what_a_voice_does_is_weaker_than_a_click():
+def test_voice_is_weaker_than_a_click():
     voice = speech("ground")[: 6 * RATE]
     loudest = max((strength for _, strength in found_clicks(voice)), default=0)
     ((_, strength),) = found_clicks(with_click(np.zeros(RATE), 24_000, peak=16_000))
@@ -141,7 +141,7 @@ def test_a_light_is_found_where_and_when_it_comes_on(x, y, first, level, white):
     assert abs(light.y - (y + 5) / 240) < 0.03
 
 
-def test_going_out_glints_cuts_and_darkness_are_no_lights():
+def test_extinction_glints_cuts_and_darkness_are_no_lights():
     dark, bright = grey(), lit(grey(), 100, 100)
     other = np.random.default_rng(1).integers(16, 235, dark.shape, np.uint8)
     assert lights([bright] * 4 + [dark] * 4) == []
@@ -149,30 +149,30 @@ def test_going_out_glints_cuts_and_darkness_are_no_lights():
     assert lights([dark] * 4 + [other] * 4 + [dark] * 4) == []
     assert lights([grey(16)] * 9) == []
     assert lights([grey(60)] * 4 + [grey(140)] * 4) == []
-    # A picture that is shown again and again.
+    # A picture that is shown repeatedly.
     assert lights([bright] * 9) == []
 
 
-def test_what_moves_is_no_light():
+def test_a_moving_object_is_no_light():
     def moving(number):
         return lit(grey(), 20 + 6 * number, 80, side=16, by=90)
 
     assert [light for light in lights(map(moving, range(40))) if light.tag > 3] == []
 
 
-def test_a_region_is_all_that_is_looked_at():
+def test_only_the_region_is_examined():
     dark, bright = grey(), lit(grey(), 100, 100)
     pictures = [dark] * 3 + [bright] * 3
     assert len(lights(pictures, roi=Roi(80, 80, 64, 64))) == 1
     assert lights(pictures, roi=Roi(180, 80, 64, 64)) == []
-    # However tight it is.
+    # Even in the smallest region.
     assert len(lights(pictures, roi=Roi(98, 98, 16, 16))) == 1
     filled = [dark] * 3 + [lit(dark, 90, 90, side=32)] * 3
     assert len(lights(filled, roi=Roi(96, 96, 16, 16))) == 1
 
 
 @pytest.mark.parametrize("view", ["left", "head"])
-def test_a_touched_target_is_found_in_what_is_left_of_a_picture_at_85_kbit_s(view):
+def test_a_touched_target_is_found_in_pictures_at_85_kbit_s(view):
     size, cap_bps, fps = (640, 480), 85_000, 25
     encoder = H264Encoder(
         width=size[0], height=size[1], fps=fps, cap_bps=cap_bps,
@@ -183,7 +183,7 @@ def test_a_touched_target_is_found_in_what_is_left_of_a_picture_at_85_kbit_s(vie
     touches = {12: 0, 30: 1, 48: 2}
     found = []
     for number in range(62):
-        # It comes near, touches for ten pictures and goes on to the next one.
+        # It approaches, touches for ten pictures, and moves on to the next target.
         at, target = next((one for one in touches.items() if number < one[0] + 10), (48, 2))
         touching = at <= number < at + 10
         x, y = LEDS_M[target]

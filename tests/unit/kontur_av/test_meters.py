@@ -1,4 +1,4 @@
-"""Percentiles within their promised error, and sliding windows that miss nothing."""
+"""Percentiles within their promised error, and exact sliding windows."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_one_by_one_in_bulk_and_merged_are_the_same(values, cut):
         assert other.count == len(values)
 
 
-def test_negative_values_count_as_zero_and_show():
+def test_negative_values_count_as_zero_and_are_counted():
     histogram = Histogram()
     histogram.add(-7)
     histogram.add(np.array([-1, 3]))

@@ -1,4 +1,4 @@
-"""Cuts are found by what usually changes, and pictures are small while they come fast."""
+"""Cuts are detected by an unusual change, and pictures are small while cuts come fast."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from kontur_av.media import CaptureStamp, VideoFrame
 
 
 def views(*lengths, change=2.0):
-    """Thumbnails of one view after the other, each moving by `change` a picture."""
+    """Return thumbnails of one view after the other, each changing by `change` a picture."""
     rng = np.random.default_rng(1)
     for length in lengths:
         view = rng.uniform(40, 200, (30, 40))
@@ -26,13 +26,13 @@ def test_a_rare_cut_keeps_the_size_and_fast_ones_do_not():
     assert restless[changes[0]]
 
 
-def test_what_always_changes_is_no_cut():
+def test_constant_change_is_no_cut():
     cuts = Cuts()
     assert not any(cuts.handle_picture(view) for view in views(300, change=18.0))
     assert cuts.found == 0
 
 
-def test_key_pictures_that_are_asked_for_one_after_the_other_are_small():
+def test_repeatedly_requested_key_pictures_are_small():
     cuts = Cuts()
     asked = {150, 150 + RARE + 1, 150 + RARE + 31}
     restless = [

@@ -1,4 +1,4 @@
-"""Pictures survive the way through the coder; late joiners, losses and garbage do no harm."""
+"""Pictures survive the coder; late joiners, losses and garbage do no harm."""
 
 from fractions import Fraction
 from functools import lru_cache
@@ -20,7 +20,7 @@ SIZE = (320, 240)
 
 
 def moving(count, width=SIZE[0], height=SIZE[1]):
-    """A smooth slope of luma with a bright square that wanders through it."""
+    """Return a smooth luma gradient with a bright square that moves through it."""
     slope = np.linspace(40, 160, width, dtype=np.float32)[None, :].repeat(height, axis=0)
     for i in range(count):
         picture = empty_picture(width, height)
@@ -77,7 +77,7 @@ def test_a_picture_is_written_into_the_callers_memory():
 
 
 @pytest.mark.parametrize("size", [(640, 480), (176, 144), (322, 244), (16, 16)])
-def test_sizes_that_are_no_multiple_of_a_macroblock(size):
+def test_sizes_that_are_not_multiples_of_a_macroblock(size):
     picture = next(moving(1, *size)) if size[0] > 32 else np.full((24, 16), 90, np.uint8)
     units = encode([picture] * 20, size=size)
     decoder = H264Decoder()
@@ -86,7 +86,7 @@ def test_sizes_that_are_no_multiple_of_a_macroblock(size):
     assert psnr_db(shown[-1].to_i420(), picture) > 28
 
 
-def test_headers_and_a_recovery_point_open_every_refresh_and_no_text_is_sent():
+def test_every_refresh_begins_with_headers_and_a_recovery_point():
     units = encode(moving(95))
     kinds = [[nal_type(nal) for nal in split_annex_b(unit.data)] for unit in units]
     assert kinds[0] == [7, 8, 5]
@@ -104,7 +104,7 @@ def test_access_units_are_of_one_size_key_pictures_too(pictures):
     assert nal_type(split_annex_b(units[45].data)[-1]) == 5
 
 
-def test_a_picture_that_is_waited_for_is_softened_where_it_is_coded_small(pictures, monkeypatch):
+def test_an_awaited_picture_is_softened_if_coded_small(pictures, monkeypatch):
     """At the start, and on demand; at full size it has all its detail."""
     originals = list(pictures("bigbuckbunny.mp4", 40))
 
@@ -133,7 +133,7 @@ def test_a_new_cap_softens_nothing(pictures, monkeypatch):
     assert len(softened) == 1
 
 
-def test_a_thin_stream_is_coded_small_and_scaled_up_for_its_reader(pictures):
+def test_a_thin_stream_is_coded_small_and_scaled_up(pictures):
     originals = list(pictures("bikes.mp4", 45))
     units = encode(originals, size=(640, 480), coded_size=None)
     decoder = H264Decoder()
@@ -193,7 +193,7 @@ def test_a_key_picture_lets_a_late_joiner_start_at_once():
     assert shown == list(range(40, 50))
 
 
-def test_after_a_loss_pictures_go_on_and_the_next_wave_cleans_them():
+def test_after_a_loss_the_next_refresh_heals_pictures():
     pictures = list(moving(130))
     units = encode(pictures)
     whole, hurt = H264Decoder(), H264Decoder()
@@ -209,7 +209,7 @@ def test_after_a_loss_pictures_go_on_and_the_next_wave_cleans_them():
     assert shown[125] > 60
 
 
-def test_garbage_is_counted_and_the_stream_goes_on():
+def test_garbage_is_counted_and_the_stream_continues():
     units = encode(moving(60))
     rng = np.random.default_rng(3)
     decoder = H264Decoder()
@@ -228,7 +228,7 @@ def test_garbage_is_counted_and_the_stream_goes_on():
 
 @settings(max_examples=40)
 @given(st.data())
-def test_whatever_happens_to_the_octets_nothing_is_raised(data):
+def test_corrupted_octets_raise_nothing(data):
     units = [unit.data for unit in stored_units()]
     decoder = H264Decoder()
     for i in range(30):
@@ -243,7 +243,7 @@ def test_whatever_happens_to_the_octets_nothing_is_raised(data):
     assert shown[-1].timestamp == 89
 
 
-def test_a_picture_beyond_all_measure_is_not_decoded():
+def test_an_oversized_picture_is_not_decoded():
     giant = av.CodecContext.create("libx264", "w")
     giant.width, giant.height, giant.pix_fmt = 4352, 4096, "yuv420p"
     giant.time_base, giant.options = Fraction(1, 30), {"preset": "ultrafast", "tune": "zerolatency"}
@@ -272,7 +272,7 @@ def test_a_change_of_size_in_mid_stream_is_followed():
         ({"preset": "swift"}, "swift"),
     ],
 )
-def test_what_cannot_be_encoded_is_refused(wrong, text):
+def test_unencodable_input_is_refused(wrong, text):
     right = {"width": 320, "height": 240, "fps": 30, "cap_bps": 85_000}
     with pytest.raises(ConfigError, match=text):
         H264Encoder(**{**right, **wrong})
@@ -288,11 +288,11 @@ def test_a_pyav_without_libx264_names_the_mend(monkeypatch):
 
 
 @given(st.integers(10_000, 2_000_000), st.sampled_from([10, 15, 24, 25, 30, 60]))
-def test_every_picture_is_held_to_the_buffer_under_any_cap(cap_bps, fps):
+def test_every_picture_fits_the_buffer_under_any_cap(cap_bps, fps):
     options = H264Settings(
         width=384, height=288, rate=Fraction(fps), cap_bps=cap_bps, refresh_s=20, preset="superfast"
     ).options()
     rate_kbps, buffer_kbit = int(options["maxrate"]) // 1000, int(options["bufsize"]) // 1000
-    # x264's condition for it; without, it leaves a quarter of a thin channel unused.
+    # x264's condition for this mode; without it, a quarter of a thin channel stays unused.
     assert rate_kbps / fps * 1.1 > buffer_kbit
     assert int(options["maxrate"]) <= 1.02 * cap_bps

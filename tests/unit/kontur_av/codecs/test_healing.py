@@ -1,4 +1,4 @@
-"""From a loss to the refresh that heals it, with the encoder that a stream has."""
+"""From a loss to the refresh that heals it, with the encoder of a real stream."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def sei(kind, payload):
 
 @pytest.fixture(scope="module")
 def units():
-    """Three seconds of a noisy picture that moves."""
+    """Return three seconds of a noisy moving picture."""
     encoder = H264Encoder(width=320, height=240, fps=FPS, cap_bps=200_000)
     noise = np.random.default_rng(1).integers(60, 200, (240, 320), np.uint8)
     found = []
@@ -73,7 +73,7 @@ def test_damage_ends_with_the_refresh_and_then_the_picture_is_right(units, lost)
         missed = 0
     hurt = [number for number, is_hurt in damaged.items() if is_hurt]
     assert hurt[0] == max(lost) + 1
-    # Contiguous, and over within two refresh periods, one of which may have been under way.
+    # Contiguous, and over within two refresh periods, because one may have begun before.
     assert hurt == list(range(hurt[0], hurt[-1] + 1))
     assert len(hurt) <= 2 * FPS
     whole, broken = pictures(enumerate(u.data for u in units)), pictures(kept)
@@ -82,7 +82,7 @@ def test_damage_ends_with_the_refresh_and_then_the_picture_is_right(units, lost)
     assert set(wrong) <= set(hurt), "what is called healed is right to the last bit"
 
 
-def test_a_loss_while_it_heals_begins_anew_and_a_key_picture_heals_at_once():
+def test_a_loss_during_healing_restarts_it_and_a_key_picture_heals_at_once():
     wave = sei(6, b"\xb0")  # recovery_frame_cnt is the bit 1: this picture is right already
     assert recovery_pictures(wave) == 0
     healing = Healing()

@@ -1,4 +1,4 @@
-"""Packets of one size, sound that comes back, and a libopus wherever there is one."""
+"""Packets of constant size, restored sound, and a libopus from the system or from PyAV."""
 
 import subprocess
 import sys
@@ -46,7 +46,7 @@ def test_sound_comes_back_later_by_the_lookahead(frame_samples):
         for late in range(960)
     ]
     assert max(likeness) > 0.98
-    # Voice mode's high-pass filter turns the phase a little: 1 ms is allowed.
+    # Voice mode's high-pass filter shifts the phase slightly: 1 ms is allowed.
     assert abs(int(np.argmax(likeness)) - encoder.lookahead_samples) <= 48
 
 
@@ -57,7 +57,7 @@ def test_speech_is_understood_at_8_kbits(speech_samples):
     late = encoder.lookahead_samples
     sent = np.abs(sound[: heard.size - late].astype(float))
     got = np.abs(heard[late:].astype(float))
-    # Speech lives in its loudness over time: compare that in blocks of 10 ms.
+    # Intelligible speech keeps its loudness over time, so compare that in blocks of 10 ms.
     size = sent.size // 480 * 480
     loudness = [x[:size].reshape(-1, 480).mean(axis=1) for x in (sent, got)]
     assert np.corrcoef(*loudness)[0, 1] > 0.95
@@ -97,19 +97,19 @@ def test_two_packets_more_in_a_second_keep_the_cap(cap_bps, frame_samples):
 
 
 @pytest.mark.parametrize("frame_samples", FRAME_SAMPLES)
-def test_what_is_no_cap_for_opus_is_refused_with_the_number_that_was_given(frame_samples):
+def test_an_unusable_opus_cap_is_refused_with_its_value(frame_samples):
     for cap_bps in (0, 500, 6_000, 600_000):
         with pytest.raises(ConfigError, match=rf"^a cap of {cap_bps / 1000:g} kbit/s: "):
             bitrate_under_cap(cap_bps, frame_samples)
 
 
 @pytest.mark.parametrize("cap_bps", [6_240, 6_400, 6_401, 530_400])
-def test_a_cap_that_is_taken_can_be_coded(cap_bps):
+def test_an_accepted_cap_can_be_coded(cap_bps):
     assert OpusEncoder(bitrate_bps=bitrate_under_cap(cap_bps)).packet_octets >= 15
 
 
 @pytest.mark.parametrize("wrong", [{"bitrate_bps": 5_000}, {"frame_samples": 961}])
-def test_what_cannot_be_coded_is_refused(wrong):
+def test_invalid_opus_settings_are_refused(wrong):
     with pytest.raises(ConfigError):
         OpusEncoder(**{"bitrate_bps": 8_000, **wrong})
 

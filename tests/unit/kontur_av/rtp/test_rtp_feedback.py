@@ -8,7 +8,7 @@ from kontur_av.rtp.feedback import PictureLossListener, PictureLossReporter
 MS = 1_000_000
 
 
-def test_an_indication_is_twelve_octets_after_the_rfc():
+def test_an_indication_has_the_twelve_octets_of_the_rfc():
     reporter = PictureLossReporter(ssrc=0x01020304)
     reporter.handle_picture(damaged=True, media_ssrc=0xA1B2C3D4, now_ns=5)
     # Version 2, no padding, FMT 1; PT 206; length 2; sender; media source (RFC 4585 clause 6.1).
@@ -43,7 +43,7 @@ def test_the_sender_answers_once_and_only_for_its_own_stream():
     listener.handle_feedback(indication(7), 0)
     assert listener.take(10 * MS)
     assert not listener.take(10 * MS)
-    # The same loss, told again before the answer had come there.
+    # The same loss, reported again before the answer had arrived.
     listener.handle_feedback(indication(7), 50 * MS)
     assert not listener.take(50 * MS)
     listener.handle_feedback(indication(7), 300 * MS)

@@ -1,4 +1,4 @@
-"""aiortc's packets come without its ICE, DTLS and SCTP, and leave aiortc as it is for others."""
+"""aiortc's RTP packets load without its ICE, DTLS and SCTP, and aiortc stays usable for others."""
 
 import subprocess
 import sys

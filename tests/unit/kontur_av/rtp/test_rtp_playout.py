@@ -1,4 +1,4 @@
-"""The jitter buffer: in time, in order, and what it does about what is missing."""
+"""The jitter buffer: timing, order, and the handling of missing packets."""
 
 import itertools
 import random
@@ -33,12 +33,12 @@ class Line:
         self.blocks = []
 
     def run(self, arrivals, sequences=None, until_ns=None):
-        """arrivals: ns per packet number, or None: lost. Steps to whatever is due next."""
+        """arrivals: ns for each packet number, or None if lost. Steps to the next due time."""
         events = []
         for number, arrival_ns in enumerate(arrivals):
             sequence = number if sequences is None else sequences[number]
             stamp = CaptureStamp(sequence * BLOCK_NS, sequence, "mic")
-            # TOC of 20 ms SILK, whether somebody speaks, then the number of the block.
+            # TOC of 20 ms SILK, the voice activity flag, then the number of the block.
             flags = b"\0" if number in self.pauses else b"\x80"
             payload = b"\x08" + flags + number.to_bytes(2, "big")
             (packet,) = self.sender.audio_packets(payload, stamp)
@@ -116,8 +116,8 @@ def jittery(rng, count, jitter_ms, since_ns=0):
     return [since_ns + n * BLOCK_NS + rng.randrange(jitter_ms * NS_PER_MS) for n in range(count)]
 
 
-def test_stalls_that_come_seldom_delay_nothing():
-    # Of each stall three blocks come together, the first of them 45 ms late.
+def test_rare_stalls_do_not_raise_the_delay():
+    # In each stall three blocks arrive together, the first of them 45 ms late.
     stalled = {n + k: n * 20 + 45 for n in range(50, 1000, 250) for k in range(3)}
     arrivals = [stalled.get(n, n * 20) * NS_PER_MS for n in range(1000)]
     line = Line()
@@ -126,7 +126,7 @@ def test_stalls_that_come_seldom_delay_nothing():
     assert heard(blocks).count(None) == 2 * 4
 
 
-def test_what_is_late_more_often_than_allowed_raises_the_delay_and_is_played():
+def test_frequent_lateness_raises_the_delay():
     late = dict.fromkeys(range(50, 200, 20), 12)
     arrivals = [(n * 20 + late.get(n, 0)) * NS_PER_MS for n in range(260)]
     line = Line(late_allowed=2)
@@ -136,12 +136,12 @@ def test_what_is_late_more_often_than_allowed_raises_the_delay_and_is_played():
     assert played[:240] == [n for n in range(242) if n not in (50, 70)]
     counts = line.buffer.counts
     assert (counts.late, counts.concealed, counts.inserted) == (2, 2, 1)
-    # 12 ms and the margin of 5; what was inserted beyond has been shortened away.
+    # 12 ms and the margin of 5; additional delay has been removed by time compression.
     assert 17 * NS_PER_MS <= line.buffer.delay_ns <= 20 * NS_PER_MS
 
 
-def test_what_the_delay_lacks_after_a_stall_is_filled_at_once():
-    # Twice three blocks come together, the first of them 45 ms late.
+def test_a_missing_delay_after_a_stall_is_inserted_at_once():
+    # Twice three blocks arrive together, the first of them 45 ms late.
     stalled = {n + k: n * 20 + 45 for n in (50, 90) for k in range(3)}
     arrivals = [stalled.get(n, n * 20) * NS_PER_MS for n in range(100)]
     line = Line(late_allowed=1)
@@ -151,7 +151,7 @@ def test_what_the_delay_lacks_after_a_stall_is_filled_at_once():
     assert max(assert_gapless(blocks)) < 1000
 
 
-def test_a_path_that_has_become_longer_costs_some_blocks_and_no_more():
+def test_a_longer_path_costs_only_some_blocks():
     arrivals = [n * BLOCK_NS + (60 * NS_PER_MS if n >= 100 else 0) for n in range(200)]
     line = Line()
     blocks = line.run(arrivals, until_ns=arrivals[-1] + NS_PER_MS)
@@ -160,8 +160,8 @@ def test_a_path_that_has_become_longer_costs_some_blocks_and_no_more():
     assert max(assert_gapless(blocks)) < 1000
 
 
-def test_what_has_queued_before_the_start_delays_nothing_that_follows():
-    # Everything up to 70 ms comes at once; from the fourth block on nothing waits.
+def test_a_queue_before_the_start_does_not_delay_later_blocks():
+    # Everything up to 70 ms arrives at once; from the fourth block on nothing waits.
     arrivals = [max(n * 20, 70 + n // 3) * NS_PER_MS for n in range(100)]
     line = Line()
     blocks = line.run(arrivals, until_ns=arrivals[-1] + 5 * NS_PER_MS)
@@ -178,7 +178,7 @@ def test_a_pause_takes_the_delay_down_at_once():
     arrivals = [(n * 20 + late.get(n, 0)) * NS_PER_MS for n in range(400)]
     line = Line(window_ns=NS_PER_S, pauses=range(365, 375))
     blocks = line.run(arrivals, until_ns=arrivals[-1] + NS_PER_MS)
-    # Two hundred and fifty blocks are late; then they are not, and soon there is a pause.
+    # Two hundred and fifty blocks are late; the following ones are not, and soon there is a pause.
     heard_at = zip(heard(blocks), blocks, strict=True)
     delays = {n: b.play_ns - n * BLOCK_NS for n, b in heard_at if n is not None}
     assert delays[364] >= 55 * NS_PER_MS
@@ -187,7 +187,7 @@ def test_a_pause_takes_the_delay_down_at_once():
     assert 480 <= shortest < 936
 
 
-def test_a_new_time_line_waits_for_the_end_of_what_is_under_way():
+def test_a_new_time_line_waits_for_the_end_of_the_old_one():
     rng = random.Random(5)
     arrivals = jittery(rng, 100, 60) + [n * BLOCK_NS + 50 * NS_PER_MS for n in range(100, 200)]
     sequences = [*range(100), *range(5100, 5200)]
@@ -206,7 +206,7 @@ def test_the_delay_follows_the_jitter_down_within_seconds():
     assert line.buffer.delay_ns > 50 * NS_PER_MS
     line = Line()
     blocks = line.run(rough + calm)
-    # Five seconds for the window to forget it, and 25 ms less in each second from then on.
+    # Five seconds until the window is empty, and 25 ms less in each second from then on.
     settled = [b for b in blocks if b.payload is not None][-25:]
     delays = [b.play_ns - int.from_bytes(b.payload[2:], "big") * BLOCK_NS for b in settled]
     assert max(delays) <= 15 * NS_PER_MS
@@ -214,7 +214,7 @@ def test_the_delay_follows_the_jitter_down_within_seconds():
 
 
 def assert_gapless(blocks):
-    """Each block begins where the one before ends, or later: after a silence."""
+    """Each block begins where the one before ends, or later after a silence."""
     ends_ns = None
     for block in blocks:
         assert 0 <= abs(block.played_samples - block.samples) <= block.samples // 40
@@ -229,7 +229,7 @@ def assert_gapless(blocks):
 @example(seed=19729783, jitter=76, loss=24, hiccup=127)
 @example(seed=144, jitter=100, loss=3, hiccup=0)
 @given(st.integers(0, 2**32), st.integers(1, 120), st.integers(0, 30), st.integers(0, 200))
-def test_whatever_comes_nothing_overlaps_and_only_silence_is_a_gap(seed, jitter, loss, hiccup):
+def test_no_arrivals_cause_overlaps_or_unneeded_gaps(seed, jitter, loss, hiccup):
     rng = random.Random(seed)
     arrivals = [
         None if rng.randrange(100) < loss and n > 2 else arrival
@@ -243,7 +243,7 @@ def test_whatever_comes_nothing_overlaps_and_only_silence_is_a_gap(seed, jitter,
     row, longest = 0, 0
     gaps = [0, *assert_gapless(blocks)]
     for gap_ns, block in zip(gaps, blocks, strict=True):
-        # A gap comes after five concealments, or where a burst made the oldest go.
+        # A gap follows five concealments, or a burst in which the oldest blocks were dropped.
         if gap_ns > 1000:
             assert row >= 5 or line.buffer.counts.dropped
         row = row + 1 if block.payload is None else 0
@@ -252,7 +252,7 @@ def test_whatever_comes_nothing_overlaps_and_only_silence_is_a_gap(seed, jitter,
     assert numbers == sorted(set(numbers)), "in order, and none twice"
 
 
-def test_a_sound_that_is_held_back_is_stretched_and_let_go_again():
+def test_a_delayed_sound_is_stretched_and_shortened_again():
     line = Line()
     for n in range(600):
         until_ns = (n * 20 + 60) * NS_PER_MS if 100 <= n < 400 else None
@@ -266,8 +266,8 @@ def test_a_sound_that_is_held_back_is_stretched_and_let_go_again():
     assert line.buffer.counts.stretched > 90
 
 
-def test_a_copy_in_the_next_packet_is_used_when_it_is_there():
-    # TOC of 20 ms SILK, and both flags of its first octet: speech, and a copy.
+def test_a_copy_in_the_next_packet_is_used_if_present():
+    # TOC of 20 ms SILK, and both flags of its first octet: voice activity, and a copy.
     line = Line(min_delay_ns=30 * NS_PER_MS)
     events = []
     for n in range(40):
@@ -292,7 +292,7 @@ def test_a_lost_block_is_concealed_at_its_time():
     assert {b - a for a, b in itertools.pairwise(times)} == {BLOCK_NS}
 
 
-def test_silence_is_concealed_briefly_and_then_the_voice_goes_on():
+def test_silence_is_concealed_briefly_and_then_the_voice_continues():
     line = Line()
     sequences = list(range(20)) + list(range(120, 140))
     blocks = line.run([s * BLOCK_NS for s in sequences], sequences)
@@ -301,9 +301,9 @@ def test_silence_is_concealed_briefly_and_then_the_voice_goes_on():
     assert blocks[25].play_ns - blocks[19].play_ns == 101 * BLOCK_NS
 
 
-def test_after_a_stall_the_oldest_goes_and_the_delay_stays_bounded():
+def test_after_a_stall_the_oldest_is_dropped_and_the_delay_stays_bounded():
     line = Line(max_delay_ns=200 * NS_PER_MS)
-    # Blocks 50..124 come at once, up to 1.5 s late.
+    # Blocks 50..124 arrive at once, up to 1.5 s late.
     arrivals = [max(n, 125) * BLOCK_NS + n if 50 <= n < 125 else n * BLOCK_NS for n in range(300)]
     blocks = line.run(arrivals)
     assert line.buffer.counts.late + line.buffer.counts.dropped > 40

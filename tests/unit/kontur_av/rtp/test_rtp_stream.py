@@ -42,7 +42,7 @@ def picture(number: int, octets: int = 100) -> AccessUnit:
 
 
 def singles(count: int, **changes) -> list[bytes]:
-    """`count` packets, each one picture."""
+    """Return `count` packets, each one picture."""
     rtp = make_sender(**changes)
     return [packet for number in range(count) for packet in rtp.video_packets(picture(number))]
 
@@ -88,8 +88,8 @@ def test_a_gap_of_the_microphone_is_a_jump_of_the_timestamp_and_a_marker():
     assert [packet.marker for packet in packets] == [1, 0, 0, 1, 0]
 
 
-def test_a_source_that_skips_blocks_but_counts_on_makes_the_timestamp_jump():
-    """What a source drops when it is late shows in the capture times alone."""
+def test_skipped_blocks_make_the_timestamp_jump():
+    """If the source drops late blocks, only the capture times show it."""
     rtp = make_sender(clock_rate_hz=48_000, timestamp_offset=0)
     stamps = [CaptureStamp(at * 20 * NS_PER_MS, n, "mic") for n, at in enumerate((0, 1, 4, 5))]
     packets = [parse_rtp(rtp.audio_packets(b"\x08", stamp)[0]) for stamp in stamps]
@@ -127,7 +127,7 @@ def test_reports_come_with_the_first_packet_and_then_each_second():
     assert rtp.poll_report(NS_PER_S + 5, clock.ntp) is not None
 
 
-def test_loss_is_counted_when_the_gap_is_given_up_and_not_before():
+def test_loss_is_counted_once_the_gap_is_given_up():
     receiver = make_receiver()
     packets = singles(6)
     for index in (0, 1, 4):
@@ -160,7 +160,7 @@ def test_reordering_is_repaired_and_duplicates_are_dropped():
     assert (counts.reordered, counts.duplicates, counts.lost, counts.late) == (3, 3, 0, 0)
 
 
-def test_unordered_packets_come_out_as_they_come_in_and_are_counted_alike():
+def test_without_reordering_packets_come_out_in_arrival_order():
     receiver = make_receiver(ordered=False)
     packets = singles(8)
     for index in (0, 1, 4, 2, 2, 7):
@@ -187,7 +187,7 @@ def test_no_packet_waits_longer_than_the_depth_behind_several_gaps():
     }
 
 
-def test_a_source_is_believed_after_two_packets_and_both_come_out():
+def test_a_source_is_accepted_after_two_packets_and_both_come_out():
     receiver = make_receiver()
     first, second = singles(2)
     receiver.handle_packet(first, 0)
@@ -196,7 +196,7 @@ def test_a_source_is_believed_after_two_packets_and_both_come_out():
     assert [event.restart for event in drain(receiver)] == [True, False]
 
 
-def test_a_stranger_cannot_take_a_living_stream():
+def test_a_stranger_cannot_take_over_an_active_stream():
     receiver = make_receiver()
     strange = singles(100, ssrc=666)
     for index, packet in enumerate(singles(50)):
@@ -211,8 +211,8 @@ def test_a_stranger_cannot_take_a_living_stream():
     assert receiver.counts.garbage >= 97
 
 
-def test_a_stranger_cannot_take_a_stream_whose_pictures_come_seldom():
-    """Under a low cap a large picture takes its time: 300 ms to the next one are ordinary."""
+def test_a_stranger_cannot_take_over_a_slow_stream():
+    """Under a low cap a large picture takes long: 300 ms to the next one are normal."""
     receiver = make_receiver()
     strange = singles(40, ssrc=666)
     for index, packet in enumerate(singles(10)):
@@ -225,7 +225,7 @@ def test_a_stranger_cannot_take_a_stream_whose_pictures_come_seldom():
     assert receiver.counts.sources == 1
 
 
-def test_a_restarted_sender_is_taken_within_two_packets():
+def test_a_restarted_sender_is_accepted_within_two_packets():
     receiver = make_receiver()
     for index, packet in enumerate(singles(10)):
         receiver.handle_packet(packet, index * FRAME_NS)
@@ -239,7 +239,7 @@ def test_a_restarted_sender_is_taken_within_two_packets():
     assert (counts.sources, counts.lost, counts.garbage, counts.received) == (2, 0, 0, 13)
 
 
-def test_a_jump_of_the_sequence_starts_anew_and_is_no_loss():
+def test_a_jump_of_the_sequence_is_a_restart_and_no_loss():
     receiver = make_receiver()
     for index, packet in enumerate(singles(5) + singles(5, first_sequence=30_000)):
         receiver.handle_packet(packet, index * FRAME_NS)
@@ -315,14 +315,14 @@ def test_only_a_sender_report_of_the_source_dates_its_pictures():
 
 
 def reported(ssrc=1):
-    """The packet of one picture, and the sender report that goes with it."""
+    """Return the packet of one picture, and the sender report that belongs to it."""
     rtp = make_sender(ssrc=ssrc)
     (packet,) = rtp.video_packets(picture(0))
     return packet, rtp.poll_report(0, ManualClock().ntp)
 
 
 @pytest.mark.parametrize("report_first", [False, True])
-def test_a_first_packet_waits_for_no_second_one_if_a_report_speaks_for_it(report_first):
+def test_a_matching_report_releases_the_first_packet(report_first):
     """Under a low cap the second packet is the second picture, a period later."""
     packet, report = reported()
     receiver = make_receiver()
@@ -343,7 +343,7 @@ def test_a_first_packet_waits_for_no_second_one_if_a_report_speaks_for_it(report
     assert (receiver.counts.received, receiver.counts.lost) == (4, 0)
 
 
-def test_a_report_takes_no_living_stream_away_and_lets_a_successor_in_after_silence():
+def test_a_report_admits_a_new_source_only_after_silence():
     packet, report = reported(ssrc=2)
     receiver = make_receiver()
     for index, own in enumerate(singles(3)):
@@ -357,7 +357,7 @@ def test_a_report_takes_no_living_stream_away_and_lets_a_successor_in_after_sile
     assert receiver.capture_ns(event.timestamp) is not None
 
 
-def test_a_report_does_not_speak_for_what_is_long_past():
+def test_a_report_does_not_confirm_an_old_packet():
     """One packet, then no signal for seconds, then a report and all that follows."""
     packets = singles(5)
     receiver = make_receiver()
@@ -372,12 +372,12 @@ def test_a_report_does_not_speak_for_what_is_long_past():
     assert (receiver.counts.lost, receiver.counts.garbage) == (0, 1)
 
 
-def test_a_goodbye_takes_back_what_a_report_has_said():
+def test_a_goodbye_revokes_a_report():
     rtp, receiver, clock = make_sender(), make_receiver(), ManualClock()
     first, late = (rtp.video_packets(picture(number))[0] for number in range(2))
     receiver.handle_packet(first, 0)
     packet, report = reported(ssrc=2)
-    # A report speaks, and a goodbye goes with it: the first packet of that one is its last.
+    # A report with a goodbye: the first packet of this source is its last.
     receiver.handle_report(rtp.goodbye(clock.ntp), 1)
     assert numbers(drain(receiver)) == [0]
     assert receiver.ended
@@ -391,7 +391,7 @@ def test_a_goodbye_takes_back_what_a_report_has_said():
         assert one.ssrc == 2
 
 
-def test_a_report_does_not_speak_for_a_jump_of_its_source():
+def test_a_report_does_not_confirm_a_jump_of_its_source():
     receiver = make_receiver()
     packet, report = reported()
     receiver.handle_report(report, 0)
@@ -402,7 +402,7 @@ def test_a_report_does_not_speak_for_a_jump_of_its_source():
     assert numbers(drain(receiver)) == [0]
 
 
-def test_goodbye_lets_a_successor_in_at_once():
+def test_a_goodbye_admits_a_new_source_at_once():
     rtp, receiver, clock = make_sender(), make_receiver(), ManualClock()
     for number in range(3):
         receiver.handle_packet(rtp.video_packets(picture(number))[0], number)

@@ -1,4 +1,4 @@
-"""A microphone whose recording program has much to say."""
+"""A microphone whose recording program writes many messages."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from kontur_av.clock import NS_PER_MS, MonotonicClock
 from kontur_av.sources.microphone import MicrophoneAudio
 
 CLOCK = MonotonicClock()
-#: More than the 64 KiB that a pipe holds, before the sound, and a last word after it.
+#: More than the 64 KiB that a pipe holds, before the sound, and a last message after it.
 TALKATIVE = """#!/bin/sh
 case "$*" in *" -s 1") exit 0;; esac
 head -c 200000 /dev/zero | tr '\\0' x >&2
@@ -25,7 +25,7 @@ def talkative(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("talkative")
-def test_what_the_recorder_says_never_stops_the_sound():
+def test_messages_of_the_recorder_never_stop_the_sound():
     source = MicrophoneAudio("default", name="ground_mic", clock=CLOCK)
     blocks = []
     for _ in range(200):

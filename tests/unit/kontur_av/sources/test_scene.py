@@ -1,4 +1,4 @@
-"""Scenes as sources: drawn at their instants, or passed over while nobody looks."""
+"""Scenes as sources: drawn at their instants, or skipped while nobody needs them."""
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
 from kontur_av.media import empty_picture

@@ -1,4 +1,4 @@
-"""Selector: the last command wins, an unknown camera changes nothing."""
+"""Selector: the last command wins; an unknown camera changes nothing."""
 
 import pytest
 

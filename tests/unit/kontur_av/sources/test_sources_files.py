@@ -1,4 +1,4 @@
-"""Files as sources, on virtual time: pace, loop, aspect, and what goes wrong with files."""
+"""Files as sources, on virtual time: pace, loop, aspect, and faulty files."""
 
 from fractions import Fraction
 from itertools import pairwise
@@ -16,7 +16,7 @@ from telepresence.world.speech import media_folder
 
 
 def write_video(path, *, size=(64, 48), fps=25, pictures=10, codec="libx264", first_level=40):
-    """Grey pictures, each lighter than the one before."""
+    """Write grey pictures, each brighter than the one before."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=fps)
         stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
@@ -45,7 +45,7 @@ def opened(path, clock, size=(64, 48), fps=30):
 
 
 def take(source, count, size=(64, 48)):
-    """(stamp, mean luma) of each picture."""
+    """Return (stamp, mean luma) of each picture."""
     picture, result = empty_picture(*size), []
     for _ in range(count):
         stamp = source.read(picture, NS_PER_S)
@@ -75,7 +75,7 @@ def test_it_is_read_before_it_is_due_and_not_written_before(tmp_path):
     assert not picture.any()
 
 
-def test_who_comes_late_gets_the_present_picture(tmp_path):
+def test_a_late_reader_gets_the_present_picture(tmp_path):
     write_video(tmp_path / "clip.mp4")
     clock = ManualClock(0)
     source = opened(tmp_path / "clip.mp4", clock)
@@ -128,7 +128,7 @@ def test_a_single_picture_stands(tmp_path):
     assert all(abs(gap - 33_333_333) <= 1 for gap in gaps[1:])
 
 
-def test_a_file_that_goes_away_and_comes_back(tmp_path):
+def test_a_file_that_disappears_and_returns(tmp_path):
     path = tmp_path / "clip.mkv"
     write_video(path, pictures=5)
     clock = ManualClock(0)
@@ -193,7 +193,7 @@ def test_late_sound_skips_what_was_missed(tmp_path):
     assert all(b.capture_ns - a.capture_ns == 20 * NS_PER_MS for a, b in pairwise(later))
 
 
-def test_a_sound_file_that_goes_away_and_comes_back(tmp_path):
+def test_a_sound_file_that_disappears_and_returns(tmp_path):
     path = tmp_path / "tone.wav"
     write_tone(path, seconds=0.2)
     source = open_audio(str(path), name="ground_mic", clock=ManualClock(0))

@@ -1,4 +1,4 @@
-"""YUV4MPEG2: octets in any portions, garbage in any place."""
+"""YUV4MPEG2: octets in portions of any size, garbage at any position."""
 
 from fractions import Fraction
 
@@ -95,7 +95,7 @@ def test_a_new_header_changes_the_size():
     assert not faults
 
 
-def test_a_writer_that_leaves_in_the_middle_spoils_nothing_that_follows():
+def test_a_writer_that_leaves_within_a_picture_spoils_no_later_one():
     reader = Y4mReader()
     sent = pictures_of(8, 6, 1, 2)
     feed(reader, stream(8, 6, sent)[:-10], 64)

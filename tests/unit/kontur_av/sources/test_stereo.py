@@ -1,4 +1,4 @@
-"""Stereo: merged to the pixel, paired by capture time, alive when one camera is not."""
+"""Stereo: merged exactly, paired by capture time, and working with one camera."""
 
 from itertools import pairwise
 
@@ -66,7 +66,7 @@ def test_pairs_by_capture_time_and_stamps_with_the_older():
     assert (pairer.paired, pairer.single, pairer.dropped) == (10, 0, 0)
 
 
-def test_goes_on_with_the_last_picture_of_a_dead_camera():
+def test_continues_with_the_last_picture_of_a_dead_camera():
     pairer = StereoPairer(period_ns=PERIOD_NS, stale_after_ns=100_000_000)
     pairer.handle_left(frame(0), 0)
     pairer.handle_right(frame(0, "right"), 0)
@@ -85,7 +85,7 @@ def test_goes_on_with_the_last_picture_of_a_dead_camera():
         assert not pair.right_stale
     assert captures == [k * PERIOD_NS for k in range(1, 8)]
     assert flags == [False, False, True, True, True, True, True]
-    # A camera that is stale is not waited for; when it is back, pairs are pairs again.
+    # A stale camera is not waited for. When it returns, its pictures are paired again.
     pairer.handle_left(frame(8 * PERIOD_NS), 8 * PERIOD_NS)
     pairer.handle_right(frame(8 * PERIOD_NS, "right"), 8 * PERIOD_NS)
     pair = pairer.next_event()
@@ -107,7 +107,7 @@ def test_one_camera_alone_is_shown_after_a_while():
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 60_000_000)), max_size=60))
-def test_capture_times_only_rise_and_nothing_is_lost_uncounted(arrivals):
+def test_capture_times_only_rise_and_every_drop_is_counted(arrivals):
     pairer = StereoPairer(period_ns=PERIOD_NS)
     now_ns, pairs, handed = 0, [], 0
     for is_left, gap_ns in arrivals:
