@@ -69,7 +69,7 @@ class Light:
 
 
 @dataclass(slots=True)
-class _Picture:
+class _ShownPicture:
     instant_ns: int
     tag: int
     cells: Cells
@@ -89,7 +89,7 @@ class LightDetector:
         self._columns = columns
         #: Area of the whole picture over that of the region.
         self._whole = 1.0
-        self._seen: deque[_Picture] = deque(maxlen=4)
+        self._seen: deque[_ShownPicture] = deque(maxlen=4)
         self._events: deque[Light] = deque()
 
     def handle_picture(self, picture: I420, now_ns: int, tag: int) -> None:
@@ -97,7 +97,7 @@ class LightDetector:
         cells = self._cells(picture)
         if self._seen and self._seen[-1].cells.shape != cells.shape:
             self._seen.clear()
-        self._seen.append(_Picture(now_ns, tag, cells))
+        self._seen.append(_ShownPicture(now_ns, tag, cells))
         if len(self._seen) == 4:
             self._look()
 

@@ -43,7 +43,8 @@ def check_microphone(device: str) -> None:
         )
     except subprocess.TimeoutExpired:
         raise ConfigError(
-            f"microphone {device!r} gives no sound: is another program using it?"
+            f"microphone {device!r} gives no sound: end the program that uses it, "
+            "or choose from `kontur-av devices`"
         ) from None
     if done.returncode:
         raise ConfigError(

@@ -7,7 +7,7 @@ from kontur_av.errors import ConfigError, ProtocolError
 
 
 @dataclass(frozen=True, slots=True)
-class Selection:
+class CameraSelection:
     """Result of `select camera`: the selected camera, since when, and the previous one."""
 
     camera: str
@@ -38,7 +38,7 @@ class Selector:
     def selected(self) -> str:
         return self._selected
 
-    def handle_select(self, name: str, now_ns: int) -> Selection:
+    def handle_select(self, name: str, now_ns: int) -> CameraSelection:
         """Select the camera `name`; selecting the selected one changes nothing.
 
         Raises ProtocolError, with the known names, for an unknown camera.
@@ -53,4 +53,4 @@ class Selector:
             self._selected = name
             self._since_ns = now_ns
             self.switches += 1
-        return Selection(name, previous, self._since_ns, changed)
+        return CameraSelection(name, previous, self._since_ns, changed)

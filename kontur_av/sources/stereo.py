@@ -28,7 +28,7 @@ def merge(left: I420 | None, right: I420 | None, into: I420, seam: float = 0.5) 
                 "set both cameras to one size"
             )
     if not 0.0 <= seam <= 1.0:
-        raise ConfigError(f"stereo: seam {seam} lies outside of 0.0 to 1.0")
+        raise ConfigError(f"stereo: seam is {seam}: it must be from 0.0 to 1.0")
     column = int(into.shape[1] * seam) & ~1
     targets = planes(into)
     for index, target in enumerate(targets):

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, check_size
-from kontur_av.topics.notifier import Listener, Notifier, WaitSet
+from kontur_av.topics.notifier import NotificationListener, Notifier, WaitSet
 from kontur_av.topics.session_files import (
     choose_session,
     make_session_root,
@@ -204,7 +204,7 @@ class Lease:
 class Reader:
     """Reads one topic: either the newest sample (`latest`) or each in turn (`next`)."""
 
-    def __init__(self, subscriber: Any, listener: Listener) -> None:
+    def __init__(self, subscriber: Any, listener: NotificationListener) -> None:
         self._subscriber = subscriber
         self._wait_set: WaitSet | None = None
         #: For a `Waiter`.
@@ -325,7 +325,7 @@ class TopicBus:
         if not 1 <= depth <= _MAX_DEPTH:
             raise ValueError(f"depth {depth}: from 1 to {_MAX_DEPTH}")
         service = self._data_service(topic)
-        listener = Listener(notifier_path(self._session, topic))
+        listener = NotificationListener(notifier_path(self._session, topic))
         subscriber = service.subscriber_builder().buffer_size(depth).create()
         reader = Reader(subscriber, listener)
         self._readers.append(reader)

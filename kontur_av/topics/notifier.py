@@ -81,7 +81,7 @@ class Notifier(_Fifo):
             os.read(self._fd, mmap.PAGESIZE)
 
 
-class Listener(_Fifo):
+class NotificationListener(_Fifo):
     """A reader's end, for a `WaitSet`. path: the FIFO, created if it does not exist."""
 
     def __init__(self, path: Path) -> None:
@@ -95,7 +95,9 @@ class WaitSet:
     For use in one thread. Several wait sets may share a listener; each one is woken.
     """
 
-    def __init__(self, listeners: Sequence[Listener], readable: Sequence[int] = ()) -> None:
+    def __init__(
+        self, listeners: Sequence[NotificationListener], readable: Sequence[int] = ()
+    ) -> None:
         self._epoll = select.epoll()
         self._selectable = self._epoll.fileno() < _FD_SETSIZE
         self._most = max(1, len(listeners) + len(readable))

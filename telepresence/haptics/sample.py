@@ -203,7 +203,7 @@ def read_command(data: bytes) -> tuple[int, int, Command]:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
     sequence, flags, octet, x, y, energy_uj = _unpack(data)
     if flags & FLAG_FEEDBACK:
-        raise ProtocolError("haptic sample: a feedback where a command is due")
+        raise ProtocolError("haptic sample: a feedback instead of a command")
     if x == _NEVER or y == _NEVER:
         raise ProtocolError("haptic sample: the count -32768 is never sent")
     value = (
@@ -225,7 +225,7 @@ def read_feedback(data: bytes) -> tuple[int, int, Feedback]:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
     sequence, flags, octet, fx, fy, energy_uj = _unpack(data)
     if not flags & FLAG_FEEDBACK:
-        raise ProtocolError("haptic sample: a command where a feedback is due")
+        raise ProtocolError("haptic sample: a command instead of a feedback")
     if fx == _NEVER or fy == _NEVER:
         raise ProtocolError("haptic sample: the count -32768 is never sent")
     value = (

@@ -101,5 +101,5 @@ def check_flows(flows: Sequence[Flow]) -> tuple[Flow, ...]:
     names = [flow.name for flow in flows]
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(f"flow {name} stands twice in the table: give each its own name")
+            raise ConfigError(f"flow {name} appears twice in the table: give each its own name")
     return tuple(flows)

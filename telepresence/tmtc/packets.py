@@ -121,7 +121,7 @@ def is_ours(data: bytes) -> bool:
 def parse_packet(data: bytes) -> SpacePacket:
     """Parse `data`; ProtocolError unless it is exactly one packet of this protocol."""
     if not is_ours(data):
-        raise ProtocolError(f"{len(data)} octets that are no space packet of ours")
+        raise ProtocolError(f"{len(data)} octets that are no space packet of this protocol")
     identification, sequence, _ = _HEADER.unpack_from(data)
     body = data[_HEADER.size :]
     is_command = identification == _TELECOMMAND | COMMAND_APID
@@ -151,5 +151,5 @@ def _parse_telemetry(body: bytes) -> Message:
 
 def _parse_name(octets: bytes) -> str:
     if not 1 <= len(octets) <= MAX_NAME_OCTETS or not all(0x20 <= o < 0x7F for o in octets):
-        raise ProtocolError("a name of 1 to 10 printable ASCII characters is due")
+        raise ProtocolError("the name must have 1 to 10 printable ASCII characters")
     return octets.decode("ascii")

@@ -12,7 +12,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
 from kontur_av.topics import notifier as notifier_module
 from kontur_av.topics.bus import MAX_READERS, TopicBus
-from kontur_av.topics.notifier import Listener, Notifier, WaitSet
+from kontur_av.topics.notifier import NotificationListener, Notifier, WaitSet
 from kontur_av.topics.session_files import notifier_path, remove_session, shared_memory
 
 #: Nothing takes that long: what comes later was lost.
@@ -165,7 +165,7 @@ def test_a_publication_takes_one_system_call_whoever_sleeps(session, monkeypatch
 
 
 def test_a_bell_never_fills_up_and_each_ring_counts(path, monkeypatch):
-    notifier, listener = Notifier(path), Listener(path)
+    notifier, listener = Notifier(path), NotificationListener(path)
     wait_set = WaitSet([listener])
     made_room = []
 
@@ -189,7 +189,7 @@ def test_a_bell_never_fills_up_and_each_ring_counts(path, monkeypatch):
 
 
 def test_a_sleep_goes_on_until_it_was_for_something(path):
-    notifier, listener = Notifier(path), Listener(path)
+    notifier, listener = Notifier(path), NotificationListener(path)
     first, second = WaitSet([listener]), WaitSet([listener])
     notifier.notify()
     reasons = iter([False, True])
@@ -229,5 +229,5 @@ def test_what_somebody_else_put_there_is_no_bell(path, tmp_path):
     os.mkfifo(own)
     path.symlink_to(own)
     with pytest.raises(ConfigError, match=r"\.notifier is no FIFO of yours: remove it"):
-        Listener(path)
+        NotificationListener(path)
     path.unlink()

@@ -74,7 +74,7 @@ def _with_motors(facts: DeviceFacts) -> Script[Calibration]:
         cycle, there = yield from travel(cycle, to_x, to_y, speed_m_s=_SPEED_M_S, force_n=push_n)
         if not there:
             return Calibration(
-                problem=f"axis {name} does not come back to its middle: free the handle, let go of "
+                problem=f"axis {name} does not return to its middle: free the handle, let go of "
                 "it, and calibrate again"
             )
     return Calibration(middles[0], middles[1], halves[0], halves[1])

@@ -29,12 +29,12 @@ def _pushed(facts: DeviceFacts) -> CheckScript:
         axis = 0 if direction[0] else 1
         cycle, there = yield from travel(cycle, 0.0, 0.0, speed_m_s=0.3)
         if not there:
-            return CheckResult(NAME, tuple(figures), "the handle does not come to the middle")
+            return CheckResult(NAME, tuple(figures), "the handle does not reach the middle")
         cycle, end = yield from push_to_stop(cycle, direction, force_n=force_n)
         nominal_m = facts.half_width_m if axis == 0 else facts.half_height_m
         figures.append(_figure(side, abs(end.place(axis)), nominal_m, _LEAST, _MOST))
     cycle, there = yield from travel(cycle, 0.0, 0.0, speed_m_s=0.3)
-    trouble = "" if there else "the handle does not come back to the middle"
+    trouble = "" if there else "the handle does not return to the middle"
     return CheckResult(NAME, tuple(figures), trouble)
 
 

@@ -38,5 +38,5 @@ def test_a_table_has_eight_flows_four_of_them_rtp():
         check_flows(raw)
     with pytest.raises(ConfigError, match=r"5 RTP flows .* at most 4; make rtp4 a raw flow"):
         check_flows(rtp)
-    with pytest.raises(ConfigError, match="raw0 stands twice"):
+    with pytest.raises(ConfigError, match="raw0 appears twice"):
         check_flows([raw[0], raw[0]])

@@ -85,7 +85,7 @@ def test_the_calibration_pushes_a_hand_with_at_most_five_newton():
 
     device.write_force = held
     session.run(4.5)
-    assert "does not come back to its middle" in session.operation.reason
+    assert "does not return to its middle" in session.operation.reason
     assert 4.5 < max(asked) <= 5.000001
 
 
