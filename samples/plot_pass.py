@@ -6,6 +6,7 @@ matplotlib: pip install 'kontur-av[bench]'.
 """
 
 import argparse
+from dataclasses import asdict
 
 import numpy as np
 
@@ -75,7 +76,7 @@ def main():
     profile = load_radio(args.radio)
     ways = [watch(profile, link, args.seed, args.seconds) for link in (UPLINK, DOWNLINK)]
     windows = profile.contact_windows()
-    for name, value in (windows or {}).items():
+    for name, value in ({} if windows is None else asdict(windows)).items():
         print(f"{name}: {value}")
     print("minute  delay ms     uplink lost %  longest s  downlink lost %  longest s")
     for begin in range(0, args.seconds * 1000, 60_000):

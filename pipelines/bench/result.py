@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from pipelines.report.model import Report, to_builtins
 from pipelines.report.report_file import write_report
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
@@ -55,6 +56,8 @@ def as_json(value: object, *, digits: int | None = None) -> Json:
 
     digits: decimals kept of a float. TypeError for a value that has no such form.
     """
+    if isinstance(value, Report):
+        return as_json(to_builtins(value), digits=digits)
     if is_dataclass(value) and not isinstance(value, type):
         return {
             field.name: as_json(getattr(value, field.name), digits=digits)

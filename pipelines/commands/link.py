@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     if args.report is not None:
         write_report(args.report, report)
     screen.show_lines(summary_lines(report))
-    return 1 if report["failures"] else 0
+    return 1 if report.failures else 0
 
 
 def link_processes(

@@ -5,7 +5,6 @@ import gc
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
@@ -18,6 +17,7 @@ from pipelines.commands.session_options import (
     radio_changes,
 )
 from pipelines.commands.stream import check_sources, parse_sources
+from pipelines.report.model import SessionReport
 from pipelines.report.report_file import check_writable, write_report
 from pipelines.report.summary import print_summary
 from pipelines.setup.setup_file import load_setup
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.quiet:
         with output_that_may_fail():
             print_summary(report)
-    return 1 if report["failures"] else 0
+    return 1 if report.failures else 0
 
 
 def simulate(
@@ -109,7 +109,7 @@ def simulate(
     selections: Sequence[Selection] = (),
     costs: CodingCosts | None = None,
     stopped: Callable[[], bool] = lambda: False,
-) -> dict[str, Any]:
+) -> SessionReport:
     """The report of `seconds` of virtual time. The same arguments give the same report.
 
     stopped: asked all the time; once it says so, the report is that of the time until then.

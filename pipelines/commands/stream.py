@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.quiet:
         with output_that_may_fail():
             print_summary(report)
-    return 1 if report["failures"] else 0
+    return 1 if report.failures else 0
 
 
 @contextmanager

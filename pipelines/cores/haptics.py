@@ -1,5 +1,6 @@
 """The two haptic endpoints, one cycle at a time: robot on the ground, joystick in space."""
 
+from dataclasses import asdict
 from itertools import chain
 from typing import Generic, TypeVar
 
@@ -38,13 +39,14 @@ class _End(Generic[Side]):
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
-        for name, value in link.report().items():
-            self._probe.total(name, value)
-        figures = self.side.report()
+        for name, value in asdict(link.report()).items():
+            if value is not None:
+                self._probe.total(name, value)
+        port = asdict(self.side.report())
         for name in PORT_TOTALS:
-            self._probe.total(name, figures[name])
+            self._probe.total(name, port[name])
         for name in PORT_GAUGES:
-            self._probe.gauge(name, figures[name])
+            self._probe.gauge(name, port[name])
         self._sent.extend(chain.from_iterable(link.take_sent_stamps()))
         self._received.extend(chain.from_iterable(link.take_received_stamps()))
         while link.next_event() is not None:

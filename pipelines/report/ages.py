@@ -6,19 +6,18 @@ from pipelines.report.collector import Collector
 from pipelines.runtime.probe import FLUSH_NS
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 
-#: What a display counts of a stream; the last two of pictures only.
-_SPELLS = ("stale", "frozen", "damaged")
 #: A display that has told nothing for longer shows what it showed last.
 _TOLD_AFTER_NS = 2 * FLUSH_NS
 
 
-def spells(stream: VideoStream | VoiceStream, collector: Collector) -> dict[str, float]:
-    """For how long (ms), and how often, what was shown was stale, frozen or damaged."""
-    found: dict[str, float] = {}
-    for name in _SPELLS if isinstance(stream, VideoStream) else _SPELLS[:1]:
-        found[f"{name}_ms"] = round(collector.total(f"{stream.name}.{name}_ns") / NS_PER_MS, 3)
-        found[f"{name}_episodes"] = collector.total(f"{stream.name}.{name}_episodes")
-    return found
+def spell_ms(stream: str, spell: str, collector: Collector) -> float:
+    """For how long what was shown of `stream` was `stale`, `frozen` or `damaged`."""
+    return round(collector.total(f"{stream}.{spell}_ns") / NS_PER_MS, 3)
+
+
+def spell_episodes(stream: str, spell: str, collector: Collector) -> int:
+    """How often it became so."""
+    return collector.total(f"{stream}.{spell}_episodes")
 
 
 def shown_now(

@@ -25,6 +25,7 @@ from pipelines.runtime.probe import FLUSH_NS, Message
 from pipelines.topology import Topology
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.sample import SAMPLE_OCTETS
+from telepresence.link.figures import GatewayFigures
 
 #: How long an access unit waits for what its other end has to say about it.
 _JOIN_NS = 10 * NS_PER_S
@@ -263,8 +264,8 @@ class ProcessFigures:
     lateness: Histogram = field(default_factory=Histogram)
     #: From a slot's deadline to the instant at which its frame had been sent; of a gateway.
     sending: Histogram = field(default_factory=Histogram)
-    #: Snapshots of nested counters (`link`) of the lives that have ended.
-    ended_links: list[dict[str, Any]] = field(default_factory=list)
+    #: The link's counters of the lives that have ended.
+    ended_links: list[GatewayFigures] = field(default_factory=list)
     #: When it told something for the first and for the last time.
     began_ns: int | None = None
     told_ns: int = 0
@@ -304,6 +305,12 @@ class ProcessFigures:
         """A counter, over all lives."""
         return self._ended_totals.get(name, 0) + self.totals.get(name, 0)
 
+    def counted(self, name: str) -> int | None:
+        """A counter, over all lives; None if no life has told it."""
+        if name not in self._ended_totals and name not in self.totals:
+            return None
+        return self.total(name)
+
     def names(self) -> list[str]:
         return sorted({*self._ended_totals, *self.totals})
 
@@ -315,7 +322,7 @@ class ProcessFigures:
         if "link" in self.gauges:
             self.ended_links.append(self.gauges.pop("link"))
 
-    def links(self) -> Iterator[dict[str, Any]]:
+    def links(self) -> Iterator[GatewayFigures]:
         """The link's counters of each life."""
         yield from self.ended_links
         if "link" in self.gauges:

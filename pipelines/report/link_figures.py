@@ -1,57 +1,64 @@
 """The link in a report: each direction with its ledger, and what its two ends have noticed."""
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
 from pipelines.report.collector import Collector
+from pipelines.report.model import (
+    DirectionReport,
+    GatewayReport,
+    LineReport,
+    NeedReport,
+    Punctuality,
+    RadioReport,
+)
 from pipelines.setup.table import Setup
 from pipelines.topology import Direction, Segment
+from telepresence.link.figures import PathFigures, QueueFigures
 from telepresence.link.profile import LinkProfile
 
 
-def link_figures(setup: Setup, collector: Collector, direction: str) -> dict[str, Any]:
+def link_figures(setup: Setup, collector: Collector, direction: str) -> DirectionReport:
     """One direction of the link, as far as its two gateways have told of it."""
     up = direction == "uplink"
     link = collector.topology.link(Direction(direction))
     near, far = collector.process(link.sender), collector.process(link.receiver)
-    lives = [link["transmit"] for link in near.links()]
+    sent = [link.transmit for link in near.links()]
+    received = [link.receive for link in far.links()]
     need = setup.need_up() if up else setup.need_down()
     profile = setup.uplink if up else setup.downlink
-    octets: dict[str, int] = {}
-    for life in lives:
-        for kind, count in life["octets"].items():
-            octets[kind] = octets.get(kind, 0) + count
-    received = [link["receive"] for link in far.links()]
-    return {
-        "capacity_bps": profile.capacity_bps,
-        "below_haptics_bps": profile.media_bps,
-        "needed_at_caps_bps": {
-            "payload": need.payload_bps,
-            "headers": need.overhead_bps,
-            "reserve": need.reserve_bps,
-            "spare": need.spare_bps,
-        },
-        "arithmetic": [
-            {"what": line.what, "stream": line.stream, "bps": line.bps}
+    octets = _sum_tables([life.octets for life in sent])
+    frames = sum(life.frames for life in sent)
+    return DirectionReport(
+        capacity_bps=profile.capacity_bps,
+        below_haptics_bps=profile.media_bps,
+        needed_at_caps_bps=NeedReport(
+            payload=need.payload_bps,
+            headers=need.overhead_bps,
+            reserve=need.reserve_bps,
+            spare=need.spare_bps,
+        ),
+        arithmetic=[
+            LineReport(what=line.what, stream=line.stream, bps=line.bps)
             for line in setup.channel_table(direction)
         ],
-        "frames": sum(life["frames"] for life in lives),
-        "freed_bps": _freed_bps(profile, sum(life["frames"] for life in lives), octets),
-        "frames_lost": sum(life["frames_lost"] for life in received),
-        "frames_dropped": _sum_tables([life["frames_dropped"] for life in received]),
-        "octets": octets,
-        "octets_percent": ledger_percent(octets),
-        "queue": _merged_queues([life["queue"] for life in lives]),
-        "headers": _merged_headers([life["headers"] for life in lives]),
-        "refused": _sum_tables([life["refused"] for life in lives]),
-        "packets": _sum_tables([life["packets"] for life in received]),
-        "packets_dropped": _sum_tables([life["packets_dropped"] for life in received]),
-        "lateness_us": summary_us(near.lateness),
-        "sent_after_us": summary_us(near.sending),
-        "slips": near.total("slips"),
-    }
+        frames=frames,
+        freed_bps=_freed_bps(profile, frames, octets),
+        frames_lost=sum(life.frames_lost for life in received),
+        frames_dropped=_sum_tables([life.frames_dropped for life in received]),
+        octets=octets,
+        octets_percent=ledger_percent(octets),
+        queue=_merged_queues([life.queue for life in sent]),
+        headers=_merged_headers([life.headers for life in sent]),
+        refused=_sum_tables([life.refused for life in sent]),
+        packets=_sum_tables([life.packets for life in received]),
+        packets_dropped=_sum_tables([life.packets_dropped for life in received]),
+        lateness_us=punctuality_us(near.lateness),
+        sent_after_us=punctuality_us(near.sending),
+        slips=near.total("slips"),
+    )
 
 
 def _freed_bps(profile: LinkProfile, frames: int, octets: Mapping[str, int]) -> int:
@@ -68,20 +75,21 @@ def _sum_tables(tables: list[dict[str, int]]) -> dict[str, int]:
     return sums
 
 
-def _merged_queues(lives: list[dict[str, dict[str, Any]]]) -> dict[str, dict[str, Any]]:
+def _merged_queues(lives: list[dict[str, QueueFigures]]) -> dict[str, QueueFigures]:
     """Each level's queue: as the last life left it, with what all lives counted."""
-    merged: dict[str, dict[str, Any]] = {}
+    merged: dict[str, QueueFigures] = {}
     for life in lives:
         for level, queue in life.items():
             before = merged.get(level)
-            merged[level] = dict(queue)
-            if before is None:
-                continue
-            merged[level].update(
-                accepted=before["accepted"] + queue["accepted"],
-                drops=_sum_tables([before["drops"], queue["drops"]]),
-                **{name: max(before[name], queue[name]) for name in ("max_octets", "max_age_ns")},
-            )
+            if before is not None:
+                queue = replace(
+                    queue,
+                    accepted=before.accepted + queue.accepted,
+                    drops=_sum_tables([before.drops, queue.drops]),
+                    max_octets=max(before.max_octets, queue.max_octets),
+                    max_age_ns=max(before.max_age_ns, queue.max_age_ns),
+                )
+            merged[level] = queue
     return merged
 
 
@@ -104,15 +112,17 @@ def ledger_percent(octets: Mapping[str, int]) -> dict[str, float]:
     return {kind: (whole + (kind in losers)) / 100 for kind, (whole, _) in shares.items()}
 
 
-def gateway_figures(collector: Collector, end: str) -> dict[str, Any]:
+def gateway_figures(collector: Collector, end: str) -> GatewayReport:
     """What only this end knows: its supervision and its radio of the last life, and strangers."""
     segment = Segment(end)
     figures = collector.process(collector.topology.gateway(segment).name)
-    last = list(figures.links())[-1:]
-    names = ("supervision", "radio")
-    told: dict[str, Any] = {name: link[name] for link in last for name in names if name in link}
-    strangers = stranger_counts(collector, segment)
-    return {**told, "strangers": strangers, "unsent": figures.total("unsent")}
+    last = next(reversed(list(figures.links())), None)
+    return GatewayReport(
+        supervision=None if last is None else last.supervision,
+        radio=None if last is None else _radio(last.radio),
+        strangers=stranger_counts(collector, segment),
+        unsent=figures.total("unsent"),
+    )
 
 
 def stranger_counts(collector: Collector, segment: Segment) -> dict[str, int]:
@@ -127,9 +137,32 @@ def stranger_counts(collector: Collector, segment: Segment) -> dict[str, int]:
     return {name: count for name, count in sorted(counts.items()) if count}
 
 
-def summary_us(histogram: Histogram) -> dict[str, float]:
-    """A histogram's summary in microseconds."""
-    return {
-        **{name: round(value * 1000, 1) for name, value in histogram.summary_ms().items()},
-        "p99.9": round(histogram.percentile(99.9) / NS_PER_US, 1),
-    }
+def _radio(path: PathFigures) -> RadioReport:
+    channel = path.channel
+    return RadioReport(
+        delay_ns=path.delay_ns,
+        delay_min_ns=path.delay_min_ns,
+        delay_max_ns=path.delay_max_ns,
+        frames_sent=path.frames_sent,
+        frames_lost=path.frames_lost,
+        frames_hit=path.frames_hit,
+        bits_flipped=path.bits_flipped,
+        frames_under_way=path.frames_under_way,
+        no_signal_ns=None if channel is None else path.no_signal_ns,
+        profile=None if channel is None else channel.profile,
+        direction=None if channel is None else channel.direction,
+        blackout_ns=None if channel is None else channel.blackout_ns,
+        contact=None if channel is None else channel.contact,
+    )
+
+
+def punctuality_us(histogram: Histogram) -> Punctuality:
+    """Percentiles of values in ns, in µs."""
+    summary = histogram.summary_ms()
+    return Punctuality(
+        p50=round(summary["p50"] * 1000, 1),
+        p95=round(summary["p95"] * 1000, 1),
+        p99=round(summary["p99"] * 1000, 1),
+        max=round(summary["max"] * 1000, 1),
+        p99_9=round(histogram.percentile(99.9) / NS_PER_US, 1),
+    )

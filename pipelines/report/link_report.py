@@ -2,13 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from kontur_av.clock import NS_PER_S
 from pipelines.report.collector import Collector
 from pipelines.report.link_figures import gateway_figures, link_figures, stranger_counts
+from pipelines.report.model import (
+    DirectionReport,
+    GatewayReport,
+    LinkRadio,
+    LinkReport,
+    ProcessReport,
+)
+from pipelines.report.session_report import cpu_report
 from pipelines.setup.table import Setup
 from pipelines.topology import Segment
+from telepresence.link.figures import GatewayFigures, SenderFigures, SupervisionFigures
 from telepresence.link.profile import LinkProfile
 
 #: Of the ledger's keys those whose rate is worth a place in a line.
@@ -25,40 +33,33 @@ def build_link_report(
     cpu_s: Mapping[str, float],
     restarts: Mapping[str, int],
     launcher_cpu_s: float,
-) -> dict[str, Any]:
+) -> LinkReport:
     """The whole report. With one end alone each direction lacks what the other end would count.
 
     seconds: how long the link ran. cpu_s, restarts: of each process, over all its lives.
     """
-    return {
-        "setup": setup.name,
-        "seconds": round(seconds, 3),
-        "ends": [end.value for end in ends],
-        "radio": {"profile": setup.radio_profile.name, "seed": seed},
-        "link": {
+    return LinkReport(
+        setup=setup.name,
+        seconds=round(seconds, 3),
+        ends=[end.value for end in ends],
+        radio=LinkRadio(profile=setup.radio_profile.name, seed=seed),
+        link={
             direction: link_figures(setup, collector, direction)
             for direction in ("uplink", "downlink")
         },
-        "gateways": {end.value: gateway_figures(collector, end.value) for end in ends},
-        "cpu": {
-            "total_s": round(sum(cpu_s.values()) + launcher_cpu_s, 2),
-            "launcher_s": round(launcher_cpu_s, 2),
-            "cores_used": round((sum(cpu_s.values()) + launcher_cpu_s) / max(seconds, 1e-9), 3),
-        },
-        "processes": {
-            name: {
-                "cpu_s": round(cpu_s[name], 3),
-                "restarts": restarts[name],
-                **{
-                    gauge: collector.process(name).gauges[gauge]
-                    for gauge in ("scheduler", "last_error")
-                    if gauge in collector.process(name).gauges
-                },
-            }
+        gateways={end.value: gateway_figures(collector, end.value) for end in ends},
+        cpu=cpu_report(cpu_s, launcher_cpu_s, seconds),
+        processes={
+            name: ProcessReport(
+                cpu_s=round(cpu_s[name], 3),
+                restarts=restarts[name],
+                scheduler=collector.process(name).gauges.get("scheduler"),
+                last_error=collector.process(name).gauges.get("last_error"),
+            )
             for name in cpu_s
         },
-        "failures": _failures(collector, ends, restarts),
-    }
+        failures=_failures(collector, ends, restarts),
+    )
 
 
 def _failures(
@@ -99,22 +100,22 @@ class LinkView:
 
     def _end(self, collector: Collector, end: Segment) -> str:
         figures = collector.process(collector.topology.gateway(end).name)
-        link = figures.gauges.get("link")
+        link: GatewayFigures | None = figures.gauges.get("link")
         if link is None:
             return f"{end.value}: starting"
         up = end is Segment.GROUND
         profile = self._setup.uplink if up else self._setup.downlink
-        sent, received = link["transmit"], link["receive"]
+        sent, received = link.transmit, link.receive
         seen = self._seen[end]
         rates = _rates_kbps(sent, seen, profile)
-        self._seen[end] = _Seen(sent["frames"], dict(sent["octets"]))
-        state = _state(link["supervision"])
+        self._seen[end] = _Seen(sent.frames, dict(sent.octets))
+        state = _state(link.supervision)
         levels = " ".join(f"{name} {rates[name]:.1f}" for name in _LEVELS)
         strangers = sum(stranger_counts(collector, end).values())
         parts = [
             f"{end.value} {state}:",
             f"sends kbit/s {levels},",
-            f"heard {received['frames']} frames, {received['frames_lost']} lost,",
+            f"heard {received.frames} frames, {received.frames_lost} lost,",
             f"{figures.total('slips')} slips",
         ]
         if strangers:
@@ -122,84 +123,84 @@ class LinkView:
         return " ".join(parts)
 
 
-def _rates_kbps(sent: Mapping[str, Any], seen: _Seen, profile: LinkProfile) -> dict[str, float]:
+def _rates_kbps(sent: SenderFigures, seen: _Seen, profile: LinkProfile) -> dict[str, float]:
     # By the link's own time, in slots: exact, however late the figures came. A gateway that was
     # started again counts from 0.
-    begun_anew = sent["frames"] < seen.frames
-    frames = sent["frames"] - (0 if begun_anew else seen.frames)
+    begun_anew = sent.frames < seen.frames
+    frames = sent.frames - (0 if begun_anew else seen.frames)
     seconds = max(1, frames) * profile.slot_ns / NS_PER_S
     return {
         name: 8
-        * (sent["octets"].get(name, 0) - (0 if begun_anew else seen.octets.get(name, 0)))
+        * (sent.octets.get(name, 0) - (0 if begun_anew else seen.octets.get(name, 0)))
         / (1000 * seconds)
         for name in _LEVELS
     }
 
 
-def summary_lines(report: Mapping[str, Any]) -> list[str]:
+def summary_lines(report: LinkReport) -> list[str]:
     """The end of a run for people: each direction, its ledger, each end, the cost."""
-    lines = [f"{report['setup']}, {report['seconds']:.1f} s, radio {report['radio']['profile']}"]
-    for direction, link in report["link"].items():
+    lines = [f"{report.setup}, {report.seconds:.1f} s, radio {report.radio.profile}"]
+    for direction, link in report.link.items():
         lines += _direction(direction, link)
-    for end, told in report["gateways"].items():
+    for end, told in report.gateways.items():
         lines.append(end_line(end, told))
-    cpu = report["cpu"]
-    lines.append(f"CPU: {cpu['total_s']:.1f} s, {cpu['cores_used']:.2f} of a core")
-    lines += [f"failed: {failure}" for failure in report["failures"]]
+    cpu = report.cpu
+    lines.append(f"CPU: {cpu.total_s:.1f} s, {cpu.cores_used:.2f} of a core")
+    lines += [f"failed: {failure}" for failure in report.failures]
     return lines
 
 
-def _direction(direction: str, link: Mapping[str, Any]) -> list[str]:
+def _direction(direction: str, link: DirectionReport) -> list[str]:
     lines = []
-    if link["frames"]:
-        late, sent = link["lateness_us"], link["sent_after_us"]
+    if link.frames:
+        late, sent = link.lateness_us, link.sent_after_us
         lines.append(
-            f"{direction}: {link['frames']} frames sent, {link['slips']} slips; slots late by "
-            f"{late['p50']:.0f} µs (p50), {late['p99']:.0f} (p99), {late['p99.9']:.0f} (p99.9), "
-            f"{late['max']:.0f} at most; sent after {sent['p50']:.0f} (p50), {sent['p99']:.0f} "
+            f"{direction}: {link.frames} frames sent, {link.slips} slips; slots late by "
+            f"{late.p50:.0f} µs (p50), {late.p99:.0f} (p99), {late.p99_9:.0f} (p99.9), "
+            f"{late.max:.0f} at most; sent after {sent.p50:.0f} (p50), {sent.p99:.0f} "
             "(p99)"
         )
         lines.append(f"  {ledger_line(link)}")
         drops = {
             f"{level}, {reason}": count
-            for level, queue in link["queue"].items()
-            for reason, count in queue["drops"].items()
+            for level, queue in link.queue.items()
+            for reason, count in queue.drops.items()
             if count
-        } | {f"refused, {reason}": count for reason, count in link["refused"].items() if count}
+        } | {f"refused, {reason}": count for reason, count in link.refused.items() if count}
         if drops:
             lines.append("  not sent: " + ", ".join(f"{n} ({why})" for why, n in drops.items()))
-    if link["packets"]:
-        came = ", ".join(f"{name} {count}" for name, count in link["packets"].items() if count)
-        frames = f"{link['frames_lost']} frames lost"
+    if link.packets:
+        came = ", ".join(f"{name} {count}" for name, count in link.packets.items() if count)
+        frames = f"{link.frames_lost} frames lost"
         lines.append(f"{direction} received: {frames}; packets {came or 'none'}")
-        dropped = {**link["frames_dropped"], **link["packets_dropped"]}
+        dropped = {**link.frames_dropped, **link.packets_dropped}
         if dropped:
             lines.append("  dropped: " + ", ".join(f"{n} {why}" for why, n in dropped.items()))
     return lines
 
 
-def _state(supervision: Mapping[str, Any]) -> str:
+def _state(supervision: SupervisionFigures) -> str:
     """The state of now; of one that somebody has to mend the reason, too."""
-    state: str = supervision["state"]
-    return f"{state} ({supervision['why']})" if state in ("check", "refused") else state
+    state = supervision.state
+    return f"{state} ({supervision.why})" if state in ("check", "refused") else state
 
 
-def ledger_line(link: Mapping[str, Any]) -> str:
+def ledger_line(link: DirectionReport) -> str:
     """Where a direction's octets went; 100 % in all."""
-    shares = link["octets_percent"].items()
+    shares = link.octets_percent.items()
     used = ", ".join(f"{kind} {share:.2f}" for kind, share in shares)
-    return f"of {sum(link['octets'].values())} octets, in %: {used}"
+    return f"of {sum(link.octets.values())} octets, in %: {used}"
 
 
-def end_line(end: str, told: Mapping[str, Any]) -> str:
-    supervision = told.get("supervision", {})
-    contacts = len(supervision.get("contacts", ()))
-    contact_s = supervision.get("contact_ns", 0) / NS_PER_S
-    state = _state(supervision) if supervision else "never ran"
+def end_line(end: str, told: GatewayReport) -> str:
+    supervision = told.supervision
+    contacts = 0 if supervision is None else len(supervision.contacts)
+    contact_s = 0.0 if supervision is None else supervision.contact_ns / NS_PER_S
+    state = "never ran" if supervision is None else _state(supervision)
     line = f"{end}: {state}, {contact_s:.1f} s of signal in {contacts} contacts"
-    if told["strangers"]:
-        counts = ", ".join(f"{name} {count}" for name, count in told["strangers"].items())
+    if told.strangers:
+        counts = ", ".join(f"{name} {count}" for name, count in told.strangers.items())
         line += f"; from strangers: {counts}"
-    if told["unsent"]:
-        line += f"; {told['unsent']} frames not sent"
+    if told.unsent:
+        line += f"; {told.unsent} frames not sent"
     return line

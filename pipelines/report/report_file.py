@@ -1,13 +1,11 @@
 """Where a run's report goes."""
 
-import json
 import os
 import secrets
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from kontur_av.errors import ConfigError
+from pipelines.report.model import to_json
 
 #: As many as Linux follows.
 _LINKS = 40
@@ -27,9 +25,9 @@ def check_writable(path: Path | None, option: str = "--report") -> None:
         raise ConfigError(f"{option} {path}: cannot be written; name a file in an open directory")
 
 
-def write_report(path: Path, report: Mapping[str, Any]) -> None:
+def write_report(path: Path, report: object) -> None:
     """Write `report` as JSON; see `write_text`."""
-    write_text(path, json.dumps(report, indent=2) + "\n")
+    write_text(path, to_json(report))
 
 
 def write_text(path: Path, text: str) -> None:

@@ -11,6 +11,7 @@ from pipelines.setup.table import (
     VoiceStream,
 )
 from pipelines.topology import Segment
+from telepresence.link.figures import GatewayFigures
 
 #: A picture or a sound that stays out for this long, and for this many periods, is missed.
 MISSED_NS = 2 * NS_PER_S
@@ -64,15 +65,14 @@ def signal_ns(segment: str, collector: Collector) -> int:
     that hardly a picture can have come whole.
     """
     figures = collector.process(collector.topology.gateway(Segment(segment)).name)
-    link = figures.gauges.get("link", {})
-    supervision = link.get("supervision")
-    if supervision is None:
+    link: GatewayFigures | None = figures.gauges.get("link")
+    if link is None:
         return _FOR_EVER_NS
-    heard = link.get("receive", {})
-    received, lost = heard.get("frames", 0), heard.get("frames_lost", 0)
-    if not supervision["signal"] or lost > _SPOILED * (received + lost):
+    supervision, heard = link.supervision, link.receive
+    lost = heard.frames_lost
+    if not supervision.signal or lost > _SPOILED * (heard.frames + lost):
         return 0
-    acquired_ns: int = supervision["begun_ns"] + supervision["contacts"][-1]["acquired_ns"]
+    acquired_ns = supervision.begun_ns + supervision.contacts[-1].acquired_ns
     return figures.told_ns - acquired_ns
 
 

@@ -6,6 +6,7 @@ from collections import deque
 from kontur_av.clock import NS_PER_S
 from kontur_av.meters import Histogram
 from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
+from pipelines.report.model import LipSync, SkewReport
 
 #: So many latencies are remembered to be compared with those of another sense.
 RECENT_DEPTH = 8192
@@ -40,18 +41,18 @@ class Skew:
     def add(self, skew_ns: int) -> None:
         (self._later if skew_ns >= 0 else self._earlier).add(abs(skew_ns))
 
-    def summary_ms(self) -> dict[str, float]:
-        """p50, p95, p99 and max of the signed skew, and `count`; max is the farthest from zero."""
+    def summary_ms(self) -> SkewReport:
+        """p50, p95, p99 and max of the signed skew; max is the farthest from zero."""
         farthest = self._later.max
         if self._earlier.max > farthest:
             farthest = -self._earlier.max
-        return {
-            "p50": self._percentile(50) / 1e6,
-            "p95": self._percentile(95) / 1e6,
-            "p99": self._percentile(99) / 1e6,
-            "max": farthest / 1e6,
-            "count": self.count,
-        }
+        return SkewReport(
+            p50=self._percentile(50) / 1e6,
+            p95=self._percentile(95) / 1e6,
+            p99=self._percentile(99) / 1e6,
+            max=farthest / 1e6,
+            count=self.count,
+        )
 
     @property
     def count(self) -> int:
@@ -89,14 +90,14 @@ class LipSyncShare:
                 self._within_ns += shown_ns
         self._last = displayed_ns, skew_ns
 
-    def summary(self) -> dict[str, float]:
+    def summary(self) -> LipSync:
         """Shares of the time, from 0 to 1: together, sound too early, sound too late."""
         total_ns = max(1, self._within_ns + self._early_ns + self._late_ns)
-        return {
-            "within": round(self._within_ns / total_ns, 6),
-            "early": round(self._early_ns / total_ns, 6),
-            "late": round(self._late_ns / total_ns, 6),
-        }
+        return LipSync(
+            within=round(self._within_ns / total_ns, 6),
+            early=round(self._early_ns / total_ns, 6),
+            late=round(self._late_ns / total_ns, 6),
+        )
 
     @property
     def counted_ns(self) -> int:

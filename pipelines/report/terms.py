@@ -7,9 +7,9 @@ time between the two: the means below are those of an event, not of a picture. O
 
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.report.model import DirectionReport, Terms, VideoLead
 from pipelines.setup.table import Setup
 from telepresence.link.profile import LinkProfile
 
@@ -105,28 +105,26 @@ class Way:
         return total / self._weight
 
 
-def zone_bps(profile: LinkProfile, link: Mapping[str, Any]) -> float:
+def zone_bps(profile: LinkProfile, link: DirectionReport) -> float:
     """What haptic samples left of the direction whose figures are `link`, in bit/s."""
-    frames = link["frames"]
+    frames = link.frames
     if not frames:
         return float(profile.media_bps)
-    samples_octets: float = link["octets"].get("haptic", 0) / frames
+    samples_octets = link.octets.get("haptic", 0) / frames
     return (profile.largest_zone_octets - samples_octets) * 8 * NS_PER_S / profile.slot_ns
 
 
 def video_lead(
-    setup: Setup, way: Way, link: Mapping[str, Any], *, force_ns: float, epoch_ns: int
-) -> dict[str, Any] | None:
+    setup: Setup, way: Way, link: DirectionReport, *, force_ns: float, epoch_ns: int
+) -> VideoLead | None:
     """By how much force comes before the uplink's picture of the same event; None without pictures.
 
     link: the uplink's figures in the report. force_ns: mean latency of the force.
-    Gives `pictures`, `octets_mean`, `zone_bps`, and by term and `total`, in ms: `video_ms`, of the
-    event's picture; `force_ms`, of its force; `lead_ms`, the difference.
     """
     if not way.pictures:
         return None
     profile = setup.uplink
-    headers = link["headers"].get(setup.uplink_video.name, {})
+    headers = link.headers.get(setup.uplink_video.name, {})
     header_octets = headers.get("header_octets", 0) / max(1, headers.get("packets", 0))
     rate_bps = zone_bps(profile, link)
     propagation_ns = way.propagation_ns(setup, profile, epoch_ns)
@@ -147,15 +145,15 @@ def video_lead(
         "propagation": propagation_ns,
         "total": force_ns,
     }
-    return {
-        "pictures": way.pictures,
-        "octets_mean": round(way.octets_mean, 1),
-        "zone_bps": round(rate_bps),
-        "video_ms": _in_ms(video),
-        "force_ms": _in_ms(force),
-        "lead_ms": _in_ms({name: video[name] - force[name] for name in video}),
-    }
+    return VideoLead(
+        pictures=way.pictures,
+        octets_mean=round(way.octets_mean, 1),
+        zone_bps=round(rate_bps),
+        video_ms=_in_ms(video),
+        force_ms=_in_ms(force),
+        lead_ms=_in_ms({name: video[name] - force[name] for name in video}),
+    )
 
 
-def _in_ms(terms: Mapping[str, float]) -> dict[str, float]:
-    return {name: round(terms[name] / NS_PER_MS, 3) for name in (*TERMS, "total")}
+def _in_ms(terms: Mapping[str, float]) -> Terms:
+    return Terms(**{name: round(terms[name] / NS_PER_MS, 3) for name in (*TERMS, "total")})

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from random import Random
-from typing import Any
+
+import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
@@ -18,6 +19,7 @@ from pipelines.cores.choosing import CameraChoice, Console
 from pipelines.cores.ends import make_gateway
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.report.collector import Collector
+from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
 from pipelines.runtime.probe import FLUSH_NS, Probe
 from pipelines.setup.table import TELECOMMAND, TELEMETRY, Setup
@@ -166,7 +168,7 @@ class Simulation:
         advance(until_ns)
         self._now_ns = until_ns
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> SessionReport:
         """The report of all that was run so far: that of a live session, and `simulation`."""
         if self._media is not None:
             self._media.settle(FAR_NS, self._now_ns)
@@ -182,13 +184,13 @@ class Simulation:
             launcher_cpu_s=0.0,
             media=self._media is not None,
         )
-        report["simulation"] = {
-            "seed": self._seed,
-            "radio": self.setup.radio_profile.name,
-            "media": self._media is not None,
-            "costs": asdict(self._costs),
-        }
-        return report
+        simulation = SimulationReport(
+            seed=self._seed,
+            radio=self.setup.radio_profile.name,
+            media=self._media is not None,
+            costs=CostsReport(**asdict(self._costs)),
+        )
+        return msgspec.structs.replace(report, simulation=simulation)
 
     def _advance(self, until_ns: int) -> None:
         """All that happens up to `until_ns` beside the slots and the haptic cycles."""

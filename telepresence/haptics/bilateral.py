@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.board import Board, led_at
+from telepresence.haptics.figures import PortFigures
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
 from telepresence.haptics.joystick import Joystick, JoystickModel
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
@@ -94,18 +95,18 @@ class _Side:
         acted, self._acted = controller.acted != self._acted, controller.acted
         return acted
 
-    def report(self) -> dict[str, int]:
-        """Energies (µJ) and counters by name; `least_uj` is the observer's lowest value."""
+    def report(self) -> PortFigures:
+        """Energies of the port (µJ), and what the passivity controller did."""
         controller = self.controller
-        return {
-            "energy_in_uj": controller.energy_in_uj,
-            "energy_out_uj": controller.energy_out_uj,
-            "granted_uj": controller.granted_uj,
-            "credit_uj": round(controller.credit_uj),
-            "least_uj": round(controller.least_observed_uj),
-            "passivity_acted": controller.acted,
-            "totals_refused": controller.port.refused,
-        }
+        return PortFigures(
+            energy_in_uj=controller.energy_in_uj,
+            energy_out_uj=controller.energy_out_uj,
+            granted_uj=controller.granted_uj,
+            credit_uj=round(controller.credit_uj),
+            least_uj=round(controller.least_observed_uj),
+            passivity_acted=controller.acted,
+            totals_refused=controller.port.refused,
+        )
 
 
 class JoystickSide(_Side):

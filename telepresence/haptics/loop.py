@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from telepresence.haptics.deadband import Deadband, command_deadband, feedback_deadband
+from telepresence.haptics.figures import HapticLinkFigures
 from telepresence.haptics.sample import (
     FLAG_HOLDING,
     SEQUENCE_MODULUS,
@@ -221,19 +222,18 @@ class HapticLink(Generic[Out, In]):
         self._received_stamps.clear()
         return taken
 
-    def report(self) -> dict[str, int]:
-        """Return the counters by name."""
-        left_out = {} if self.deadband is None else {"left_out": self.deadband.left_out}
-        return {
-            **left_out,
-            "sent": self.sent,
-            "received": self.received,
-            "lost": self.lost,
-            "late": self.late,
-            "repeated": self.repeated,
-            "garbage": self.garbage,
-            "restarts": self.restarts,
-        }
+    def report(self) -> HapticLinkFigures:
+        """The counters."""
+        return HapticLinkFigures(
+            sent=self.sent,
+            received=self.received,
+            lost=self.lost,
+            late=self.late,
+            repeated=self.repeated,
+            garbage=self.garbage,
+            restarts=self.restarts,
+            left_out=None if self.deadband is None else self.deadband.left_out,
+        )
 
     def _accept(self, sequence: int, now_ns: int) -> bool:
         """Whether to use a sample whose number is not the next one."""

@@ -17,9 +17,9 @@ other holds.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.link.figures import GatewayFigures
 from telepresence.link.flows import Flow, Level
 from telepresence.link.profile import LinkProfile
 from telepresence.link.queues import QueueLimits
@@ -258,11 +258,11 @@ class Gateway:
         self.receiver.forget_contexts()
         self.supervisor.handle_contexts(self.receiver.context_ids(), now_ns)
 
-    def report(self, now_ns: int) -> dict[str, Any]:
-        """Return `transmit` and `receive`, each with its profile's name, `radio`, `supervision`."""
-        return {
-            "transmit": {"name": self.sender.profile.name, **self.sender.report(now_ns)},
-            "receive": {"name": self.receiver.profile.name, **self.receiver.report()},
-            "radio": self.radio.report(),
-            "supervision": self.supervisor.report(now_ns),
-        }
+    def report(self, now_ns: int) -> GatewayFigures:
+        """What this end has counted until `now_ns`."""
+        return GatewayFigures(
+            transmit=self.sender.report(now_ns),
+            receive=self.receiver.report(),
+            radio=self.radio.report(),
+            supervision=self.supervisor.report(now_ns),
+        )

@@ -3,10 +3,10 @@
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
+from telepresence.link.figures import QueueFigures
 from telepresence.link.flows import Level
 
 
@@ -138,17 +138,17 @@ class PacketQueue:
             self.max_age_ns = now_ns - queued_ns
         return flow, data
 
-    def report(self, now_ns: int) -> dict[str, Any]:
-        """Return depth, age and drops: present values and maxima."""
+    def report(self, now_ns: int) -> QueueFigures:
+        """Depth, age and drops, now and at worst."""
         self.waiting(now_ns)
         oldest_ns = now_ns - self.items[0][0] if self.items else 0
-        return {
-            "policy": self.limits.policy.value,
-            "packets": len(self.items),
-            "octets": self.octets,
-            "oldest_age_ns": oldest_ns,
-            "max_octets": self.max_depth_octets,
-            "max_age_ns": max(self.max_age_ns, oldest_ns),
-            "accepted": self.accepted_packets,
-            "drops": dict(self.drops),
-        }
+        return QueueFigures(
+            policy=self.limits.policy.value,
+            packets=len(self.items),
+            octets=self.octets,
+            oldest_age_ns=oldest_ns,
+            max_octets=self.max_depth_octets,
+            max_age_ns=max(self.max_age_ns, oldest_ns),
+            accepted=self.accepted_packets,
+            drops=dict(self.drops),
+        )

@@ -2,11 +2,12 @@
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from telepresence.link.compression.header_compression import RtpDecompressor
 from telepresence.link.compression.rtp_forms import KIND_CONTEXT, KIND_RAW
+from telepresence.link.figures import ReceiverFigures
 from telepresence.link.flows import MAX_FLOWS, Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
@@ -348,18 +349,20 @@ class LinkReceiver:
         else:
             self._drop_packet("unapproved")
 
-    def report(self) -> dict[str, Any]:
-        """Return frames, samples and packets: received, lost, and dropped by reason."""
-        return {
-            "frames": self.frames_received,
-            "frames_lost": self.frames_lost,
-            "frames_dropped": dict(self.frames_dropped),
-            "restarts": self.restarts,
-            "haptic": {"received": self.haptic_received, "unapproved": self.haptic_unapproved},
-            "supervision": {"received": self.supervision_received},
-            "packets": {
+    def report(self) -> ReceiverFigures:
+        """Frames, samples and packets, received, lost and dropped by reason."""
+        return ReceiverFigures(
+            name=self.profile.name,
+            frames=self.frames_received,
+            frames_lost=self.frames_lost,
+            frames_dropped=dict(self.frames_dropped),
+            restarts=self.restarts,
+            haptic_received=self.haptic_received,
+            haptic_unapproved=self.haptic_unapproved,
+            supervision_received=self.supervision_received,
+            packets={
                 flow.name: received
                 for flow, received in zip(self.flows, self.packets_received, strict=True)
             },
-            "packets_dropped": dict(self.packets_dropped),
-        }
+            packets_dropped=dict(self.packets_dropped),
+        )

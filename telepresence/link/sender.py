@@ -1,10 +1,10 @@
 """The sending end: one frame a slot with the newest sample, filled by priority of the levels."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from telepresence.link.compression.header_compression import RtpCompressor
 from telepresence.link.compression.rtp_forms import KIND_RAW
+from telepresence.link.figures import SenderFigures
 from telepresence.link.flows import Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
@@ -325,21 +325,23 @@ class LinkSender:
             "idle": self._idle,
         }
 
-    def report(self, now_ns: int) -> dict[str, Any]:
-        """Return rates, the octets by what they carried, and each level's queue."""
-        return {
-            "capacity_bps": self.profile.capacity_bps,
-            "frames": self.frames_sent,
-            "octets": self.octets(),
-            "queue": {level.name.lower(): self._queues[level].report(now_ns) for level in Level},
-            "haptic": {"sent": self.haptic_sent, "superseded": self.haptic_superseded},
-            "headers": {
+    def report(self, now_ns: int) -> SenderFigures:
+        """Rates, the ledger of octets, and each level's queue."""
+        return SenderFigures(
+            name=self.profile.name,
+            capacity_bps=self.profile.capacity_bps,
+            frames=self.frames_sent,
+            octets=self.octets(),
+            queue={level.name.lower(): self._queues[level].report(now_ns) for level in Level},
+            haptic_sent=self.haptic_sent,
+            haptic_superseded=self.haptic_superseded,
+            headers={
                 flow.name: compressor.report()
                 for flow, compressor in zip(self.flows, self._compressors, strict=True)
                 if compressor is not None
             },
-            "refused": dict(self.refused),
-        }
+            refused=dict(self.refused),
+        )
 
 
 def _plausible(kind: FlowKind, data: bytes) -> bool:

@@ -112,10 +112,10 @@ def test_counters_are_correct_for_any_path(first: int, path: list[str]) -> None:
     numbers = {number for number in seen if number >= begin}
     lost = newest - begin + 1 - len(numbers) if arrivals else 0
     report = link.report()
-    assert (report["received"], report["late"], report["repeated"], report["lost"]) == (
+    assert (report.received, report.late, report.repeated, report.lost) == (
         received,
         late,
         repeated,
         lost,
     )
-    assert report["restarts"] == 0
+    assert report.restarts == 0

@@ -86,12 +86,12 @@ def test_mutated_frames(profile):
         held = sum(len(partial.body) for partial in receiver._partials if partial)
         assert held <= len(Level) * (MAX_PACKET_OCTETS + 16)
     report = receiver.report()
-    assert report["frames"] + sum(report["frames_dropped"].values()) == handled
-    samples, told = report["haptic"]["received"], report["supervision"]["received"]
-    assert events == samples + told + sum(report["packets"].values())
+    assert report.frames + sum(report.frames_dropped.values()) == handled
+    samples, told = report.haptic_received, report.supervision_received
+    assert events == samples + told + sum(report.packets.values())
     assert mutations > FRAMES // 5
-    assert min(report["frames_dropped"][why] for why in ("length", "fecf", "late")) > 0
-    assert report["packets_dropped"]["malformed"] > 0
+    assert min(report.frames_dropped[why] for why in ("length", "fecf", "late")) > 0
+    assert report.packets_dropped["malformed"] > 0
     if FRAMES > 100_000:
         print(profile.name, mutations, "of", handled, "frames mutated:", report)
 

@@ -172,7 +172,7 @@ def test_what_comes_out_was_put_in(profile, arrivals, disturbances, sampled, sup
         idle_slots = idle_slots + (carried["supervision"] == now["supervision"]) if same else 0
 
     carrying = range(0, slot, sampled) if sampled else range(0)
-    ends = {level: sender.report(slot * MS)["queue"][level.name.lower()] for level in Level}
+    ends = {level: sender.report(slot * MS).queue[level.name.lower()] for level in Level}
     assert sum(sender.octets().values()) == slot * profile.frame_octets
     # In order and once for any disturbance; complete without one.
     assert samples == sorted(set(samples) & set(carrying))
@@ -185,7 +185,7 @@ def test_what_comes_out_was_put_in(profile, arrivals, disturbances, sampled, sup
             assert any(data == candidate for candidate, _ in rest), (name, data)
     for name, packets in put.items():
         level = next(flow.level for flow in FLOWS if flow.name == name)
-        if ends[level]["drops"]["expired"] or ends[level]["drops"]["signal_lost"]:
+        if ends[level].drops["expired"] or ends[level].drops["signal_lost"]:
             continue
         out = got.get(name, [])
         if not radio.ways:
@@ -194,9 +194,9 @@ def test_what_comes_out_was_put_in(profile, arrivals, disturbances, sampled, sup
             after = [data for data, since in packets if since > radio.last + 1]
             assert out[len(out) - len(after) :] == after
     # Each accepted packet was dropped by its queue, or sent; then it was received or dropped there.
-    accepted = sum(queue["accepted"] for queue in ends.values())
-    dropped = sum(sum(queue["drops"].values()) for queue in ends.values())
-    refused = sum(queue["drops"]["full"] for queue in ends.values())
+    accepted = sum(queue.accepted for queue in ends.values())
+    dropped = sum(sum(queue.drops.values()) for queue in ends.values())
+    refused = sum(queue.drops["full"] for queue in ends.values())
     if not radio.ways and not refused:
         received = sum(receiver.packets_received)
         in_part = receiver.packets_dropped.get("incomplete", 0)

@@ -71,7 +71,7 @@ def test_octets_of_any_length(datagrams, master):
     for slot, data in enumerate(datagrams):
         supervisor.handle_message(data, slot * MS)
         supervisor.poll_transmit(slot * MS)
-    counts = supervisor.report(len(datagrams) * MS)["counts"]
+    counts = supervisor.report(len(datagrams) * MS).counts
     assert counts["messages_malformed"] + counts["messages_received"] == len(datagrams)
     drain(supervisor)
     talk(supervisor, begun(master=not master), len(datagrams), 100)
@@ -94,6 +94,6 @@ def test_mutated_messages():
         assert len(changes) <= 1
         drain(peer)
     assert sent <= MESSAGES // 10 + 1
-    counts = victim.report(0)["counts"]
+    counts = victim.report(0).counts
     assert counts["messages_malformed"] + counts["messages_mismatched"] > MESSAGES // 2
     talk(victim, peer, 100 + MESSAGES, 4000)

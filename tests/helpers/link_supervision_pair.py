@@ -121,7 +121,7 @@ class Pair:
 
     def history(self, end):
         report = end.supervisor.report(self.slot * MS)
-        return [entry["to"] for entry in report["history"]]
+        return [entry["to"] for entry in report.history]
 
 
 CONNECTED = ("CONNECTED", "CONNECTED")

@@ -11,6 +11,7 @@ from places import ROOT
 
 from pipelines.cli import _parser
 from pipelines.report.collector import Collector
+from pipelines.report.model import to_builtins
 from pipelines.report.session_report import build_report
 from pipelines.setup.setup_file import load_setup, setup_from_table
 from pipelines.setup.table import Setup
@@ -108,13 +109,15 @@ def test_the_annotated_setup_is_one_and_has_every_field():
 def test_every_key_of_the_report_is_in_the_document():
     text = (ROOT / "docs" / "report.md").read_text(encoding="utf-8")
     setup = load_setup("spacejustin")
-    report = build_report(
-        setup,
-        Collector(topology_of(setup)),
-        seconds=1,
-        cpu_s={"robot": 0.1},
-        restarts={"robot": 0},
-        launcher_cpu_s=0.1,
+    report = to_builtins(
+        build_report(
+            setup,
+            Collector(topology_of(setup)),
+            seconds=1,
+            cpu_s={"robot": 0.1},
+            restarts={"robot": 0},
+            launcher_cpu_s=0.1,
+        )
     )
     nested = [
         report,

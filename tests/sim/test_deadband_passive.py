@@ -67,11 +67,9 @@ def test_no_port_ever_gives_out_what_was_not_granted(delay_ms, jitter_ms, loss, 
         (exchange.robot_side, exchange.joystick_side),
     ):
         report = side.report()
-        assert report["least_uj"] >= -1
+        assert report.least_uj >= -1
         # By the ends' own totals, independent of the observers: what left has entered before.
-        assert report["energy_out_uj"] <= peer.report()["energy_in_uj"] + (
-            report["energy_in_uj"] + 1
-        )
+        assert report.energy_out_uj <= peer.report().energy_in_uj + (report.energy_in_uj + 1)
         assert side.link.deadband.left_out > 0
     assert max(exchange.force_n) < 20
 
@@ -87,8 +85,8 @@ def test_forces_and_motions_are_nearly_the_same(delay_ms):
     # On average, because a contact one cycle earlier differs by the whole force for a moment.
     assert sum(off_n) / len(off_n) < 0.2
     # Four fifths of the robot's samples are not sent, and half of the joystick's.
-    assert some.robot_side.link.report()["left_out"] > 0.75 * 12_000
-    assert some.joystick_side.link.report()["left_out"] > 0.4 * 12_000
+    assert some.robot_side.link.report().left_out > 0.75 * 12_000
+    assert some.joystick_side.link.report().left_out > 0.4 * 12_000
     assert some.joystick_side.link.lost == some.robot_side.link.lost == 0
 
 

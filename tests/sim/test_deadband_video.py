@@ -172,18 +172,18 @@ def test_a_whole_session_gains_and_reports_it():
     setup = replace(BUILT_IN["taskboard"], radio="clean")
     plain = simulate(setup, seconds=6.0, seed=1)
     saving = simulate(replace(setup, deadband="picture"), seconds=6.0, seed=1)
-    assert saving["failures"] == plain["failures"] == []
-    video, before = (report["streams"]["uplink_video"] for report in (saving, plain))
-    assert video["gained_bps"] > 15_000 and "gained_bps" not in before
-    assert video["payload_bps_mean"] > before["payload_bps_mean"] + 5_000
+    assert saving.failures == plain.failures == []
+    video, before = (report.streams["uplink_video"] for report in (saving, plain))
+    assert video.gained_bps > 15_000 and before.gained_bps is None
+    assert video.payload_bps_mean > before.payload_bps_mean + 5_000
     # The channel is faster by what is saved, and pictures do not grow by more than that.
-    assert video["latency_ms"]["p50"] < before["latency_ms"]["p50"]
-    up = saving["haptic"]["up"]
-    assert up["saved_bps"] > 60_000 and up["lost"] == 0
-    assert up["sent"] + up["left_out"] == 6000
-    freed_bps = saving["link"]["uplink"]["freed_bps"]
-    assert freed_bps == pytest.approx(up["saved_bps"], rel=0.01)
-    assert plain["link"]["uplink"]["freed_bps"] < 100
+    assert video.latency_ms.p50 < before.latency_ms.p50
+    up = saving.haptic["up"]
+    assert up.saved_bps > 60_000 and up.lost == 0
+    assert up.sent + up.left_out == 6000
+    freed_bps = saving.link["uplink"].freed_bps
+    assert freed_bps == pytest.approx(up.saved_bps, rel=0.01)
+    assert plain.link["uplink"].freed_bps < 100
 
 
 def test_freed_capacity_can_reduce_the_latency_instead():
@@ -192,9 +192,9 @@ def test_freed_capacity_can_reduce_the_latency_instead():
         simulate(replace(setup, deadband=deadband), seconds=6.0, seed=1)
         for deadband in ("off", "picture", "latency")
     )
-    plain, larger, sooner = (report["streams"]["uplink_video"] for report in reports)
-    assert sooner["gained_bps"] == 0
-    assert sooner["payload_bps_mean"] == pytest.approx(plain["payload_bps_mean"], rel=0.05)
+    plain, larger, sooner = (report.streams["uplink_video"] for report in reports)
+    assert sooner.gained_bps == 0
+    assert sooner.payload_bps_mean == pytest.approx(plain.payload_bps_mean, rel=0.05)
     # Slots without a sample carry twice as much: a picture takes little more than half the time.
-    assert sooner["latency_ms"]["p50"] < plain["latency_ms"]["p50"] - 8.0
-    assert sooner["latency_ms"]["p99"] < larger["latency_ms"]["p99"] - 2.0
+    assert sooner.latency_ms.p50 < plain.latency_ms.p50 - 8.0
+    assert sooner.latency_ms.p99 < larger.latency_ms.p99 - 2.0

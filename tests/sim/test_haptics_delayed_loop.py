@@ -135,7 +135,7 @@ def test_an_outage_during_contact_ends_at_rest_and_resumes_without_a_jump() -> N
     most_m = session.ground.controller.model.speed_m_s / 1000
     assert max(abs(b - a) for a, b in pairwise(references)) <= most_m + 1e-9
     assert robot.contact
-    assert session.ground.link.report()["lost"] == 1_500
+    assert session.ground.link.report().lost == 1_500
 
 
 def test_a_restarted_joystick_begins_without_credit_and_continues() -> None:
@@ -144,7 +144,7 @@ def test_a_restarted_joystick_begins_without_credit_and_continues() -> None:
     before = session.ground.controller.port.received_j
     session.space = JoystickSide()
     session.run(8_000)
-    assert session.ground.link.report()["restarts"] == 1
+    assert session.ground.link.report().restarts == 1
     # The new totals begin at 0, which must not count as a gain of 4295 J.
     assert before < session.ground.controller.port.received_j < before + 2.0
     assert session.ground.controller.least_observed_uj >= -1.0

@@ -38,4 +38,4 @@ def test_a_force_that_was_cut_is_not_turned_into_the_wall(wall_n_m, delay_ms):
             assert abs(y_n) < 4.0
             cut = space.controller.acted
     assert cut > 0
-    assert space.report()["least_uj"] >= -1 and ground.report()["least_uj"] >= -1
+    assert space.report().least_uj >= -1 and ground.report().least_uj >= -1

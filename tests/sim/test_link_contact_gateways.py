@@ -123,7 +123,7 @@ class Session:
         )
 
     def contacts(self, gateway):
-        return gateway.report(self.link.now_ns)["supervision"]["contacts"]
+        return gateway.report(self.link.now_ns).supervision.contacts
 
 
 def session():
@@ -156,7 +156,7 @@ def test_both_ways(blackout_ms, phase):
         (one.link.space, one.at_space),
     ):
         first_ns = back_ns + DELAY_MS * MS
-        assert one.contacts(gateway)[-1]["acquired_ns"] == first_ns
+        assert one.contacts(gateway)[-1].acquired_ns == first_ns
         assert arrivals.samples[0] == (first_ns, back_ns)
         packet_ns = arrivals.packets[0][0]
         assert packet_ns - first_ns <= 100 * MS
@@ -177,7 +177,7 @@ def test_a_loss_of_signal_flushes_waiting_packets():
     while one.link.ground.supervisor.signal:
         one.step()
     assert not sum(sender.waiting_octets(level) for level in Level)
-    drops = [queue["drops"] for queue in sender.report(one.link.now_ns)["queue"].values()]
+    drops = [queue.drops for queue in sender.report(one.link.now_ns).queue.values()]
     assert sum(drop["signal_lost"] for drop in drops)
 
 
@@ -253,7 +253,7 @@ def test_counts_and_reports_are_exact_over_blackouts():
             [gateway.report(one.link.now_ns) for gateway in (one.link.ground, one.link.space)]
         )
         for gateway in (one.link.ground, one.link.space):
-            octets = gateway.report(one.link.now_ns)["transmit"]["octets"]
+            octets = gateway.report(one.link.now_ns).transmit.octets
             frames = gateway.sender.frames_sent * gateway.sender.profile.frame_octets
             assert sum(octets.values()) == frames
             assert octets["supervision"]

@@ -105,11 +105,11 @@ class Session:
         self.received += 1
 
     def headers(self, side):
-        return getattr(self.link, side).report(self.link.now_ns)["transmit"]["headers"]
+        return getattr(self.link, side).report(self.link.now_ns).transmit.headers
 
     def dropped(self):
         return {
-            side: getattr(self.link, side).report(self.link.now_ns)["receive"]["packets_dropped"]
+            side: getattr(self.link, side).report(self.link.now_ns).receive.packets_dropped
             for side in ("ground", "space")
         }
 

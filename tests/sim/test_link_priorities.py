@@ -98,8 +98,8 @@ def test_haptics_go_in_every_slot(uplink):
 def test_everything_fits_at_its_cap(uplink):
     for name, sent in uplink.sent.items():
         assert len(sent) - len(uplink.received[name]) <= 2, name
-    queues = uplink.sender.report(30_000 * MS)["queue"]
-    assert all(not any(queue["drops"].values()) for queue in queues.values())
+    queues = uplink.sender.report(30_000 * MS).queue
+    assert all(not any(queue.drops.values()) for queue in queues.values())
     # A picture of 354 octets takes 30 slots; the contexts of the first seconds take some more.
     assert max(uplink.delay_slots["video"]) <= 60
     assert max(uplink.delay_slots["video"][90:]) <= 45
@@ -161,11 +161,11 @@ def test_levels_below_a_flooded_one_wait_and_voice_still_flows():
 
 def test_a_flood_of_telecommands_starves_voice_and_is_counted():
     run = Run(UPLINK, 2_000, video_bps=85_000, voice_octets=20, flood=[("tmtc", 20)])
-    queues = run.sender.report(2_000 * MS)["queue"]
-    assert queues["voice"]["drops"]["expired"] > 80
-    assert queues["voice"]["max_age_ns"] == 100 * MS
-    assert queues["tmtc"]["drops"]["full"] > 0
-    assert queues["tmtc"]["max_octets"] <= 8192
+    queues = run.sender.report(2_000 * MS).queue
+    assert queues["voice"].drops["expired"] > 80
+    assert queues["voice"].max_age_ns == 100 * MS
+    assert queues["tmtc"].drops["full"] > 0
+    assert queues["tmtc"].max_octets <= 8192
     assert run.haptic_slots == list(range(2_000))
 
 
@@ -220,7 +220,7 @@ def test_a_saturated_level_uses_all_remaining_capacity(profile, level, sampled, 
     higher = [LEVELS[above].name for above in range(level)]
     # Their tags, lengths and resume tags are at most 4 octets each.
     others = sum(books[above] for above in higher)
-    packets = sum(sender.report(0)["queue"][above]["accepted"] for above in higher)
+    packets = sum(sender.report(0).queue[above].accepted for above in higher)
     left = zones * slots - others - 4 * packets
     overhead = books["packet_headers"] + books["framing"] - profile.mpdu_octets * slots
     assert books["idle"] == 0

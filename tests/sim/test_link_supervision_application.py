@@ -105,6 +105,6 @@ def test_an_unconfirming_slave_is_configured_again_at_growing_intervals():
             supervisor.handle_message(stuck, slot * MS)
         supervisor.poll_transmit(slot * MS)
     report = supervisor.report(100 * S * MS)
-    assert report["state"] == "configure"
-    assert 3 <= report["counts"]["timeouts_answer"] <= 6
-    assert any("time-out" in entry["why"] for entry in report["history"])
+    assert report.state == "configure"
+    assert 3 <= report.counts["timeouts_answer"] <= 6
+    assert any("time-out" in entry["why"] for entry in report.history)

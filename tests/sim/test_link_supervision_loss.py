@@ -32,13 +32,13 @@ def test_blackout_both_ways(blackout, delay_slots):
     pair.run(3 * delay_slots + 100)
     for end in pair.ends:
         # A loss is noticed at the receiver, up to a delay after it began.
-        record = end.supervisor.report(pair.slot * MS)["contacts"]
+        record = end.supervisor.report(pair.slot * MS).contacts
         assert len(record) == 2
-        assert record[1]["acquired_ns"] - back <= MS
-        assert record[1]["acquired_ns"] - record[0]["lost_ns"] == (blackout + 1) * MS
+        assert record[1].acquired_ns - back <= MS
+        assert record[1].acquired_ns - record[0].lost_ns == (blackout + 1) * MS
         if blackout > 50 + delay_slots:
             # The very first frame is delivered, because this life was checked before.
-            assert end.delivered[0][0] == record[1]["acquired_ns"]
+            assert end.delivered[0][0] == record[1].acquired_ns
     if delay_slots <= 12:
         assert pair.states == CONNECTED
     pair.run(1 * S)
@@ -116,7 +116,7 @@ def test_single_wrong_messages_break_nothing():
     pair.run(40 * S)
     assert pair.states == CONNECTED
     for end in pair.ends:
-        counts = end.supervisor.report(pair.slot * MS)["counts"]
+        counts = end.supervisor.report(pair.slot * MS).counts
         assert counts["messages_malformed"] + counts["messages_mismatched"] > 20
         assert not end.of(PeerDeaf) + end.of(SignalLost) + end.of(ApplicationReset)
         assert len(end.of(PeerMet)) == 1
@@ -179,5 +179,5 @@ def test_equal_runs_give_equal_reports():
         reports.append([end.supervisor.report(pair.slot * MS) for end in pair.ends])
     assert reports[0] == reports[1]
     ground = reports[0][0]
-    assert sum(ground["in_state_ns"].values()) == pair.slot * MS
-    assert len(ground["history"]) <= 64
+    assert sum(ground.in_state_ns.values()) == pair.slot * MS
+    assert len(ground.history) <= 64

@@ -58,25 +58,25 @@ def test_eight_minutes_are_usable_between_two_times_about_a_minute_of_drop_outs(
 
 
 def test_the_windows_match_the_orbits_prediction(watched):
-    windows = watched.report["contact"]
-    assert windows["usable_to_s"] - windows["usable_from_s"] >= 480
-    assert windows["loss_s"] <= 600
-    assert 1000 * windows["usable_from_s"] >= watched.usable_from
-    assert 1000 * windows["usable_to_s"] <= watched.usable_to
-    assert watched.good[-1] < 1000 * windows["loss_s"]
-    assert watched.report["no_signal_ns"] > 60_000 * MS
+    windows = watched.report.channel.contact
+    assert windows.usable_to_s - windows.usable_from_s >= 480
+    assert windows.loss_s <= 600
+    assert 1000 * windows.usable_from_s >= watched.usable_from
+    assert 1000 * windows.usable_to_s <= watched.usable_to
+    assert watched.good[-1] < 1000 * windows.loss_s
+    assert watched.report.no_signal_ns > 60_000 * MS
 
 
 def test_the_delay_falls_to_the_culmination_and_rises_from_there(watched):
-    peak = round(watched.report["contact"]["peak_s"])
+    peak = round(watched.report.channel.contact.peak_s)
     before, after = watched.delays[:peak], watched.delays[peak + 1 : 592]
     assert all(a > b for a, b in pairwise(before))
     assert all(a < b for a, b in pairwise(after))
     # Round trip 20 to 31 ms; Kontur-2 measured about 20 to 30.
-    assert 19.5e6 < 2 * watched.report["delay_min_ns"] < 20.5e6
-    assert 30e6 < 2 * watched.report["delay_max_ns"] < 32e6
-    light_ns = watched.report["contact"]["nearest_km"] / 299792.458 * 1e9
-    assert abs(watched.report["delay_min_ns"] - 8.5e6 - light_ns) < 1000
+    assert 19.5e6 < 2 * watched.report.delay_min_ns < 20.5e6
+    assert 30e6 < 2 * watched.report.delay_max_ns < 32e6
+    light_ns = watched.report.channel.contact.nearest_km / 299792.458 * 1e9
+    assert abs(watched.report.delay_min_ns - 8.5e6 - light_ns) < 1000
 
 
 def test_both_directions_lose_the_signal_at_the_same_instants():
@@ -110,4 +110,4 @@ def test_nothing_arrives_before_and_after_the_pass():
     for slot in range(5000):
         late.handle_frame(bytes(32), slot * MS)
     assert late.frames_lost == 5000
-    assert late.report()["no_signal_ns"] == 4999 * MS
+    assert late.report().no_signal_ns == 4999 * MS

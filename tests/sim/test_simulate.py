@@ -52,87 +52,87 @@ def session(request):
 
 def test_a_session_goes_well(session):
     setup, report = session
-    assert report["failures"] == []
-    assert set(report["streams"]) == {stream.name for stream in setup.streams}
-    assert report["simulation"]["media"]
+    assert report.failures == []
+    assert set(report.streams) == {stream.name for stream in setup.streams}
+    assert report.simulation.media
 
 
 def test_caps_are_kept_over_every_sliding_window(session):
-    for stream in session[1]["streams"].values():
-        assert 0 < stream["payload_bps_max_1s"] <= stream["cap_bps"]
-        assert stream["payload_bps_max_100ms"] <= 1.5 * stream["cap_bps"]
+    for stream in session[1].streams.values():
+        assert 0 < stream.payload_bps_max_1s <= stream.cap_bps
+        assert stream.payload_bps_max_100ms <= 1.5 * stream.cap_bps
 
 
 def test_sequence_numbers_are_complete(session):
     _, report = session
-    for name, stream in report["streams"].items():
-        sent = report["processes"][f"{name}_send"]["counts"]["rtp_packets_sent"]
+    for name, stream in report.streams.items():
+        sent = report.processes[f"{name}_send"].counts["rtp_packets_sent"]
         for count in ("rtp_lost", "rtp_reordered", "rtp_duplicates", "rtp_late", "garbage"):
-            assert stream[count] == 0
+            assert getattr(stream, count) == 0
         # At the end less than one picture and its successor is in flight.
-        assert sent - 8 <= stream["rtp_packets"] <= sent
-        looked_at = stream["frames_encoded"] + stream["frames_refused"]
+        assert sent - 8 <= stream.rtp_packets <= sent
+        looked_at = stream.frames_encoded + stream.frames_refused
         # The last picture may still be in the encoder.
-        assert stream["frames_captured"] - 1 <= looked_at <= stream["frames_captured"]
-        assert stream["capture_stamp_error_us"] < 12  # a tick of the 90 kHz clock
+        assert stream.frames_captured - 1 <= looked_at <= stream.frames_captured
+        assert stream.capture_stamp_error_us < 12  # a tick of the 90 kHz clock
 
 
 def test_haptic_latency_is_constant_under_any_media_load(session):
-    for direction in session[1]["haptic"].values():
-        assert direction["sent"] == SECONDS * 1000
-        assert direction["lost"] == 0
-        assert direction["received"] >= direction["sent"] - 4
-        for figure in ("p50", "max"):
-            assert direction["latency_ms"][figure] == DELAY_MS + TWO_HALVES_MS
+    for direction in session[1].haptic.values():
+        assert direction.sent == SECONDS * 1000
+        assert direction.lost == 0
+        assert direction.received >= direction.sent - 4
+        latency = direction.latency_ms
+        assert latency.p50 == latency.max == DELAY_MS + TWO_HALVES_MS
 
 
 def test_picture_latency_consists_of_coding_and_link(session):
-    for name, stream in session[1]["streams"].items():
+    for name, stream in session[1].streams.items():
         if not name.endswith("video"):
             continue
-        stages = stream["latency_ms"]["stages"]
+        stages = stream.latency_ms.stages
         coding_ms = COSTS.capture_ms + COSTS.encode_ms
         # A picture that finds the encoder busy waits at most half a period.
-        assert coding_ms == pytest.approx(stages["capture_to_encoded"]["p50"], rel=0.005)
-        assert stages["capture_to_encoded"]["max"] < coding_ms + 17
-        assert COSTS.decode_ms <= stages["received_to_displayed"]["p50"] < COSTS.decode_ms + 0.1
-        assert stages["sent_to_received"]["p95"] < 45
+        assert coding_ms == pytest.approx(stages.capture_to_encoded.p50, rel=0.005)
+        assert stages.capture_to_encoded.max < coding_ms + 17
+        assert COSTS.decode_ms <= stages.received_to_displayed.p50 < COSTS.decode_ms + 0.1
+        assert stages.sent_to_received.p95 < 45
         # A key picture, with which each contact begins, takes two or three periods.
-        assert stages["sent_to_received"]["max"] < 110
-        assert stream["latency_ms"]["p95"] < 75
-        assert stream["displayed_hz"] > 25
+        assert stages.sent_to_received.max < 110
+        assert stream.latency_ms.p95 < 75
+        assert stream.displayed_hz > 25
 
 
 def test_voice_waits_little_more_than_its_slots(spacejustin):
     _, report = spacejustin
     for name in ("uplink_voice", "downlink_voice"):
-        stages = report["streams"][name]["latency_ms"]["stages"]
+        stages = report.streams[name].latency_ms.stages
         # A block, the codec's look-ahead, and the coding itself.
-        assert stages["capture_to_encoded"]["max"] == 20 + 6.5 + COSTS.voice_encode_ms
+        assert stages.capture_to_encoded.max == 20 + 6.5 + COSTS.voice_encode_ms
         # On the uplink, 19 octets and their header take two slots, and whole headers two more. A
         # packet may just miss a slot, and supervision may take one.
-        assert stages["sent_to_received"]["p95"] < DELAY_MS + 2
-        assert stages["sent_to_received"]["max"] < DELAY_MS + 5
-        assert report["streams"][name]["frames_concealed"] == 0
-    assert report["link"]["uplink"]["queue"]["voice"]["max_age_ns"] <= 2_000_000
+        assert stages.sent_to_received.p95 < DELAY_MS + 2
+        assert stages.sent_to_received.max < DELAY_MS + 5
+        assert report.streams[name].frames_concealed == 0
+    assert report.link["uplink"].queue["voice"].max_age_ns <= 2_000_000
 
 
 def test_every_octet_is_counted(session):
     setup, report = session
     for profile in (setup.uplink, setup.downlink):
-        link = report["link"][profile.name]
-        assert link["frames"] == SECONDS * 1000
-        assert link["frames_lost"] == 0
-        assert sum(link["octets"].values()) == profile.frame_octets * link["frames"]
+        link = report.link[profile.name]
+        assert link.frames == SECONDS * 1000
+        assert link.frames_lost == 0
+        assert sum(link.octets.values()) == profile.frame_octets * link.frames
 
 
 def test_the_operator_selects_a_camera(spacejustin):
-    processes = spacejustin[1]["processes"]
-    assert processes["selector"]["selected"] == "static"
-    assert processes["selector"]["counts"]["switches"] == 1
-    assert processes["console"]["counts"]["telecommands"] == 1
-    assert processes["console"]["counts"]["telecommands_repeated"] == 0
-    assert processes["console"]["counts"]["housekeeping"] > 0
+    processes = spacejustin[1].processes
+    assert processes["selector"].selected == "static"
+    assert processes["selector"].counts["switches"] == 1
+    assert processes["console"].counts["telecommands"] == 1
+    assert processes["console"].counts["telecommands_repeated"] == 0
+    assert processes["console"].counts["housekeeping"] > 0
 
 
 def test_reports_depend_on_the_seed_only(tmp_path):
@@ -163,22 +163,22 @@ def test_all_streams_resume_after_a_blackout_without_late_data(tmp_path):
     radio.write_text('name = "dark"\ndelay_ms = 2.0\n[[blackouts]]\nstart_s = 1.5\nseconds = 1.0\n')
     setup = replace(load_setup("spacejustin"), radio=str(radio))
     report = simulate(setup, seconds=4.5, seed=3)
-    assert report["failures"] == []
-    for name, stream in report["streams"].items():
+    assert report.failures == []
+    for name, stream in report.streams.items():
         # Two seconds remain after the blackout; a stream that does not resume misses all of them.
         least = 2.9 * (25 if name.endswith("video") else 50)
-        assert stream["frames_displayed"] >= least
-        assert stream["rtp_lost"] > 0
+        assert stream.frames_displayed >= least
+        assert stream.rtp_lost > 0
         # A picture kept during the blackout would be a second old.
-        assert stream["latency_ms"]["max"] < 150
-        assert stream["payload_bps_max_1s"] <= stream["cap_bps"]
-    for direction in report["haptic"].values():
-        assert direction["latency_ms"]["max"] == DELAY_MS + TWO_HALVES_MS
-        assert direction["received"] == pytest.approx(3500, abs=10)
+        assert stream.latency_ms.max < 150
+        assert stream.payload_bps_max_1s <= stream.cap_bps
+    for direction in report.haptic.values():
+        assert direction.latency_ms.max == DELAY_MS + TWO_HALVES_MS
+        assert direction.received == pytest.approx(3500, abs=10)
     for profile in (setup.uplink, setup.downlink):
-        link = report["link"][profile.name]
-        assert link["frames_lost"] == 1000
-        assert sum(link["octets"].values()) == profile.frame_octets * link["frames"]
+        link = report.link[profile.name]
+        assert link.frames_lost == 1000
+        assert sum(link.octets.values()) == profile.frame_octets * link.frames
 
 
 @pytest.fixture
@@ -201,10 +201,10 @@ def test_files_play_at_their_own_instants_and_loop(clip):
     sources = {"static": str(clip)}
     setup = replace(load_setup("taskboard"), cameras=("static",), sources=sources)
     report = simulate(setup, seconds=2.0, seed=1)
-    stream = report["streams"]["uplink_video"]
-    assert report["failures"] == []
-    assert stream["frames_captured"] == 50
-    assert stream["frames_displayed"] >= 45
+    stream = report.streams["uplink_video"]
+    assert report.failures == []
+    assert stream.frames_captured == 50
+    assert stream.frames_displayed >= 45
 
 
 def test_real_time_sources_are_refused_in_one_line(capsys):

@@ -26,31 +26,29 @@ def session(tmp_path, *, seconds, radio="", **options):
 def test_voice_within_60_ms_and_in_sync_with_pictures(usual):
     report = usual
     for name in ("uplink_voice", "downlink_voice"):
-        stream = report["streams"][name]
+        stream = report.streams[name]
         # A block of 20 ms, 6.5 of look-ahead, coding, slots, the radio and the playout buffer.
-        assert 30 < stream["latency_ms"]["p50"] < 50
-        assert stream["latency_ms"]["p99"] <= 60
-        assert (stream["frames_concealed"], stream["stale_ms"]) == (0, 0)
+        assert 30 < stream.latency_ms.p50 < 50
+        assert stream.latency_ms.p99 <= 60
+        assert (stream.frames_concealed, stream.stale_ms) == (0, 0)
     # From the very first picture on, although that one is large.
-    assert report["lip_sync"]["within"] == 1
-    assert report["skew_ms"]["audio_video"]["p50"] > -45
+    assert report.lip_sync.within == 1
+    assert report.skew_ms["audio_video"].p50 > -45
 
 
 def test_only_sound_waits_for_late_pictures_and_no_longer_than_needed(tmp_path, usual):
     _, report = session(tmp_path, seconds=7.0, costs=CodingCosts(capture_ms=95))
-    video, voice = (
-        report["streams"][name]["latency_ms"] for name in ("uplink_video", "uplink_voice")
-    )
-    skew = report["skew_ms"]["audio_video"]
+    video, voice = (report.streams[name].latency_ms for name in ("uplink_video", "uplink_voice"))
+    skew = report.skew_ms["audio_video"]
     # Without lip-sync the sound would be about 90 ms early; with it at most 45, and not later.
-    assert video["p50"] - usual["streams"]["uplink_voice"]["latency_ms"]["p50"] > 80
-    assert -46 < skew["p50"] < -15
-    assert voice["max"] < video["max"] - 15
+    assert video.p50 - usual.streams["uplink_voice"].latency_ms.p50 > 80
+    assert -46 < skew.p50 < -15
+    assert voice.max < video.max - 15
     # Except for the 1.5 s in which the voice is stretched.
-    assert 0.6 < report["lip_sync"]["within"] < 1
-    assert report["lip_sync"]["late"] == 0
-    assert report["haptic"]["up"]["latency_ms"]["max"] == DELAY_MS + 1
-    assert report["streams"]["uplink_voice"]["frames_concealed"] == 0
+    assert 0.6 < report.lip_sync.within < 1
+    assert report.lip_sync.late == 0
+    assert report.haptic["up"].latency_ms.max == DELAY_MS + 1
+    assert report.streams["uplink_voice"].frames_concealed == 0
 
 
 def test_a_blackout_of_a_second_gives_a_second_of_stale_and_frozen_pictures(tmp_path):
@@ -58,34 +56,32 @@ def test_a_blackout_of_a_second_gives_a_second_of_stale_and_frozen_pictures(tmp_
         tmp_path, seconds=4.5, radio="[[blackouts]]\nstart_s = 1.5\nseconds = 1.0\n"
     )
     for stream in setup.streams:
-        figures = report["streams"][stream.name]
-        assert figures["stale_after_ms"] == pytest.approx(
-            setup.stale_after_ns(stream) / 1e6, abs=1e-3
-        )
-        assert figures["stale_episodes"] == 1
-        assert 1000 - figures["stale_after_ms"] < figures["stale_ms"] < 1300
+        figures = report.streams[stream.name]
+        assert figures.stale_after_ms == pytest.approx(setup.stale_after_ns(stream) / 1e6, abs=1e-3)
+        assert figures.stale_episodes == 1
+        assert 1000 - figures.stale_after_ms < figures.stale_ms < 1300
         if stream.name.endswith("video"):
-            assert 900 < figures["frozen_ms"] < 1500
+            assert 900 < figures.frozen_ms < 1500
             # A loss may damage pictures until the refresh is complete or a key picture arrives.
-            assert figures["damaged_ms"] <= 1100
+            assert figures.damaged_ms <= 1100
         else:
-            assert "frozen_ms" not in figures
+            assert figures.frozen_ms is None
 
 
 def test_occasional_losses_count_as_damaged_and_concealed(tmp_path):
     _, report = session(tmp_path, seconds=3.0, radio="frame_loss = 0.01\n")
-    video, voice = (report["streams"][name] for name in ("uplink_video", "uplink_voice"))
-    assert video["rtp_lost"] > 0
-    assert 0 < video["damaged_ms"] < 3000
-    assert voice["frames_concealed"] > 0
-    assert voice["stale_ms"] == 0
+    video, voice = (report.streams[name] for name in ("uplink_video", "uplink_voice"))
+    assert video.rtp_lost > 0
+    assert 0 < video.damaged_ms < 3000
+    assert voice.frames_concealed > 0
+    assert voice.stale_ms == 0
     # A loss delays nothing.
-    assert voice["latency_ms"]["p99"] <= 60
+    assert voice.latency_ms.p99 <= 60
 
 
 def test_a_stream_always_above_its_age_limit_is_always_stale(tmp_path):
     setup = load_setup("taskboard")
     setup = replace(setup, uplink_video=replace(setup.uplink_video, stale_after_ms=20))
-    figures = simulate(setup, seconds=2.0, seed=1)["streams"]["uplink_video"]
-    assert figures["stale_episodes"] == 1
-    assert figures["stale_ms"] == pytest.approx(2000, abs=250)
+    figures = simulate(setup, seconds=2.0, seed=1).streams["uplink_video"]
+    assert figures.stale_episodes == 1
+    assert figures.stale_ms == pytest.approx(2000, abs=250)

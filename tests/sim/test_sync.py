@@ -9,6 +9,7 @@ from kontur_av.media import CaptureStamp
 from pipelines.commands.simulate import simulate
 from pipelines.cores import sending
 from pipelines.cores.receiving import VideoReceiving
+from pipelines.report.model import Ranks
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 from telepresence.haptics.loop import HapticLink
 
@@ -68,34 +69,34 @@ def broken(setup):
 
 
 def test_stamps_and_content_agree(honest):
-    sync = honest["sync"]
-    assert sync["events"] >= 5
+    sync = honest.sync
+    assert sync.events >= 5
     for sense, period_ms, share in (("light", 1000 / 30, 0.8), ("click", 0, 0.5), ("force", 0, 1)):
-        figures = sync["senses"][sense]
-        assert figures["agrees"] is True, figures
-        assert figures["perceived"] >= share * sync["events"]
-        content, stamps = figures["latency_ms"]["p50"], figures["stamped_latency_ms"]["p50"]
+        figures = sync.senses[sense]
+        assert figures.agrees is True, figures
+        assert figures.perceived >= share * sync.events
+        content, stamps = figures.latency_ms.p50, figures.stamped_latency_ms.p50
         assert -2 <= content - stamps <= period_ms + 2
-    assert honest["failures"] == []
+    assert honest.failures == []
 
 
 def test_force_comes_first_and_its_latency_is_known(honest):
-    senses = honest["sync"]["senses"]
+    senses = honest.sync.senses
     # From a haptic cycle to the sender's slot, and from the receiver's slot to its cycle.
-    assert senses["force"]["latency_ms"] == dict.fromkeys(
-        ("p50", "p95", "p99", "max"), DELAY_MS + 1
+    assert senses["force"].latency_ms == Ranks(
+        **dict.fromkeys(("p50", "p95", "p99", "max"), DELAY_MS + 1)
     )
-    assert senses["force"]["missed"] == 0
+    assert senses["force"].missed == 0
     for pair in ("video_haptic", "audio_haptic"):
-        assert honest["sync"]["skew_ms"][pair]["p50"] > 0
+        assert honest.sync.skew_ms[pair].p50 > 0
 
 
 def test_skews_by_content_are_those_by_stamps(honest):
     period_ms = 1000 / 30
-    content, stamps = honest["sync"]["skew_ms"], honest["skew_ms"]
+    content, stamps = honest.sync.skew_ms, honest.skew_ms
     # By content a light waits for the next picture; by the stamps nothing waits.
-    assert -2 <= content["video_haptic"]["p50"] - stamps["video_haptic"]["p50"] <= period_ms + 2
-    assert abs(content["audio_haptic"]["p50"] - stamps["audio_haptic"]["p50"]) <= 2
+    assert -2 <= content["video_haptic"].p50 - stamps["video_haptic"].p50 <= period_ms + 2
+    assert abs(content["audio_haptic"].p50 - stamps["audio_haptic"].p50) <= 2
 
 
 @pytest.mark.parametrize(
@@ -103,9 +104,9 @@ def test_skews_by_content_are_those_by_stamps(honest):
     [("light", "uplink_video", 40), ("click", "uplink_voice", 5), ("force", "haptic_up", -5)],
 )
 def test_a_broken_stamp_is_noticed(honest, broken, sense, stream, off_ms):
-    figures = broken["sync"]["senses"][sense]
-    assert figures["agrees"] is False
-    before = honest["sync"]["senses"][sense]["stamp_error_ms"]["p50"]
-    assert figures["stamp_error_ms"]["p50"] - before == pytest.approx(off_ms, abs=2.5)
-    (line,) = (one for one in broken["failures"] if one.startswith(stream) and "disagree" in one)
+    figures = broken.sync.senses[sense]
+    assert figures.agrees is False
+    before = honest.sync.senses[sense].stamp_error_ms.p50
+    assert figures.stamp_error_ms.p50 - before == pytest.approx(off_ms, abs=2.5)
+    (line,) = (one for one in broken.failures if one.startswith(stream) and "disagree" in one)
     assert "stamps and content disagree" in line

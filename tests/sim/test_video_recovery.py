@@ -41,10 +41,10 @@ def session(tmp_path, *, dark_s=None, **options):
     radio.write_text(text)
     setup = replace(load_setup("spacejustin"), radio=str(radio))
     report = simulate(setup, seed=2, **options)
-    assert report["failures"] == []
-    for stream in report["streams"].values():
-        assert stream["payload_bps_max_1s"] <= stream["cap_bps"]
-        assert stream["payload_bps_max_100ms"] <= 1.5 * stream["cap_bps"]
+    assert report.failures == []
+    for stream in report.streams.values():
+        assert stream.payload_bps_max_1s <= stream.cap_bps
+        assert stream.payload_bps_max_100ms <= 1.5 * stream.cap_bps
     return report
 
 
@@ -61,8 +61,8 @@ def test_the_first_picture_after_a_loss_of_signal_is_whole_and_early(tmp_path, s
 def test_a_loss_without_a_loss_of_signal_heals_after_a_round_trip(tmp_path, shown):
     report = session(tmp_path, dark_s=0.03, seconds=2.8)
     hit_ns = round(1.5 * NS_PER_S)
-    assert report["streams"]["uplink_video"]["rtp_lost"] >= 1
-    assert report["processes"]["uplink_video_send"]["counts"]["feedback_received"] >= 1
+    assert report.streams["uplink_video"].rtp_lost >= 1
+    assert report.processes["uplink_video_send"].counts["feedback_received"] >= 1
     hurt = [now_ns for _, now_ns, damaged in shown if damaged]
     assert hurt
     assert min(hurt) > hit_ns
@@ -104,7 +104,7 @@ def test_a_camera_slower_than_its_stream_uses_the_cap_too(tmp_path):
         for packet in video.encode(None):
             container.mux(packet)
     setup = replace(load_setup("taskboard"), cameras=("static",), sources={"static": str(path)})
-    stream = simulate(setup, seconds=6.0, seed=1)["streams"]["uplink_video"]
-    assert stream["displayed_hz"] > 18
+    stream = simulate(setup, seconds=6.0, seed=1).streams["uplink_video"]
+    assert stream.displayed_hz > 18
     # With the share of one of 30 pictures a second, at most 0.71 of the cap would be used.
-    assert 0.75 * stream["cap_bps"] < stream["payload_bps_max_1s"] <= stream["cap_bps"]
+    assert 0.75 * stream.cap_bps < stream.payload_bps_max_1s <= stream.cap_bps

@@ -246,7 +246,7 @@ def header_octets(seconds: float, *, seed: int = 1) -> dict[str, HeaderOctets]:
         for _ in link.step():
             pass
     return {
-        f"{name} {flow}": _counted(gateway.report(link.now_ns)["transmit"]["headers"][flow])
+        f"{name} {flow}": _counted(gateway.report(link.now_ns).transmit.headers[flow])
         for name, gateway, _, _ in sides
         for flow in (VIDEO, VOICE)
     }

@@ -4,10 +4,10 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.cores.watching import WATCHED
+from pipelines.report.model import ContentSkew, ListedContact, Ranks, SenseReport, SyncReport
 from pipelines.report.sync.limits import LIMITS
 from pipelines.report.sync.matching import Found, match
 from pipelines.report.sync.verdict import judge
@@ -100,7 +100,7 @@ class SyncFigures:
             if led >= 0 and instant_ns <= self._now_ns - soonest_ns - _PATIENCE_NS
         ]
 
-    def report(self, senses: Sequence[str], *, soonest_ns: int = 0) -> dict[str, Any] | None:
+    def report(self, senses: Sequence[str], *, soonest_ns: int = 0) -> SyncReport | None:
         """The section `sync` of a report; None if nothing was touched.
 
         senses: those that contacts reach; what was found for another one is left out.
@@ -111,16 +111,16 @@ class SyncFigures:
             return None
         contacts, bounces = self._apart()
         start_ns = events[0].instant_ns
-        return {
-            "events": len(events),
-            "touches_beside_targets": sum(led < 0 for _, led in contacts),
-            "bounces": bounces,
-            "senses": {
+        return SyncReport(
+            events=len(events),
+            touches_beside_targets=sum(led < 0 for _, led in contacts),
+            bounces=bounces,
+            senses={
                 sense: self._sense(sense, events) if sense in senses else None for sense in SENSES
             },
-            "skew_ms": {name: skew_summary(name, skews_ns(name, events)) for name in PAIRS},
-            "listed": [_listed(event, start_ns) for event in events[-_LISTED:]],
-        }
+            skew_ms={name: skew_summary(name, skews_ns(name, events)) for name in PAIRS},
+            listed=[_listed(event, start_ns) for event in events[-_LISTED:]],
+        )
 
     def _apart(self) -> tuple[list[tuple[int, int]], int]:
         apart: list[tuple[int, int]] = []
@@ -140,7 +140,7 @@ class SyncFigures:
             found += map(Found, self._steps)
         return sorted(found, key=lambda one: one.instant_ns)
 
-    def _sense(self, sense: str, events: Sequence[Event]) -> dict[str, Any]:
+    def _sense(self, sense: str, events: Sequence[Event]) -> SenseReport:
         perceived = [
             (event.instant_ns, found)
             for event in events
@@ -152,37 +152,36 @@ class SyncFigures:
             if found.stamp_ns is not None
         ]
         verdict = judge(perceived)
-        return {
-            "stream": SENSES[sense],
-            "perceived": len(perceived),
-            "missed": len(events) - len(perceived),
-            "latency_ms": summary_ms([found.instant_ns - at for at, found in perceived]),
-            "stamped_latency_ms": summary_ms(
+        return SenseReport(
+            stream=SENSES[sense],
+            perceived=len(perceived),
+            missed=len(events) - len(perceived),
+            latency_ms=ranks_ms([found.instant_ns - at for at, found in perceived]),
+            stamped_latency_ms=ranks_ms(
                 [found.instant_ns - stamp_ns for _, found, stamp_ns in stamped]
             ),
-            "stamp_error_ms": summary_ms([stamp_ns - at for at, _, stamp_ns in stamped]),
-            "judged": verdict.judged,
-            "judged_error_ms": _ms(verdict.median_ns),
-            "confident_ms": None
-            if verdict.between_ns is None
-            else list(map(_ms, verdict.between_ns)),
-            "allowed_error_ms": list(map(_ms, verdict.allowed_ns)),
-            "agrees": verdict.agrees,
-            "found": len(self._sorted(sense)),
-        }
+            stamp_error_ms=ranks_ms([stamp_ns - at for at, _, stamp_ns in stamped]),
+            judged=verdict.judged,
+            judged_error_ms=None if verdict.median_ns is None else _ms(verdict.median_ns),
+            confident_ms=None if verdict.between_ns is None else _both_ms(verdict.between_ns),
+            allowed_error_ms=_both_ms(verdict.allowed_ns),
+            agrees=verdict.agrees,
+            found=len(self._sorted(sense)),
+        )
 
 
-def disagreements(report: dict[str, Any] | None) -> list[str]:
+def disagreements(report: SyncReport | None) -> list[str]:
     """A line for each sense whose stamps say something else than what it shows."""
     lines = []
-    for sense, figures in (report or {"senses": {}})["senses"].items():
-        if figures is not None and figures["agrees"] is False:
-            least, most = figures["allowed_error_ms"]
-            low, high = figures["confident_ms"]
+    for sense, figures in ({} if report is None else report.senses).items():
+        if figures is not None and figures.agrees is False:
+            assert figures.confident_ms is not None
+            least, most = figures.allowed_error_ms
+            low, high = figures.confident_ms
             lines.append(
-                f"{figures['stream']}: stamps and content disagree: by its stamps a {sense} was "
-                f"captured {figures['judged_error_ms']:+.1f} ms after the contact that made it "
-                f"({least:+.1f} to {most:+.1f} are explained; {figures['judged']} say so, "
+                f"{figures.stream}: stamps and content disagree: by its stamps a {sense} was "
+                f"captured {figures.judged_error_ms:+.1f} ms after the contact that made it "
+                f"({least:+.1f} to {most:+.1f} are explained; {figures.judged} say so, "
                 f"{low:+.1f} to {high:+.1f} with 95 % confidence)"
             )
     return lines
@@ -195,19 +194,24 @@ def skews_ns(pair: str, events: Sequence[Event]) -> list[int]:
     return [a - b for a, b in both if a is not None and b is not None]
 
 
-def skew_summary(pair: str, values_ns: Sequence[int]) -> dict[str, Any] | None:
+def skew_summary(pair: str, values_ns: Sequence[int]) -> ContentSkew | None:
     """Percentiles of a pair's skews, and the share that goes unnoticed; None without any."""
     if not values_ns:
         return None
     limit = LIMITS[pair]
     within = sum(map(limit.holds, values_ns))
-    return {
-        "events": len(values_ns),
+    return ContentSkew(
+        events=len(values_ns),
         **summary_ms(values_ns),
-        "within": round(within / len(values_ns), 4),
-        "limits_ms": [limit.least_ns / NS_PER_MS, limit.most_ns / NS_PER_MS],
-        "source": limit.source,
-    }
+        within=round(within / len(values_ns), 4),
+        limits_ms=(limit.least_ns / NS_PER_MS, limit.most_ns / NS_PER_MS),
+        source=limit.source,
+    )
+
+
+def ranks_ms(values_ns: Sequence[int]) -> Ranks:
+    """The ranks of signed values, in ms."""
+    return Ranks(**summary_ms(values_ns))
 
 
 def summary_ms(values_ns: Sequence[int]) -> dict[str, float]:
@@ -217,7 +221,7 @@ def summary_ms(values_ns: Sequence[int]) -> dict[str, float]:
     ordered = sorted(values_ns)
     figures = {f"p{p}": rank(ordered, p) for p in (50, 95, 99)}
     figures["max"] = max(ordered, key=abs)
-    return {name: round(value / NS_PER_MS, 3) for name, value in figures.items()}
+    return {name: _ms(value) for name, value in figures.items()}
 
 
 def rank(ordered: Sequence[int], p: float) -> int:
@@ -225,17 +229,23 @@ def rank(ordered: Sequence[int], p: float) -> int:
     return ordered[max(0, ceil(len(ordered) * p / 100) - 1)]
 
 
-def _ms(value_ns: int | None) -> float | None:
-    return None if value_ns is None else round(value_ns / NS_PER_MS, 3)
+def _ms(value_ns: int) -> float:
+    return round(value_ns / NS_PER_MS, 3)
 
 
-def _listed(event: Event, start_ns: int) -> dict[str, Any]:
-    latencies = {sense: event.latency_ns(sense) for sense in SENSES}
-    return {
-        "at_s": round((event.instant_ns - start_ns) / NS_PER_S, 4),
-        "led": event.led,
-        **{
-            f"{sense}_ms": None if value is None else round(value / NS_PER_MS, 3)
-            for sense, value in latencies.items()
-        },
+def _both_ms(values_ns: tuple[int, int]) -> tuple[float, float]:
+    return _ms(values_ns[0]), _ms(values_ns[1])
+
+
+def _listed(event: Event, start_ns: int) -> ListedContact:
+    latencies_ms = {
+        sense: None if (value_ns := event.latency_ns(sense)) is None else _ms(value_ns)
+        for sense in SENSES
     }
+    return ListedContact(
+        at_s=round((event.instant_ns - start_ns) / NS_PER_S, 4),
+        led=event.led,
+        light_ms=latencies_ms["light"],
+        click_ms=latencies_ms["click"],
+        force_ms=latencies_ms["force"],
+    )

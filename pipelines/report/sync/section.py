@@ -1,14 +1,13 @@
 """The section `sync` of a session's report."""
 
-from typing import Any
-
 from kontur_av.clock import NS_PER_MS
+from pipelines.report.model import SyncReport
 from pipelines.report.sync.figures import SENSES, SyncFigures
 from pipelines.setup.table import GROUND_MIC, Setup
 from telepresence.world import CONTACT_SCENES
 
 
-def sync_section(setup: Setup, figures: SyncFigures, *, media: bool) -> dict[str, Any] | None:
+def sync_section(setup: Setup, figures: SyncFigures, *, media: bool) -> SyncReport | None:
     """Contacts, and when they were seen, heard and felt; None if nothing was touched.
 
     media: without, the session had no streams, whatever its setup says.

@@ -1,13 +1,14 @@
 """Adapts a joystick in operation to the `Handle` that the bilateral controller uses."""
 
 from collections import deque
-from typing import Any
+from dataclasses import asdict
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.operation import Operation
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
+from telepresence.haptics.figures import JoystickFigures, LoggedTransition
 from telepresence.haptics.sample import Feedback
 
 #: Only in these states is a reading a calibrated position.
@@ -39,7 +40,7 @@ class OperatedHandle:
         self._leds = 0
         self._heard_ns = 0
         self._now_ns = 0
-        self._log: deque[dict[str, Any]] = deque(maxlen=20)
+        self._log: deque[LoggedTransition] = deque(maxlen=20)
 
     @property
     def now_ns(self) -> int:
@@ -55,18 +56,18 @@ class OperatedHandle:
         lit = feedback[5]
         self._leds = 0 if lit is None else 1 << lit
 
-    def report(self) -> dict[str, Any]:
-        """`Operation.report`, and `log`: the last 20 transitions, `s` in seconds of `now_ns`."""
+    def report(self) -> JoystickFigures:
+        """`Operation.report`, and the last 20 transitions."""
         while (transition := self.operation.next_event()) is not None:
             self._log.append(
-                {
-                    "s": round(transition.now_ns / NS_PER_S, 3),
-                    "event": transition.event.value,
-                    "state": transition.after.words,
-                    "reason": transition.reason,
-                }
+                LoggedTransition(
+                    s=round(transition.now_ns / NS_PER_S, 3),
+                    event=transition.event.value,
+                    state=transition.after.words,
+                    reason=transition.reason,
+                )
             )
-        return {**self.operation.report(), "log": list(self._log)}
+        return JoystickFigures(**asdict(self.operation.report()), log=list(self._log))
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
         """Apply this force (N, N) for `dt_ns`, then read the handle."""

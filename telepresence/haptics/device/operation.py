@@ -6,7 +6,6 @@ by itself. It returns there after a halt once the cause is gone.
 """
 
 from math import isfinite
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.calibration import Calibration, calibrate
@@ -20,6 +19,7 @@ from telepresence.haptics.device.states import (
     Transition,
 )
 from telepresence.haptics.device.supervision import Health, JoystickSupervisor, Limits
+from telepresence.haptics.figures import OperationFigures
 
 #: The self-test passes after this many readings without a fault.
 _SELF_TEST_CYCLES = 20
@@ -206,22 +206,22 @@ class Operation:
         """The oldest transition that was not fetched yet, or None."""
         return self.machine.next_event()
 
-    def report(self) -> dict[str, Any]:
-        """Return state, reason, temperatures (°C) and counters."""
+    def report(self) -> OperationFigures:
+        """State, reason, temperatures (°C), counters."""
         supervisor, calibration = self.supervisor, self.calibration
-        return {
-            "device": self.facts.name,
-            "state": self.machine.state.words,
-            "reason": self.machine.reason or self.supervisor.reason,
-            "temperature_c": _rounded(self.reading.temperature_c),
-            "hottest_c": _rounded(supervisor.hottest_c),
-            "temperature_warnings": supervisor.warnings,
-            "force_share": round(supervisor.share, 3),
-            "force_limit_n": round(self.force_limit_n, 3),
-            "transitions": self.machine.entered,
-            "refused": self.machine.refused,
-            "dead_man_released": self.released,
-            "calibration_mm": None
+        return OperationFigures(
+            device=self.facts.name,
+            state=self.machine.state.words,
+            reason=self.machine.reason or self.supervisor.reason,
+            temperature_c=_rounded(self.reading.temperature_c),
+            hottest_c=_rounded(supervisor.hottest_c),
+            temperature_warnings=supervisor.warnings,
+            force_share=round(supervisor.share, 3),
+            force_limit_n=round(self.force_limit_n, 3),
+            transitions=self.machine.entered,
+            refused=self.machine.refused,
+            dead_man_released=self.released,
+            calibration_mm=None
             if calibration is None
             else [
                 round(value * 1e3, 2)
@@ -232,7 +232,7 @@ class Operation:
                     calibration.half_height_m,
                 )
             ],
-        }
+        )
 
     def _update_force_limit(self, reading: Reading, now_ns: int) -> None:
         """Set the force limit in the application: none without the dead-man button, then a ramp."""

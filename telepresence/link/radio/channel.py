@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from math import pi, sin
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.link.figures import ChannelFigures
 from telepresence.link.radio.contact import ContactFading
 from telepresence.link.radio.outages import BlackoutClock, BurstClock
 
@@ -38,15 +38,17 @@ def _either(one: float, other: float) -> float:
 class Channel:
     """The radio channel of one direction. Request its conditions in order of time.
 
-    delay_ns, swing_ns, period_ns: mean delay, and amplitude and period of its slow swing.
-    frame_loss, bit_error_rate: permanent probabilities, also in the good state of `bursts`.
-    start_ns: instant of the contact at the channel's time 0.
+    profile_name, direction: for the report.
+    delay_ns, swing_ns, period_ns: a mean delay and its slow swing around that.
+    frame_loss, bit_error_rate: what is always there, and the good state of `bursts`.
+    start_ns: which instant of the contact the channel's time 0 is.
     """
 
     def __init__(
         self,
         *,
-        labels: dict[str, str],
+        profile_name: str,
+        direction: str,
         delay_ns: float,
         swing_ns: float,
         period_ns: float,
@@ -57,7 +59,7 @@ class Channel:
         contact: ContactFading | None,
         start_ns: int,
     ) -> None:
-        self._labels = labels
+        self._profile_name, self._direction = profile_name, direction
         self._delay_ns, self._swing_ns, self._period_ns = delay_ns, swing_ns, period_ns
         # A straight line over a 64th of a period deviates by at most 0.12 % of the swing.
         self._step_ns = max(NS_PER_MS, min(NS_PER_S, round(period_ns / 64)))
@@ -101,12 +103,14 @@ class Channel:
             no_signal=no_signal,
         )
 
-    def report(self, time_ns: int) -> dict[str, Any]:
-        """Return `profile`, `direction`, `blackout_ns` up to `time_ns`, and a pass's `contact`."""
-        told: dict[str, Any] = {**self._labels, "blackout_ns": self._blackouts.dark_ns(time_ns)}
-        if self._contact is not None:
-            told["contact"] = self._contact.windows()
-        return told
+    def report(self, time_ns: int) -> ChannelFigures:
+        """What the channel did up to `time_ns`."""
+        return ChannelFigures(
+            profile=self._profile_name,
+            direction=self._direction,
+            blackout_ns=self._blackouts.dark_ns(time_ns),
+            contact=None if self._contact is None else self._contact.windows(),
+        )
 
     def _swing(self, time_ns: int) -> float:
         return self._swing_ns * sin(2 * pi * time_ns / self._period_ns)

@@ -12,9 +12,9 @@ that both directions fade together. docs/radio-model.md has the reasons.
 from dataclasses import dataclass
 from math import cos, erfc, exp, hypot, log, log10, pi, sin, sqrt
 from pathlib import Path
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.link.figures import ContactWindows
 from telepresence.link.radio.orbit import next_overflight, read_elements
 
 _LIGHT_KM_S = 299_792.458
@@ -189,22 +189,21 @@ class ContactFading:
     def longest_delay_ns(self) -> float:
         return max(self._light_ns)
 
-    def windows(self) -> dict[str, Any]:
-        """What the orbit predicts: instants in seconds after acquisition, and the culmination."""
+    def windows(self) -> ContactWindows:
+        """What the orbit predicts."""
         lowest = [mean - _USABLE_DEVIATIONS * sigma for mean, sigma in self._levels]
         usable = [n for n, margin in enumerate(lowest) if margin >= self._contact.lock_db]
         flight = self.flight
-        return {
-            "acquisition": flight.rise,
-            "acquisition_s": 0.0,
-            "usable_from_s": float(usable[0]) if usable else None,
-            "usable_to_s": float(usable[-1]) if usable else None,
-            "loss_s": round(flight.visible_s, 3),
-            "peak_s": float(flight.elevations_deg.index(max(flight.elevations_deg))),
-            "peak_deg": round(max(flight.elevations_deg), 2),
-            "nearest_km": round(min(flight.ranges_km), 1),
-            "farthest_km": round(max(flight.ranges_km), 1),
-        }
+        return ContactWindows(
+            acquisition=flight.rise,
+            usable_from_s=float(usable[0]) if usable else None,
+            usable_to_s=float(usable[-1]) if usable else None,
+            loss_s=round(flight.visible_s, 3),
+            peak_s=float(flight.elevations_deg.index(max(flight.elevations_deg))),
+            peak_deg=round(max(flight.elevations_deg), 2),
+            nearest_km=round(min(flight.ranges_km), 1),
+            farthest_km=round(max(flight.ranges_km), 1),
+        )
 
     def _level(self, distance_km: float, elevation_deg: float) -> tuple[float, float]:
         contact = self._contact

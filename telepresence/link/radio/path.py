@@ -3,8 +3,8 @@
 from collections import deque
 from math import inf, log1p
 from random import Random
-from typing import Any
 
+from telepresence.link.figures import PathFigures
 from telepresence.link.radio.channel import FOREVER_NS, Channel
 
 
@@ -104,24 +104,24 @@ class RadioPath:
         """When the next frame arrives."""
         return self._under_way[0][0] if self._under_way else None
 
-    def report(self) -> dict[str, Any]:
-        """Return counts, delays (present, least, most), and the channel's outages and contact."""
+    def report(self) -> PathFigures:
+        """Counts, and the delay now, least and most; with a channel its outages and contact."""
         if self.frames_sent:
             self._note_delay()
-        told: dict[str, Any] = {
-            "delay_ns": self.delay_ns,
-            "delay_min_ns": min(self._least_ns, self.delay_ns),
-            "delay_max_ns": max(self._most_ns, self.delay_ns),
-            "frames_sent": self.frames_sent,
-            "frames_lost": self.frames_lost,
-            "frames_hit": self.frames_hit,
-            "bits_flipped": self.bits_flipped,
-            "frames_under_way": len(self._under_way),
-        }
-        if self._channel is not None:
-            told["no_signal_ns"] = self._no_signal_ns + self._silent_ns(self._now_ns)
-            told |= self._channel.report(self._now_ns - self._epoch_ns)
-        return told
+        channel, now_ns = self._channel, self._now_ns
+        silent_ns = 0 if channel is None else self._no_signal_ns + self._silent_ns(now_ns)
+        return PathFigures(
+            delay_ns=self.delay_ns,
+            delay_min_ns=min(self._least_ns, self.delay_ns),
+            delay_max_ns=max(self._most_ns, self.delay_ns),
+            frames_sent=self.frames_sent,
+            frames_lost=self.frames_lost,
+            frames_hit=self.frames_hit,
+            bits_flipped=self.bits_flipped,
+            frames_under_way=len(self._under_way),
+            no_signal_ns=silent_ns,
+            channel=None if channel is None else channel.report(now_ns - self._epoch_ns),
+        )
 
     def _note_delay(self) -> None:
         delay_ns = self.delay_ns

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 from math import pi
 from random import Random
-from typing import Any, Literal
+from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
+from telepresence.link.figures import ContactWindows
 from telepresence.link.radio.channel import Channel
 from telepresence.link.radio.contact import Contact, ContactFading
 from telepresence.link.radio.orbit import Overflight, parse_utc
@@ -143,7 +144,8 @@ class RadioProfile:
             if each.direction in ("both", direction)
         ]
         channel = Channel(
-            labels={"profile": self.name, "direction": direction},
+            profile_name=self.name,
+            direction=direction,
             delay_ns=self.delay_ms * NS_PER_MS,
             swing_ns=self.delay_swing_ms * NS_PER_MS,
             period_ns=self.delay_period_s * NS_PER_S,
@@ -168,7 +170,7 @@ class RadioProfile:
         """Range and elevation second by second from acquisition to loss; None without a contact."""
         return ContactFading(self.contact, seed=0).flight if self.contact else None
 
-    def contact_windows(self) -> dict[str, Any] | None:
+    def contact_windows(self) -> ContactWindows | None:
         """What the orbit predicts (`ContactFading.windows`), or None without a contact."""
         return ContactFading(self.contact, seed=0).windows() if self.contact else None
 

@@ -1,8 +1,8 @@
 """History and counts of supervision for the report."""
 
 from collections import deque
-from typing import Any
 
+from telepresence.link.figures import ContactFigures, Transition
 from telepresence.link.supervision.message import LinkState
 
 #: Number of transitions and contact windows kept; beyond that the oldest are dropped.
@@ -49,7 +49,7 @@ class SupervisionRecord:
         self._history.append((now_ns, state, state, why))
         self._windows: deque[_Contact] = deque(maxlen=HISTORY_DEPTH)
         self._contact_ns = 0
-        self._longest_gap_ns = 0
+        self.longest_gap_ns = 0
         self._lost_ns = now_ns
 
     def handle_state(self, state: LinkState, why: str, now_ns: int) -> None:
@@ -66,7 +66,7 @@ class SupervisionRecord:
         """Begin a contact; return how long there was no signal (ns)."""
         gap_ns = now_ns - self._lost_ns
         if self.counts["signals_lost"]:
-            self._longest_gap_ns = max(self._longest_gap_ns, gap_ns)
+            self.longest_gap_ns = max(self.longest_gap_ns, gap_ns)
         self.counts["signals_acquired"] += 1
         self._windows.append(_Contact(now_ns))
         return gap_ns
@@ -78,39 +78,46 @@ class SupervisionRecord:
         window.lost_ns = self._lost_ns = last_ns
         self._contact_ns += last_ns - window.acquired_ns
 
-    def report(self, now_ns: int) -> dict[str, Any]:
-        """Return the report. Instants count from `begun_ns`, which is on the caller's clock."""
-        begun_ns = self.begun_ns
-        in_state_ns = dict(self._in_state_ns)
-        in_state_ns[self._state] += now_ns - self._since_ns
+    @property
+    def since_ns(self) -> int:
+        """When the present state began, counted from `begun_ns`."""
+        return self._since_ns - self.begun_ns
+
+    def in_state_ns(self, now_ns: int) -> dict[str, int]:
+        """The time in each state until `now_ns`, by the state's name."""
+        present = {**self._in_state_ns}
+        present[self._state] += now_ns - self._since_ns
+        return {state.name.lower(): spent_ns for state, spent_ns in present.items()}
+
+    def contact_ns(self, now_ns: int) -> int:
+        """The time with signal until `now_ns`."""
         contact_ns = self._contact_ns
         if self._windows and self._windows[-1].lost_ns is None:
             contact_ns += now_ns - self._windows[-1].acquired_ns
-        return {
-            "begun_ns": begun_ns,
-            "since_ns": self._since_ns - begun_ns,
-            "in_state_ns": {state.name.lower(): ns for state, ns in in_state_ns.items()},
-            "counts": dict(self.counts),
-            "contact_ns": contact_ns,
-            "longest_gap_ns": self._longest_gap_ns,
-            "contacts": [
-                {
-                    "acquired_ns": window.acquired_ns - begun_ns,
-                    "connected_ns": _since(window.connected_ns, begun_ns),
-                    "lost_ns": _since(window.lost_ns, begun_ns),
-                }
-                for window in self._windows
-            ],
-            "history": [
-                {
-                    "at_ns": at_ns - begun_ns,
-                    "from": before.name.lower(),
-                    "to": after.name.lower(),
-                    "why": why,
-                }
-                for at_ns, before, after, why in self._history
-            ],
-        }
+        return contact_ns
+
+    def contacts(self) -> list[ContactFigures]:
+        """The newest contacts; instants are counted from `begun_ns`."""
+        return [
+            ContactFigures(
+                acquired_ns=window.acquired_ns - self.begun_ns,
+                connected_ns=_since(window.connected_ns, self.begun_ns),
+                lost_ns=_since(window.lost_ns, self.begun_ns),
+            )
+            for window in self._windows
+        ]
+
+    def history(self) -> list[Transition]:
+        """The newest transitions; instants are counted from `begun_ns`."""
+        return [
+            {
+                "at_ns": at_ns - self.begun_ns,
+                "from": before.name.lower(),
+                "to": after.name.lower(),
+                "why": why,
+            }
+            for at_ns, before, after, why in self._history
+        ]
 
 
 def _since(instant_ns: int | None, begun_ns: int) -> int | None:

@@ -22,8 +22,8 @@ A gateway needs six lines:
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
 
+from telepresence.link.figures import PeerFigures, SupervisionFigures
 from telepresence.link.supervision.application import ApplicationWatch
 from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
 from telepresence.link.supervision.events import (
@@ -254,23 +254,30 @@ class Supervisor:
         """The oldest event that was not fetched yet, or None."""
         return self._events.popleft() if self._events else None
 
-    def report(self, now_ns: int) -> dict[str, Any]:
-        """Return state, peer, counts, contact windows and the last transitions with reasons."""
+    def report(self, now_ns: int) -> SupervisionFigures:
+        """State, peer, counts, contact windows and the last transitions with their reasons."""
         peer = self._negotiation.peer
-        return {
-            "role": "master" if self.master else "slave",
-            "life": self.life,
-            "state": self.state.name.lower(),
-            "why": self.why,
-            "signal": self.signal,
-            "peer_hears": self.peer_hears,
-            "delivering": self.delivering,
-            "peer": {
-                "life": self.peer_life,
-                "state": None if peer is None else peer.state.name.lower(),
-            },
-            **self._record.report(now_ns),
-        }
+        record = self._record
+        return SupervisionFigures(
+            role="master" if self.master else "slave",
+            life=self.life,
+            state=self.state.name.lower(),
+            why=self.why,
+            signal=self.signal,
+            peer_hears=self.peer_hears,
+            delivering=self.delivering,
+            peer=PeerFigures(
+                life=self.peer_life, state=None if peer is None else peer.state.name.lower()
+            ),
+            begun_ns=record.begun_ns,
+            since_ns=record.since_ns,
+            in_state_ns=record.in_state_ns(now_ns),
+            counts=dict(record.counts),
+            contact_ns=record.contact_ns(now_ns),
+            longest_gap_ns=record.longest_gap_ns,
+            contacts=record.contacts(),
+            history=record.history(),
+        )
 
     def _acquire(self, now_ns: int) -> None:
         self.signal = True

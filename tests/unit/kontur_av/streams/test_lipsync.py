@@ -45,9 +45,9 @@ def test_the_share_counts_time_not_pictures():
     for at_ms, skew_ms in ((0, -45), (500, 125), (1000, -46), (1100, 126), (1300, 0)):
         share.add(at_ms * MS, skew_ms * MS)
     summary = share.summary()
-    assert summary["within"] == pytest.approx(1000 / 1300, abs=1e-5)
-    assert summary["early"] == pytest.approx(100 / 1300, abs=1e-5)
-    assert summary["late"] == pytest.approx(200 / 1300, abs=1e-5)
+    assert summary.within == pytest.approx(1000 / 1300, abs=1e-5)
+    assert summary.early == pytest.approx(100 / 1300, abs=1e-5)
+    assert summary.late == pytest.approx(200 / 1300, abs=1e-5)
     # A picture that stays for ever counts for half a second.
     share.add(100 * NS_PER_S, 0)
     assert share.counted_ns == 1800 * MS

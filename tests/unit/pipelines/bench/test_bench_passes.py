@@ -18,6 +18,7 @@ from pipelines.bench.passes.figures import (
 from pipelines.bench.passes.run import Plan, run_sessions
 from pipelines.cli import main
 from pipelines.commands.simulate import simulate
+from pipelines.report.model import to_builtins
 from pipelines.setup.built_in import BUILT_IN
 from telepresence.haptics.loop import HapticLink
 
@@ -146,7 +147,7 @@ def test_a_force_that_begins_late_or_stops_for_good_is_stuck(silent, monkeypatch
 
     monkeypatch.setattr(HapticLink, "poll_transmit", poll_transmit)
     setup = replace(BUILT_IN["spacejustin"], radio="clean")
-    figures = pass_figures(simulate(setup, seconds=6.0, seed=1, media=False))
+    figures = pass_figures(to_builtins(simulate(setup, seconds=6.0, seed=1, media=False)))
     assert "stuck" in faults(figures)
     longest_s = min(silent[1], 6) - max(silent[0], 0)
     assert figures["longest_pause_s"]["felt"] == pytest.approx(longest_s, abs=0.2)
@@ -160,7 +161,7 @@ def test_a_signal_that_was_away_for_a_hundredth_of_the_window_is_not_usable():
 
 def test_the_way_to_a_far_orbit_is_no_time_without_a_signal():
     setup = replace(BUILT_IN["spacejustin"], radio="geo")
-    figures = pass_figures(simulate(setup, seconds=2.0, seed=1, media=False))
+    figures = pass_figures(to_builtins(simulate(setup, seconds=2.0, seed=1, media=False)))
     assert figures["usable_s"] < 1.8
     assert faults(figures) == []
     assert faults(figures | {"usable_s": figures["usable_s"] - 0.2}) == ["unusable"]

@@ -2,6 +2,7 @@
 
 from array import array
 from itertools import permutations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -101,7 +102,7 @@ def test_a_sense_that_is_late_is_positive():
     show(collector, "uplink_voice", 110, 30)
     show(collector, "uplink_video", 120, 52)
     collector.handle_end()
-    skews = {name: skew.summary_ms()["p50"] for name, skew in collector.skews.items()}
+    skews = {name: skew.summary_ms().p50 for name, skew in collector.skews.items()}
     assert skews["video_haptic"] == pytest.approx(50, rel=0.01)
     assert skews["audio_haptic"] == pytest.approx(28, rel=0.01)
     # The voice came before the picture of the same instant.
@@ -123,28 +124,28 @@ def test_percentiles_of_a_signed_skew_are_those_of_its_values(values):
         skew.add(value)
     summary = skew.summary_ms()
     ordered = np.sort(values)
-    assert summary["count"] == len(values)
+    assert summary.count == len(values)
     for p in (50, 95, 99):
         rank = len(values) * p / 100
         around = ordered[[max(int(rank) - 2, 0), min(int(rank) + 1, len(values) - 1)]] / 1e6
         slack = 0.005 * np.abs(around).max() + 1e-9
-        assert around[0] - slack <= summary[f"p{p}"] <= around[1] + slack
-    assert abs(summary["max"]) == max(abs(value) for value in values) / 1e6
+        assert around[0] - slack <= getattr(summary, f"p{p}") <= around[1] + slack
+    assert abs(summary.max) == max(abs(value) for value in values) / 1e6
 
 
 def test_a_process_life_adds_to_its_last():
     collector = Collector(SESSION)
-    link = {"transmit": {"frames": 10}}
+    link = SimpleNamespace(transmit=SimpleNamespace(frames=10))
     tell(collector, "ground_gateway", START_NS, totals={"slips": 5}, gauges={"link": link})
     tell(collector, "ground_gateway", START_NS, totals={"slips": 7}, gauges={"link": link})
     figures = collector.process("ground_gateway")
     assert figures.total("slips") == 7
     figures.handle_end()
     assert figures.total("slips") == 7
-    newer = {"transmit": {"frames": 3}}
+    newer = SimpleNamespace(transmit=SimpleNamespace(frames=3))
     tell(collector, "ground_gateway", START_NS, totals={"slips": 2}, gauges={"link": newer})
     assert figures.total("slips") == 9
-    assert [life["transmit"]["frames"] for life in figures.links()] == [10, 3]
+    assert [life.transmit.frames for life in figures.links()] == [10, 3]
     assert figures.total("never counted") == 0
 
 
@@ -179,8 +180,8 @@ def test_a_picture_is_compared_with_the_force_of_its_own_instant():
     # At 132 ms the sample of 118 ms was felt, 13 ms old; at 462 ms that of 418 ms, 43 ms old.
     summary = skew.summary_ms()
     assert skew.count == 2
-    assert summary["max"] == pytest.approx(50 - 13, abs=2.5)
-    assert summary["p50"] == pytest.approx(50 - 43, abs=2.5)
+    assert summary.max == pytest.approx(50 - 13, abs=2.5)
+    assert summary.p50 == pytest.approx(50 - 43, abs=2.5)
     rate = collector.haptics["up"].rate
     assert rate.octets == 500 * 12
     # One value each 20 ms, not each millisecond: the launcher has more to do.
@@ -203,7 +204,7 @@ def test_a_robot_that_was_started_again_has_no_latencies_of_its_life_before():
     force = collector.haptics["up"].latency
     assert (force.count, force.max) == (2700 + 500 + 1, 3 * NS_PER_MS)
     skew = collector.skews["video_haptic"].summary_ms()
-    assert [skew[name] for name in ("p50", "max")] == pytest.approx([37, 37], rel=0.01)
+    assert [skew.p50, skew.max] == pytest.approx([37, 37], rel=0.01)
 
 
 def test_force_of_which_the_sender_never_told_is_passed_over():
@@ -214,4 +215,4 @@ def test_force_of_which_the_sender_never_told_is_passed_over():
     feel(collector, 300, 4)
     show(collector, "uplink_video", 310, 50)
     collector.handle_end()
-    assert collector.skews["video_haptic"].summary_ms()["max"] == pytest.approx(46)
+    assert collector.skews["video_haptic"].summary_ms().max == pytest.approx(46)

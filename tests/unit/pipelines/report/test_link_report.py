@@ -1,11 +1,11 @@
 """What `kontur-av link` tells: rates by the link's own time, and books that are whole."""
 
-import json
 import re
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
+from pipelines.report.model import GatewayReport, LinkReport, from_json, to_json
 from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import Segment, topology_of
@@ -91,12 +91,13 @@ def test_the_summary_says_what_the_report_holds():
     link = Link()
     link.run(400, haptics)
     link.collector.process("ground_gateway").totals["strangers_radio"] = 4
-    report = json.loads(json.dumps(link.report()))
+    report = from_json(to_json(link.report()), LinkReport)
+    assert report == link.report()
     for direction, octets in (("uplink", 32), ("downlink", 500)):
-        assert report["link"][direction]["frames"] == 400
-        assert sum(report["link"][direction]["octets"].values()) == 400 * octets
-    assert report["gateways"]["ground"]["strangers"] == {"radio": 4}
-    assert report["failures"] == []
+        assert report.link[direction].frames == 400
+        assert sum(report.link[direction].octets.values()) == 400 * octets
+    assert report.gateways["ground"].strangers == {"radio": 4}
+    assert report.failures == []
     text = "\n".join(summary_lines(report))
     assert "taskboard, 0.4 s, radio cable" in text
     assert "uplink: 400 frames sent, 2 slips" in text
@@ -123,10 +124,10 @@ def test_one_end_alone_tells_its_own_half():
     link.run(100)
     del link.collector.processes["space_gateway"]
     report = link.report([Segment.GROUND], restarts=1)
-    assert list(report["gateways"]) == ["ground"]
-    assert report["link"]["uplink"]["frames"] == 100
-    assert report["link"]["uplink"]["packets"] == {}
-    assert report["link"]["downlink"]["frames"] == 0
+    assert list(report.gateways) == ["ground"]
+    assert report.link["uplink"].frames == 100
+    assert report.link["uplink"].packets == {}
+    assert report.link["downlink"].frames == 0
     text = "\n".join(summary_lines(report))
     assert "downlink received: 0 frames lost" in text
     assert "failed: ground_gateway: started again 1 times" in text
@@ -134,5 +135,5 @@ def test_one_end_alone_tells_its_own_half():
 
 def test_an_end_that_never_ran_has_a_report():
     report = Link().report()
-    assert report["gateways"]["space"] == {"strangers": {}, "unsent": 0}
+    assert report.gateways["space"] == GatewayReport(strangers={}, unsent=0)
     assert any("never ran" in line for line in summary_lines(report))

@@ -1,8 +1,8 @@
 """The report that is built from what a collector knows."""
 
-import json
 from array import array
 from dataclasses import replace
+from types import SimpleNamespace
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.collector import Collector
 from pipelines.report.link_figures import ledger_percent, link_figures
+from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report, failures
 from pipelines.report.silence import silences
 from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import topology_of
+from telepresence.link.figures import ContactFigures
 from telepresence.link.gateway import Gateway
 
 SETUP = BUILT_IN["taskboard"]
@@ -51,19 +53,20 @@ def report_of(collector, seconds=5.0):
 
 
 def test_the_report_says_what_was_counted():
-    report = json.loads(json.dumps(report_of(told())))
-    stream = report["streams"]["uplink_video"]
-    assert stream["payload_bps_max_1s"] == 30 * 300 * 8
-    assert stream["cap_bps"] == 90_000
-    assert (stream["frames_captured"], stream["frames_sent"], stream["rtp_packets"]) == (31, 30, 30)
-    assert stream["frames_displayed"] == 30
-    assert report["haptic"]["up"]["lost"] == 1
-    assert report["haptic"]["down"]["lost"] == 0
-    assert report["processes"]["robot"]["restarts"] == 2
-    assert report["processes"]["uplink_video_receive"]["counts"]["garbage"] == 2
-    assert "garbage" not in report["processes"]["space_display"]["counts"]
-    assert report["cpu"]["total_s"] == 0.5 * len(PARTS) + 1.0
-    assert report["failures"] == []
+    report = from_json(to_json(report_of(told())), SessionReport)
+    assert report == report_of(told())
+    stream = report.streams["uplink_video"]
+    assert stream.payload_bps_max_1s == 30 * 300 * 8
+    assert stream.cap_bps == 90_000
+    assert (stream.frames_captured, stream.frames_sent, stream.rtp_packets) == (31, 30, 30)
+    assert stream.frames_displayed == 30
+    assert report.haptic["up"].lost == 1
+    assert report.haptic["down"].lost == 0
+    assert report.processes["robot"].restarts == 2
+    assert report.processes["uplink_video_receive"].counts["garbage"] == 2
+    assert "garbage" not in report.processes["space_display"].counts
+    assert report.cpu.total_s == 0.5 * len(PARTS) + 1.0
+    assert report.failures == []
 
 
 def test_a_broken_cap_is_a_failure():
@@ -81,9 +84,16 @@ def test_a_stream_that_nobody_saw_is_a_failure():
 
 def hearing(collector, since_ns, *, signal=True):
     """The same collector, whose gateway in space has heard the ground since then, as of 9 s."""
-    contacts = [{"acquired_ns": 0, "lost_ns": 5}, {"acquired_ns": since_ns - 1000, "lost_ns": None}]
-    supervision = {"signal": signal, "begun_ns": 1000, "contacts": contacts}
-    link = {"link": {"supervision": supervision}}
+    contacts = [
+        ContactFigures(acquired_ns=0, connected_ns=None, lost_ns=5),
+        ContactFigures(acquired_ns=since_ns - 1000, connected_ns=None, lost_ns=None),
+    ]
+    supervision = SimpleNamespace(signal=signal, begun_ns=1000, contacts=contacts)
+    link = {
+        "link": SimpleNamespace(
+            supervision=supervision, receive=SimpleNamespace(frames=0, frames_lost=0)
+        )
+    }
     collector.handle_message("space_gateway", Message({}, link, {}), 9 * NS_PER_S)
     return collector
 
@@ -103,15 +113,15 @@ def test_a_hand_that_felt_nothing_is_a_failure():
 
 def test_a_session_that_ended_at_once_still_has_a_report():
     empty = Collector(topology_of(SETUP))
-    report = json.loads(json.dumps(report_of(empty, seconds=0.0)))
-    assert report["streams"]["uplink_video"]["payload_bps_mean"] == 0
-    assert report["link"]["uplink"]["frames"] == 0
+    report = from_json(to_json(report_of(empty, seconds=0.0)), SessionReport)
+    assert report.streams["uplink_video"].payload_bps_mean == 0
+    assert report.link["uplink"].frames == 0
 
 
 def test_the_mean_rate_is_that_of_the_whole_session():
     # 30 packets of 300 octets came in its first second; then the sender fell silent.
-    stream = report_of(told(), seconds=4.0)["streams"]["uplink_video"]
-    assert stream["payload_bps_mean"] == 30 * 300 * 8 / 4
+    stream = report_of(told(), seconds=4.0).streams["uplink_video"]
+    assert stream.payload_bps_mean == 30 * 300 * 8 / 4
 
 
 def test_whatever_a_process_counted_is_told():
@@ -120,10 +130,10 @@ def test_whatever_a_process_counted_is_told():
     collector.handle_message("robot", Message(totals, {"jitter_ns": 7}), NS_PER_S)
     collector.process("robot").handle_end()
     collector.handle_message("robot", Message({"captured": 1}, {}), NS_PER_S)
-    entry = report_of(collector)["processes"]["robot"]
-    assert entry["counts"]["captured"] == 101
-    assert entry["counts"]["source_faults"] == 2
-    assert entry["jitter_ns"] == 7
+    entry = report_of(collector).processes["robot"]
+    assert entry.counts["captured"] == 101
+    assert entry.counts["source_faults"] == 2
+    assert entry.jitter_ns == 7
 
 
 def test_a_gateway_that_was_killed_keeps_what_it_had_counted():
@@ -149,13 +159,13 @@ def test_a_gateway_that_was_killed_keeps_what_it_had_counted():
         message = Message({}, {"link": gateway.report(later_ns)})
         collector.handle_message("ground_gateway", message, later_ns)
         collector.process("ground_gateway").handle_end()
-        last = gateway.report(later_ns)["transmit"]["queue"]["video"]
-    link = report_of(collector)["link"]["uplink"]
-    queue = link["queue"]["video"]
-    assert queue["accepted"] == 7
-    assert sum(queue["drops"].values()) == 2 + 3
-    assert queue["max_octets"] == last["max_octets"]
-    assert link["headers"]["uplink_video"]["packets"] == 2
+        last = gateway.report(later_ns).transmit.queue["video"]
+    link = report_of(collector).link["uplink"]
+    queue = link.queue["video"]
+    assert queue.accepted == 7
+    assert sum(queue.drops.values()) == 2 + 3
+    assert queue.max_octets == last.max_octets
+    assert link.headers["uplink_video"]["packets"] == 2
 
 
 def test_a_report_that_lacks_values_is_a_failure():
@@ -243,7 +253,7 @@ def test_an_input_that_gives_nothing_is_named():
         restarts={"camera_left": 0},
         launcher_cpu_s=0.1,
     )
-    assert report["processes"]["camera_left"]["silent_s"] == 5.0
+    assert report.processes["camera_left"].silent_s == 5.0
     # As long as it gives, there is nothing to say.
     assert silences(SETUP, run_on(told(), shown_until_s=8, captured_until_s=8)) == []
 
@@ -271,7 +281,7 @@ def test_the_arithmetic_of_a_direction_adds_up_to_what_it_has():
     for name in ("spacejustin", "taskboard"):
         setup = BUILT_IN[name]
         for direction, profile in (("uplink", setup.uplink), ("downlink", setup.downlink)):
-            lines = link_figures(setup, Collector(topology_of(setup)), direction)["arithmetic"]
-            assert sum(line["bps"] for line in lines) == profile.media_bps
-            assert lines[-1]["what"] == "spare"
-            assert lines[-1]["bps"] > 0
+            lines = link_figures(setup, Collector(topology_of(setup)), direction).arithmetic
+            assert sum(line.bps for line in lines) == profile.media_bps
+            assert lines[-1].what == "spare"
+            assert lines[-1].bps > 0

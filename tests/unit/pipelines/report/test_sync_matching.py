@@ -84,20 +84,20 @@ def figures(stamp_off_ms=0.0, contacts=10, slack_ms=33):
 
 def test_latencies_skews_and_verdicts():
     report = figures().report(["light", "click", "force"])
-    assert report["events"] == 10
-    assert [report["senses"][sense]["latency_ms"]["p50"] for sense in report["senses"]] == [
+    assert report.events == 10
+    assert [report.senses[sense].latency_ms.p50 for sense in report.senses] == [
         70,
         50,
         3,
     ]
-    assert all(sense["agrees"] for sense in report["senses"].values())
-    assert {name: skew["p50"] for name, skew in report["skew_ms"].items()} == {
+    assert all(sense.agrees for sense in report.senses.values())
+    assert {name: skew.p50 for name, skew in report.skew_ms.items()} == {
         "video_haptic": 67,
         "audio_haptic": 47,
         "audio_video": -20,
     }
-    assert report["skew_ms"]["audio_video"]["within"] == 1.0
-    assert report["senses"]["light"]["found"] == 10
+    assert report.skew_ms["audio_video"].within == 1.0
+    assert report.senses["light"].found == 10
     assert disagreements(report) == []
 
 
@@ -110,7 +110,7 @@ def test_stamps_that_are_off_are_named(off_ms, wrong):
 
 def test_two_contacts_make_no_verdict():
     report = figures(40, contacts=2).report(["light", "click", "force"])
-    assert report["senses"]["light"]["agrees"] is None
+    assert report.senses["light"].agrees is None
     assert disagreements(report) == []
 
 
@@ -118,7 +118,7 @@ def test_bounces_and_touches_beside_a_target_are_told_apart():
     sync = figures()
     sync.handle_rows("contact", "", [(50 * MS, 1), (1000 * MS, -1)])
     report = sync.report(["light", "click", "force"])
-    assert (report["events"], report["bounces"], report["touches_beside_targets"]) == (10, 1, 1)
+    assert (report.events, report.bounces, report.touches_beside_targets) == (10, 1, 1)
 
 
 @pytest.mark.parametrize("late_ms", [1, 11, 200])
@@ -130,13 +130,13 @@ def test_the_last_contact_is_not_missed_because_its_force_has_no_stamp_yet(late_
             sync.handle_rows("contact", "", [(at_ns, 0)])
             sync.handle_rows("step", "", [(at_ns + late_ms * MS,)])
         sync.handle_time(end_ns, lambda instant_ns: instant_ns)
-        assert sync.report(["force"], soonest_ns=soonest_ns)["senses"]["force"]["missed"] == 0
+        assert sync.report(["force"], soonest_ns=soonest_ns).senses["force"].missed == 0
 
 
 def test_a_sense_that_a_setup_lacks_has_no_figures():
     report = figures().report(["light", "force"])
-    assert report["senses"]["click"] is None
-    assert [name for name, skew in report["skew_ms"].items() if skew] == ["video_haptic"]
+    assert report.senses["click"] is None
+    assert [name for name, skew in report.skew_ms.items() if skew] == ["video_haptic"]
     assert SyncFigures().report(["light"]) is None
 
 
@@ -157,7 +157,7 @@ def test_what_flashes_in_a_film_or_clicks_before_a_microphone_is_no_contact(sour
     setup = replace(BUILT_IN["spacejustin"], sources=sources)
     # As if each had been there 40 ms too late.
     section = sync_section(setup, figures(40), media=True)
-    assert [sense for sense, found in section["senses"].items() if found] == senses
+    assert [sense for sense, found in section.senses.items() if found] == senses
     assert len(disagreements(section)) == len(senses) - 1
 
 
@@ -169,7 +169,7 @@ def test_limits_are_those_of_the_sources():
     assert not LIMITS["video_haptic"].holds(16 * MS)
     assert LIMITS["video_haptic"].holds(-50 * MS)
     assert not LIMITS["audio_haptic"].holds(25 * MS)
-    assert skew_summary("audio_haptic", [10 * MS, 30 * MS])["within"] == 0.5
+    assert skew_summary("audio_haptic", [10 * MS, 30 * MS]).within == 0.5
 
 
 @given(st.lists(st.integers(-(10**9), 10**9), min_size=1), st.sampled_from((50, 95, 99)))

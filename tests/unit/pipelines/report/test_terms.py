@@ -1,12 +1,14 @@
 """What the lead of force over its picture is made of: it adds up, and each term is what it says."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.report.model import Terms
 from pipelines.report.terms import TERMS, Way, video_lead, zone_bps
 from pipelines.setup.built_in import BUILT_IN
 from telepresence.link.profile import UPLINK
@@ -16,11 +18,11 @@ FORCE_NS = 11 * NS_PER_MS
 
 
 def uplink(samples=1000, frames=1000, header_octets=0, packets=1):
-    return {
-        "frames": frames,
-        "octets": {"haptic": 12 * samples},
-        "headers": {"uplink_video": {"header_octets": header_octets, "packets": packets}},
-    }
+    return SimpleNamespace(
+        frames=frames,
+        octets={"haptic": 12 * samples},
+        headers={"uplink_video": {"header_octets": header_octets, "packets": packets}},
+    )
 
 
 def instants(*steps_ms, at_ms=0):
@@ -40,20 +42,20 @@ def test_each_term_is_what_was_put_in():
     # 240 octets are 20 slots of 12; of the network's 35 ms the radio takes 10: 5 were waited.
     way.add(instants(4, 1, 6, 35, 3, 0.5), 40 * NS_PER_MS, (240, 1))
     lead = lead_of(way)
-    assert lead["video_ms"] == {
-        "camera": 20.0,
-        "capture": 4.0,
-        "encoding": 6.0,
-        "queueing": 6.0,
-        "serialisation": 20.0,
-        "propagation": 10.0,
-        "decoding": 3.0,
-        "display": 0.5,
-        "total": 69.5,
-    }
-    assert lead["force_ms"]["queueing"] == 1.0
-    assert lead["lead_ms"]["propagation"] == 0.0
-    assert lead["lead_ms"]["total"] == 58.5
+    assert lead.video_ms == Terms(
+        camera=20.0,
+        capture=4.0,
+        encoding=6.0,
+        queueing=6.0,
+        serialisation=20.0,
+        propagation=10.0,
+        decoding=3.0,
+        display=0.5,
+        total=69.5,
+    )
+    assert lead.force_ms.queueing == 1.0
+    assert lead.lead_ms.propagation == 0.0
+    assert lead.lead_ms.total == 58.5
 
 
 def test_a_picture_counts_by_the_time_that_it_stands_for():
@@ -61,8 +63,8 @@ def test_a_picture_counts_by_the_time_that_it_stands_for():
     way.add(instants(0, 0, 0, 50, 0, 0), 30 * NS_PER_MS, (0, 1))
     way.add(instants(0, 0, 0, 80, 0, 0), 60 * NS_PER_MS, (0, 1))
     lead = lead_of(way)
-    assert lead["video_ms"]["camera"] == pytest.approx((30 * 15 + 60 * 30) / 90, abs=1e-3)
-    assert lead["video_ms"]["total"] == pytest.approx((30 * 65 + 60 * 110) / 90, abs=1e-3)
+    assert lead.video_ms.camera == pytest.approx((30 * 15 + 60 * 30) / 90, abs=1e-3)
+    assert lead.video_ms.total == pytest.approx((30 * 65 + 60 * 110) / 90, abs=1e-3)
 
 
 @given(
@@ -83,11 +85,11 @@ def test_the_terms_add_up_whatever_the_pictures(pictures, samples):
     for steps_ms, gap_ms, octets, packets in pictures:
         way.add(instants(*steps_ms), round(gap_ms * NS_PER_MS), (octets, packets))
     lead = lead_of(way, uplink(samples=samples, header_octets=3))
-    for terms in (lead["video_ms"], lead["force_ms"], lead["lead_ms"]):
-        parts = sum(terms[name] for name in TERMS)
-        assert parts == pytest.approx(terms["total"], abs=0.0005 * (len(TERMS) + 1) + 1e-6)
-    assert lead["video_ms"]["total"] - FORCE_NS / NS_PER_MS == pytest.approx(
-        lead["lead_ms"]["total"], abs=0.0011
+    for terms in (lead.video_ms, lead.force_ms, lead.lead_ms):
+        parts = sum(getattr(terms, name) for name in TERMS)
+        assert parts == pytest.approx(terms.total, abs=0.0005 * (len(TERMS) + 1) + 1e-6)
+    assert lead.video_ms.total - FORCE_NS / NS_PER_MS == pytest.approx(
+        lead.lead_ms.total, abs=0.0011
     )
 
 
@@ -96,8 +98,8 @@ def test_headers_and_what_samples_leave_decide_how_long_a_picture_is_on_the_chan
     assert zone_bps(UPLINK, uplink(samples=0)) == 192_000
     way = Way()
     way.add(instants(0, 0, 0, 60, 0, 0), 30 * NS_PER_MS, (234, 2))
-    assert lead_of(way, uplink(header_octets=9, packets=3))["video_ms"]["serialisation"] == 20.0
-    assert lead_of(way, uplink(0, header_octets=9, packets=3))["video_ms"]["serialisation"] == 10.0
+    assert lead_of(way, uplink(header_octets=9, packets=3)).video_ms.serialisation == 20.0
+    assert lead_of(way, uplink(0, header_octets=9, packets=3)).video_ms.serialisation == 10.0
 
 
 def test_propagation_is_that_of_the_instants_at_which_pictures_were_sent(tmp_path):

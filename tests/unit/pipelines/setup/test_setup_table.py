@@ -238,4 +238,4 @@ def test_a_direction_has_its_own_radio_from_the_same_seed():
         setup.radio_path(profile, seed=3, epoch_ns=5).report()
         for profile in (setup.uplink, setup.downlink)
     )
-    assert (one["direction"], other["direction"]) == ("uplink", "downlink")
+    assert (one.channel.direction, other.channel.direction) == ("uplink", "downlink")

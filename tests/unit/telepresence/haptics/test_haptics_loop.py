@@ -2,6 +2,7 @@
 
 import pytest
 
+from telepresence.haptics.figures import HapticLinkFigures
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.loop import PeerFound, PeerLost, PeerRestarted, joystick_link, robot_link
 from telepresence.haptics.sample import (
@@ -28,15 +29,9 @@ def test_the_newest_sample_wins_and_a_late_one_is_not_used() -> None:
     newest = link.latest(4 * MS)
     assert newest is not None
     assert newest.x_m == pytest.approx(0.0)  # sequence 1 is half a count
-    assert link.report() == {
-        "sent": 0,
-        "received": 3,
-        "lost": 0,
-        "late": 1,
-        "repeated": 1,
-        "garbage": 0,
-        "restarts": 0,
-    }
+    assert link.report() == HapticLinkFigures(
+        sent=0, received=3, lost=0, late=1, repeated=1, garbage=0, restarts=0
+    )
     assert [sequence for sequence, _ in link.take_received_stamps()] == [65534, 65535, 1]
     assert link.take_received_stamps() == []
 

@@ -92,7 +92,7 @@ def overhead_bps_of_a_run(profile, video_bps, packets_per_s, voice_bps, seconds=
         sender.poll_transmit(now_ns)
     octets = sender.octets()
     mpdu = (profile.data_octets - profile.packet_zone_octets) * sender.frames_sent
-    assert not any(sender.report(now_ns)["queue"]["video"]["drops"].values())
+    assert not any(sender.report(now_ns).queue["video"].drops.values())
     return (octets["packet_headers"] + octets["framing"] - mpdu) * 8 / seconds
 
 

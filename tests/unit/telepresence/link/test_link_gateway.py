@@ -57,10 +57,10 @@ def test_both_ways_with_a_delay():
         ("ground", b"telemetry", 112_500_000),
     ]
     report = link.ground.report(link.now_ns)
-    assert report["transmit"]["name"] == "uplink"
-    assert report["transmit"]["octets"]["tmtc"] == 6
-    assert report["radio"]["frames_under_way"] == 12
-    assert report["supervision"]["state"] == "connected"
+    assert report.transmit.name == "uplink"
+    assert report.transmit.octets["tmtc"] == 6
+    assert report.radio.frames_under_way == 12
+    assert report.supervision.state == "connected"
 
 
 def test_poll_timeout_is_when_the_next_frame_arrives():
@@ -98,7 +98,7 @@ def test_a_loss_of_signal_flushes_the_queues_and_haptics_return_at_once():
     for side in ("ground", "space"):
         back = [e.now_ns for s, e in arrived if s == side and isinstance(e, HapticReceived)]
         assert next(ns for ns in back if ns > 1_050 * MS) == 1_302 * MS
-    drops = link.ground.report(link.now_ns)["transmit"]["queue"]["tmtc"]["drops"]
+    drops = link.ground.report(link.now_ns).transmit.queue["tmtc"].drops
     assert drops["signal_lost"] > 20
     for gateway in (link.ground, link.space):
         assert gateway.supervisor.state is LinkState.CONNECTED
@@ -137,9 +137,9 @@ def test_ends_with_different_configurations_deliver_nothing_and_say_why():
                 far.handle_radio(frame, now_ns)
             assert far.next_event() is None
     report = space.report(500 * MS)
-    assert report["supervision"]["state"] == "refused"
-    assert "downlink has 2000 kbit/s here and 4000 there" in report["supervision"]["why"]
-    assert report["receive"]["haptic"]["unapproved"] > 400
+    assert report.supervision.state == "refused"
+    assert "downlink has 2000 kbit/s here and 4000 there" in report.supervision.why
+    assert report.receive.haptic_unapproved > 400
 
 
 @pytest.mark.parametrize("restart_at", [105, 505])

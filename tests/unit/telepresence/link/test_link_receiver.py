@@ -107,7 +107,7 @@ def test_without_approval_only_supervision_is_delivered():
     assert receiver.handle_frame(sender.poll_transmit(0, b"supervision!"), 1)
     assert receiver.next_event() == SupervisionReceived(b"supervision!", 1)
     assert receiver.next_event() is None
-    assert receiver.report()["haptic"] == {"received": 0, "unapproved": 1}
+    assert (receiver.report().haptic_received, receiver.report().haptic_unapproved) == (0, 1)
     assert receiver.packets_dropped == {"unapproved": 1}
     receiver.deliver = True
     sender.handle_packet("tmtc", b"telecommand", 0)
@@ -137,9 +137,9 @@ def test_flushed_packets_are_never_sent_and_counted_by_level():
     for _ in range(9):
         receiver.handle_frame(sender.poll_transmit(0), 0)
     assert [event.data for event in iter(receiver.next_event, None)] == [b"after"]
-    queues = sender.report(0)["queue"]
-    assert queues["tmtc"]["drops"]["signal_lost"] == 2
-    assert queues["video"]["drops"]["signal_lost"] == 1
+    queues = sender.report(0).queue
+    assert queues["tmtc"].drops["signal_lost"] == 2
+    assert queues["video"].drops["signal_lost"] == 1
 
 
 def test_patience_ends_waiting_and_interrupted_packets():
@@ -154,7 +154,7 @@ def test_patience_ends_waiting_and_interrupted_packets():
             receiver.handle_frame(sender.poll_transmit(slot * MS), slot * MS)
         for slot in range(age, age + 3000):
             receiver.handle_frame(sender.poll_transmit(slot * MS), slot * MS)
-        assert sender.report(0)["queue"]["video"]["drops"][reason] == 1
+        assert sender.report(0).queue["video"].drops[reason] == 1
         assert receiver.packets_received[2] == 0
 
 

@@ -97,7 +97,7 @@ def test_releasing_the_stick_at_a_wall_keeps_the_observers_positive(release_ms):
         if cycle >= 700:
             device.stick.handle_event(3, 0, round(127.5 + 127.5 * max(share, 0.0)))
     assert ground.controller.energy_out_uj > 10_000
-    assert space.report()["least_uj"] >= -1 and ground.report()["least_uj"] >= -1
+    assert space.report().least_uj >= -1 and ground.report().least_uj >= -1
     assert space.handle.operation.state is JoystickState.APPLICATION
 
 

@@ -52,7 +52,7 @@ def test_it_enters_the_application_by_itself_and_finds_its_middle():
     assert sorted(set(states)) == [0, 1, 2, 3] and states == sorted(states)
     joystick = session.device.joystick
     assert hypot(session.handle.x_m - joystick.x_m, session.handle.y_m - joystick.y_m) < 0.001
-    log = [entry["event"] for entry in session.handle.report()["log"]]
+    log = [entry.event for entry in session.handle.report().log]
     assert log == ["self-test passed", "calibrate", "calibration passed", "start"]
 
 
@@ -112,10 +112,10 @@ def test_heat_warns_then_weakens_then_halts_until_it_is_cool():
     joystick.temperature_c = 70.0
     session.run(0.1)
     report = session.handle.report()
-    assert report["temperature_warnings"] == 1
+    assert report.temperature_warnings == 1
     # The device and its supervisor reduce the force by the same amount.
     assert abs(session.handle.force_limit_n - joystick.force_limit_n) < 0.1
-    assert 0.25 < report["force_share"] < 1.0
+    assert 0.25 < report.force_share < 1.0
     joystick.temperature_c = 80.5
     session.run(0.1, force=(5.0, 0.0))
     assert session.operation.state is JoystickState.HALTED
@@ -134,8 +134,8 @@ def test_heat_warns_then_weakens_then_halts_until_it_is_cool():
     joystick.temperature_c = 65.0
     session.run(0.1)
     report = session.handle.report()
-    assert report["temperature_warnings"] == 2
-    assert report["hottest_c"] == 80.5
+    assert report.temperature_warnings == 2
+    assert report.hottest_c == 80.5
 
 
 def test_an_invalid_temperature_is_an_error_without_force():
@@ -224,7 +224,7 @@ def test_motors_give_up_after_three_retries():
     session = Session(SimulatedDevice(FAULTS["stuck-x"]))
     session.run(30)
     assert session.operation.state is JoystickState.CALIBRATION_ERROR and session.operation.given_up
-    events = [entry["event"] for entry in session.handle.report()["log"]]
+    events = [entry.event for entry in session.handle.report().log]
     assert events.count("calibrate") == 4
 
 

@@ -47,10 +47,10 @@ def test_the_earth_turns_under_the_orbit():
 def test_the_stored_pass_is_the_one_of_18_august_2015():
     # DLR told the press: at 16:37 CEST (14:37 UTC) the robot's finger moved for the first time.
     windows = ContactFading(Contact(), seed=1).windows()
-    assert windows["acquisition"].startswith("2015-08-18T14:32")
-    assert 14 * 60 + 37 <= 14 * 60 + 32 + (28 + windows["peak_s"]) / 60 < 14 * 60 + 38
-    assert 400 < windows["nearest_km"] < 450
-    assert 60 < windows["peak_deg"] <= 90
+    assert windows.acquisition.startswith("2015-08-18T14:32")
+    assert 14 * 60 + 37 <= 14 * 60 + 32 + (28 + windows.peak_s) / 60 < 14 * 60 + 38
+    assert 400 < windows.nearest_km < 450
+    assert 60 < windows.peak_deg <= 90
 
 
 def test_elements_with_a_wrong_checksum_are_refused(tmp_path):

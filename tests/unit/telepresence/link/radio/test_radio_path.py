@@ -55,7 +55,7 @@ def test_a_fixed_delay_without_loss():
     assert path.poll_transmit(6 * MS) == b"b"
     assert path.poll_transmit(6 * MS) is None
     report = path.report()
-    assert (report["delay_ns"], report["frames_sent"], report["frames_lost"]) == (5 * MS, 2, 0)
+    assert (report.delay_ns, report.frames_sent, report.frames_lost) == (5 * MS, 2, 0)
 
 
 @pytest.mark.parametrize("probability", [0.0, 0.03, 0.5, 1.0])
@@ -185,7 +185,7 @@ def test_the_delay_swings_between_its_limits():
     path = quiet.path("uplink", seed=1, epoch_ns=0)
     delays = []
     # A report before the first frame is no measurement.
-    assert path.report()["frames_sent"] == 0
+    assert path.report().frames_sent == 0
     for slot in range(4000):
         path.handle_frame(bytes(32), slot * MS)
         delays.append(path.delay_ns)
@@ -195,9 +195,9 @@ def test_the_delay_swings_between_its_limits():
     # 20 ms · 2π / 2 s is 63 µs a millisecond; a step would be more.
     assert max(abs(b - a) for a, b in itertools.pairwise(delays)) < 65_000
     report = path.report()
-    assert abs(report["delay_min_ns"] - min(delays)) < 65_000
-    assert abs(report["delay_max_ns"] - max(delays)) < 65_000
-    assert report["delay_max_ns"] <= quiet.longest_delay_ns
+    assert abs(report.delay_min_ns - min(delays)) < 65_000
+    assert abs(report.delay_max_ns - max(delays)) < 65_000
+    assert report.delay_max_ns <= quiet.longest_delay_ns
 
 
 def test_a_blackout_drops_its_frames_and_is_counted():
@@ -213,7 +213,7 @@ def test_a_blackout_drops_its_frames_and_is_counted():
         path = profile.path(direction, seed=1, epoch_ns=0)
         got[direction] = [index for index, _ in through(path, [bytes(32)] * 5000)]
         report = path.report()
-        assert report["frames_lost"] * MS == report["blackout_ns"]
+        assert report.frames_lost * MS == report.channel.blackout_ns
     assert got["uplink"] == [*range(1000), *range(1100, 5000)]
     assert got["downlink"] == [*range(1000), *range(1100, 2000), *range(3000, 5000)]
 

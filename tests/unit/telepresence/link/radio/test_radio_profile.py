@@ -75,7 +75,7 @@ def test_elements_of_ones_own_lie_beside_the_file(load, tmp_path):
     (tmp_path / "sat.tle").write_text(STORED_ELEMENTS.read_text())
     profile = load('[contact]\nelements = "sat.tle"\nafter = "2015-08-19T00:00:00Z"')
     assert profile.contact.elements == tmp_path / "sat.tle"
-    assert profile.contact_windows()["acquisition"].startswith("2015-08-19T")
+    assert profile.contact_windows().acquisition.startswith("2015-08-19T")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,563 @@
+"""The reports of all commands, as types, and their one way to JSON and back.
+
+A comment above a field says what it is; the table of the keys in docs/report.md is made from these
+comments and from the names and types. A unit that ends a name holds for all values below it. A
+field whose default is None is left out of the JSON when it has no value.
+"""
+
+import json
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from telepresence.haptics.figures import JoystickFigures
+from telepresence.link.figures import ContactWindows, QueueFigures, SupervisionFigures
+
+
+class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What all parts of a report have in common."""
+
+
+class Spread(Report, frozen=True, kw_only=True):
+    """Percentiles of a duration by nearest rank in a histogram."""
+
+    p50: float
+    p95: float
+    p99: float
+    p99_9: float = msgspec.field(name="p99.9")
+    max: float
+    mean: float
+    #: Number of values.
+    count: int
+
+
+class Stages(Report, frozen=True, kw_only=True):
+    """The four stages of a stream's latency, of the units whose every stage is known."""
+
+    #: Capture, waiting for the encoder, and encoding.
+    capture_to_encoded: Spread
+    #: Pacing at the sender.
+    encoded_to_sent: Spread
+    #: Gateways, queues and radio, until the last packet has arrived.
+    sent_to_received: Spread
+    #: Decoding, playout, and the way to the display.
+    received_to_displayed: Spread
+
+
+class StreamLatency(Spread, frozen=True, kw_only=True):
+    """The latency of a stream from capture to display."""
+
+    stages: Stages
+
+
+class StreamReport(Report, frozen=True, kw_only=True):
+    """One media stream, from its input to its display."""
+
+    #: The largest rate of RTP payload over any second.
+    cap_bps: int
+    #: By how much the cap was higher, on average, because of haptic samples that were left out.
+    gained_bps: int | None = None
+    #: How often that changed.
+    gain_changes: int | None = None
+    #: Width and height of what is captured and displayed; of pictures only.
+    size: tuple[int, int] | None = None
+    #: Width and height that are coded; of pictures only.
+    coded_size: tuple[int, int] | None = None
+    payload_bps_mean: int
+    #: The largest rate over a sliding second.
+    payload_bps_max_1s: int
+    #: The largest rate over a sliding tenth of a second.
+    payload_bps_max_100ms: int
+    #: Pictures or blocks of sound that came to the sender.
+    frames_captured: int
+    frames_encoded: int
+    frames_sent: int
+    #: Pictures or blocks that the encoder's budget had no room for.
+    frames_refused: int
+    #: Pictures or blocks that were shown or played; concealed sound does not count.
+    frames_displayed: int
+    displayed_hz: float
+    #: RTP packets received.
+    rtp_packets: int | None = None
+    #: Gaps in the sequence numbers.
+    rtp_lost: int | None = None
+    rtp_reordered: int | None = None
+    rtp_duplicates: int | None = None
+    #: Packets that came after their turn.
+    rtp_late: int | None = None
+    #: Datagrams that are no RTP of this stream.
+    garbage: int | None = None
+    #: Access units with gaps; of pictures only.
+    frames_damaged: int | None = None
+    #: Blocks that the decoder had to make up; of voices only.
+    frames_concealed: int | None = None
+    #: Blocks that were restored from forward error correction; of voices only.
+    frames_recovered: int | None = None
+    #: Access units that the decoder could not decode; of pictures only.
+    frames_corrupt: int | None = None
+    #: Units that came before a sender report gave their capture time.
+    frames_undated: int | None = None
+    #: Pictures of another size than the stream's; of pictures only.
+    frames_oversized: int | None = None
+    #: From this age on, what is shown counts as stale.
+    stale_after_ms: float
+    #: How long what was shown was stale.
+    stale_ms: float
+    stale_episodes: int
+    #: How long the picture stood still; of pictures only.
+    frozen_ms: float | None = None
+    frozen_episodes: int | None = None
+    #: How long the picture showed damage; of pictures only.
+    damaged_ms: float | None = None
+    damaged_episodes: int | None = None
+    #: From capture to display.
+    latency_ms: StreamLatency
+    #: From when to when nothing was displayed, each longer than 1 s, in seconds of the session.
+    pauses_s: list[tuple[float, float]]
+    #: The largest difference of the capture time that travelled by RTCP to the stamp itself.
+    capture_stamp_error_us: float
+
+
+class Punctuality(Report, frozen=True, kw_only=True):
+    """How late a periodic task was."""
+
+    p50: float
+    p95: float
+    p99: float
+    max: float
+    p99_9: float = msgspec.field(name="p99.9")
+
+
+class PortReport(Report, frozen=True, kw_only=True):
+    """Energies of the haptic port at the sender of a direction, and its passivity controller."""
+
+    energy_in_uj: int
+    energy_out_uj: int
+    #: Cycles in which the passivity controller acted.
+    passivity_acted: int
+    #: Totals of the peer's energy that could not be right.
+    totals_refused: int
+    #: Energy that this end may still give out.
+    credit_uj: int | None = None
+    #: The least that the passivity observer saw; below 0 energy was made.
+    least_uj: int | None = None
+
+
+class HapticReport(Report, frozen=True, kw_only=True):
+    """One direction of the haptic samples: `up` carries forces, `down` carries motion."""
+
+    #: The rate of the insert zone.
+    cap_bps: int
+    #: The rate of the samples that were received.
+    payload_bps_mean: int
+    sent: int
+    #: Samples that the deadband left out.
+    left_out: int | None = None
+    #: The rate that this saved.
+    saved_bps: int | None = None
+    received: int
+    lost: int
+    #: Samples that came after a newer one.
+    late: int
+    #: Datagrams that are no sample.
+    garbage: int
+    #: From one end's loop to the other's.
+    latency_ms: Spread
+    #: From when to when no sample came, each longer than 0.2 s, in seconds of the session.
+    pauses_s: list[tuple[float, float]]
+    #: How late the sender's cycles of 1 ms began.
+    lateness_us: Punctuality
+    #: Cycles of the sender that were left out.
+    slips: int
+    #: At the sender.
+    port: PortReport
+
+
+class NeedReport(Report, frozen=True, kw_only=True):
+    """What a direction needs when every stream is at its cap."""
+
+    payload: int
+    headers: int
+    #: For RTCP, feedback and supervision.
+    reserve: int
+    #: What is left.
+    spare: int
+
+
+class LineReport(Report, frozen=True, kw_only=True):
+    """One line of that arithmetic."""
+
+    what: str
+    #: The stream it is for; empty if it is for none.
+    stream: str
+    bps: int
+
+
+class DirectionReport(Report, frozen=True, kw_only=True):
+    """One direction of the link, of all lives of its two gateways."""
+
+    #: The rate of whole frames.
+    capacity_bps: int
+    #: What is left for everything below haptics.
+    below_haptics_bps: int
+    #: The need at the caps.
+    needed_at_caps_bps: NeedReport
+    #: How that comes about, line by line.
+    arithmetic: list[LineReport]
+    #: Frames sent.
+    frames: int
+    #: What slots without a sample left for the levels below haptics, on average.
+    freed_bps: int
+    frames_lost: int
+    #: Frames that were received and dropped, by reason.
+    frames_dropped: dict[str, int]
+    #: Octets of all frames sent, by what they carried.
+    octets: dict[str, int]
+    #: Their shares, which add up to 100.
+    octets_percent: dict[str, float]
+    #: The queue of each level at the sender.
+    queue: dict[str, QueueFigures]
+    #: Packets by the form of their header, and octets of headers, by flow.
+    headers: dict[str, dict[str, int]]
+    #: Packets that the sender did not take, by reason.
+    refused: dict[str, int]
+    #: Packets that were delivered, by flow.
+    packets: dict[str, int]
+    #: Packets that the receiver dropped, by reason.
+    packets_dropped: dict[str, int]
+    #: How late slots began.
+    lateness_us: Punctuality
+    #: From a slot's deadline until its frame had been sent.
+    sent_after_us: Punctuality
+    #: Slots that were left out.
+    slips: int
+
+
+class RadioReport(Report, frozen=True, kw_only=True):
+    """What the radio path did to the frames that this end sent."""
+
+    #: The delay of the newest frame.
+    delay_ns: int
+    #: The shortest delay.
+    delay_min_ns: int
+    #: The longest delay.
+    delay_max_ns: int
+    frames_sent: int
+    #: Frames that the path lost.
+    frames_lost: int
+    #: Frames in which it flipped bits.
+    frames_hit: int
+    bits_flipped: int
+    #: Frames that have not arrived yet.
+    frames_under_way: int
+    #: For how long the pass gave no signal.
+    no_signal_ns: int | None = None
+    #: The radio profile.
+    profile: str | None = None
+    #: `uplink` or `downlink`.
+    direction: str | None = None
+    #: For how long blackouts let nothing through.
+    blackout_ns: int | None = None
+    #: What the orbit predicts; of a profile with a pass.
+    contact: ContactWindows | None = None
+
+
+class GatewayReport(Report, frozen=True, kw_only=True):
+    """What only this end of the link knows, of the last life of its gateway."""
+
+    supervision: SupervisionFigures | None = None
+    radio: RadioReport | None = None
+    #: Datagrams from addresses that have no business there, by port.
+    strangers: dict[str, int]
+    #: Datagrams that the network did not take.
+    unsent: int
+
+
+class SkewReport(Report, frozen=True, kw_only=True):
+    """How much later the first of two senses came than the second."""
+
+    p50: float
+    p95: float
+    p99: float
+    #: The one farthest from zero.
+    max: float
+    count: int
+
+
+class Terms(Report, frozen=True, kw_only=True):
+    """What a latency is made of; the means of its terms, which add up."""
+
+    camera: float
+    capture: float
+    encoding: float
+    queueing: float
+    serialisation: float
+    propagation: float
+    decoding: float
+    display: float
+    total: float
+
+
+class VideoLead(Report, frozen=True, kw_only=True):
+    """By how much the force of an event comes before its picture, term by term."""
+
+    #: Pictures of which every term is known.
+    pictures: int
+    #: The mean size of a picture in RTP payload.
+    octets_mean: float
+    #: What haptic samples leave of the channel.
+    zone_bps: int
+    #: From the event to its picture.
+    video_ms: Terms
+    #: From the event to its force.
+    force_ms: Terms
+    #: The difference.
+    lead_ms: Terms
+
+
+class Ranks(Report, frozen=True, kw_only=True):
+    """Percentiles of few signed values by nearest rank; empty without values."""
+
+    p50: float | None = None
+    p95: float | None = None
+    p99: float | None = None
+    #: The one farthest from zero.
+    max: float | None = None
+
+
+class SenseReport(Report, frozen=True, kw_only=True):
+    """What one sense of the operator perceived of the contacts."""
+
+    #: What carries it.
+    stream: str
+    #: Contacts that were perceived.
+    perceived: int
+    #: Contacts that were not.
+    missed: int
+    #: From the contact to its perception.
+    latency_ms: Ranks
+    #: The same by the stamps that travelled with the stream.
+    stamped_latency_ms: Ranks
+    #: How much later than the contact the stamps say that it was captured.
+    stamp_error_ms: Ranks
+    #: Number of the clearest perceptions, by which the stamps are judged.
+    judged: int
+    #: Their median error; null without any.
+    judged_error_ms: float | None
+    #: Where that median lies with 95 % confidence.
+    confident_ms: tuple[float, float] | None
+    #: Where it is explained.
+    allowed_error_ms: tuple[float, float]
+    #: Whether the stamps agree with the content; null if there is too little to say.
+    agrees: bool | None
+    #: Lights, clicks or steps that were found, those of no contact included.
+    found: int
+
+
+class ContentSkew(Report, frozen=True, kw_only=True):
+    """How much later the first of two senses perceived a contact than the second."""
+
+    #: Contacts that both perceived.
+    events: int
+    p50: float
+    p95: float
+    p99: float
+    #: The one farthest from zero.
+    max: float
+    #: The share, from 0 to 1, that people do not notice.
+    within: float
+    #: What people do not notice.
+    limits_ms: tuple[float, float]
+    #: Who says so.
+    source: str
+
+
+class ListedContact(Report, frozen=True, kw_only=True):
+    """One contact, with the latency of each sense; null where it was not perceived."""
+
+    #: Since the first contact.
+    at_s: float
+    #: The LED that was touched.
+    led: int
+    light_ms: float | None
+    click_ms: float | None
+    force_ms: float | None
+
+
+class SyncReport(Report, frozen=True, kw_only=True):
+    """Contacts with the task board, joined with what was seen, heard and felt of them."""
+
+    #: Contacts with a target.
+    events: int
+    touches_beside_targets: int
+    #: Contacts that followed another one at once.
+    bounces: int
+    #: `light`, `click` and `force`; null for a sense that contacts do not reach.
+    senses: dict[str, SenseReport | None]
+    #: By pair of senses; null if no contact has both.
+    skew_ms: dict[str, ContentSkew | None]
+    #: The newest 1000 contacts.
+    listed: list[ListedContact]
+
+
+class LipSync(Report, frozen=True, kw_only=True):
+    """Shares of the time, from 0 to 1, by the limits of ITU-R BT.1359."""
+
+    within: float
+    #: Sound too early.
+    early: float
+    #: Sound too late.
+    late: float
+
+
+class CpuReport(Report, frozen=True, kw_only=True):
+    """CPU time of the launcher and of all processes."""
+
+    total_s: float
+    launcher_s: float
+    #: CPU seconds a second.
+    cores_used: float
+
+
+class ProcessReport(Report, frozen=True, kw_only=True):
+    """One process, over all its lives."""
+
+    cpu_s: float
+    #: How often it was started again.
+    restarts: int
+    #: The last fault of an input's source.
+    source_fault: str | None = None
+    #: `fifo` with real-time priority, `other` without the permission for it.
+    scheduler: str | None = None
+    #: The camera that the selector has selected.
+    selected: str | None = None
+    #: Interarrival jitter (RFC 3550, 6.4.1).
+    jitter_ns: int | None = None
+    #: How long the playout holds sound back at present.
+    playout_delay_ns: int | None = None
+    #: Why it ended last, if it was not told to.
+    last_error: str | None = None
+    #: Since when an input has given nothing, if it is too long.
+    silent_s: float | None = None
+    #: Its counters.
+    counts: dict[str, int] | None = None
+
+
+class Warning(Report, frozen=True, kw_only=True):
+    """Something that made the session worse than it has to be."""
+
+    #: Which kind: see `pipelines.report.warnings`.
+    what: str
+    #: The process or stream.
+    where: str
+    #: What was measured, in words.
+    measured: str
+    #: What mends it.
+    mend: str
+
+
+class CostsReport(Report, frozen=True, kw_only=True):
+    """What the simulation lets coding cost on virtual time."""
+
+    capture_ms: float
+    encode_ms: float
+    decode_ms: float
+    voice_encode_ms: float
+    voice_decode_ms: float
+
+
+class SimulationReport(Report, frozen=True, kw_only=True):
+    """What made this simulation what it is."""
+
+    seed: int
+    #: The radio profile.
+    radio: str
+    #: Whether it had media streams.
+    media: bool
+    costs: CostsReport
+
+
+class SessionReport(Report, frozen=True, kw_only=True):
+    """The report of `stream` and of `simulate`."""
+
+    #: The setup's name.
+    setup: str
+    #: How long the session ran.
+    seconds: float
+    #: By name.
+    streams: dict[str, StreamReport]
+    #: `up` and `down`.
+    haptic: dict[str, HapticReport]
+    #: A real joystick; null with the simulated one.
+    joystick: JoystickFigures | None
+    #: `uplink` and `downlink`.
+    link: dict[str, DirectionReport]
+    #: `ground` and `space`.
+    gateways: dict[str, GatewayReport]
+    #: At the operator, by stamps: `video_haptic`, `audio_haptic`, `audio_video`; null without any.
+    skew_ms: dict[str, SkewReport | None]
+    #: Where the time of the uplink's picture went; null without pictures.
+    video_lead: VideoLead | None
+    #: At the operator, by content; null if nothing was touched.
+    sync: SyncReport | None
+    #: For how much of the time sound and picture were together; null without both.
+    lip_sync: LipSync | None
+    cpu: CpuReport
+    #: By name.
+    processes: dict[str, ProcessReport]
+    #: What went wrong by the project's own measure; with any, the exit code is 1.
+    failures: list[str]
+    #: Of `simulate` only.
+    simulation: SimulationReport | None = None
+
+
+class LinkRadio(Report, frozen=True, kw_only=True):
+    """The radio of `link`."""
+
+    profile: str
+    seed: int
+
+
+class LinkReport(Report, frozen=True, kw_only=True):
+    """The report of `link`. With one end alone it lacks what the other end counts."""
+
+    #: The setup's name.
+    setup: str
+    #: How long the link ran.
+    seconds: float
+    #: The ends that ran here.
+    ends: list[str]
+    radio: LinkRadio
+    #: `uplink` and `downlink`.
+    link: dict[str, DirectionReport]
+    #: By end.
+    gateways: dict[str, GatewayReport]
+    cpu: CpuReport
+    #: By name.
+    processes: dict[str, ProcessReport]
+    #: What went wrong by the project's own measure; with any, the exit code is 1.
+    failures: list[str]
+
+
+AnyReport = TypeVar("AnyReport", bound=Report)
+
+
+def to_builtins(report: object) -> Any:
+    """A report, or what holds some, as tables, lists, strings and numbers."""
+    return msgspec.to_builtins(report)
+
+
+def to_json(report: object) -> str:
+    """A report, or what holds some, as text indented by two, with a newline at its end."""
+    return json.dumps(to_builtins(report), indent=2) + "\n"
+
+
+def from_json(text: str | bytes, kind: type[AnyReport]) -> AnyReport:
+    """The report in `text`; msgspec.ValidationError if it is none of this `kind`."""
+    return msgspec.json.decode(text, type=kind)
+
+
+def read_report(path: Path, kind: type[AnyReport]) -> AnyReport:
+    """The report in the file `path`."""
+    return from_json(path.read_bytes(), kind)

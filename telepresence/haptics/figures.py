@@ -1,0 +1,94 @@
+"""What the two ends of haptics count: one typed record for each part. A core."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HapticLinkFigures:
+    """Samples of one end, sent and received (`HapticLink`)."""
+
+    sent: int
+    #: Samples whose number says that they were the newest.
+    received: int
+    #: Gaps in the sequence numbers.
+    lost: int
+    #: Samples that came after a newer one.
+    late: int
+    #: Samples that came twice.
+    repeated: int
+    #: Datagrams that are no sample.
+    garbage: int
+    #: How often the peer began to number anew.
+    restarts: int
+    #: Samples that the deadband left out; null without a deadband.
+    left_out: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PortFigures:
+    """Energies of the port at one end, and its passivity controller (`JoystickSide.report`)."""
+
+    #: Energy that went from this end into the port.
+    energy_in_uj: int
+    #: Energy that came out of the port at this end.
+    energy_out_uj: int
+    #: Energy that the other end granted.
+    granted_uj: int
+    #: Energy that this end may still give out.
+    credit_uj: int
+    #: The least that the passivity observer ever saw; below 0 the port gave more than it was given.
+    least_uj: int
+    #: Cycles in which the passivity controller changed force or motion.
+    passivity_acted: int
+    #: Totals of the peer's energy that could not be right.
+    totals_refused: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OperationFigures:
+    """A joystick in operation (`Operation`)."""
+
+    #: The device's name.
+    device: str
+    #: Its state in words (docs/joystick.md).
+    state: str
+    #: The reason for the state, or of the last one that supervision intervened for.
+    reason: str
+    #: Null if the device measures none.
+    temperature_c: float | None
+    #: The highest temperature so far.
+    hottest_c: float | None
+    temperature_warnings: int
+    #: The share of the force, from 0 to 1, that the temperature allows.
+    force_share: float
+    #: The largest force at present.
+    force_limit_n: float
+    #: Transitions of its state machine.
+    transitions: int
+    #: Events that its state machine refused.
+    refused: int
+    #: How often the dead-man button was released.
+    dead_man_released: int
+    #: Centre x and y, half the width and half the height of the workspace; null before calibration.
+    calibration_mm: list[float] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoggedTransition:
+    """One transition of the joystick's state machine."""
+
+    #: Time since the joystick began.
+    s: float
+    #: What caused it.
+    event: str
+    #: The state after it, in words.
+    state: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JoystickFigures(OperationFigures):
+    """A joystick in a session (`OperatedHandle`)."""
+
+    #: The last 20 transitions.
+    log: list[LoggedTransition]

@@ -1,0 +1,209 @@
+"""What the link counts: one typed record for each of its parts. A core.
+
+The instants of `SupervisionFigures` are counted from its `begun_ns`. The word before the unit in a
+name says whether it is an instant or a duration; `_ns` alone does not.
+"""
+
+from dataclasses import dataclass
+from typing import TypedDict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QueueFigures:
+    """The queue of one level: what waits now, the most that ever waited, and what was dropped."""
+
+    #: Which packet goes when the queue is full: `reject_newest` or `drop_oldest`.
+    policy: str
+    #: Packets that wait.
+    packets: int
+    #: Sum of the lengths of the waiting packets.
+    octets: int
+    #: For how long the oldest packet has waited.
+    oldest_age_ns: int
+    #: The most octets that ever waited.
+    max_octets: int
+    #: The longest time that a packet has waited.
+    max_age_ns: int
+    #: Packets that were put into the queue.
+    accepted: int
+    #: Packets that were dropped, by reason.
+    drops: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SenderFigures:
+    """One direction at its sender (`LinkSender`)."""
+
+    #: The link profile: `uplink` or `downlink`.
+    name: str
+    capacity_bps: int
+    #: Frames sent.
+    frames: int
+    #: Octets of all frames by what they carried (`LinkSender.octets`).
+    octets: dict[str, int]
+    #: By level.
+    queue: dict[str, QueueFigures]
+    haptic_sent: int
+    #: Samples that a newer one replaced before their slot came.
+    haptic_superseded: int
+    #: Packets by the form of their header, and octets of headers, by flow (`RtpCompressor`).
+    headers: dict[str, dict[str, int]]
+    #: Packets that were not taken, by reason.
+    refused: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReceiverFigures:
+    """One direction at its receiver (`LinkReceiver`)."""
+
+    #: The link profile: `uplink` or `downlink`.
+    name: str
+    #: Good frames.
+    frames: int
+    frames_lost: int
+    #: By reason.
+    frames_dropped: dict[str, int]
+    #: How often the peer began to count frames anew.
+    restarts: int
+    haptic_received: int
+    #: Samples that came before the connection was approved.
+    haptic_unapproved: int
+    supervision_received: int
+    #: Packets that were delivered, by flow.
+    packets: dict[str, int]
+    #: By reason.
+    packets_dropped: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactWindows:
+    """What the orbit predicts of a pass; `_s` counts from acquisition of signal."""
+
+    #: Acquisition of signal, UTC (ISO 8601).
+    acquisition: str
+    #: Always 0.
+    acquisition_s: float = 0.0
+    #: From then on fades seldom end the lock; null if they always do.
+    usable_from_s: float | None
+    #: Until then.
+    usable_to_s: float | None
+    #: Loss of signal.
+    loss_s: float
+    #: Culmination.
+    peak_s: float
+    #: Elevation at culmination, in degrees.
+    peak_deg: float
+    #: Least range.
+    nearest_km: float
+    #: Largest range.
+    farthest_km: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChannelFigures:
+    """What the radio profile did to one direction."""
+
+    #: The radio profile.
+    profile: str
+    #: `uplink` or `downlink`.
+    direction: str
+    #: For how long blackouts let nothing through.
+    blackout_ns: int
+    #: Of a profile with a pass.
+    contact: ContactWindows | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathFigures:
+    """The radio path from this end (`RadioPath`)."""
+
+    #: The delay of the newest frame.
+    delay_ns: int
+    #: The shortest delay.
+    delay_min_ns: int
+    #: The longest delay.
+    delay_max_ns: int
+    #: Frames that were put into the path.
+    frames_sent: int
+    #: Frames that the path lost.
+    frames_lost: int
+    #: Frames in which it flipped bits.
+    frames_hit: int
+    bits_flipped: int
+    #: Frames that have not arrived yet.
+    frames_under_way: int
+    #: For how long the pass gave no signal.
+    no_signal_ns: int
+    #: Of a path with a channel.
+    channel: ChannelFigures | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeerFigures:
+    """What supervision knows of the other end."""
+
+    #: The number of the peer's present life; null before its first message.
+    life: int | None
+    #: Its state, as it said last; null without signal.
+    state: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactFigures:
+    """One contact: from acquisition to loss of signal, counted from `begun_ns`."""
+
+    acquired_ns: int
+    #: When the connection was approved; null if it was not.
+    connected_ns: int | None
+    #: When the last good frame came; null while the contact lasts.
+    lost_ns: int | None
+
+
+Transition = TypedDict("Transition", {"at_ns": int, "from": str, "to": str, "why": str})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SupervisionFigures:
+    """Negotiation and supervision of the link at this end (`Supervisor`)."""
+
+    #: `master` or `slave`.
+    role: str
+    #: The number of this end's present life.
+    life: int
+    #: The state of the link (docs/link-contact.md).
+    state: str
+    #: The reason for it.
+    why: str
+    #: Whether good frames arrive.
+    signal: bool
+    #: Whether the peer says that it receives this end's frames.
+    peer_hears: bool
+    #: Whether the receiver delivers what it receives.
+    delivering: bool
+    peer: PeerFigures
+    #: When this end began, on the session's clock.
+    begun_ns: int
+    #: When the present state began, counted from `begun_ns`.
+    since_ns: int
+    #: Time in each state.
+    in_state_ns: dict[str, int]
+    #: Messages, signals, restarts, resets and time-outs.
+    counts: dict[str, int]
+    #: Time with signal.
+    contact_ns: int
+    #: The longest time without signal between two contacts.
+    longest_gap_ns: int
+    #: The newest 64 contacts.
+    contacts: list[ContactFigures]
+    #: The newest 64 transitions: instant since `begun_ns`, states and reason.
+    history: list[Transition]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GatewayFigures:
+    """All that one end of the link counts (`Gateway`)."""
+
+    transmit: SenderFigures
+    receive: ReceiverFigures
+    radio: PathFigures
+    supervision: SupervisionFigures
