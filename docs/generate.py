@@ -90,8 +90,8 @@ def entry(member: griffe.Object | griffe.Alias) -> str:
 
 def arguments(function: griffe.Object | griffe.Alias) -> str:
     """`(x: int) -> str` as it stands in the source, without self, on one line."""
-    shown = function.signature(return_type=True, name="")
-    return re.sub(r"^\((?:self|cls)(?:, )?", "(", " ".join(shown.split()))
+    shown = " ".join(function.signature(return_type=True).split())
+    return re.sub(r"^\((?:self|cls)(?:, )?", "(", shown[shown.index("(") :])
 
 
 def signature(function: griffe.Object | griffe.Alias) -> str:

@@ -1,6 +1,125 @@
 """Real-time media for thin links: from a camera or a microphone to RTP packets, and back.
 
-Knows no robot and no radio; useful alone.
+Knows no robot and no radio; useful alone. What is listed here is the interface for users of the
+library, whatever module it stands in. Names are loaded when they are first used, because codecs and
+RTP take long to import.
+
+All instants are integer nanoseconds of one clock, most often a `MonotonicClock`. The four streams
+(`VideoSender`, `VideoReceiver`, `VoiceSender`, `VoiceReceiver`) are cores: they open no socket and
+ask no clock. samples/send_numpy.py and samples/receive_numpy.py show both ends in a loop.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from kontur_av.clock import ManualClock, MonotonicClock
+    from kontur_av.codecs.coding import Coding
+    from kontur_av.codecs.h264 import DecodedPicture, H264Decoder, H264Encoder
+    from kontur_av.codecs.opus import OpusDecoder, OpusEncoder
+    from kontur_av.errors import ConfigError, ProtocolError
+    from kontur_av.media import (
+        AccessUnit,
+        AudioFrame,
+        CaptureStamp,
+        Quality,
+        VideoFrame,
+        empty_picture,
+        planes,
+    )
+    from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
+    from kontur_av.rtp.sender import RtpIdentity
+    from kontur_av.sources import open_audio, open_video
+    from kontur_av.streams.encoding_thread import EncodingThread
+    from kontur_av.streams.lipsync import LipSync
+    from kontur_av.streams.staleness import Staleness
+    from kontur_av.streams.udp import UdpSender
+    from kontur_av.streams.video_receiver import VideoReceiver
+    from kontur_av.streams.video_sender import VideoSender
+    from kontur_av.streams.voice_player import VoicePlayer
+    from kontur_av.streams.voice_receiver import VoiceReceiver
+    from kontur_av.streams.voice_sender import VoiceSender
+    from kontur_av.topics.bus import TopicBus
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "AccessUnit",
+    "AudioFrame",
+    "CaptureStamp",
+    "Coding",
+    "ConfigError",
+    "DecodedPicture",
+    "EncodingThread",
+    "H264Decoder",
+    "H264Encoder",
+    "LipSync",
+    "ManualClock",
+    "MonotonicClock",
+    "OpusDecoder",
+    "OpusEncoder",
+    "ProtocolError",
+    "Quality",
+    "RtpIdentity",
+    "Staleness",
+    "StreamDescription",
+    "TopicBus",
+    "UdpSender",
+    "VideoFrame",
+    "VideoReceiver",
+    "VideoSender",
+    "VoicePlayer",
+    "VoiceReceiver",
+    "VoiceSender",
+    "empty_picture",
+    "open_audio",
+    "open_video",
+    "parse_sdp",
+    "planes",
+    "write_sdp",
+]
+
+#: Module -> the names above that it defines.
+_HOMES = {
+    "clock": ("ManualClock", "MonotonicClock"),
+    "codecs.coding": ("Coding",),
+    "codecs.h264": ("DecodedPicture", "H264Decoder", "H264Encoder"),
+    "codecs.opus": ("OpusDecoder", "OpusEncoder"),
+    "errors": ("ConfigError", "ProtocolError"),
+    "media": (
+        "AccessUnit",
+        "AudioFrame",
+        "CaptureStamp",
+        "Quality",
+        "VideoFrame",
+        "empty_picture",
+        "planes",
+    ),
+    "rtp.sdp": ("StreamDescription", "parse_sdp", "write_sdp"),
+    "rtp.sender": ("RtpIdentity",),
+    "sources": ("open_audio", "open_video"),
+    "streams.encoding_thread": ("EncodingThread",),
+    "streams.lipsync": ("LipSync",),
+    "streams.staleness": ("Staleness",),
+    "streams.udp": ("UdpSender",),
+    "streams.video_receiver": ("VideoReceiver",),
+    "streams.video_sender": ("VideoSender",),
+    "streams.voice_player": ("VoicePlayer",),
+    "streams.voice_receiver": ("VoiceReceiver",),
+    "streams.voice_sender": ("VoiceSender",),
+    "topics.bus": ("TopicBus",),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    """PEP 562: import a name's module when the name is first used."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value: object = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -26,10 +26,6 @@ class Clock(Protocol):
         """Return at `deadline_ns` or as soon after it as the system allows."""
         ...
 
-    def ntp(self, instant_ns: int) -> int:
-        """`instant_ns` as a 64-bit NTP timestamp (RFC 3550 section 4)."""
-        ...
-
 
 class MonotonicClock:
     """CLOCK_MONOTONIC, with one offset to wall time that is fixed when it is made.
@@ -37,11 +33,13 @@ class MonotonicClock:
     The offset is fixed, because NTP may step or slew the wall clock while a session runs:
     the sender reports of one session must all lie on one straight line. Processes of one
     session share the offset, so that their NTP times can be compared to the nanosecond.
+
+    wall_offset_ns: an instant of this clock plus this is the Unix time in nanoseconds.
     """
 
-    def __init__(self, unix_offset_ns: int | None = None) -> None:
-        self.unix_offset_ns: int = (
-            time.time_ns() - time.monotonic_ns() if unix_offset_ns is None else unix_offset_ns
+    def __init__(self, wall_offset_ns: int | None = None) -> None:
+        self.wall_offset_ns: int = (
+            time.time_ns() - time.monotonic_ns() if wall_offset_ns is None else wall_offset_ns
         )
 
     #: The system's own function: a call of Python less for what all loops ask for most.
@@ -52,16 +50,11 @@ class MonotonicClock:
         if remaining_ns > 0:
             time.sleep(remaining_ns / NS_PER_S)
 
-    def ntp(self, instant_ns: int) -> int:
-        return ntp_from_unix_ns(instant_ns + self.unix_offset_ns)
-
-    def from_ntp(self, ntp: int) -> int:
-        """The instant of this clock in nanoseconds that the 64-bit NTP timestamp names."""
-        return unix_ns_from_ntp(ntp) - self.unix_offset_ns
-
 
 class ManualClock:
-    """Virtual time: it stands still until it is moved."""
+    """Virtual time: it stands still until it is moved. Its instants are Unix times."""
+
+    wall_offset_ns = 0
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns
@@ -78,13 +71,6 @@ class ManualClock:
             raise ValueError("time does not run backwards")
         self._now_ns += by_ns
         return self._now_ns
-
-    def ntp(self, instant_ns: int) -> int:
-        return ntp_from_unix_ns(instant_ns)
-
-    def from_ntp(self, ntp: int) -> int:
-        """The instant of this clock in nanoseconds that the 64-bit NTP timestamp names."""
-        return unix_ns_from_ntp(ntp)
 
 
 def ntp_from_unix_ns(unix_ns: int) -> int:

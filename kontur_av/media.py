@@ -2,10 +2,12 @@
 
 import re
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 
 #: A planar YUV 4:2:0 picture: shape (height * 3 // 2, width), dtype uint8, C-contiguous.
@@ -20,6 +22,7 @@ AUDIO_CLOCK_HZ = 48_000  # RFC 7587 section 4.1
 
 #: Every block of sound has this many samples: 20 ms at 48 kHz.
 BLOCK_SAMPLES = 960
+BLOCK_NS = BLOCK_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
 #: 120 ms, the longest Opus packet (RFC 6716 section 3.2.5).
 MAX_OPUS_SAMPLES = 5760
 
@@ -31,18 +34,34 @@ BLACK_LUMA = 16  # ITU-R BT.601: black of the narrow range
 NEUTRAL_CHROMA = 128
 
 
+class Quality(IntEnum):
+    """How much of what was sent is in a picture or a block of sound."""
+
+    #: All of it, or it was never sent.
+    FRESH = 0
+    #: A picture that shows a loss, its own or that of a picture it refers to.
+    DAMAGED = 1
+    #: A block of sound that was made up, because it was lost or no Opus.
+    CONCEALED = 2
+
+
 @dataclass(frozen=True, slots=True)
 class CaptureStamp:
-    """When and where a picture or a block of sound was captured.
+    """When and where a picture or a block of sound was captured, and what became of it since.
 
     capture_ns: the instant of capture on the session's clock; for sound that of the first sample.
-    sequence: counts the captures of one source from 0 without a gap.
-    source: the name of the input, at most 15 ASCII characters.
+    sequence: counts the captures of one source from 0 without a gap; behind a receiver, what the
+        receiver has given out.
+    source: the name of the input or of the received stream, at most 15 ASCII characters.
+    quality: whether a loss can be seen or heard in it.
+    rtp_timestamp: the 32-bit RTP timestamp with which it was received; None if it never travelled.
     """
 
     capture_ns: int
     sequence: int
     source: str
+    quality: Quality = Quality.FRESH
+    rtp_timestamp: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +90,14 @@ class AudioFrame:
 
 @dataclass(frozen=True, slots=True)
 class AccessUnit:
-    """One coded picture: an H.264 access unit as an Annex B byte stream (ITU-T H.264 Annex B)."""
+    """One coded picture: an H.264 access unit as an Annex B byte stream (ITU-T H.264 Annex B).
+
+    keyframe: an IDR picture, at which any decoder can start.
+    """
 
     data: bytes
     stamp: CaptureStamp
     keyframe: bool
-    encoded_ns: int
 
 
 def planes(picture: I420) -> tuple[I420, I420, I420]:

@@ -12,83 +12,81 @@ import secrets
 import socket
 from multiprocessing.connection import Connection
 
-from kontur_av.clock import NS_PER_S, MonotonicClock
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
-from kontur_av.errors import ConfigError
-from kontur_av.media import VIDEO_CLOCK_HZ, VideoFrame, empty_picture
+from kontur_av import (
+    ConfigError,
+    H264Decoder,
+    H264Encoder,
+    MonotonicClock,
+    RtpIdentity,
+    VideoFrame,
+    VideoReceiver,
+    VideoSender,
+    empty_picture,
+    open_video,
+)
+from kontur_av.clock import NS_PER_S
 from kontur_av.meters import Histogram
-from kontur_av.rtp.payload_h264 import H264Depacketizer
-from kontur_av.rtp.receiver import RtpReceiver
-from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
-from kontur_av.sources import check_spec, open_video
-from kontur_av.streams.budget import Pacer
+from kontur_av.sources import check_spec
+from kontur_av.streams.paced_sender import UnitSent
 from telepresence.world import video_scenes
 
-PAYLOAD_TYPE = 96
 STAGES = ("encode", "cap and channel", "network", "decode")
 
 
 def receive(udp: socket.socket, results: Connection) -> None:
     """Until an empty datagram: (RTP timestamp, received, decoded) of each picture."""
     clock = MonotonicClock()
-    receiver = RtpReceiver(payload_type=PAYLOAD_TYPE, clock_rate_hz=VIDEO_CLOCK_HZ)
-    depacketizer, decoder = H264Depacketizer(), H264Decoder()
+    receiver, decoder = VideoReceiver(ssrc=secrets.randbits(32)), H264Decoder()
     received_ns: dict[int, int] = {}
     seen = []
     while datagram := udp.recv(2048):
         receiver.handle_packet(datagram, clock.now_ns())
-        while (packet := receiver.next_event()) is not None:
-            depacketizer.handle_packet(packet)
-        while (unit := depacketizer.next_event()) is not None:
+        while (unit := receiver.next_event()) is not None:
             received_ns[unit.timestamp] = unit.received_ns
             pictures = decoder.decode(unit.data, unit.timestamp)
             now_ns = clock.now_ns()
             seen += [(p.timestamp, received_ns[p.timestamp], now_ns) for p in pictures]
-    results.send((seen, receiver.counts.lost))
+    results.send((seen, receiver.counts.rtp.lost))
 
 
 def send(
     udp: socket.socket, spec: str, seconds: float, cap_bps: int, channel_bps: int
-) -> tuple[dict[int, tuple[int, int, int]], Pacer]:
-    """(captured, encoded, sent) by RTP timestamp, and the pacer with its counts."""
+) -> tuple[dict[int, tuple[int, int, int]], VideoSender]:
+    """(captured, encoded, sent) by RTP timestamp, and the sender with its counts."""
     clock = MonotonicClock()
     width, height, fps = 640, 480, 30
     source = open_video(
         spec, name="bench", width=width, height=height, fps=fps, clock=clock, scenes=video_scenes()
     )
     encoder = H264Encoder(width=width, height=height, fps=fps, cap_bps=cap_bps)
-    pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps)
-    rtp = RtpSender(
-        payload_type=PAYLOAD_TYPE,
-        clock_rate_hz=VIDEO_CLOCK_HZ,
-        ssrc=secrets.randbits(32),
-        first_sequence=secrets.randbits(16),
-        timestamp_offset=secrets.randbits(32),
+    sender = VideoSender(
+        cap_bps=cap_bps,
+        channel_bps=channel_bps,
+        fps=fps,
+        identity=RtpIdentity.draw(secrets.randbits),
         cname="bench",
-        max_payload_octets=min(1200, pacer.max_payload_octets),
     )
     instants: dict[int, tuple[int, int, int]] = {}
     picture = empty_picture(width, height)
     end_ns = clock.now_ns() + round(seconds * NS_PER_S)
     while (now_ns := clock.now_ns()) < end_ns:
-        due_ns = pacer.poll_timeout()
+        due_ns = sender.poll_timeout()
         wait_ns = NS_PER_S // 10 if due_ns is None else max(0, due_ns - now_ns)
         stamp = source.read(picture, wait_ns)
-        if stamp is not None and pacer.ready_for_picture(clock.now_ns()):
-            unit = encoder.encode(VideoFrame(picture, stamp), clock.now_ns)
-            packets = rtp.video_packets(unit)
-            instants[rtp.timestamp(stamp.capture_ns)] = (stamp.capture_ns, unit.encoded_ns, 0)
-            sizes = [len(packet) - RTP_HEADER_OCTETS for packet in packets]
-            pacer.handle_access_unit(packets, sizes, unit.encoded_ns)
-        while (packet := pacer.poll_transmit(clock.now_ns())) is not None:
+        if stamp is not None:
+            frame = VideoFrame(picture, stamp)
+            sender.handle_picture(stamp, clock.now_ns())
+        coding = sender.poll_encode(clock.now_ns())
+        if coding is not None:
+            sender.handle_access_unit(encoder.encode(frame, coding), clock.now_ns())
+        while (packet := sender.poll_transmit(clock.now_ns())) is not None:
             udp.send(packet)
-            # The last packet of a picture is the one that counts.
-            timestamp = int.from_bytes(packet[4:8], "big")
-            captured_ns, encoded_ns, _ = instants[timestamp]
-            instants[timestamp] = (captured_ns, encoded_ns, clock.now_ns())
+        while (event := sender.next_event()) is not None:
+            if isinstance(event, UnitSent):
+                instants[event.timestamp] = event.capture_ns, event.encoded_ns, event.sent_ns
     source.close()
     udp.send(b"")
-    return instants, pacer
+    return instants, sender
 
 
 def main() -> None:
@@ -109,7 +107,7 @@ def main() -> None:
     results, theirs = multiprocessing.Pipe(duplex=False)
     receiver = multiprocessing.Process(target=receive, args=(inbound, theirs), daemon=True)
     receiver.start()
-    sent, pacer = send(outbound, arguments.clip, arguments.seconds, cap_bps, channel_bps)
+    sent, sender = send(outbound, arguments.clip, arguments.seconds, cap_bps, channel_bps)
     seen, lost = results.recv()
     receiver.join()
 
@@ -125,7 +123,7 @@ def main() -> None:
         print(f"{stage:20}{columns}")
     print(
         f"{len(sent)} pictures sent, {len(seen)} seen, {lost} packets lost, "
-        f"{pacer.released.max_bps() / 1000:.1f} of {arguments.cap_kbps:g} kbit/s in the largest "
+        f"{sender.released.max_bps() / 1000:.1f} of {arguments.cap_kbps:g} kbit/s in the largest "
         "second"
     )
 

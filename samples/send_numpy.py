@@ -1,103 +1,40 @@
-"""Send your own numpy pictures as H.264 over RTP/UDP, under a hard cap.
+"""Send your own numpy pictures as H.264 over RTP/UDP, under a hard cap: replace `picture_at`.
 
-    python samples/send_numpy.py --to 127.0.0.1:5004 --cap-kbps 85 --sdp picture.sdp
-    ffplay -protocol_whitelist file,udp,rtp -fflags nobuffer picture.sdp      (elsewhere)
-
-Replace `picture_at` by whatever makes your pictures.
+python samples/send_numpy.py 127.0.0.1 5004 85 picture.sdp 10       (kbit/s, SDP file, seconds)
 """
 
-import argparse
 import secrets
-import socket
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from kontur_av.clock import NS_PER_S, MonotonicClock
-from kontur_av.codecs.h264 import H264Encoder
-from kontur_av.media import VIDEO_CLOCK_HZ, CaptureStamp, VideoFrame
-from kontur_av.rtp.sdp import VIDEO_PAYLOAD_TYPE, StreamDescription, write_sdp
-from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
-from kontur_av.streams.budget import Pacer
-
-WIDTH, HEIGHT, FPS = 640, 480, 30
+import kontur_av as av
 
 
-def picture_at(seconds: float) -> np.ndarray:
-    """An RGB picture, shape (HEIGHT, WIDTH, 3), dtype uint8: a disc that circles on a slope."""
-    picture = np.empty((HEIGHT, WIDTH, 3), np.uint8)
-    picture[:] = np.linspace(30, 110, WIDTH, dtype=np.uint8)[:, None]
-    centre = (int(320 + 180 * np.cos(seconds)), int(240 + 140 * np.sin(seconds)))
-    cv2.circle(picture, centre, 40, (240, 160, 40), -1, cv2.LINE_AA)
-    return picture
+def picture_at(number: int) -> np.ndarray:  # RGB, shape (480, 640, 3), dtype uint8
+    centre = int(320 + 180 * np.cos(number / 30)), int(240 + 140 * np.sin(number / 30))
+    return cv2.circle(np.full((480, 640, 3), 60, np.uint8), centre, 40, (240, 160, 40), -1)
 
 
-def send(host: str, port: int, cap_bps: int, seconds: float) -> Pacer:
-    clock = MonotonicClock()
-    encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=FPS, cap_bps=cap_bps)
-    pacer = Pacer(cap_bps=cap_bps, slack_ns=NS_PER_S // FPS)
-    rtp = RtpSender(
-        payload_type=VIDEO_PAYLOAD_TYPE,
-        clock_rate_hz=VIDEO_CLOCK_HZ,
-        ssrc=secrets.randbits(32),
-        first_sequence=secrets.randbits(16),
-        timestamp_offset=secrets.randbits(32),
-        cname="send-numpy",
-        max_payload_octets=min(1200, pacer.max_payload_octets),
-    )
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_DGRAM) as udp:
-        start_ns = due_ns = now_ns = clock.now_ns()
-        sequence = 0
-        while now_ns - start_ns < seconds * NS_PER_S:
-            # 1. A picture is due: encode it, unless those before it still fill the channel.
-            if now_ns >= due_ns:
-                due_ns += NS_PER_S // FPS
-                if pacer.ready_for_picture(now_ns):
-                    rgb = picture_at((now_ns - start_ns) / NS_PER_S)
-                    i420 = cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_I420)
-                    frame = VideoFrame(i420, CaptureStamp(now_ns, sequence, "numpy"))
-                    packets = rtp.video_packets(encoder.encode(frame, clock.now_ns))
-                    sizes = [len(packet) - RTP_HEADER_OCTETS for packet in packets]
-                    pacer.handle_access_unit(packets, sizes, clock.now_ns())
-                sequence += 1
-            # 2. Send what may leave now, and a sender report when one is due.
-            now_ns = clock.now_ns()
-            while (packet := pacer.poll_transmit(now_ns)) is not None:
-                udp.sendto(packet, (host, port))
-            if (report := rtp.poll_report(now_ns, clock.ntp)) is not None:
-                udp.sendto(report, (host, port + 1))
-            # 3. Sleep until the next thing is due.
-            wake_ns = min(t for t in (due_ns, pacer.poll_timeout(), rtp.poll_timeout()) if t)
-            clock.sleep_until_ns(wake_ns)
-            now_ns = clock.now_ns()
-        if (goodbye := rtp.goodbye(clock.ntp)) is not None:
-            udp.sendto(goodbye, (host, port + 1))
-    return pacer
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Send numpy pictures under a hard cap.")
-    parser.add_argument("--to", default="127.0.0.1:5004", metavar="HOST:PORT")
-    parser.add_argument("--cap-kbps", type=float, default=85)
-    parser.add_argument("--seconds", type=float, default=10)
-    parser.add_argument("--sdp", metavar="FILE", help="write what a receiver needs to know")
-    arguments = parser.parse_args()
-    host, _, port = arguments.to.rpartition(":")
-    cap_bps = round(arguments.cap_kbps * 1000)
-    if arguments.sdp:
-        stream = StreamDescription(
-            kind="video", host=host, port=int(port), payload_type=VIDEO_PAYLOAD_TYPE
-        )
-        Path(arguments.sdp).write_text(write_sdp(stream))
-    sent = send(host, int(port), cap_bps, arguments.seconds)
-    print(
-        f"{sent.released_packets} packets, {sent.released.mean_bps() / 1000:.1f} kbit/s on "
-        f"average, {sent.released.max_bps() / 1000:.1f} kbit/s in the largest second, "
-        f"{sent.pictures_refused} pictures left out"
-    )
-
-
-if __name__ == "__main__":
-    main()
+host, port, cap_bps = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]) * 1000
+stream = av.StreamDescription(kind="video", host=host, port=port, payload_type=96)
+Path(sys.argv[4]).write_text(av.write_sdp(stream))
+clock, udp = av.MonotonicClock(), av.UdpSender(host, port)
+encoder = av.H264Encoder(width=640, height=480, fps=30, cap_bps=cap_bps)
+about = {"cname": "numpy", "wall_offset_ns": clock.wall_offset_ns}
+identity = av.RtpIdentity.draw(secrets.randbits)
+sender = av.VideoSender(cap_bps=cap_bps, fps=30, identity=identity, **about)
+begin_ns = clock.now_ns()
+for number in range(30 * int(sys.argv[5])):
+    i420 = cv2.cvtColor(picture_at(number), cv2.COLOR_RGB2YUV_I420)
+    frame = av.VideoFrame(i420, av.CaptureStamp(clock.now_ns(), number, "numpy"))
+    sender.handle_picture(frame.stamp, clock.now_ns())
+    while (now_ns := clock.now_ns()) < begin_ns + (number + 1) * 10**9 // 30:
+        if (coding := sender.poll_encode(now_ns)) is not None:
+            sender.handle_access_unit(encoder.encode(frame, coding), clock.now_ns())
+        udp.exchange(sender, clock)
+        clock.sleep_until_ns(now_ns + 10**6)
+udp.say_goodbye(sender)
+print(f"{sender.counts}, {sender.released.max_bps() / 1000:.1f} kbit/s in the largest second")

@@ -7,7 +7,7 @@ Every wave begins with SPS, PPS and a recovery point SEI (clause D.2.8), where a
 late may start.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -19,6 +19,7 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.frame import PictureType
 from av.video.reformatter import VideoReformatter
 
+from kontur_av.codecs.coding import REFRESH_S, Coding
 from kontur_av.codecs.cuts import Cuts
 from kontur_av.codecs.h264_settings import H264Settings, Search, coded_size_for, restless_size_for
 from kontur_av.errors import ConfigError
@@ -37,13 +38,8 @@ _SEI_USER_DATA_UNREGISTERED = 5
 
 _SCALER = VideoReformatter()
 
-#: From one refresh wave to the next. After a loss all is well at the end of the first wave that
-#: begins: after a second at most.
-REFRESH_S = 0.5
-#: The same while the receiver can ask for a whole picture (RFC 4585).
-SLOW_REFRESH_S = 20.0
-
 _MOST_PIXELS = 4096 * 4096  # as media.check_size has it
+_LIKE_BEFORE = Coding()
 
 
 class H264Encoder:
@@ -51,7 +47,7 @@ class H264Encoder:
 
     width, height: of the pictures that will be given; what `media.check_size` admits.
     fps: pictures a second that will be given; when some are left out, each access unit keeps its
-        size. `follow` changes it.
+        size. A `Coding` changes it.
     coded_size: (width, height) in which they are coded; None: `h264_settings.coded_size_for`, and
         where that is smaller, a smaller one yet while cuts or forced key pictures come too fast for
         it (`cuts.Cuts`), each time from a key picture on. A receiver gets them in this size, and
@@ -112,39 +108,17 @@ class H264Encoder:
         """From the begin of one refresh wave to the next."""
         return self._settings.refresh_pictures
 
-    def follow(
-        self,
-        *,
-        hz: float | None = None,
-        refresh_s: float | None = None,
-        cap_bps: int | None = None,
-    ) -> None:
-        """From the next picture on, which will be a key picture, these hold; None: as before.
+    def encode(self, frame: VideoFrame, coding: Coding = _LIKE_BEFORE) -> AccessUnit:
+        """The one access unit of this picture.
 
-        hz: so many pictures come a second. refresh_s, cap_bps: as for the constructor; the coded
-        size stays.
-        """
-        if hz is not None:
-            rate = Fraction(min(max(hz, 1), 120)).limit_denominator(1001)
-            self._settings = replace(self._settings, rate=rate)
-        if refresh_s is not None:
-            self._settings = replace(self._settings, refresh_s=refresh_s)
-        if cap_bps is not None:
-            self._settings = replace(self._settings, cap_bps=cap_bps)
-        self._begin()
-
-    def encode(
-        self, frame: VideoFrame, now: Callable[[], int], *, force_keyframe: bool = False
-    ) -> AccessUnit:
-        """The one access unit of this picture; `now()` is asked once, when it is ready.
-
-        force_keyframe: make it an IDR picture, at which any decoder can start. It is no larger
-        than other pictures and so looks coarse for about half a second.
+        ValueError if `frame` has not the size that the encoder was made for.
         """
         if (frame.width, frame.height) != (self.width, self.height):
             raise ValueError(
                 f"picture of {frame.width}x{frame.height}, encoder for {self.width}x{self.height}"
             )
+        force_keyframe = coding.keyframe
+        self._follow(coding)
         data = frame.data
         if self._cuts is not None:
             # Only here: OpenCV takes longer to load than all the rest of a receiver.
@@ -168,7 +142,21 @@ class H264Encoder:
         packet = self._give(data, force_keyframe=force_keyframe)
         self.encoded += 1
         unit = without_user_data(bytes(packet)) if packet.is_keyframe else bytes(packet)
-        return AccessUnit(unit, frame.stamp, packet.is_keyframe, now())
+        return AccessUnit(unit, frame.stamp, packet.is_keyframe)
+
+    def _follow(self, coding: Coding) -> None:
+        """Begin anew if `coding` changes anything; the coded size stays."""
+        _, rate_hz, refresh_s, cap_bps = coding
+        if rate_hz is None and refresh_s is None and cap_bps is None:
+            return
+        if rate_hz is not None:
+            rate = Fraction(min(max(rate_hz, 1), 120)).limit_denominator(1001)
+            self._settings = replace(self._settings, rate=rate)
+        if refresh_s is not None:
+            self._settings = replace(self._settings, refresh_s=refresh_s)
+        if cap_bps is not None:
+            self._settings = replace(self._settings, cap_bps=cap_bps)
+        self._begin()
 
     def _settle(self, restless: bool) -> None:
         if restless == self._settings.punctual:

@@ -7,8 +7,7 @@ back.
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
-from kontur_av.rtp.packets import RTCP_PSFB_PLI, RtcpPsfbPacket
-from kontur_av.rtp.wire import parse_rtcp
+from kontur_av.rtp.wire import RTCP_PSFB_PLI, RtcpPsfbPacket, parse_rtcp
 
 #: While a picture stays damaged, it is asked for again this often: longer than most round trips.
 ASK_AGAIN_NS = 250 * NS_PER_MS
@@ -61,6 +60,8 @@ class PictureLossListener:
         self._asked = False
         self.received = 0
         self.garbage = 0
+        #: When an RTCP datagram came last, whatever it said.
+        self.heard_ns: int | None = None
 
     def handle_feedback(self, datagram: bytes, now_ns: int) -> None:
         """An RTCP datagram from the receiver. Garbage is counted; this never raises."""
@@ -69,6 +70,7 @@ class PictureLossListener:
         except ProtocolError:
             self.garbage += 1
             return
+        self.heard_ns = now_ns
         for packet in packets:
             if (
                 isinstance(packet, RtcpPsfbPacket)

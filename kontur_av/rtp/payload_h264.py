@@ -8,10 +8,13 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from struct import pack, unpack_from
+from typing import TYPE_CHECKING
 
 from kontur_av.errors import ProtocolError
-from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.receiver import RtpReceived
+
+if TYPE_CHECKING:
+    # The encoder takes NAL units apart, too, and needs nothing of RTP.
+    from kontur_av.rtp.receiver import RtpReceived
 
 DEFAULT_MAX_PAYLOAD_OCTETS = 1200
 
@@ -192,10 +195,6 @@ class ReceivedUnit:
     first_received_ns: int
     received_ns: int
 
-    def access_unit(self, stamp: CaptureStamp) -> AccessUnit:
-        """The same as an AccessUnit; `encoded_ns` does not travel in RTP: it is the arrival."""
-        return AccessUnit(self.data, stamp, self.keyframe, self.received_ns)
-
 
 class H264Depacketizer:
     """Packets in sequence order in, access units out. No clock, nothing waits.
@@ -238,7 +237,7 @@ class H264Depacketizer:
         self._damaged = False
         self._too_large = False
 
-    def handle_packet(self, packet: RtpReceived) -> None:
+    def handle_packet(self, packet: "RtpReceived") -> None:
         """Take the next packet of the sequence."""
         if packet.ssrc != self._source or packet.restart:
             if self._open:

@@ -4,10 +4,9 @@ Counts after RFC 3550 appendix A.1 (sequence numbers), A.3 (loss) and A.8 (jitte
 """
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S, unix_ns_from_ntp
 from kontur_av.errors import ProtocolError
 from kontur_av.rtp.wire import (
     RtcpByePacket,
@@ -105,7 +104,7 @@ class RtpReceiver:
     ordered: False for a voice, whose PlayoutBuffer puts it in order by time: each packet comes out
         as soon as it comes in, also one that was given up (then it is lost no more; the
         `lost_before` of its successor had counted it).
-    from_ntp: the clock's way from a 64-bit NTP timestamp to an instant in nanoseconds.
+    wall_offset_ns: an instant plus this is the Unix time, which sender reports tell.
     """
 
     def __init__(
@@ -116,7 +115,7 @@ class RtpReceiver:
         reorder_depth_ns: int = 10 * NS_PER_MS,
         ordered: bool = True,
         takeover_silence_ns: int = 500 * NS_PER_MS,
-        from_ntp: Callable[[int], int] | None = None,
+        wall_offset_ns: int = 0,
     ) -> None:
         self.payload_type = payload_type
         self.clock_rate_hz = clock_rate_hz
@@ -127,7 +126,7 @@ class RtpReceiver:
         self._reorder_depth_ns = reorder_depth_ns if ordered else 0
         self._ordered = ordered
         self._takeover_silence_ns = takeover_silence_ns
-        self._from_ntp = from_ntp
+        self._wall_offset_ns = wall_offset_ns
         self._events: deque[RtpReceived] = deque()
         self._waiting: dict[int, _Waiting] = {}
         self._gap_deadline_ns: int | None = None
@@ -400,7 +399,8 @@ class RtpReceiver:
         (6.6 hours at 90 kHz) of the last report, wrapped or not.
         """
         report = None if self.ssrc is None else self._reports.get(self.ssrc)
-        if report is None or self._from_ntp is None:
+        if report is None:
             return None
         ticks = signed_32(timestamp - report.rtp_timestamp)
-        return self._from_ntp(report.ntp_timestamp) + round(ticks * NS_PER_S / self.clock_rate_hz)
+        reported_ns = unix_ns_from_ntp(report.ntp_timestamp) - self._wall_offset_ns
+        return reported_ns + round(ticks * NS_PER_S / self.clock_rate_hz)

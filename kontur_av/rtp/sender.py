@@ -1,8 +1,10 @@
 """The sending side of one RTP stream: numbers and stamps packets, and reports to the receiver."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_S, ntp_from_unix_ns
 from kontur_av.media import BLOCK_SAMPLES, AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS, packetize, split_annex_b
 from kontur_av.rtp.wire import (
@@ -18,6 +20,34 @@ from kontur_av.rtp.wire import (
 RTP_HEADER_OCTETS = 12
 
 
+@dataclass(frozen=True, slots=True)
+class RtpIdentity:
+    """The random numbers of a sender, of 32, 16 and 32 bits (RFC 3550 section 5.1).
+
+    A core draws no random numbers: `RtpIdentity.draw(secrets.randbits)` does it in a shell.
+    """
+
+    ssrc: int
+    first_sequence: int
+    timestamp_offset: int
+
+    @classmethod
+    def draw(cls, randbits: Callable[[int], int]) -> "RtpIdentity":
+        """One from `randbits`, which returns an integer of the given number of random bits."""
+        return cls(randbits(32), randbits(16), randbits(32))
+
+
+class Packetized(NamedTuple):
+    """The RTP packets of one access unit or one Opus packet, in the order in which to send them.
+
+    timestamp: their 32-bit RTP timestamp. payload_octets: of each packet, without its header.
+    """
+
+    packets: list[bytes]
+    timestamp: int
+    payload_octets: list[int]
+
+
 class RtpSender:
     """Turns access units or Opus packets into RTP packets (RFC 3550), and makes sender reports.
 
@@ -28,6 +58,7 @@ class RtpSender:
     ssrc, first_sequence, timestamp_offset: random numbers of 32, 16 and 32 bits (RFC 3550
         section 5.1); the caller draws them, because a core draws no random numbers.
     cname: the stream's lasting name (section 6.5.1), at most 255 octets.
+    wall_offset_ns: an instant plus this is the Unix time, which sender reports tell.
     """
 
     def __init__(
@@ -42,6 +73,7 @@ class RtpSender:
         report_interval_ns: int = NS_PER_S,
         max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS,
         samples_per_packet: int = BLOCK_SAMPLES,
+        wall_offset_ns: int = 0,
     ) -> None:
         self.payload_type = payload_type
         self.clock_rate_hz = clock_rate_hz
@@ -55,6 +87,7 @@ class RtpSender:
         self._report_interval_ns = report_interval_ns
         self._max_payload_octets = max_payload_octets
         self._samples_per_packet = samples_per_packet
+        self._wall_offset_ns = wall_offset_ns
         self._last_stamp: CaptureStamp | None = None
         self._last_timestamp = 0
         #: Blocks of sound since the first one, missing ones included.
@@ -63,8 +96,8 @@ class RtpSender:
         self._report_due_ns: int | None = None
         self._report_now = False
 
-    def video_packets(self, access_unit: AccessUnit) -> list[bytes]:
-        """The RTP packets of one H.264 access unit, all of one timestamp; the last has the marker.
+    def video_packets(self, access_unit: AccessUnit) -> Packetized:
+        """The packets of one H.264 access unit; the last one has the marker.
 
         Raises ValueError if there is no NAL unit in it, or one that RTP cannot carry.
         """
@@ -74,13 +107,14 @@ class RtpSender:
         timestamp = self.timestamp(access_unit.stamp.capture_ns)
         self._note(access_unit.stamp, timestamp)
         last = len(payloads) - 1
-        return [
+        packets = [
             self._packet(payload, timestamp, marker=index == last)
             for index, payload in enumerate(payloads)
         ]
+        return Packetized(packets, timestamp, [len(payload) for payload in payloads])
 
-    def audio_packets(self, opus: bytes, stamp: CaptureStamp) -> list[bytes]:
-        """The RTP packet (a list of one) of one Opus packet (RFC 7587 section 4).
+    def audio_packets(self, opus: bytes, stamp: CaptureStamp) -> Packetized:
+        """The one packet of one Opus packet (RFC 7587 section 4).
 
         The timestamp goes by whole blocks: the sound card counts the samples, and its clock may
         drift against the machine's. Where blocks are missing, the captures are farther apart, and
@@ -102,7 +136,7 @@ class RtpSender:
         self._expected_ns += block_ns
         timestamp = (self._offset + self._blocks * self._samples_per_packet) & 0xFFFF_FFFF
         self._note(stamp, timestamp)
-        return [self._packet(opus, timestamp, marker=gap)]
+        return Packetized([self._packet(opus, timestamp, marker=gap)], timestamp, [len(opus)])
 
     def timestamp(self, capture_ns: int) -> int:
         """The 32-bit RTP timestamp of an instant of capture (video)."""
@@ -134,30 +168,29 @@ class RtpSender:
             return self._last_stamp.capture_ns
         return self._report_due_ns
 
-    def poll_report(self, now_ns: int, ntp: Callable[[int], int]) -> bytes | None:
+    def poll_report(self, now_ns: int) -> bytes | None:
         """A compound SR + SDES (RFC 3550 section 6.4.1) if one is due, else None.
 
         Due with the first media packet, and then once each `report_interval_ns`. Its pair of NTP
         and RTP time is the capture of the last unit sent: that is what a receiver asks for.
-        ntp: the clock's way from an instant in nanoseconds to a 64-bit NTP timestamp.
         """
         due = self._report_due_ns is not None and now_ns >= self._report_due_ns
         if not (self._report_now or due):
             return None
         self._report_now = False
         self._report_due_ns = now_ns + self._report_interval_ns
-        return self._report(ntp)
+        return self._report()
 
-    def goodbye(self, ntp: Callable[[int], int]) -> bytes | None:
+    def goodbye(self) -> bytes | None:
         """A last SR + SDES + BYE (RFC 3550 section 6.6); None if no media was ever sent."""
         if self._last_stamp is None:
             return None
-        return self._report(ntp) + bytes(RtcpByePacket([self.ssrc]))
+        return self._report() + bytes(RtcpByePacket([self.ssrc]))
 
-    def _report(self, ntp: Callable[[int], int]) -> bytes:
+    def _report(self) -> bytes:
         assert self._last_stamp is not None
         info = RtcpSenderInfo(
-            ntp_timestamp=ntp(self._last_stamp.capture_ns),
+            ntp_timestamp=ntp_from_unix_ns(self._last_stamp.capture_ns + self._wall_offset_ns),
             rtp_timestamp=self._last_timestamp,
             packet_count=self.packets_sent & 0xFFFF_FFFF,
             octet_count=self.payload_octets_sent & 0xFFFF_FFFF,

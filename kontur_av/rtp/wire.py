@@ -2,12 +2,13 @@
 
 import struct
 
-from kontur_av.errors import ProtocolError
-from kontur_av.rtp.packets import (
+from aiortc.rtp import (
+    RTCP_PSFB_PLI,
     RTCP_SDES,
     AnyRtcpPacket,
     RtcpByePacket,
     RtcpPacket,
+    RtcpPsfbPacket,
     RtcpRrPacket,
     RtcpSenderInfo,
     RtcpSrPacket,
@@ -15,16 +16,21 @@ from kontur_av.rtp.packets import (
     pack_rtcp_packet,
 )
 
+from kontur_av.errors import ProtocolError
+
 __all__ = [
+    "RTCP_PSFB_PLI",
     "AnyRtcpPacket",
     "RtcpByePacket",
     "RtcpPacket",
+    "RtcpPsfbPacket",
     "RtcpRrPacket",
     "RtcpSenderInfo",
     "RtcpSrPacket",
     "RtpPacket",
     "TimestampUnwrapper",
     "cname_packet",
+    "empty_receiver_report",
     "parse_rtcp",
     "parse_rtp",
     "signed_32",
@@ -65,6 +71,11 @@ def cname_packet(ssrc: int, cname: bytes) -> bytes:
     """
     item = struct.pack("!LBB", ssrc, SDES_CNAME, len(cname)) + cname + b"\x00"
     return pack_rtcp_packet(RTCP_SDES, 1, item + b"\x00" * (-len(item) % 4))
+
+
+def empty_receiver_report(ssrc: int) -> bytes:
+    """A receiver report without blocks (RFC 3550 section 6.4.2): that the sender is heard."""
+    return bytes(RtcpRrPacket(ssrc))
 
 
 def signed_32(difference: int) -> int:

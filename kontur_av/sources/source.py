@@ -3,11 +3,10 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from kontur_av.clock import NS_PER_S, Clock
-from kontur_av.media import AUDIO_CLOCK_HZ, I420, AudioFrame, CaptureStamp
+from kontur_av.clock import Clock
+from kontur_av.media import BLOCK_NS as BLOCK_NS
 from kontur_av.media import BLOCK_SAMPLES as BLOCK_SAMPLES
-
-BLOCK_NS = BLOCK_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
+from kontur_av.media import I420, AudioFrame, CaptureStamp
 
 #: Delay before a source tries again that lost its file, device or writer.
 RETRY_NS = 500_000_000

@@ -58,16 +58,15 @@ class Pacer:
     cap_bps: over no window of `window_ns` do the payload bits of released packets exceed
         `cap_bps * window_ns`; over no 100 ms do they exceed 1.5 times their share of it.
     channel_bps: packets leave spaced as a channel of this rate would take their payload; the cap
-        where it is not given. The modelled channel is what `ready_for_picture` looks at.
+        where it is not given. `start_ns` looks at this modelled channel.
     guard_ns: the windows are kept this much longer than promised, so that the cap also holds for
         an observer who sees each packet up to `guard_ns` early or late. It costs its share of the
         rate: 10 ms of 1 s are 1 %.
-    slack_ns: a picture is encoded when it could start on the channel within this time; about one
-        frame period. More gives fewer gaps, less gives a lower latency.
-    picture_octets: the size that `ready_for_picture` expects of the next picture; the cap's share
-        of `slack_ns` where it is not given.
+    picture_ns: the time between two pictures; the next one is expected to have its share of the
+        cap.
 
-    Queue: packets in order, no depth limit but the refusal of new pictures, nothing is dropped.
+    Queue: packets in order, no depth limit but that of `EncodeScheduler`, which has no picture
+    encoded while one waits; nothing is dropped.
     All arithmetic is in integers, so that a session may last for years.
     """
 
@@ -78,8 +77,7 @@ class Pacer:
         channel_bps: int | None = None,
         window_ns: int = NS_PER_S,
         guard_ns: int = 10_000_000,
-        slack_ns: int = NS_PER_S // 30,
-        picture_octets: int | None = None,
+        picture_ns: int = NS_PER_S // 30,
     ) -> None:
         if cap_bps < 1000:
             raise ConfigError(f"a cap of {cap_bps} bit/s: at least 1000 bit/s are needed")
@@ -90,7 +88,6 @@ class Pacer:
             )
         self.cap_bps = cap_bps
         self.channel_bps = cap_bps if channel_bps is None else channel_bps
-        self._slack_ns = slack_ns
         self._window_ns = window_ns
         self._limits = (
             _Limit(SHORT_WINDOW_NS + guard_ns, _short_octets(cap_bps)),
@@ -99,8 +96,8 @@ class Pacer:
         #: The largest payload of a packet that this cap lets through.
         self.max_payload_octets = min(limit.most_octets for limit in self._limits)
         self._least_cap_bps = cap_bps
-        share = cap_bps * slack_ns // (8 * NS_PER_S) if picture_octets is None else picture_octets
-        #: What is expected of the next picture.
+        share = cap_bps * picture_ns // (8 * NS_PER_S)
+        #: The expected size of the next picture.
         self.picture_octets = self._least_picture_octets = min(share, self.max_payload_octets)
         self._queue: deque[tuple[bytes, int, int]] = deque()
         self._backlog_octets = 0
@@ -108,8 +105,6 @@ class Pacer:
         #: What was released, by payload octets.
         self.released = RateMeter(windows_ns=(window_ns, SHORT_WINDOW_NS))
         self.released_packets = 0
-        #: How often `ready_for_picture` said no: pictures that were not encoded.
-        self.pictures_refused = 0
         #: The longest that any packet waited for its release.
         self.longest_wait_ns = 0
 
@@ -166,17 +161,6 @@ class Pacer:
             return None
         _, octets, queued_ns = self._queue[0]
         return self._release_ns(octets, max(queued_ns, self.released.last_ns or 0))
-
-    def ready_for_picture(self, now_ns: int) -> bool:
-        """Whether a picture that is encoded now would be on the channel within `slack_ns`.
-
-        Ask once for each captured picture: a no is counted as a picture not encoded.
-        """
-        start_ns = self.start_ns(now_ns)
-        if start_ns - now_ns <= self._slack_ns:
-            return True
-        self.pictures_refused += 1
-        return False
 
     def start_ns(self, now_ns: int) -> int:
         """When the next picture could start on the channel: `now_ns`, or a later instant."""

@@ -100,6 +100,11 @@ class EncodeScheduler:
         self._coding_ns += (now_ns - self._begun_ns - self._coding_ns) // _SMOOTHING
         self._begun_ns = None
 
+    def finish(self) -> None:
+        """No other picture is encoded: one that waits is refused."""
+        self.refused += self._waits
+        self._waits = False
+
     def next_rate_hz(self) -> float | None:
         """The rate at which pictures really come, once whenever the encoder should follow it."""
         hz, self._new_hz = self._new_hz, None

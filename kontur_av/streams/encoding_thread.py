@@ -1,47 +1,61 @@
-"""Encoding in a thread of its own: what waits for its leave goes on leaving meanwhile."""
+"""Encoding in a thread of its own: packets that wait go on leaving meanwhile."""
 
+import os
 import sys
 import threading
-from collections.abc import Callable
 from queue import SimpleQueue
 from types import TracebackType
-from typing import Self
+from typing import NamedTuple, Self
 
+from kontur_av.clock import Clock
+from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import AccessUnit, VideoFrame
-from kontur_av.streams.coding import Coding, encode
-from kontur_av.streams.doorbell import Doorbell
 
-#: So long at the most does one thread keep another one from Python; the interpreter's own 5 ms are
-#: longer than a packet takes on a channel. x264, swscale and OpenCV keep nobody: only the lines
-#: between them do.
 _SWITCH_S = 0.0005
-#: Nothing that is encoded takes longer.
+#: No picture takes longer to encode.
 _LAST_S = 5.0
+
+
+def switch_threads_often() -> None:
+    """Let no thread of this process keep another one from Python for more than 0.5 ms.
+
+    Call it once in a process that has an `EncodingThread`: the interpreter's own 5 ms are longer
+    than a packet takes on a channel. x264, swscale and OpenCV release the interpreter; only the
+    lines between them hold it.
+    """
+    sys.setswitchinterval(_SWITCH_S)
+
+
+class Encoded(NamedTuple):
+    """An access unit, and when it was ready."""
+
+    unit: AccessUnit
+    encoded_ns: int
 
 
 class EncodingThread:
     """Encodes one picture at a time while the loop that owns it goes on. A context that ends it.
 
-    encoder: this thread's alone from now on. now: asked when a picture is done.
+    encoder: only this thread uses it from now on. clock: stamps the access units.
 
     `submit` a picture, sleep on `fileno` among others, and `poll` until its access unit is there.
     """
 
-    def __init__(self, encoder: H264Encoder, now: Callable[[], int]) -> None:
+    def __init__(self, encoder: H264Encoder, clock: Clock) -> None:
         self._encoder = encoder
-        self._now = now
+        self._clock = clock
         self._jobs: SimpleQueue[tuple[VideoFrame, Coding] | None] = SimpleQueue()
-        self._done: SimpleQueue[AccessUnit | BaseException] = SimpleQueue()
-        self._doorbell = Doorbell()
-        #: Whether a picture was submitted whose access unit was not given yet.
+        self._done: SimpleQueue[Encoded | BaseException] = SimpleQueue()
+        # An eventfd(2), for a loop that sleeps on file descriptors.
+        self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        #: Whether `poll` still owes the access unit of a submitted picture.
         self.busy = False
-        sys.setswitchinterval(_SWITCH_S)
         self._thread = threading.Thread(target=self._run, name="encoding", daemon=True)
         self._thread.start()
 
     def submit(self, frame: VideoFrame, coding: Coding) -> None:
-        """Begin to encode `frame`; it must stay as it is until `poll` gives its access unit.
+        """Begin to encode `frame`; it must stay as it is until `poll` returns its access unit.
 
         ValueError while there is another one.
         """
@@ -50,12 +64,12 @@ class EncodingThread:
         self.busy = True
         self._jobs.put((frame, coding))
 
-    def poll(self) -> AccessUnit | None:
-        """The access unit of what was submitted, once it is there.
+    def poll(self) -> Encoded | None:
+        """The access unit of the submitted picture, once it is ready.
 
-        Whatever the encoder raised is raised here.
+        An exception of the encoder is raised here.
         """
-        if not self.busy or not self._doorbell.answered():
+        if not self.busy or not self._rung():
             return None
         done = self._done.get()
         self.busy = False
@@ -65,16 +79,16 @@ class EncodingThread:
 
     def fileno(self) -> int:
         """Readable as long as `poll` has something."""
-        return self._doorbell.fileno()
+        return self._bell
 
     def close(self) -> None:
-        """End the thread: what it was given is not touched any more. May be called twice."""
+        """End the thread; it does not touch the submitted picture any more. May be called twice."""
         if not self._thread.is_alive():
             return
         self._jobs.put(None)
         self._thread.join(_LAST_S)
         if not self._thread.is_alive():
-            self._doorbell.close()
+            os.close(self._bell)
 
     def __enter__(self) -> Self:
         return self
@@ -87,12 +101,20 @@ class EncodingThread:
     ) -> None:
         self.close()
 
+    def _rung(self) -> bool:
+        try:
+            os.eventfd_read(self._bell)
+        except BlockingIOError:
+            return False
+        return True
+
     def _run(self) -> None:
         while (job := self._jobs.get()) is not None:
             try:
-                self._done.put(encode(self._encoder, *job, self._now))
+                unit = self._encoder.encode(*job)
+                self._done.put(Encoded(unit, self._clock.now_ns()))
             except BaseException as error:
                 self._done.put(error)
             # Or the picture would be held until the next one comes.
             del job
-            self._doorbell.ring()
+            os.eventfd_write(self._bell, 1)

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.errors import ConfigError
-from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, check_size
+from kontur_av.media import I420, AudioFrame, CaptureStamp, Quality, VideoFrame, check_size
 from kontur_av.topics.notifier import NotificationListener, Notifier, WaitSet
 from kontur_av.topics.session_files import (
     choose_session,
@@ -64,14 +64,20 @@ class _Header(ctypes.Structure):
     _fields_ = (
         ("capture_ns", ctypes.c_int64),
         ("sequence", ctypes.c_uint64),
+        ("rtp_timestamp", ctypes.c_int64),
+        ("quality", ctypes.c_uint64),
         ("width", ctypes.c_uint32),
         ("height", ctypes.c_uint32),
         ("source", ctypes.c_char * _SOURCE_OCTETS),
     )
 
 
-_HEADER = struct.Struct(f"=qQII{_SOURCE_OCTETS}s")
+_HEADER = struct.Struct(f"=qQqQII{_SOURCE_OCTETS}s")
 assert _HEADER.size == ctypes.sizeof(_Header)
+#: By their number: calling the enumeration takes several times as long.
+_QUALITIES = tuple(Quality)
+#: The `rtp_timestamp` of a sample that never travelled.
+_NO_TIMESTAMP = -1
 
 
 class Loan:
@@ -99,7 +105,11 @@ class Loan:
     def publish(self, stamp: CaptureStamp) -> None:
         """Send the buffer to the readers. Do not touch it afterwards."""
         source = stamp.source.encode("ascii", "replace")[: _SOURCE_OCTETS - 1]
-        header = _HEADER.pack(stamp.capture_ns, stamp.sequence, self._width, self._height, source)
+        timestamp = _NO_TIMESTAMP if stamp.rtp_timestamp is None else stamp.rtp_timestamp
+        header = _HEADER.pack(
+            *(stamp.capture_ns, stamp.sequence, timestamp, stamp.quality),
+            *(self._width, self._height, source),
+        )
         # One copy; setting the fields one by one through ctypes takes several times as long.
         ctypes.memmove(self._sample.user_header_ptr, header, len(header))
         self._sample.assume_init().send()
@@ -158,10 +168,15 @@ class Lease:
 
     def __init__(self, sample: Any) -> None:
         self._sample = sample
-        capture_ns, sequence, self.width, self.height, source = _HEADER.unpack(
-            ctypes.string_at(sample.user_header_ptr, _HEADER.size)
+        header = _HEADER.unpack(ctypes.string_at(sample.user_header_ptr, _HEADER.size))
+        capture_ns, sequence, timestamp, quality, self.width, self.height, source = header
+        self.stamp = CaptureStamp(
+            capture_ns,
+            sequence,
+            source.rstrip(b"\0").decode("ascii"),
+            _QUALITIES[quality],
+            None if timestamp == _NO_TIMESTAMP else timestamp,
         )
-        self.stamp = CaptureStamp(capture_ns, sequence, source.rstrip(b"\0").decode("ascii"))
 
     @cached_property
     def payload(self) -> SampleView:

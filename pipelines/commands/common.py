@@ -51,9 +51,8 @@ def resolve(
     return str(found[0][4][0])
 
 
-@contextmanager
-def open_socket(address: tuple[str, int]) -> Iterator[socket.socket]:
-    """A UDP socket that can reach `address`."""
+def check_reachable(address: tuple[str, int]) -> None:
+    """ConfigError if this machine has no way to `address`."""
     version = ipaddress.ip_address(address[0].partition("%")[0]).version
     family = socket.AF_INET6 if version == 6 else socket.AF_INET
     with socket.socket(family, socket.SOCK_DGRAM) as probe:
@@ -63,8 +62,6 @@ def open_socket(address: tuple[str, int]) -> Iterator[socket.socket]:
             raise ConfigError(
                 f"--to {address[0]}:{address[1]} cannot be reached: {error.strerror}"
             ) from None
-    with socket.socket(family, socket.SOCK_DGRAM) as channel:
-        yield channel
 
 
 def write_text(path: str, text: str, option: str) -> None:

@@ -18,12 +18,11 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from kontur_av.meters import RateMeter
-from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from pipelines.commands.common import check_options, stopped_by_signals, write_text
 from pipelines.commands.raw_pictures import RawPictures
+from pipelines.commands.receive_media import PictureOutput, SoundOutput
 from pipelines.commands.remux import MatroskaWriter
-from pipelines.commands.sinks import AudioSink, VideoSink
 
 _SILENCE_NS = 5 * NS_PER_S
 _SILENCE_AFTER_GOODBYE_NS = NS_PER_S
@@ -71,8 +70,12 @@ def run(args: argparse.Namespace) -> int:
         if raw is not None:
             stack.callback(raw.close)
         clock = MonotonicClock()
-        sink = VideoSink(stream, writer, raw) if stream.kind == "video" else AudioSink(writer)
-        report = _Shell(stream, sink, sockets, clock, raw).run(args.seconds)
+        output: PictureOutput | SoundOutput
+        if stream.kind == "video":
+            output = PictureOutput(stream, clock, writer, raw)
+        else:
+            output = SoundOutput(stream, clock, writer)
+        report = _Shell(stream, output, sockets, clock, raw).run(args.seconds)
     if args.save:
         report["saved"] = {"file": args.save, "packets": 0 if writer is None else writer.written}
     if raw is not None:
@@ -144,12 +147,12 @@ def _join(udp: socket.socket, group: ipaddress.IPv4Address | ipaddress.IPv6Addre
 
 
 class _Shell:
-    """Drives sockets, receiver and sink in real time."""
+    """Drives sockets and receiver in real time."""
 
     def __init__(
         self,
         stream: StreamDescription,
-        sink: VideoSink | AudioSink,
+        output: PictureOutput | SoundOutput,
         sockets: tuple[socket.socket, socket.socket],
         clock: MonotonicClock,
         raw: RawPictures | None,
@@ -160,16 +163,12 @@ class _Shell:
         self._sender: Any = None
         self._stream = stream
         self._clock = clock
-        self._sink = sink
+        self._output = output
+        self._receiver = output.receiver
         self._sockets = sockets
         self._rate = RateMeter()
         self._last_packet_ns: int | None = None
-        self._receiver = sink.receiver = RtpReceiver(
-            payload_type=stream.payload_type,
-            clock_rate_hz=stream.clock_rate_hz,
-            ordered=stream.kind == "video",
-            from_ntp=clock.from_ntp,
-        )
+        self._payload_octets = 0
 
     def run(self, seconds: float | None) -> dict[str, Any]:
         """Receive until the end; the report."""
@@ -187,7 +186,7 @@ class _Shell:
                 if now_ns >= next_line_ns:
                     next_line_ns += NS_PER_S
                     self._line(now_ns - start_ns)
-                due = [self._receiver.poll_timeout(), self._sink.poll_timeout(), end_ns]
+                due = [self._receiver.poll_timeout(), end_ns]
                 until_ns = min([next_line_ns, *(d for d in due if d is not None)])
                 wait_ns = min(max(until_ns - now_ns, 0), _LONGEST_WAIT_NS)
                 if self._raw is not None:
@@ -222,30 +221,33 @@ class _Shell:
             if receiver.handle_report(datagram, self._clock.now_ns()):
                 self._sender = source
         for datagram, _ in _datagrams(rtp):
-            receiver.handle_packet(datagram, self._clock.now_ns())
-            self._pass_on()
+            now_ns = self._clock.now_ns()
+            receiver.handle_packet(datagram, now_ns)
+            self._note(now_ns)
+            self._output.drain()
         now_ns = self._clock.now_ns()
+        self._note(now_ns)
         receiver.handle_timeout(now_ns)
-        self._pass_on()
-        self._sink.handle_timeout(now_ns)
-        feedback = self._sink.poll_feedback(now_ns)
+        self._output.drain()
+        feedback = self._output.poll_feedback(now_ns)
         if feedback is not None and self._sender is not None:
             with contextlib.suppress(OSError):
                 rtcp.sendto(feedback, self._sender)
 
-    def _pass_on(self) -> None:
-        while (packet := self._receiver.next_event()) is not None:
-            # In the order of their sequence, packets may have come the other way round.
-            self._last_packet_ns = max(packet.received_ns, self._last_packet_ns or 0)
-            self._rate.add(self._last_packet_ns, len(packet.payload))
-            self._sink.handle_packet(packet, self._clock)
+    def _note(self, now_ns: int) -> None:
+        """Packets of the stream may have come; a sender report may speak for earlier ones."""
+        octets = self._receiver.counts.rtp.payload_octets
+        if octets > self._payload_octets:
+            self._last_packet_ns = now_ns
+            self._rate.add(now_ns, octets - self._payload_octets)
+            self._payload_octets = octets
 
     def _line(self, passed_ns: int) -> None:
-        counts = self._receiver.counts
-        latency = self._sink.decoded_ns
+        counts = self._receiver.counts.rtp
+        latency = self._output.decoded_ns
         print(
             f"{passed_ns / NS_PER_S:6.0f} s  {counts.received} packets, {counts.lost} lost, "
-            f"{self._sink.decoded} decoded, {self._rate.mean_bps() / 1000:.1f} kbit/s"
+            f"{self._output.decoded} decoded, {self._rate.mean_bps() / 1000:.1f} kbit/s"
             + (
                 f", latency {latency.percentile(95) / NS_PER_MS:.1f} ms (95 %)"
                 if latency.count
@@ -255,7 +257,7 @@ class _Shell:
         )
 
     def _report(self, start_ns: int) -> dict[str, Any]:
-        counts, rate, sink = self._receiver.counts, self._rate, self._sink
+        counts, rate, output = self._receiver.counts.rtp, self._rate, self._output
         report: dict[str, Any] = {
             "stream": self._stream.kind,
             "seconds": (self._clock.now_ns() - start_ns) / NS_PER_S,
@@ -271,21 +273,21 @@ class _Shell:
             "rtp_garbage": counts.garbage,
             "rtp_restarts": max(counts.sources - 1, 0),
             "rtcp_reports": counts.reports,
-            "jitter_ms": self._receiver.jitter_ns / NS_PER_MS,
-            **sink.report(),
+            "jitter_ms": self._receiver.counts.jitter_ns / NS_PER_MS,
+            **output.report(),
             "latency_ms": None,
             "cpu_s": time.process_time(),
         }
-        if sink.decoded_ns.count:
+        if output.decoded_ns.count:
             report["latency_ms"] = {
-                **sink.decoded_ns.summary_ms(),
-                "stages": {"capture_to_received": sink.received_ns.summary_ms()},
+                **output.decoded_ns.summary_ms(),
+                "stages": {"capture_to_received": output.received_ns.summary_ms()},
                 "clock": "the wall clocks of both hosts",
             }
         failed = []
         if not counts.received:
             failed.append(f"no packet came to UDP port {self._stream.port}: is the sender running?")
-        elif not sink.decoded:
+        elif not output.decoded:
             failed.append(f"{counts.received} packets came, but nothing could be decoded")
         report["failed"] = failed
         return report

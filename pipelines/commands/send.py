@@ -2,32 +2,28 @@
 
 import argparse
 import json
-import socket
 import sys
 import time
-from contextlib import suppress
-from dataclasses import dataclass
+from contextlib import closing
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from kontur_av.codecs.h264 import REFRESH_S, SLOW_REFRESH_S
+from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
 from kontur_av.codecs.h264_settings import SEARCHES
 from kontur_av.meters import Histogram
-from kontur_av.rtp.sdp import (
-    StreamDescription,
-    write_sdp,
-)
+from kontur_av.rtp.sdp import StreamDescription, write_sdp
+from kontur_av.streams.paced_sender import UnitSent
+from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import (
     check_options,
-    open_socket,
+    check_reachable,
     parse_address,
     stopped_by_signals,
     write_text,
 )
-from pipelines.commands.send_media import AudioOut, VideoOut, open_media
+from pipelines.commands.send_media import PictureFeed, SoundFeed, open_feed
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
-_FEEDBACK_OCTETS = 1500
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -86,21 +82,22 @@ def run(args: argparse.Namespace) -> int:
     check_options(args)
     address = parse_address(args.to)
     clock = MonotonicClock()
-    with open_media(args, clock) as media:
+    with open_feed(args, clock) as feed:
         stream = StreamDescription(
-            kind=media.kind,
+            kind=feed.kind,
             host=str(address[0]),
             port=address[1],
-            payload_type=media.rtp.payload_type,
+            payload_type=feed.payload_type,
             bandwidth_bps=round(args.cap_kbps * 1000),
-            parameter_sets=media.parameter_sets,
+            parameter_sets=feed.parameter_sets,
         )
         if args.sdp:
             write_text(args.sdp, write_sdp(stream), "--sdp")
         if args.report:
             write_text(args.report, "", "--report")
-        with open_socket(address) as channel:
-            report = _Shell(media, channel, address, clock).run(args.seconds)
+        check_reachable(address)
+        with closing(UdpSender(*address)) as udp:
+            report = _Shell(feed, udp, clock).run(args.seconds)
     if args.report:
         write_text(args.report, json.dumps(report, indent=2) + "\n", "--report")
     for failure in report["failed"]:
@@ -108,32 +105,21 @@ def run(args: argparse.Namespace) -> int:
     return 1 if report["failed"] else 0
 
 
-@dataclass(slots=True)
-class _Unit:
-    """What still has to leave before a capture is sent: up to this packet."""
-
-    capture_ns: int
-    last_packet: int
-
-
 class _Shell:
-    """Drives source, pacer and reports in real time."""
+    """Drives source and sender in real time."""
 
     def __init__(
         self,
-        media: VideoOut | AudioOut,
-        channel: socket.socket,
-        address: tuple[str, int],
+        feed: PictureFeed | SoundFeed,
+        udp: UdpSender,
         clock: MonotonicClock,
     ) -> None:
-        self._media = media
-        self._socket = channel
-        self._address = address
+        self._feed = feed
+        self._sender = feed.sender
+        self._udp = udp
         self._clock = clock
-        self._queued: list[_Unit] = []
-        self._units_sent = 0
+        self._encoded_ns = Histogram()
         self._sent_ns = Histogram()
-        self._send_errors = 0
 
     def run(self, seconds: float | None) -> dict[str, Any]:
         """Send until the end; the report."""
@@ -150,107 +136,77 @@ class _Shell:
                     self._line(now_ns, start_ns)
                 self._step(now_ns, end_ns, next_line_ns)
             self._drain_rest()
-        if (farewell := self._media.rtp.goodbye(self._clock.ntp)) is not None:
-            self._send(farewell, control=True)
+        self._udp.say_goodbye(self._sender)
         return self._report(start_ns)
 
     def _step(self, now_ns: int, end_ns: int | None, next_line_ns: int) -> None:
-        media = self._media
-        self._hear()
-        due = (
-            media.pacer.poll_timeout(),
-            media.rtp.poll_timeout(),
-            media.poll_timeout(),
-            end_ns,
-            next_line_ns,
-        )
+        due = (self._sender.poll_timeout(), end_ns, next_line_ns)
         until_ns = min(instant for instant in due if instant is not None)
         timeout_ns = min(max(until_ns - now_ns, 0), _LONGEST_WAIT_NS)
-        stamp = media.step(timeout_ns)
-        if stamp is not None:
-            self._queued.append(_Unit(stamp.capture_ns, media.rtp.packets_sent))
+        self._feed.step(timeout_ns)
         self._transmit()
 
-    def _hear(self) -> None:
-        # The answer to an earlier datagram that nobody took is no feedback.
-        with suppress(BlockingIOError, ConnectionError):
-            while True:
-                datagram = self._socket.recv(_FEEDBACK_OCTETS, socket.MSG_DONTWAIT)
-                self._media.handle_feedback(datagram)
-
     def _transmit(self) -> None:
-        media = self._media
-        while (packet := media.pacer.poll_transmit(self._clock.now_ns())) is not None:
-            self._send(packet)
-        now_ns = self._clock.now_ns()
-        while self._queued and self._queued[0].last_packet <= media.pacer.released_packets:
-            self._sent_ns.add(now_ns - self._queued.pop(0).capture_ns)
-            self._units_sent += 1
-        if (report := media.rtp.poll_report(now_ns, self._clock.ntp)) is not None:
-            self._send(report, control=True)
+        sender = self._sender
+        self._udp.exchange(sender, self._clock)
+        while (event := sender.next_event()) is not None:
+            if isinstance(event, UnitSent):
+                begin_ns = event.capture_ns + self._feed.lookahead_ns
+                self._encoded_ns.add(event.encoded_ns - begin_ns)
+                self._sent_ns.add(event.sent_ns - begin_ns)
 
     def _drain_rest(self) -> None:
         """Send what is queued, so that the last picture is whole; for a second at most."""
         give_up_ns = self._clock.now_ns() + NS_PER_S
-        while (due_ns := self._media.pacer.poll_timeout()) is not None and due_ns < give_up_ns:
+        self._feed.finish()
+        while (due_ns := self._sender.poll_timeout()) is not None and due_ns < give_up_ns:
             self._clock.sleep_until_ns(due_ns)
             self._transmit()
 
-    def _send(self, datagram: bytes, *, control: bool = False) -> None:
-        host, port = self._address
-        try:
-            self._socket.sendto(datagram, (host, port + control))
-        except OSError:
-            # A network that goes down and comes back is loss to the receiver, no end to the sender.
-            self._send_errors += 1
-
     def _line(self, now_ns: int, start_ns: int) -> None:
-        media = self._media
+        counts, released = self._sender.counts, self._sender.released
         print(
-            f"{(now_ns - start_ns) / NS_PER_S:6.0f} s  {media.captured} captured, "
-            f"{self._units_sent} sent in {media.pacer.released_packets} packets, "
-            f"{media.pacer.released.mean_bps(now_ns) / 1000:.1f} of "
-            f"{media.pacer.cap_bps / 1000:g} kbit/s, "
+            f"{(now_ns - start_ns) / NS_PER_S:6.0f} s  {counts.captured} captured, "
+            f"{counts.sent} sent in {released.events} packets, "
+            f"{released.mean_bps(now_ns) / 1000:.1f} of {self._sender.cap_bps / 1000:g} kbit/s, "
             f"capture to sent {self._sent_ns.percentile(95) / NS_PER_MS:.1f} ms (95 %)",
             flush=True,
         )
 
     def _report(self, start_ns: int) -> dict[str, Any]:
-        media, now_ns = self._media, self._clock.now_ns()
-        released = media.pacer.released
+        feed, sender, now_ns = self._feed, self._sender, self._clock.now_ns()
+        counts, released = sender.counts, sender.released
         report: dict[str, Any] = {
-            "stream": media.kind,
+            "stream": feed.kind,
             "seconds": (now_ns - start_ns) / NS_PER_S,
-            "cap_bps": media.pacer.cap_bps,
+            "cap_bps": sender.cap_bps,
             "payload_bps_mean": released.mean_bps(),
             "payload_bps_max_1s": released.max_bps(NS_PER_S),
             "payload_bps_max_100ms": released.max_bps(100 * NS_PER_MS),
-            "frames_captured": media.captured,
-            "frames_encoded": media.encoded,
-            "frames_sent": self._units_sent,
-            "pictures_refused": media.refused,
-            "rtp_packets": media.pacer.released_packets,
+            "frames_captured": counts.captured,
+            "frames_encoded": counts.encoded,
+            "frames_sent": counts.sent,
+            "pictures_refused": counts.refused,
+            "rtp_packets": released.events,
             "rtp_payload_octets": released.octets,
-            "send_errors": self._send_errors,
+            "send_errors": self._udp.failed,
             "latency_ms": {
                 "stages": {
-                    "capture_to_encoded": media.encode_ns.summary_ms(),
+                    "capture_to_encoded": self._encoded_ns.summary_ms(),
                     "capture_to_sent": self._sent_ns.summary_ms(),
                 }
             },
-            "source": {"faults": media.source.faults, "last_fault": media.source.last_fault},
+            "source": {"faults": feed.source.faults, "last_fault": feed.source.last_fault},
             "cpu_s": time.process_time(),
         }
-        if isinstance(media, VideoOut):
-            report |= {"size": media.size, "coded_size": media.coded_size}
+        if isinstance(feed, PictureFeed):
+            report |= {"size": feed.size, "coded_size": feed.coded_size}
         failed = []
-        if not self._units_sent:
-            failed.append(
-                f"nothing was captured: {media.source.last_fault or 'the source is mute'}"
-            )
-        if report["payload_bps_max_1s"] > media.pacer.cap_bps:
+        if not counts.sent:
+            failed.append(f"nothing was captured: {feed.source.last_fault or 'the source is mute'}")
+        if report["payload_bps_max_1s"] > sender.cap_bps:
             failed.append("the cap was broken")
-        if self._send_errors:
-            failed.append(f"{self._send_errors} datagrams could not be sent")
+        if self._udp.failed:
+            failed.append(f"{self._udp.failed} datagrams could not be sent")
         report["failed"] = failed
         return report

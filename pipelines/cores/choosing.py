@@ -1,5 +1,6 @@
 """Which camera goes up, by telecommand; and the telecommands' other end."""
 
+from dataclasses import replace
 from itertools import count
 
 from kontur_av.clock import NS_PER_MS
@@ -76,7 +77,7 @@ class CameraChoice:
 
     def restamp(self, stamp: CaptureStamp) -> CaptureStamp:
         """The stamp of a picture that goes on: its sequence counts all cameras'."""
-        return CaptureStamp(stamp.capture_ns, next(self._numbers), stamp.source)
+        return replace(stamp, sequence=next(self._numbers))
 
     def tell(self) -> None:
         """Put the counters into the probe."""

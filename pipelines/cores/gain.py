@@ -7,7 +7,7 @@ be spent, so it is lowered at once. docs/experiments/deadband.md has what that i
 from fractions import Fraction
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.codecs.h264 import SLOW_REFRESH_S
+from kontur_av.codecs.coding import SLOW_REFRESH_S
 from kontur_av.codecs.h264_settings import H264Settings
 from pipelines.setup.table import Setup, VideoStream
 

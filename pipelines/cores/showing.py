@@ -3,11 +3,9 @@
 from collections.abc import Sequence
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.media import CaptureStamp
-from kontur_av.sources.source import BLOCK_NS
+from kontur_av.media import BLOCK_NS, CaptureStamp, Quality
 from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
 from pipelines.runtime.probe import Probe
-from pipelines.setup.names import CONCEALED, DAMAGED
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 
 
@@ -26,14 +24,14 @@ class Showing:
     def handle_shown(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture, or a block of sound, is shown at `now_ns`.
 
-        Made up sound does not count, and makes nothing younger.
+        Concealed sound does not count, and makes nothing younger.
         """
-        if stamp.source == CONCEALED:
+        if stamp.quality is Quality.CONCEALED or stamp.rtp_timestamp is None:
             return
         self._shown[stream] += 1
-        damaged = stamp.source == DAMAGED
+        damaged = stamp.quality is Quality.DAMAGED
         self.staleness[stream].handle_shown(stamp.capture_ns, now_ns, damaged=damaged)
-        self._probe.row(f"shown.{stream}", stamp.sequence, stamp.capture_ns, now_ns)
+        self._probe.row(f"shown.{stream}", stamp.rtp_timestamp, stamp.capture_ns, now_ns)
 
     def tell(self, now_ns: int) -> None:
         """Put the counters into the probe; all that is shown by `now_ns` is known."""

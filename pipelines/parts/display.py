@@ -16,7 +16,6 @@ from pipelines.cores.showing import Showing
 from pipelines.cores.watching import OPERATORS, Watching
 from pipelines.parts.marking import mark_stale
 from pipelines.runtime.process import PATIENCE_NS, Context
-from pipelines.setup.names import CONCEALED as CONCEALED
 from pipelines.setup.names import LAG, displayed_topic, lag_topic, received_topic
 from pipelines.setup.table import VideoStream, VoiceStream
 

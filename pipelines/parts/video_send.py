@@ -1,11 +1,16 @@
 """A video stream's sending process: topic -> encoder -> pacer -> RTP to the gateway."""
 
+import secrets
+
 from kontur_av.codecs.h264 import H264Encoder
-from kontur_av.streams.encoding_thread import EncodingThread
+from kontur_av.rtp.sender import RtpIdentity
+from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease
 from pipelines.cores.gain import gain_of
-from pipelines.cores.sending import VideoSending
-from pipelines.parts.sending import Outgoing, random_identity
+from pipelines.cores.session_streams import video_sender
+from pipelines.cores.stream_figures import tell_sender
+from pipelines.cores.video_sending import LinkedVideoSender
+from pipelines.parts.sending import to_gateway
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.names import BACKLOG, backlog_topic
 from pipelines.setup.table import VideoStream, feedback_flow
@@ -13,7 +18,8 @@ from pipelines.setup.table import VideoStream, feedback_flow
 
 def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None:
     """Send the newest picture of `topic` whenever the channel is about to run dry."""
-    clock = context.clock
+    switch_threads_often()
+    clock, probe = context.clock, context.probe
     encoder = H264Encoder(
         width=stream.width,
         height=stream.height,
@@ -22,15 +28,16 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
         coded_size=stream.coded,
     )
     profile = context.setup.profile_of(stream)
-    gain = gain_of(context.setup, stream)
-    sending = VideoSending(stream, profile, random_identity(), context.probe, gain)
-    outgoing = Outgoing(context, stream, sending)
+    identity = RtpIdentity.draw(secrets.randbits)
+    sender = video_sender(context.setup, stream, identity, wall_offset_ns=clock.wall_offset_ns)
+    linked = LinkedVideoSender(sender, gain_of(context.setup, stream))
+    outgoing = to_gateway(context, stream, sender)
     feedback = context.listen(context.setup.ports.exit(feedback_flow(stream.name)))
-    context.on_flush(sending.tell)
+    context.on_flush(lambda: tell_sender(probe, sender, linked.gain))
     with (
         context.open_bus() as bus,
         # It ends before the bus does: till then it may be reading shared memory.
-        EncodingThread(encoder, clock.now_ns) as encoding,
+        EncodingThread(encoder, clock) as encoding,
     ):
         reader = bus.reader(topic)
         backlog_reader = bus.reader(backlog_topic(profile.name))
@@ -42,7 +49,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
-            due_ns = sending.poll_timeout()
+            due_ns = sender.poll_timeout()
             waiter.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
             if reader.has_new():
                 if held is not None:
@@ -52,25 +59,27 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
                 held = reader.latest()
                 if held is not None:
                     skipped = reader.skipped - skipped
-                    sending.handle_picture(held.stamp, clock.now_ns(), skipped=skipped)
+                    sender.handle_picture(held.stamp, clock.now_ns(), skipped=skipped)
             told = backlog_reader.latest()
             if told is not None:
                 with told:
                     waiting_octets, contacts, way_back, freed_bps = BACKLOG.unpack(told.octets())
                     told_ns = told.stamp.capture_ns
-                    sending.handle_freed(freed_bps, clock.now_ns())
-                    sending.handle_link(waiting_octets, contacts, way_back, told_ns)
-            outgoing.send_due()
+                    linked.handle_freed(freed_bps, clock.now_ns())
+                    sender.handle_channel(
+                        waiting_octets, told_ns, contacts=contacts, way_back=way_back
+                    )
+            outgoing.handle_time(clock.now_ns())
             while (datagram := context.receive(feedback)) is not None:
-                sending.handle_feedback(datagram, clock.now_ns())
-            unit = encoding.poll()
-            if unit is not None and encoded is not None:
+                sender.handle_feedback(datagram, clock.now_ns())
+            done = encoding.poll()
+            if done is not None and encoded is not None:
                 encoded.release()
                 encoded = None
-                sending.handle_access_unit(unit)
-                outgoing.send_due()
+                sender.handle_access_unit(done.unit, done.encoded_ns)
+                outgoing.handle_time(clock.now_ns())
             if held is not None:
-                coding = sending.poll_encode(clock.now_ns())
+                coding = linked.poll_encode(clock.now_ns())
                 if coding is not None:
                     encoding.submit(held.video(), coding)
                     held, encoded = None, held
@@ -78,5 +87,5 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
         for lease in (held, encoded):
             if lease is not None:
                 lease.release()
-        outgoing.close()
+        outgoing.close(clock.now_ns())
         del waiter

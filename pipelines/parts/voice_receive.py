@@ -3,7 +3,8 @@
 from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AudioFrame
 from kontur_av.streams.voice_player import VoicePlayer
-from pipelines.cores.receiving import VoiceReceiving
+from pipelines.cores.session_streams import voice_receiver
+from pipelines.cores.stream_figures import note_arrivals, tell_voice_receiver
 from pipelines.parts.reception import Incoming
 from pipelines.runtime.process import Context
 from pipelines.setup.names import LAG, lag_topic, received_topic
@@ -12,26 +13,27 @@ from pipelines.setup.table import VoiceStream
 
 def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     """Publish each block of sound at the instant at which it shall be heard."""
-    clock = context.clock
-    receiving = VoiceReceiving(context.setup, stream, clock.from_ntp, context.probe)
+    clock, probe = context.clock, context.probe
+    receiver = voice_receiver(context.setup, stream, wall_offset_ns=clock.wall_offset_ns)
     player = VoicePlayer()
-    context.on_flush(receiving.tell)
+    context.on_flush(lambda: tell_voice_receiver(probe, receiver))
     with context.open_bus() as bus:
-        incoming = Incoming(context, stream, receiving)
+        incoming = Incoming(context, stream, receiver)
         writer = bus.writer(received_topic(stream.name), max_octets=MAX_PACKET_SAMPLES * 2)
         picture = context.setup.picture_of(stream)
         lag_reader = None if picture is None else bus.reader(lag_topic(picture.name))
         while not context.stopping:
             context.tick(clock.now_ns())
-            incoming.wait(receiving.poll_timeout())
-            receiving.handle_timeout(clock.now_ns())
-            while (block := receiving.next_event()) is not None:
+            incoming.wait(receiver.poll_timeout())
+            note_arrivals(probe, receiver)
+            receiver.handle_timeout(clock.now_ns())
+            while (block := receiver.next_event()) is not None:
                 samples, decoded = player.play(block)
-                capture_ns = receiving.capture_ns(block.timestamp)
-                stamp = receiving.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
+                capture_ns = receiver.capture_ns(block.timestamp)
+                stamp = receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
                 if stamp is not None:
                     writer.publish_audio(AudioFrame(samples, stamp))
                 lag = None if lag_reader is None else lag_reader.latest()
                 if lag is not None:
                     with lag:
-                        receiving.handle_picture_shown(*LAG.unpack(lag.octets()))
+                        receiver.handle_picture_shown(*LAG.unpack(lag.octets()))

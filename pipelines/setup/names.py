@@ -29,15 +29,8 @@ def input_topic(name: str) -> str:
 
 
 def received_topic(stream: str) -> str:
-    """What a stream's receiver has decoded. A sample's sequence is its RTP timestamp."""
+    """What a stream's receiver has decoded."""
     return f"received/{stream}"
-
-
-#: The source of a block of sound that had to be made up: heard, but never captured.
-CONCEALED = "concealed"
-
-#: The source of a picture that suffers from a loss.
-DAMAGED = "damaged"
 
 
 def displayed_topic(stream: str) -> str:

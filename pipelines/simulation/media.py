@@ -5,12 +5,16 @@ from dataclasses import dataclass
 from functools import partial
 from random import Random
 
-from kontur_av.clock import ManualClock
 from kontur_av.media import CaptureStamp
+from kontur_av.rtp.sender import RtpIdentity
 from pipelines.cores.choosing import CameraChoice
 from pipelines.cores.gain import gain_of
-from pipelines.cores.receiving import VideoReceiving, VoiceReceiving
-from pipelines.cores.sending import RtpIdentity, VideoSending, VoiceSending
+from pipelines.cores.session_streams import (
+    video_receiver,
+    video_sender,
+    voice_receiver,
+    voice_sender,
+)
 from pipelines.cores.showing import Showing
 from pipelines.cores.watching import OPERATORS
 from pipelines.setup.table import (
@@ -27,8 +31,8 @@ from pipelines.setup.table import (
 from pipelines.simulation.agenda import Agenda
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.inputs import Camera, Microphone, ShowPicture, Stereo
-from pipelines.simulation.receivers import VideoReceiver, VoiceReceiver
-from pipelines.simulation.senders import VideoSender, VoiceSender
+from pipelines.simulation.receivers import VideoReceiveProcess, VoiceReceiveProcess
+from pipelines.simulation.senders import VideoSendProcess, VoiceSendProcess
 from pipelines.simulation.studio import (
     Picture,
     VideoDecoding,
@@ -41,6 +45,9 @@ from pipelines.simulation.workers import Worker, Workers
 from pipelines.topology import Topology
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
+
+#: The instants of virtual time are Unix times.
+_WALL_OFFSET_NS = 0
 
 #: What takes the datagrams of a flow where they come out of the link.
 Consumer = Callable[[bytes, int], object]
@@ -76,11 +83,9 @@ class Media:
         self.consumers: dict[str, Consumer] = {}
         self._scene = scene
         self._choice = choice
-        self._receivers: list[VideoReceiver | VoiceReceiver] = []
+        self._receivers: list[VideoReceiveProcess | VoiceReceiveProcess] = []
         #: All that was shown by then is known.
         self._settled_ns = scene.start_ns
-        # Virtual time has no offset to the time that stands in sender reports.
-        self._clock = ManualClock(scene.start_ns)
         setup = scene.setup
         space = self._showing("space_display", [setup.uplink_video, setup.uplink_voice])
         pictures = self._receive_video(setup.uplink_video, space)
@@ -150,22 +155,18 @@ class Media:
         )
         scene.telling.add(camera.tell)
 
-    def _video_sender(self, stream: VideoStream, gateway: Gateway, studio: Worker) -> VideoSender:
+    def _video_sender(
+        self, stream: VideoStream, gateway: Gateway, studio: Worker
+    ) -> VideoSendProcess:
         scene = self._scene
-        profile = scene.setup.profile_of(stream)
-        probe = scene.telling.probe(scene.topology.media(stream.name).sender)
-        sender = VideoSender(
+        identity = self._identity(stream.name)
+        sender = VideoSendProcess(
             stream.name,
-            VideoSending(
-                stream,
-                profile,
-                self._identity(stream.name),
-                probe,
-                gain_of(scene.setup, stream),
-            ),
+            video_sender(scene.setup, stream, identity, wall_offset_ns=_WALL_OFFSET_NS),
+            scene.telling.probe(scene.topology.media(stream.name).sender),
+            gain_of(scene.setup, stream),
             agenda=scene.agenda,
             gateway=gateway,
-            ntp=self._clock.ntp,
             studio=studio,
             costs=scene.costs,
         )
@@ -177,14 +178,13 @@ class Media:
         scene = self._scene
         spec = scene.setup.source(name)
         studio = scene.workers.start(partial(VoiceStudio, stream, name, spec, scene.start_ns))
-        profile = scene.setup.profile_of(stream)
-        probe = scene.telling.probe(scene.topology.media(stream.name).sender)
-        sender = VoiceSender(
+        identity = self._identity(stream.name)
+        sender = VoiceSendProcess(
             stream.name,
-            VoiceSending(stream, profile, self._identity(stream.name), probe),
+            voice_sender(scene.setup, stream, identity, wall_offset_ns=_WALL_OFFSET_NS),
+            scene.telling.probe(scene.topology.media(stream.name).sender),
             agenda=scene.agenda,
             gateway=gateway,
-            ntp=self._clock.ntp,
             studio=studio,
             costs=scene.costs,
         )
@@ -200,19 +200,16 @@ class Media:
         scene.telling.add(sender.tell)
         scene.telling.add(microphone.tell)
 
-    def _receive_video(self, stream: VideoStream, showing: Showing) -> VideoReceiver:
+    def _receive_video(self, stream: VideoStream, showing: Showing) -> VideoReceiveProcess:
         scene = self._scene
         probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
         far = scene.space if stream is scene.setup.uplink_video else scene.ground
         watched = (stream.width, stream.height) if stream.name in OPERATORS else None
-        receiver = VideoReceiver(
+        ssrc = Random(f"{scene.seed} {stream.name} receiver").getrandbits(32)
+        receiver = VideoReceiveProcess(
             stream.name,
-            VideoReceiving(
-                stream,
-                self._clock.from_ntp,
-                probe,
-                ssrc=Random(f"{scene.seed} {stream.name} receiver").getrandbits(32),
-            ),
+            video_receiver(stream, ssrc=ssrc, wall_offset_ns=_WALL_OFFSET_NS),
+            probe,
             showing,
             agenda=scene.agenda,
             decoder=scene.workers.start(partial(VideoDecoding, watched)),
@@ -223,13 +220,14 @@ class Media:
         return receiver
 
     def _receive_voice(
-        self, stream: VoiceStream, showing: Showing, pictures: VideoReceiver | None
+        self, stream: VoiceStream, showing: Showing, pictures: VideoReceiveProcess | None
     ) -> None:
         scene = self._scene
         probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
-        receiver = VoiceReceiver(
+        receiver = VoiceReceiveProcess(
             stream.name,
-            VoiceReceiving(scene.setup, stream, self._clock.from_ntp, probe),
+            voice_receiver(scene.setup, stream, wall_offset_ns=_WALL_OFFSET_NS),
+            probe,
             showing,
             agenda=scene.agenda,
             decoder=scene.workers.start(partial(VoiceDecoding, watched=stream.name in OPERATORS)),
@@ -239,7 +237,9 @@ class Media:
             pictures.on_shown = receiver.handle_picture_shown
         self._add_receiver(stream.name, receiver)
 
-    def _add_receiver(self, stream: str, receiver: VideoReceiver | VoiceReceiver) -> None:
+    def _add_receiver(
+        self, stream: str, receiver: VideoReceiveProcess | VoiceReceiveProcess
+    ) -> None:
         self.consumers[stream] = receiver.handle_packet
         self.consumers[f"{stream}_rtcp"] = receiver.handle_report
         self._receivers.append(receiver)

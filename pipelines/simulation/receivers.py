@@ -9,21 +9,30 @@ from collections.abc import Callable
 from functools import partial
 
 from kontur_av.rtp.playout import PlayoutBlock
-from pipelines.cores.receiving import VideoReceiving, VoiceReceiving
+from kontur_av.streams.video_receiver import VideoReceiver
+from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.cores.showing import Showing
+from pipelines.cores.stream_figures import (
+    note_arrivals,
+    note_unit,
+    tell_video_receiver,
+    tell_voice_receiver,
+)
 from pipelines.cores.watching import Recall, tell_click, tell_light
+from pipelines.runtime.probe import Probe
 from pipelines.simulation.agenda import Agenda, Timer
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.workers import Batch, Worker
 
 
-class VideoReceiver:
+class VideoReceiveProcess:
     """Takes RTP and its reports, decodes every unit, and shows the pictures."""
 
     def __init__(
         self,
         stream: str,
-        receiving: VideoReceiving,
+        receiver: VideoReceiver,
+        probe: Probe,
         showing: Showing,
         *,
         agenda: Agenda,
@@ -32,7 +41,8 @@ class VideoReceiver:
         ask: Callable[[bytes, int], object],
     ) -> None:
         self._stream = stream
-        self._receiving = receiving
+        self._receiver = receiver
+        self._probe = probe
         self._showing = showing
         self._agenda = agenda
         self._decoder = Batch(decoder)
@@ -48,31 +58,32 @@ class VideoReceiver:
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
         """An RTP packet comes out of the link."""
-        self._receiving.handle_packet(datagram, now_ns)
+        self._receiver.handle_packet(datagram, now_ns)
         self._drain(now_ns)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> None:
         """An RTCP packet comes out of the link."""
-        self._receiving.handle_report(datagram, now_ns)
+        self._receiver.handle_report(datagram, now_ns)
         self._drain(now_ns)
 
     def _expire(self, now_ns: int) -> None:
-        self._receiving.handle_timeout(now_ns)
+        self._receiver.handle_timeout(now_ns)
         self._drain(now_ns)
 
     def _drain(self, now_ns: int) -> None:
-        while (unit := self._receiving.next_event()) is not None:
+        while (unit := self._receiver.next_event()) is not None:
+            note_unit(self._probe, unit)
             # One after the other, as in the live process.
             self._free_ns = max(now_ns, self._free_ns) + self._cost_ns
             self._decoder.submit((unit.data, unit.timestamp, self._free_ns))
             self._agenda.at(self._free_ns, partial(self._date, unit.timestamp))
-        feedback = self._receiving.poll_feedback(now_ns)
+        feedback = self._receiver.poll_feedback(now_ns)
         if feedback is not None:
             self._ask(feedback, now_ns)
-        self._timer.set(self._receiving.poll_timeout(), now_ns)
+        self._timer.set(self._receiver.poll_timeout(), now_ns)
 
     def _date(self, timestamp: int, now_ns: int) -> None:
-        capture_ns = self._receiving.capture_ns(timestamp)
+        capture_ns = self._receiver.capture_ns(timestamp)
         self._decoding.append((now_ns, timestamp, capture_ns))
         if self.on_shown is not None and capture_ns is not None:
             self.on_shown(now_ns, now_ns - capture_ns)
@@ -83,8 +94,8 @@ class VideoReceiver:
             shown_ns, timestamp, dated_ns = self._decoding.popleft()
             pictures, self._counts, lights = self._decoder.next_result()
             for of, width, height, corrupt in pictures:
-                capture_ns = dated_ns if of == timestamp else self._receiving.capture_ns(of)
-                stamp = self._receiving.handle_picture(
+                capture_ns = dated_ns if of == timestamp else self._receiver.capture_ns(of)
+                stamp = self._receiver.handle_picture(
                     of, width, height, capture_ns, corrupt=corrupt
                 )
                 if stamp is not None:
@@ -96,16 +107,17 @@ class VideoReceiver:
     def tell(self) -> None:
         """Put the counters into the probe."""
         decoded, corrupt, restarts = self._counts
-        self._receiving.tell(decoded=decoded, corrupt=corrupt, restarts=restarts)
+        tell_video_receiver(self._probe, self._receiver, decoded, corrupt, restarts)
 
 
-class VoiceReceiver:
+class VoiceReceiveProcess:
     """Takes RTP and its reports, and lets each block of sound be heard at its instant."""
 
     def __init__(
         self,
         stream: str,
-        receiving: VoiceReceiving,
+        receiver: VoiceReceiver,
+        probe: Probe,
         showing: Showing,
         *,
         agenda: Agenda,
@@ -113,7 +125,8 @@ class VoiceReceiver:
         costs: CodingCosts,
     ) -> None:
         self._stream = stream
-        self._receiving = receiving
+        self._receiver = receiver
+        self._probe = probe
         self._showing = showing
         self._agenda = agenda
         self._decoder = Batch(decoder)
@@ -121,34 +134,38 @@ class VoiceReceiver:
         self._decoding: deque[tuple[int, PlayoutBlock, int | None]] = deque()
         self._recall = Recall()
         self._timer = Timer(agenda, self._expire)
-        self.handle_picture_shown = receiving.handle_picture_shown
-        self.tell = receiving.tell
+        self.handle_picture_shown = receiver.handle_picture_shown
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        tell_voice_receiver(self._probe, self._receiver)
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
         """An RTP packet comes out of the link."""
-        self._receiving.handle_packet(datagram, now_ns)
+        self._receiver.handle_packet(datagram, now_ns)
         self._expire(now_ns)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> None:
         """An RTCP packet comes out of the link."""
-        self._receiving.handle_report(datagram, now_ns)
+        self._receiver.handle_report(datagram, now_ns)
         self._expire(now_ns)
 
     def _expire(self, now_ns: int) -> None:
-        self._receiving.handle_timeout(now_ns)
-        while (block := self._receiving.next_event()) is not None:
+        note_arrivals(self._probe, self._receiver)
+        self._receiver.handle_timeout(now_ns)
+        while (block := self._receiver.next_event()) is not None:
             heard_ns = now_ns + self._cost_ns
             self._decoder.submit((block, heard_ns))
-            capture_ns = self._receiving.capture_ns(block.timestamp)
+            capture_ns = self._receiver.capture_ns(block.timestamp)
             self._decoding.append((heard_ns, block, capture_ns))
-        self._timer.set(self._receiving.poll_timeout(), now_ns)
+        self._timer.set(self._receiver.poll_timeout(), now_ns)
 
     def settle(self, until_ns: int) -> None:
         """Wait for all that was decoded by `until_ns`, and let it be heard at its own instant."""
         while self._decoding and self._decoding[0][0] <= until_ns:
             heard_ns, block, capture_ns = self._decoding.popleft()
             decoded, clicks = self._decoder.next_result()
-            stamp = self._receiving.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
+            stamp = self._receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
             if stamp is not None:
                 self._showing.handle_shown(self._stream, stamp, heard_ns)
                 self._recall.add(block.timestamp, stamp.capture_ns)

@@ -2,9 +2,15 @@
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 from kontur_av.media import AccessUnit, CaptureStamp
-from pipelines.cores.sending import VideoSending, VoiceSending
+from kontur_av.streams.video_sender import VideoSender
+from kontur_av.streams.voice_sender import VoiceSender
+from pipelines.cores.gain import CapGain
+from pipelines.cores.stream_figures import Outgoing, tell_sender
+from pipelines.cores.video_sending import LinkedVideoSender
+from pipelines.runtime.probe import Probe
 from pipelines.simulation.agenda import Agenda, Timer
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.studio import Picture
@@ -14,42 +20,41 @@ from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 
 
-class _Sender:
+class _Process:
     """Sends what is due, and looks for what to encode."""
 
     def __init__(
         self,
         stream: str,
-        sending: VideoSending | VoiceSending,
+        sender: VideoSender | VoiceSender,
+        probe: Probe,
         *,
         agenda: Agenda,
         gateway: Gateway,
-        ntp: Callable[[int], int],
     ) -> None:
-        self._rtp, self._rtcp = stream, f"{stream}_rtcp"
-        self._sending = sending
+        self._sender = sender
+        self._probe = probe
         self._agenda = agenda
         self._gateway = gateway
-        self._ntp = ntp
+        self._outgoing = Outgoing(
+            sender,
+            probe,
+            partial(gateway.handle_datagram, stream),
+            partial(gateway.handle_datagram, f"{stream}_rtcp"),
+        )
         #: Whether it is encoding.
         self._busy = False
         self._timer = Timer(agenda, self._wake)
-        self.tell = sending.tell
 
     def _wake(self, now_ns: int) -> None:
         self._send_due(now_ns)
 
     def _send_due(self, now_ns: int) -> None:
-        handle_datagram = self._gateway.handle_datagram
-        while (packet := self._sending.poll_transmit(now_ns)) is not None:
-            handle_datagram(self._rtp, packet, now_ns)
-        report = self._sending.poll_report(now_ns, self._ntp)
-        if report is not None:
-            handle_datagram(self._rtcp, report, now_ns)
-        self._timer.set(self._sending.poll_timeout(), now_ns)
+        self._outgoing.handle_time(now_ns)
+        self._timer.set(self._sender.poll_timeout(), now_ns)
 
 
-class VideoSender(_Sender):
+class VideoSendProcess(_Process):
     """Encodes the newest picture when the stream's budget has room for one.
 
     Meanwhile packets leave: the live process encodes in a thread of its own.
@@ -58,20 +63,26 @@ class VideoSender(_Sender):
     def __init__(
         self,
         stream: str,
-        sending: VideoSending,
+        sender: VideoSender,
+        probe: Probe,
+        gain: CapGain | None = None,
         *,
         agenda: Agenda,
         gateway: Gateway,
-        ntp: Callable[[int], int],
         studio: Worker,
         costs: CodingCosts,
     ) -> None:
-        super().__init__(stream, sending, agenda=agenda, gateway=gateway, ntp=ntp)
-        self._core = sending
+        super().__init__(stream, sender, probe, agenda=agenda, gateway=gateway)
+        self._core = sender
+        self._linked = LinkedVideoSender(sender, gain)
         self._studio = studio
         self._cost_ns = costs.ns("encode")
         self._newest: tuple[Picture, CaptureStamp] | None = None
-        self.handle_feedback = sending.handle_feedback
+        self.handle_feedback = sender.handle_feedback
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        tell_sender(self._probe, self._core, self._linked.gain)
 
     def handle_picture(self, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture comes, and replaces the one before if that was not encoded."""
@@ -80,7 +91,7 @@ class VideoSender(_Sender):
         self._wake(now_ns)
 
     def _wake(self, now_ns: int) -> None:
-        self._core.handle_freed(self._gateway.freed_bps, now_ns)
+        self._linked.handle_freed(self._gateway.freed_bps, now_ns)
         self._look(now_ns)
         self._send_due(now_ns)
 
@@ -88,9 +99,13 @@ class VideoSender(_Sender):
         if self._busy or self._newest is None:
             return
         gateway = self._gateway
-        waiting_octets = gateway.sender.waiting_octets(Level.VIDEO)
-        self._core.handle_link(waiting_octets, gateway.contacts, gateway.supervisor.signal, now_ns)
-        coding = self._core.poll_encode(now_ns)
+        self._core.handle_channel(
+            gateway.sender.waiting_octets(Level.VIDEO),
+            now_ns,
+            contacts=gateway.contacts,
+            way_back=gateway.supervisor.signal,
+        )
+        coding = self._linked.poll_encode(now_ns)
         if coding is None:
             return
         (picture, stamp), self._newest = self._newest, None
@@ -100,14 +115,14 @@ class VideoSender(_Sender):
 
     def _finish(self, job: Job, stamp: CaptureStamp, now_ns: int) -> None:
         data, keyframe = job.result()
-        self._core.handle_freed(self._gateway.freed_bps, now_ns)
-        self._core.handle_access_unit(AccessUnit(data, stamp, keyframe, now_ns))
+        self._linked.handle_freed(self._gateway.freed_bps, now_ns)
+        self._core.handle_access_unit(AccessUnit(data, stamp, keyframe), now_ns)
         self._busy = False
         self._send_due(now_ns)
         self._look(now_ns)
 
 
-class VoiceSender(_Sender):
+class VoiceSendProcess(_Process):
     """Encodes every block of sound as it comes.
 
     Meanwhile nothing leaves: the live process, too, does one after the other.
@@ -116,19 +131,23 @@ class VoiceSender(_Sender):
     def __init__(
         self,
         stream: str,
-        sending: VoiceSending,
+        sender: VoiceSender,
+        probe: Probe,
         *,
         agenda: Agenda,
         gateway: Gateway,
-        ntp: Callable[[int], int],
         studio: Worker,
         costs: CodingCosts,
     ) -> None:
-        super().__init__(stream, sending, agenda=agenda, gateway=gateway, ntp=ntp)
-        self._core = sending
+        super().__init__(stream, sender, probe, agenda=agenda, gateway=gateway)
+        self._core = sender
         self._studio = studio
         self._cost_ns = costs.ns("voice_encode")
         self._waiting: deque[tuple[CaptureStamp, WorldState | None]] = deque(maxlen=8)
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        tell_sender(self._probe, self._core)
 
     def handle_sound(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
         """A block of sound is complete; state: of the world, None for a file's."""

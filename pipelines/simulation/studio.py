@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S, ManualClock
+from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
@@ -15,7 +16,6 @@ from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, empty_pi
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.sources.stereo import merge
-from kontur_av.streams.coding import Coding, encode
 from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.setup.table import VideoStream, VoiceStream
 from telepresence.world import WorldState, audio_scenes, render
@@ -86,7 +86,7 @@ class VideoStudio:
             merge(parts[0], parts[1], picture)
         assert picture is not None
         stamp = CaptureStamp(0, self._encoder.encoded, self._stream.name)
-        unit = encode(self._encoder, VideoFrame(picture, stamp), coding, lambda: 0)
+        unit = self._encoder.encode(VideoFrame(picture, stamp), coding)
         return unit.data, unit.keyframe
 
     def _picture(self, shot: Shot, room: I420) -> I420:

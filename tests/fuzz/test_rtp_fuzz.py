@@ -8,7 +8,7 @@ import contextlib
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kontur_av.clock import NS_PER_MS, ManualClock
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import (
@@ -55,7 +55,7 @@ class Stream:
         for number, units in enumerate(pictures):
             stamp = CaptureStamp(number * 33 * NS_PER_MS, number, "fuzz")
             data = join_annex_b(units)
-            self.packets += sender.video_packets(AccessUnit(data, stamp, False, 0))
+            self.packets += sender.video_packets(AccessUnit(data, stamp, False)).packets
             self.sent[sender.timestamp(stamp.capture_ns)] = data
         self.receiver = RtpReceiver(
             payload_type=96, clock_rate_hz=90_000, reorder_depth_ns=10 * NS_PER_MS
@@ -193,7 +193,7 @@ REPORTS = st.one_of(RTCP, SENDER_REPORT, GOODBYE, st.tuples(SENDER_REPORT, GOODB
     st.sampled_from([3, 40, 700]),
 )
 def test_the_receiver_survives_any_datagrams(datagrams, reports, apart_ms):
-    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000, from_ntp=ManualClock().from_ntp)
+    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
     depacketizer, playout = H264Depacketizer(), PlayoutBuffer()
     for index, datagram in enumerate(datagrams):
         now_ns = index * apart_ms * NS_PER_MS

@@ -72,8 +72,8 @@ SHELLS = {
     "pipelines/runtime/gateway_ports.py": "the sockets of a gateway",
     "pipelines/commands/devices.py": "asks the system for its devices",
     "pipelines/commands/doctor.py": "asks the system for everything",
-    "kontur_av/streams/doorbell.py": "a file descriptor",
     "kontur_av/streams/encoding_thread.py": "a thread",
+    "kontur_av/streams/udp.py": "sockets",
     "pipelines/runtime/launcher.py": "processes",
     "pipelines/commands/link.py": "a command",
     "pipelines/runtime/probe.py": "the socket of a process to its launcher",
@@ -85,7 +85,7 @@ SHELLS = {
     "pipelines/commands/send_media.py": "random numbers of a stream",
     "pipelines/runtime/sessions.py": "processes, and what they leave",
     "pipelines/simulation/workers.py": "processes",
-    "pipelines/commands/sinks.py": "a random number of a receiver",
+    "pipelines/commands/receive_media.py": "a random number of a receiver",
     "pipelines/commands/stream.py": "a command",
     "telepresence/haptics/device/gamepad.py": "a device",
 }

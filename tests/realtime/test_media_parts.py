@@ -19,6 +19,7 @@ from kontur_av.media import (
     VIDEO_CLOCK_HZ,
     AudioFrame,
     CaptureStamp,
+    Quality,
     VideoFrame,
     empty_picture,
 )
@@ -26,7 +27,7 @@ from kontur_av.rtp.sender import RtpSender
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
 from pipelines.parts.capture import run_microphone
-from pipelines.parts.display import CONCEALED, run_display
+from pipelines.parts.display import run_display
 from pipelines.parts.video_receive import run_video_receive
 from pipelines.parts.video_send import run_video_send
 from pipelines.parts.voice_receive import run_voice_receive
@@ -35,7 +36,6 @@ from pipelines.runtime.process import LOOPBACK, Context
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.setup.names import (
     BACKLOG,
-    DAMAGED,
     LAG,
     SELECTED_TOPIC,
     VIDEO_PAYLOAD_TYPE,
@@ -113,6 +113,7 @@ def rtp_sender(payload_type, clock_rate_hz):
         timestamp_offset=0,
         cname="gnd",
         report_interval_ns=NS_PER_S,
+        wall_offset_ns=CLOCK.wall_offset_ns,
     )
 
 
@@ -132,8 +133,9 @@ def test_a_sound_that_was_made_up_is_not_displayed(session):
         TopicBus(session) as bus,
     ):
         writer = bus.writer(received_topic(stream.name), max_octets=1920)
-        for number, source in enumerate([stream.name, CONCEALED, CONCEALED, stream.name]):
-            stamp = CaptureStamp(CLOCK.now_ns(), number, source)
+        fresh, concealed = Quality.FRESH, Quality.CONCEALED
+        for number, quality in enumerate([fresh, concealed, concealed, fresh]):
+            stamp = CaptureStamp(CLOCK.now_ns(), number, stream.name, quality, number)
             writer.publish_audio(AudioFrame(SOUND, stamp))
         counter = f"{stream.name}.frames_displayed"
         eventually(lambda: listen().totals[counter] == 2 or None)
@@ -170,7 +172,7 @@ def test_a_picture_that_grows_old_is_marked_on_the_display_and_nowhere_else(sess
             return eventually(look)
 
         captured_ns = CLOCK.now_ns()
-        stamp = CaptureStamp(captured_ns, 7, stream.name)
+        stamp = CaptureStamp(captured_ns, 7, stream.name, rtp_timestamp=2**32 - 7)
         writer.publish_video(VideoFrame(picture, stamp))
         assert shown(False) == stamp
         assert shown(True) == stamp
@@ -182,7 +184,7 @@ def test_a_picture_that_grows_old_is_marked_on_the_display_and_nowhere_else(sess
             displayed_ns, latency_ns = LAG.unpack(lease.octets())
         assert displayed_ns - latency_ns == captured_ns
         eventually(lambda: listen().gauges.get(f"{stream.name}.state") == "stale" or None)
-        stamp = CaptureStamp(CLOCK.now_ns(), 8, DAMAGED)
+        stamp = CaptureStamp(CLOCK.now_ns(), 8, stream.name, Quality.DAMAGED, 8)
         writer.publish_video(VideoFrame(picture, stamp))
         assert shown(False) == stamp
     told = listen()
@@ -202,8 +204,8 @@ def test_a_gap_in_a_voice_is_made_up_and_marked(session):
     stream = SETUP.uplink_voice
     rtp, encoder = rtp_sender(VOICE_PAYLOAD_TYPE, AUDIO_CLOCK_HZ), OpusEncoder(bitrate_bps=8000)
     ports = SETUP.ports
-    own, lost, spoilt = stream.name, 3, 4
-    sources = {}
+    own, made_up, lost, spoilt = Quality.FRESH, Quality.CONCEALED, 3, 4
+    heard = {}
     with (
         running(session, run_voice_receive, stream=stream) as listen,
         TopicBus(session) as bus,
@@ -214,8 +216,8 @@ def test_a_gap_in_a_voice_is_made_up_and_marked(session):
 
         def told_apart():
             return any(
-                [sources.get(first + number) for number in range(7)]
-                == [own, own, own, CONCEALED, CONCEALED, own, own]
+                [heard.get(first + number) for number in range(7)]
+                == [own, own, own, made_up, made_up, own, own]
                 for first in range(0, 10 * rounds + 1, 10)
             )
 
@@ -223,8 +225,8 @@ def test_a_gap_in_a_voice_is_made_up_and_marked(session):
             for number in range(10 * rounds, 10 * rounds + 10):
                 capture_ns = begin_ns + number * 20 * NS_PER_MS
                 stamp = CaptureStamp(capture_ns, number, "ground_mic")
-                (packet,) = rtp.audio_packets(encoder.encode(SOUND), stamp)
-                report = rtp.poll_report(capture_ns, CLOCK.ntp)
+                (packet,) = rtp.audio_packets(encoder.encode(SOUND), stamp).packets
+                report = rtp.poll_report(capture_ns)
                 if report is not None:
                     udp.sendto(report, (LOOPBACK, ports.exit(f"{stream.name}_rtcp")))
                 if number % 10 == spoilt:
@@ -236,12 +238,12 @@ def test_a_gap_in_a_voice_is_made_up_and_marked(session):
                 while (lease := reader.next()) is not None:
                     with lease:
                         at_ns = lease.stamp.capture_ns - begin_ns
-                        sources[round(at_ns / (20 * NS_PER_MS))] = lease.stamp.source
+                        heard[round(at_ns / (20 * NS_PER_MS))] = lease.stamp.quality
             if told_apart():
                 break
         else:
-            pytest.fail(f"they were never told apart: {sources}")
-    assert all(sources.get(number) != own for number in sources if number % 10 in (lost, spoilt))
+            pytest.fail(f"they were never told apart: {heard}")
+    assert all(heard.get(number) != own for number in heard if number % 10 in (lost, spoilt))
     told = listen().totals
     assert told["frames_concealed"] >= 2
     assert told["frames_decoded"] <= 8 * (rounds + 1)
@@ -267,8 +269,8 @@ def test_pictures_of_the_setups_own_size_are_shown_and_larger_ones_counted(sessi
         for number in range(3):
             now_ns = CLOCK.now_ns()
             frame = VideoFrame(picture, CaptureStamp(now_ns, number, "left"))
-            packets = rtp.video_packets(encoder.encode(frame, CLOCK.now_ns))
-            report = rtp.poll_report(now_ns, CLOCK.ntp)
+            packets = rtp.video_packets(encoder.encode(frame)).packets
+            report = rtp.poll_report(now_ns)
             if report is not None:
                 udp.sendto(report, (LOOPBACK, ports.exit(f"{stream.name}_rtcp")))
             for packet in packets:

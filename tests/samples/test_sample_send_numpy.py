@@ -22,10 +22,8 @@ def test_send_numpy(tmp_path):
         udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         port = udp.getsockname()[1]
         sdp = tmp_path / "picture.sdp"
-        command = [sys.executable, SAMPLE, "--to", f"127.0.0.1:{port}", "--seconds", "2"]
-        done = subprocess.run(
-            [*command, "--cap-kbps", "85", "--sdp", sdp], capture_output=True, text=True, timeout=60
-        )
+        command = [sys.executable, SAMPLE, "127.0.0.1", str(port), "85", sdp, "2"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
         assert done.returncode == 0, done.stderr
         stream = parse_sdp(sdp.read_text())
         assert (stream.kind, stream.port) == ("video", port)

@@ -40,6 +40,7 @@ class Run:
 
 
 def send(pictures, cap_bps, channel_bps=None):
+    """Encode each picture at once that could start on the channel within its period."""
     encoder = H264Encoder(width=SIZE[0], height=SIZE[1], fps=FPS, cap_bps=cap_bps)
     pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps)
     sender = RtpSender(
@@ -66,14 +67,14 @@ def send(pictures, cap_bps, channel_bps=None):
         while (due_ns := pacer.poll_timeout()) is not None and due_ns < now_ns:
             drain(due_ns)
         run.captured += 1
-        if pacer.ready_for_picture(now_ns):
-            frame = VideoFrame(picture, CaptureStamp(now_ns, i, "test"))
-            unit = encoder.encode(frame, lambda now_ns=now_ns: now_ns)
-            packets = sender.video_packets(unit)
-            pacer.handle_access_unit(packets, [len(p) - RTP_HEADER_OCTETS for p in packets], now_ns)
+        if pacer.start_ns(now_ns) - now_ns <= NS_PER_S // FPS:
+            unit = encoder.encode(VideoFrame(picture, CaptureStamp(now_ns, i, "test")))
+            packets, _, octets = sender.video_packets(unit)
+            pacer.handle_access_unit(packets, octets, now_ns)
             last_of[packets[-1]] = (now_ns, unit.data)
+        else:
+            run.refused += 1
         drain(now_ns)
-    run.refused = pacer.pictures_refused
     assert run.captured == encoder.encoded + run.refused
     assert decoder.corrupt_units == decoder.units_before_start == 0
     return run

@@ -9,10 +9,12 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.sender import RTP_HEADER_OCTETS
+from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from pipelines.commands.simulate import simulate
 from pipelines.cores.gain import STEADY_NS, gain_of
-from pipelines.cores.sending import RtpIdentity, VideoSending
+from pipelines.cores.session_streams import video_sender
+from pipelines.cores.stream_figures import Outgoing
+from pipelines.cores.video_sending import LinkedVideoSender
 from pipelines.runtime.probe import Probe
 from pipelines.setup.built_in import BUILT_IN
 from telepresence.link.flows import Level
@@ -50,15 +52,22 @@ class Ground:
         )
         # Simulates a peer that is heard; no real one is needed.
         self.gateway.sender.set_patience(None)
-        identity = RtpIdentity(1, 2, 3)
         self.probe = Probe(None)
-        gain = gain_of(SETUP, STREAM)
-        self.sending = VideoSending(STREAM, SETUP.uplink, identity, self.probe, gain)
+        self.use(gain_of(SETUP, STREAM))
         self.random = Random(1)
+
+    def use(self, gain):
+        self.sender = video_sender(SETUP, STREAM, RtpIdentity(1, 2, 3), wall_offset_ns=0)
+        self.linked = LinkedVideoSender(self.sender, gain)
+        self.outgoing = Outgoing(self.sender, self.probe, self.handle_rtp, lambda *_: None)
+
+    def handle_rtp(self, packet, now_ns):
+        self.left.append((now_ns, len(packet) - RTP_HEADER_OCTETS))
+        self.gateway.handle_datagram("uplink_video", packet, now_ns)
 
     def run(self, pattern, seconds):
         """pattern(slot): whether the slot has a sample."""
-        gateway, sending = self.gateway, self.sending
+        gateway, sender, linked = self.gateway, self.sender, self.linked
         ready_ns, cap_bps = None, STREAM.cap_bps
         for slot in range(seconds * 1000):
             now_ns = slot * NS_PER_MS
@@ -72,14 +81,14 @@ class Ground:
             if slot % self.told_every_ms == 0:
                 freed_bps = gateway.freed_bps // 1000 * 1000
                 waiting = gateway.sender.waiting_octets(Level.VIDEO)
-                sending.handle_freed(freed_bps, now_ns)
-                sending.handle_link(waiting, 0, True, now_ns)
+                linked.handle_freed(freed_bps, now_ns)
+                sender.handle_channel(waiting, now_ns, contacts=0, way_back=True)
                 self.waited[waiting // 200] += 1
             if slot % 33 == 0:
                 stamp = CaptureStamp(now_ns, slot, "test")
-                sending.handle_picture(stamp, now_ns)
+                sender.handle_picture(stamp, now_ns)
             if ready_ns is None:
-                coding = sending.poll_encode(now_ns)
+                coding = linked.poll_encode(now_ns)
                 if coding is not None:
                     ready_ns = now_ns + CODING_NS
                     cap_bps = coding.cap_bps or cap_bps
@@ -87,10 +96,8 @@ class Ground:
                 ready_ns = None
                 octets = round(cap_bps / 240 * self.random.uniform(0.7, 1.5))
                 nal = b"\0\0\0\1\x41" + bytes(0x55 for _ in range(octets))
-                sending.handle_access_unit(AccessUnit(nal, stamp, False, now_ns))
-            while (packet := sending.poll_transmit(now_ns)) is not None:
-                self.left.append((now_ns, len(packet) - RTP_HEADER_OCTETS))
-                gateway.handle_datagram("uplink_video", packet, now_ns)
+                sender.handle_access_unit(AccessUnit(nal, stamp, False), now_ns)
+            self.outgoing.handle_time(now_ns)
             self.caps.append(self.probe.rows("out")[-1] if self.left else STREAM.cap_bps)
         return self
 
@@ -163,7 +170,7 @@ def test_no_sliding_second_exceeds_the_cap_and_the_freed_capacity(pattern):
 
 def test_without_a_deadband_the_cap_stays():
     ground = Ground()
-    ground.sending = VideoSending(STREAM, SETUP.uplink, RtpIdentity(1, 2, 3), ground.probe)
+    ground.use(None)
     ground.run(lambda slot: False, 8)
     assert set(ground.caps) == {STREAM.cap_bps}
 

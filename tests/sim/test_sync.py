@@ -6,9 +6,9 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
+from kontur_av.streams import voice_sender
+from kontur_av.streams.video_receiver import VideoReceiver
 from pipelines.commands.simulate import simulate
-from pipelines.cores import sending
-from pipelines.cores.receiving import VideoReceiving
 from pipelines.report.model import Ranks
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 from telepresence.haptics.loop import HapticLink
@@ -44,8 +44,8 @@ def broken(setup):
     """The same session with every stamp shifted by an amount that would spoil a result."""
     with pytest.MonkeyPatch.context() as patch:
         shown, heard, felt = (
-            VideoReceiving.handle_picture,
-            sending.heard_stamp,
+            VideoReceiver.handle_picture,
+            voice_sender.heard_stamp,
             HapticLink.take_sent_stamps,
         )
 
@@ -55,11 +55,11 @@ def broken(setup):
             return replace(stamp, capture_ns=stamp.capture_ns + by_ms * NS_PER_MS)
 
         patch.setattr(
-            VideoReceiving,
+            VideoReceiver,
             "handle_picture",
             lambda *args, **options: later(shown(*args, **options), 40),
         )
-        patch.setattr(sending, "heard_stamp", lambda stamp: later(heard(stamp), 5))
+        patch.setattr(voice_sender, "heard_stamp", lambda stamp: later(heard(stamp), 5))
         patch.setattr(
             HapticLink,
             "take_sent_stamps",

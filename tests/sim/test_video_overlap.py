@@ -5,16 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame
-from kontur_av.streams.coding import encode
-from pipelines.cores.sending import RtpIdentity, VideoSending
+from kontur_av.rtp.sender import RtpIdentity
+from kontur_av.streams.video_sender import VideoSender
 from pipelines.runtime.probe import Probe
-from pipelines.setup.table import VideoStream
+from pipelines.setup.table import VIDEO_PAYLOAD_OCTETS, VideoStream
 from pipelines.simulation.agenda import Agenda
 from pipelines.simulation.costs import CodingCosts
-from pipelines.simulation.senders import VideoSender
+from pipelines.simulation.senders import VideoSendProcess
 from pipelines.simulation.workers import Job
 
 STREAM = VideoStream(name="video", cap_bps=512_000)
@@ -38,7 +38,7 @@ class Studio:
         number, coding = job
         self.encoded.append(number)
         frame = VideoFrame(self.pictures[number], CaptureStamp(0, number, "test"))
-        unit = encode(self.encoder, frame, coding, lambda: 0)
+        unit = self.encoder.encode(frame, coding)
         done = Job(None)
         done.set((unit.data, unit.keyframe))
         return done
@@ -67,14 +67,20 @@ class Channel:
 def test_coding_and_sending_overlap(pictures, coding_ms):
     film = pictures("bikes.mp4", SECONDS * STREAM.fps)
     studio, channel, agenda = Studio(film), Channel(), Agenda()
-    sender = VideoSender(
+    core = VideoSender(
+        cap_bps=STREAM.cap_bps,
+        fps=STREAM.fps,
+        identity=RtpIdentity(1, 2, 3),
+        cname="test",
+        channel_bps=CHANNEL_BPS,
+        max_payload_octets=VIDEO_PAYLOAD_OCTETS,
+    )
+    sender = VideoSendProcess(
         STREAM.name,
-        VideoSending(
-            STREAM, SimpleNamespace(media_bps=CHANNEL_BPS), RtpIdentity(1, 2, 3), Probe(None)
-        ),
+        core,
+        Probe(None),
         agenda=agenda,
         gateway=channel,
-        ntp=ManualClock().ntp,
         studio=studio,
         costs=CodingCosts(encode_ms=coding_ms),
     )

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import Quality
 from pipelines.commands.simulate import simulate
 from pipelines.cores.choosing import CameraChoice
 from pipelines.cores.showing import Showing
-from pipelines.setup.names import DAMAGED
 from pipelines.setup.setup_file import load_setup
 from pipelines.simulation.session import Selection
 
@@ -26,7 +26,7 @@ def shown(monkeypatch):
 
     def record(self, stream, stamp, now_ns):
         if stream == "uplink_video":
-            pictures.append((stamp.capture_ns, now_ns, stamp.source == DAMAGED))
+            pictures.append((stamp.capture_ns, now_ns, stamp.quality is Quality.DAMAGED))
         handle_shown(self, stream, stamp, now_ns)
 
     monkeypatch.setattr(Showing, "handle_shown", record)

@@ -60,7 +60,7 @@ def listen(arrivals):
         stamp = CaptureStamp(number * BLOCK_MS * NS_PER_MS, number, "mic")
         speaks = 0x80 if number % SENTENCE < SPOKEN else 0
         payload = bytes((0x08, speaks)) + number.to_bytes(2, "big")
-        (packet,) = sender.audio_packets(payload, stamp)
+        (packet,) = sender.audio_packets(payload, stamp).packets
         receiver.handle_packet(packet, now_ns)
         while (event := receiver.next_event()) is not None:
             buffer.handle_packet(event)

@@ -2,7 +2,6 @@
 
 import pytest
 
-from kontur_av.clock import ManualClock
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import packetize, parse_payload, split_annex_b
 from kontur_av.rtp.payload_opus import opus_samples
@@ -32,20 +31,19 @@ def sender(**changes) -> RtpSender:
 def test_an_rtp_packet_octet_for_octet():
     # 1 s after the epoch of the clock: 90000 = 0x15F90 ticks after the offset.
     stamp = CaptureStamp(1_000_000_000, 0, "left")
-    unit = AccessUnit(b"\x00\x00\x00\x01\x41\x9a\x55", stamp, False, 0)
-    (packet,) = sender().video_packets(unit)
+    unit = AccessUnit(b"\x00\x00\x00\x01\x41\x9a\x55", stamp, False)
+    (packet,) = sender().video_packets(unit).packets
     # V=2, no padding, extension or CSRC | marker, type 96 | sequence | timestamp | SSRC | NAL unit
     assert packet == bytes.fromhex("80 e0 1234 01015f90 deadbeef 419a55")
 
 
 def test_a_sender_report_octet_for_octet():
     rtp = sender()
-    clock = ManualClock()
     capture_ns = 1_500_000_000  # 1.5 s after 1970: NTP 2208988801.5
     rtp.video_packets(
-        AccessUnit(b"\x00\x00\x01\x41\x9a\x55", CaptureStamp(capture_ns, 0, "left"), False, 0)
+        AccessUnit(b"\x00\x00\x01\x41\x9a\x55", CaptureStamp(capture_ns, 0, "left"), False)
     )
-    assert rtp.poll_report(capture_ns, clock.ntp) == bytes.fromhex(
+    assert rtp.poll_report(capture_ns) == bytes.fromhex(
         "80 c8 0006 deadbeef"  # V=2, no report blocks, SR, 7 words
         "83aa7e81 80000000"  # NTP: 2208988801 s and a half
         "01020f58"  # RTP: 0x01000000 + 135000

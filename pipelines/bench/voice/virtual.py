@@ -5,16 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_S, ManualClock
-from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
-from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, CaptureStamp, Pcm
-from kontur_av.sources.source import BLOCK_NS
+from kontur_av.clock import NS_PER_S
+from kontur_av.codecs.opus import OpusEncoder
+from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_NS, BLOCK_SAMPLES, CaptureStamp, Pcm
+from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.bench.voice.network import Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track
-from pipelines.cores.receiving import VoiceReceiving
-from pipelines.cores.sending import RtpIdentity, VoiceSending
-from pipelines.runtime.probe import Probe
+from pipelines.cores.session_streams import voice_receiver, voice_sender
 from pipelines.setup.table import Setup, VoiceStream
 from pipelines.simulation.costs import CodingCosts
 
@@ -47,21 +46,20 @@ def speak(
     """The packets of the track, from the session's own cores."""
     costs = costs or CodingCosts()
     sent: list[Sent] = []
-    encoder = OpusEncoder(bitrate_bps=bitrate_under_cap(stream.cap_bps))
     identity = RtpIdentity(ssrc=0x6B6F6E74, first_sequence=65_000, timestamp_offset=1 << 31)
-    sending = VoiceSending(stream, setup.profile_of(stream), identity, Probe(None))
-    ntp = ManualClock().ntp
+    sender = voice_sender(setup, stream, identity, wall_offset_ns=0)
+    encoder = OpusEncoder(bitrate_bps=sender.bitrate_bps)
     for number in range(track.blocks):
         samples = track.samples[number * BLOCK_SAMPLES : (number + 1) * BLOCK_SAMPLES]
         stamp = CaptureStamp(number * BLOCK_NS, number, "bench")
         complete_ns = stamp.capture_ns + BLOCK_NS
-        if not sending.handle_block(stamp, complete_ns):
+        if not sender.handle_block(stamp, complete_ns):
             continue
         encoded_ns = complete_ns + costs.ns("voice_encode")
-        sending.handle_packet(encoder.encode(samples), stamp, encoded_ns)
+        sender.handle_packet(encoder.encode(samples), stamp, encoded_ns)
         # The pacer of a voice holds nothing back that comes in step.
-        while (packet := sending.poll_transmit(encoded_ns)) is not None:
-            sent.append((encoded_ns, packet, sending.poll_report(encoded_ns, ntp)))
+        while (packet := sender.poll_transmit(encoded_ns)) is not None:
+            sent.append((encoded_ns, packet, sender.poll_report(encoded_ns)))
     return sent
 
 
@@ -74,23 +72,23 @@ def listen(
 ) -> Heard:
     """What is heard of `sent` behind the network, with the session's own cores."""
     costs = costs or CodingCosts()
-    receiving = VoiceReceiving(setup, stream, ManualClock().from_ntp, Probe(None))
-    ear = _Ear(receiving, costs.ns("voice_decode"))
+    receiver = voice_receiver(setup, stream, wall_offset_ns=0)
+    ear = _Ear(receiver, costs.ns("voice_decode"))
     lost = network.lost(len(sent), spared=LEAD_IN_BLOCKS)
     delays_ns = network.delays_ns(len(sent))
     heard = Heard(np.zeros(0, np.int16), 0, lost=len(lost))
     arrivals: list[Sent] = []
     for number, (sent_ns, packet, report) in enumerate(sent):
         heard.packets += 1
-        heard.payload_octets += len(packet) - 12
+        heard.payload_octets += len(packet) - RTP_HEADER_OCTETS
         if number not in lost:
             arrivals.append((sent_ns + delays_ns[number], packet, report))
     arrivals.sort(key=lambda arrival: arrival[0])
     for arrival_ns, packet, report in arrivals:
         ear.handle_time(arrival_ns)
         if report is not None:
-            receiving.handle_report(report, arrival_ns)
-        receiving.handle_packet(packet, arrival_ns)
+            receiver.handle_report(report, arrival_ns)
+        receiver.handle_packet(packet, arrival_ns)
         ear.handle_time(arrival_ns)
     ear.handle_time(arrivals[-1][0] + NS_PER_S)
     ear.fill(heard)
@@ -100,8 +98,8 @@ def listen(
 class _Ear:
     """Plays blocks when they are due, and keeps their samples and instants."""
 
-    def __init__(self, receiving: VoiceReceiving, cost_ns: int) -> None:
-        self._receiving = receiving
+    def __init__(self, receiver: VoiceReceiver, cost_ns: int) -> None:
+        self._receiver = receiver
         self._cost_ns = cost_ns
         self._player = VoicePlayer()
         self._pieces: list[tuple[int, Pcm]] = []
@@ -109,18 +107,18 @@ class _Ear:
         self._made_up = 0
 
     def handle_time(self, now_ns: int) -> None:
-        receiving = self._receiving
-        while (due_ns := receiving.poll_timeout()) is not None and due_ns <= now_ns:
-            receiving.handle_timeout(due_ns)
+        receiver = self._receiver
+        while (due_ns := receiver.poll_timeout()) is not None and due_ns <= now_ns:
+            receiver.handle_timeout(due_ns)
             self._drain()
         self._drain()
 
     def _drain(self) -> None:
-        while (block := self._receiving.next_event()) is not None:
+        while (block := self._receiver.next_event()) is not None:
             samples, decoded = self._player.play(block)
             heard_ns = block.play_ns + self._cost_ns
             self._pieces.append((heard_ns, samples))
-            capture_ns = self._receiving.capture_ns(block.timestamp)
+            capture_ns = self._receiver.capture_ns(block.timestamp)
             if not decoded:
                 self._made_up += len(samples)
             elif capture_ns is not None:

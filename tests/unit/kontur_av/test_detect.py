@@ -191,7 +191,7 @@ def test_a_touched_target_is_found_in_pictures_at_85_kbit_s(view):
         state = WorldState(number * NS_PER_S // fps, x - away_m, y, 1.0, touching)
         render(view, state, drawn, number)
         frame = VideoFrame(drawn, CaptureStamp(state.time_ns, number, view))
-        for picture in decoder.decode(encoder.encode(frame, lambda: 0).data, number):
+        for picture in decoder.decode(encoder.encode(frame).data, number):
             picture.scale_into(shown)
             detector.handle_picture(shown, state.time_ns, picture.timestamp)
         found += iter(detector.next_event, None)

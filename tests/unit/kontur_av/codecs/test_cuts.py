@@ -47,7 +47,7 @@ def test_footage_full_of_cuts_is_coded_small_and_they_are_on_time(pictures):
     decoder = H264Decoder()
     sizes, octets = [], []
     for n, picture in enumerate(pictures("bikes.mp4", 250)):
-        unit = encoder.encode(VideoFrame(picture, CaptureStamp(n, n, "t")), lambda: 0)
+        unit = encoder.encode(VideoFrame(picture, CaptureStamp(n, n, "t")))
         (shown,) = decoder.decode(unit.data, n)
         sizes.append((shown.width, shown.height))
         octets.append(len(unit.data))

@@ -40,7 +40,7 @@ def units():
         picture[:] = 128
         picture[:240] = np.roll(noise, 3 * number, axis=1)
         stamp = CaptureStamp(number * NS_PER_S // FPS, number, "test")
-        found.append(encoder.encode(VideoFrame(picture, stamp), lambda: 0))
+        found.append(encoder.encode(VideoFrame(picture, stamp)))
     return found
 
 

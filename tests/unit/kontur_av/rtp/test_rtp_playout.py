@@ -41,7 +41,7 @@ class Line:
             # TOC of 20 ms SILK, the voice activity flag, then the number of the block.
             flags = b"\0" if number in self.pauses else b"\x80"
             payload = b"\x08" + flags + number.to_bytes(2, "big")
-            (packet,) = self.sender.audio_packets(payload, stamp)
+            (packet,) = self.sender.audio_packets(payload, stamp).packets
             if arrival_ns is not None:
                 events.append((arrival_ns, packet))
         for arrival_ns, packet in sorted(events):
@@ -272,7 +272,7 @@ def test_a_copy_in_the_next_packet_is_used_if_present():
     events = []
     for n in range(40):
         stamp = CaptureStamp(n * BLOCK_NS, n, "mic")
-        (packet,) = line.sender.audio_packets(b"\x08\xc0" + n.to_bytes(2, "big"), stamp)
+        (packet,) = line.sender.audio_packets(b"\x08\xc0" + n.to_bytes(2, "big"), stamp).packets
         if n not in (10, 20, 21):
             events.append((n * BLOCK_NS, packet))
     for arrival_ns, packet in events:
@@ -329,7 +329,7 @@ def test_garbage_and_a_new_time_line():
     start_ns = 5 * NS_PER_S
     for n in range(10, 20):
         stamp = CaptureStamp(start_ns + n * BLOCK_NS, n + 10_000, "mic")
-        (packet,) = line.sender.audio_packets(b"\x08\x80" + n.to_bytes(2, "big"), stamp)
+        (packet,) = line.sender.audio_packets(b"\x08\x80" + n.to_bytes(2, "big"), stamp).packets
         line._advance(start_ns + n * BLOCK_NS)
         line.receiver.handle_packet(packet, start_ns + n * BLOCK_NS)
         line._pass_on()

@@ -87,28 +87,28 @@ def test_nothing_leaves_before_its_time_and_it_leaves_then():
     assert pacer.longest_wait_ns == 10 * MS
 
 
-def test_a_busy_channel_refuses_pictures_and_counts_them():
-    pacer = Pacer(cap_bps=80_000, slack_ns=33 * MS)
-    assert pacer.ready_for_picture(0)
+def test_the_next_picture_starts_when_the_channel_has_taken_those_before_it():
+    pacer = Pacer(cap_bps=80_000, picture_ns=33 * MS)
+    assert pacer.start_ns(0) == 0
     pacer.handle_access_unit([bytes(500)] * 2, [500] * 2, 0)
     pacer.poll_transmit(0)
-    assert not pacer.ready_for_picture(0)
+    assert pacer.start_ns(0) == 100 * MS
     pacer.poll_transmit(50 * MS)
-    assert not pacer.ready_for_picture(66 * MS)
-    assert pacer.pictures_refused == 2
-    assert pacer.ready_for_picture(68 * MS)
+    assert pacer.start_ns(66 * MS) == 100 * MS
+    assert pacer.start_ns(101 * MS) == 101 * MS
 
 
-def test_a_full_second_refuses_pictures_although_the_channel_is_free():
-    pacer = Pacer(cap_bps=80_000, channel_bps=8_000_000, picture_octets=1100)
+def test_a_full_second_delays_the_next_picture_although_the_channel_is_free():
+    pacer = Pacer(cap_bps=80_000, channel_bps=8_000_000, picture_ns=110 * MS)
+    assert pacer.picture_octets == 1100
     now = 0
     for _ in range(6):
         pacer.handle_access_unit([bytes(1500)], [1500], now)
         now = pacer.poll_timeout()
         assert pacer.poll_transmit(now) is not None
     assert now == 550 * MS
-    assert not pacer.ready_for_picture(now + 200 * MS)
-    assert pacer.ready_for_picture(1_000 * MS)
+    assert pacer.start_ns(now + 200 * MS) > now + 200 * MS + 33 * MS
+    assert pacer.start_ns(1_000 * MS) <= 1_000 * MS + 33 * MS
 
 
 def test_a_packet_that_can_never_leave_is_refused_at_once():

@@ -5,13 +5,15 @@ import threading
 
 import pytest
 
+from kontur_av.clock import ManualClock
+from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
-from kontur_av.streams.coding import Coding
 from kontur_av.streams.encoding_thread import EncodingThread
 
 WIDTH, HEIGHT = 64, 48
-LIKE_BEFORE = Coding(False, None, None)
+LIKE_BEFORE = Coding()
+CLOCK = ManualClock(7)
 
 
 def frame(number=0):
@@ -30,10 +32,10 @@ class Slow:
     def __init__(self):
         self.begun, self.may = threading.Event(), threading.Event()
 
-    def encode(self, given, now, *, force_keyframe):
+    def encode(self, given, coding):
         self.begun.set()
         assert self.may.wait(10)
-        return given.stamp.sequence, now(), force_keyframe
+        return given.stamp.sequence, coding.keyframe
 
 
 def test_what_the_thread_encodes_is_what_the_encoder_would():
@@ -41,19 +43,21 @@ def test_what_the_thread_encodes_is_what_the_encoder_would():
         return H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=85_000)
 
     alone, units = encoder(), []
-    with EncodingThread(encoder(), lambda: 7) as encoding:
+    with EncodingThread(encoder(), CLOCK) as encoding:
         for number in range(5):
             encoding.submit(frame(number), LIKE_BEFORE._replace(keyframe=number == 3))
             assert readable(encoding)
-            units.append(encoding.poll())
+            unit, encoded_ns = encoding.poll()
+            units.append(unit)
+            assert encoded_ns == 7
             assert not readable(encoding, 0)
-            assert units[-1] == alone.encode(frame(number), lambda: 7, force_keyframe=number == 3)
+            assert unit == alone.encode(frame(number), Coding(keyframe=number == 3))
     assert [unit.keyframe for unit in units] == [True, False, False, True, False]
 
 
 def test_while_it_encodes_the_loop_goes_on_and_gives_it_nothing_else():
     slow = Slow()
-    with EncodingThread(slow, lambda: 7) as encoding:
+    with EncodingThread(slow, CLOCK) as encoding:
         assert encoding.poll() is None
         encoding.submit(frame(4), LIKE_BEFORE)
         assert slow.begun.wait(10)
@@ -63,14 +67,14 @@ def test_while_it_encodes_the_loop_goes_on_and_gives_it_nothing_else():
             encoding.submit(frame(5), LIKE_BEFORE)
         slow.may.set()
         assert readable(encoding)
-        assert encoding.poll() == (4, 7, False)
+        assert encoding.poll() == ((4, False), 7)
         assert not encoding.busy
     encoding.close()
 
 
 def test_what_it_stumbles_over_ends_the_loop():
     encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=85_000)
-    with EncodingThread(encoder, lambda: 7) as encoding:
+    with EncodingThread(encoder, CLOCK) as encoding:
         other = VideoFrame(empty_picture(32, 32), CaptureStamp(0, 0, "test"))
         encoding.submit(other, LIKE_BEFORE)
         assert readable(encoding)

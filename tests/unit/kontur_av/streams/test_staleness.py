@@ -1,16 +1,17 @@
 """How old what is shown is, and for how long it was stale, frozen or damaged."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.media import CaptureStamp, empty_picture, planes
+from kontur_av.media import CaptureStamp, Quality, empty_picture, planes
 from kontur_av.streams.staleness import Staleness, State
 from pipelines.cores.showing import Showing
 from pipelines.parts.marking import age_words, mark_stale
 from pipelines.runtime.probe import Probe
 from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.names import CONCEALED, DAMAGED
 
 MS = NS_PER_MS
 
@@ -104,11 +105,12 @@ def test_what_is_made_up_makes_nothing_younger_and_all_is_told():
     showing.tell(0)
     assert "uplink_video.age_ns" not in probe.message.gauges
     for number in range(100):
-        source = "uplink_voice" if number < 10 else CONCEALED
         now_ns = 20 * number * MS
-        showing.handle_shown("uplink_voice", CaptureStamp(now_ns - 40 * MS, number, source), now_ns)
-        source = "uplink_video" if number < 50 else DAMAGED
-        showing.handle_shown("uplink_video", CaptureStamp(now_ns - 40 * MS, number, source), now_ns)
+        captured = CaptureStamp(now_ns - 40 * MS, number, "test", rtp_timestamp=number)
+        quality = Quality.FRESH if number < 10 else Quality.CONCEALED
+        showing.handle_shown("uplink_voice", replace(captured, quality=quality), now_ns)
+        quality = Quality.FRESH if number < 50 else Quality.DAMAGED
+        showing.handle_shown("uplink_video", replace(captured, quality=quality), now_ns)
     showing.tell(2 * NS_PER_S)
     totals, gauges = probe.message.totals, probe.message.gauges
     assert totals["uplink_voice.frames_displayed"] == 10

@@ -71,7 +71,7 @@ def test_numbers_are_read_after_hard_compression_and_in_a_smaller_size(coded):
         small = np.empty((coded[1] * 3 // 2, coded[0]), np.uint8)
         for plane, target in zip(planes(picture), planes(small), strict=True):
             cv2.resize(plane, target.shape[::-1], dst=target, interpolation=cv2.INTER_AREA)
-        unit = encoder.encode(VideoFrame(small, CaptureStamp(0, number, "test")), lambda: 0)
+        unit = encoder.encode(VideoFrame(small, CaptureStamp(0, number, "test")))
         for decoded in decoder.decode(unit.data, number):
             luma = planes(decoded.to_i420())[0]
             full = cv2.resize(luma, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)

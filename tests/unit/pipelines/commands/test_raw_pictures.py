@@ -24,7 +24,7 @@ def decoded() -> list[DecodedPicture]:
     for number in range(6):
         picture = np.full((HEIGHT * 3 // 2, WIDTH), 128, np.uint8)
         picture[:HEIGHT] = 40 + 30 * number
-        unit = encoder.encode(VideoFrame(picture, CaptureStamp(0, number, "test")), lambda: 0)
+        unit = encoder.encode(VideoFrame(picture, CaptureStamp(0, number, "test")))
         found += decoder.decode(unit.data, number)
     assert len(found) == 6
     return found

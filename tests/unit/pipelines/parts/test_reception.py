@@ -46,7 +46,7 @@ def context(tmp_path, monkeypatch):
 
 def test_a_restarted_receiver_knows_the_last_report_whatever_came_after_it(context):
     def receiver():
-        return RtpReceiver(payload_type=96, clock_rate_hz=90_000, from_ntp=context.clock.from_ntp)
+        return RtpReceiver(payload_type=96, clock_rate_hz=90_000)
 
     sender = RtpSender(
         payload_type=96,
@@ -56,9 +56,9 @@ def test_a_restarted_receiver_knows_the_last_report_whatever_came_after_it(conte
         timestamp_offset=0,
         cname="gnd",
     )
-    unit = AccessUnit(b"\x00\x00\x01\x41\x88\x01", CaptureStamp(10**9, 0, "test"), False, 0)
-    first, second = sender.video_packets(unit) + sender.video_packets(unit)
-    report = sender.poll_report(0, context.clock.ntp)
+    unit = AccessUnit(b"\x00\x00\x01\x41\x88\x01", CaptureStamp(10**9, 0, "test"), False)
+    first, second = sender.video_packets(unit).packets + sender.video_packets(unit).packets
+    report = sender.poll_report(0)
     before = receiver()
     for packet in (first, second):
         before.handle_packet(packet, 0)

@@ -167,7 +167,7 @@ def test_the_reserve_holds_the_reports_and_the_telemetry_of_a_session():
         cname=cname("uplink_video"),
     )
     rtp.audio_packets(b"\x08", CaptureStamp(0, 0, "test"))
-    report = rtp.poll_report(0, lambda now_ns: now_ns)
+    report = rtp.poll_report(0)
     state = pack_packet(Housekeeping("taskboard1", contact=True, force_n=1.0), 0)
     octets_per_s = 2 * (TAG_OCTETS + len(report)) * 1e9 / REPORT_INTERVAL_NS
     octets_per_s += (TAG_OCTETS + RESUME_OCTETS + len(state)) * 1e9 / HOUSEKEEPING_INTERVAL_NS

@@ -1,0 +1,180 @@
+"""A stream of pictures, from the display's side: access units to decode, and what may be shown."""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.codecs.healing import Healing
+from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality
+from kontur_av.rtp.feedback import PictureLossReporter
+from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
+from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
+from kontur_av.rtp.wire import empty_receiver_report
+
+#: How often a receiver that keeps alive tells the sender that it hears it.
+KEEP_ALIVE_NS = NS_PER_S
+#: So many damaged units may wait in a decoder.
+_REMEMBERED = 256
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VideoReceiverCounts:
+    """rtp: packets. jitter_ns: of their arrival (RFC 3550 appendix A.8). units: access units.
+    damaged: of these, with packets missing. undated: pictures of which no sender report says how
+    old they are. oversized: pictures larger than wanted. asked: whole pictures asked for."""
+
+    rtp: ReceiverCounts
+    jitter_ns: int
+    units: int
+    damaged: int
+    undated: int
+    oversized: int
+    asked: int
+
+
+class VideoReceiver:
+    """Receives pictures as H.264 over RTP. A core: it is told the time.
+
+    1. Pass datagrams to `handle_packet` and `handle_report`, and call `handle_timeout` at
+       `poll_timeout`.
+    2. Decode each unit of `next_event`, in order, with its timestamp.
+    3. Ask `handle_picture` for the stamp of each picture that the decoder returns.
+    4. Send what `poll_feedback` returns to the sender's RTCP port.
+
+    ssrc: the receiver's own, 32 random bits.
+    name: stands as the source in the stamps.
+    wall_offset_ns: an instant plus this is the Unix time, which sender reports tell.
+    parameter_sets: SPS and PPS of the SDP, if it has any.
+    largest: width and height of the largest picture wanted; None: any.
+    keep_alive_ns: how often the sender is told that it is heard, so that it may refresh slowly;
+        None: never, where the channel counts each octet.
+    """
+
+    def __init__(
+        self,
+        *,
+        ssrc: int,
+        name: str = "video",
+        wall_offset_ns: int = 0,
+        parameter_sets: tuple[bytes, ...] = (),
+        largest: tuple[int, int] | None = None,
+        keep_alive_ns: int | None = KEEP_ALIVE_NS,
+        payload_type: int = VIDEO_PAYLOAD_TYPE,
+    ) -> None:
+        self._receiver = RtpReceiver(
+            payload_type=payload_type, clock_rate_hz=VIDEO_CLOCK_HZ, wall_offset_ns=wall_offset_ns
+        )
+        self._ssrc = ssrc
+        self._name = name
+        self._most_pixels = None if largest is None else largest[0] * largest[1]
+        self._depacketizer = H264Depacketizer(parameter_sets)
+        self._healing = Healing()
+        #: Timestamps of units that are being decoded and will show damage.
+        self._hurt: OrderedDict[int, None] = OrderedDict()
+        self._losses = PictureLossReporter(ssrc=ssrc)
+        self._keep_alive_ns = keep_alive_ns
+        self._alive_due_ns: int | None = None
+        #: Whether the decoder has had a picture to start at.
+        self._begun = False
+        self._shown = self._undated = self._oversized = 0
+
+    @property
+    def ended(self) -> bool:
+        """Whether the sender has said goodbye."""
+        return self._receiver.ended
+
+    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
+        """A datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards."""
+        self._receiver.handle_packet(datagram, now_ns)
+
+    def handle_report(self, datagram: bytes, now_ns: int) -> bool:
+        """A datagram of the RTCP port; True if it says how old pictures are.
+
+        Garbage is counted. Drain `next_event` afterwards.
+        """
+        return self._receiver.handle_report(datagram, now_ns)
+
+    def handle_timeout(self, now_ns: int) -> None:
+        """Give up what has not come by now. Drain `next_event` afterwards."""
+        self._receiver.handle_timeout(now_ns)
+
+    def poll_timeout(self) -> int | None:
+        """When `handle_timeout` or `poll_feedback` wants to be called."""
+        due = [self._receiver.poll_timeout(), self._losses.poll_timeout(), self._alive_due_ns]
+        return min((due_ns for due_ns in due if due_ns is not None), default=None)
+
+    def poll_feedback(self, now_ns: int) -> bytes | None:
+        """RTCP to send to the stream's sender now, or None."""
+        asked = self._losses.poll_transmit(now_ns)
+        if asked is not None:
+            return asked
+        if self._alive_due_ns is None or now_ns < self._alive_due_ns:
+            return None
+        assert self._keep_alive_ns is not None
+        self._alive_due_ns = now_ns + self._keep_alive_ns
+        return empty_receiver_report(self._ssrc)
+
+    def next_event(self) -> ReceivedUnit | None:
+        """The next access unit to decode, or None."""
+        while (packet := self._receiver.next_event()) is not None:
+            if self._alive_due_ns is None and self._keep_alive_ns is not None:
+                self._alive_due_ns = packet.received_ns
+            self._depacketizer.handle_packet(packet)
+        unit = self._depacketizer.next_event()
+        if unit is not None:
+            hurt = self._healing.handle_unit(unit)
+            self._begun = self._begun or (unit.keyframe and not hurt)
+            self._losses.handle_picture(
+                damaged=hurt or not self._begun,
+                media_ssrc=self._receiver.ssrc or 0,
+                now_ns=unit.received_ns,
+            )
+            if hurt:
+                self._hurt[unit.timestamp] = None
+                if len(self._hurt) > _REMEMBERED:
+                    self._hurt.popitem(last=False)
+        return unit
+
+    def capture_ns(self, timestamp: int) -> int | None:
+        """When the picture of this RTP timestamp was captured; None before a sender report."""
+        return self._receiver.capture_ns(timestamp)
+
+    def handle_picture(
+        self,
+        timestamp: int,
+        width: int,
+        height: int,
+        capture_ns: int | None,
+        *,
+        corrupt: bool = False,
+    ) -> CaptureStamp | None:
+        """A unit is decoded; the stamp to show its picture with.
+
+        capture_ns: as `capture_ns` says when it is decoded. corrupt: the decoder knows of damage
+        in it. None if the picture is too large, or nothing says how old it is.
+        """
+        self._begun = True
+        hurt = self._hurt.pop(timestamp, self) is None or corrupt
+        if self._most_pixels is not None and width * height > self._most_pixels:
+            # No sender of ours: shared memory would grow as it likes.
+            self._oversized += 1
+            return None
+        if capture_ns is None:
+            self._undated += 1
+            return None
+        quality = Quality.DAMAGED if hurt else Quality.FRESH
+        self._shown += 1
+        return CaptureStamp(capture_ns, self._shown - 1, self._name, quality, timestamp)
+
+    @property
+    def counts(self) -> VideoReceiverCounts:
+        """What was counted so far."""
+        return VideoReceiverCounts(
+            rtp=self._receiver.counts,
+            jitter_ns=self._receiver.jitter_ns,
+            units=self._depacketizer.units,
+            damaged=self._depacketizer.units_damaged,
+            undated=self._undated,
+            oversized=self._oversized,
+            asked=self._losses.sent,
+        )

@@ -1,0 +1,224 @@
+"""A stream of pictures, from the camera's side: when and how to encode, and what may leave."""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S, Coding
+from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, AccessUnit, CaptureStamp
+from kontur_av.rtp.feedback import PictureLossListener
+from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
+from kontur_av.rtp.sender import RtpIdentity, RtpSender
+from kontur_av.streams.budget import Pacer
+from kontur_av.streams.encode_scheduler import EncodeScheduler
+from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, UnitSent
+
+#: A receiver that gives feedback does so every second; after so long it is taken for gone.
+_FEEDBACK_SILENCE_NS = 3 * NS_PER_S
+
+
+class PictureCoded(NamedTuple):
+    """A picture was encoded, and its packets wait for their leave.
+
+    timestamp: its RTP timestamp. capture_ns, encoded_ns: its instants. came_ns: when the newest
+    picture came when it was begun. begun_ns: when encoding it began. octets: of payload, in as
+    many packets.
+    """
+
+    timestamp: int
+    capture_ns: int
+    came_ns: int
+    begun_ns: int
+    encoded_ns: int
+    octets: int
+    packets: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VideoSenderCounts:
+    """captured: pictures that came. refused: of these, never encoded, because the channel was
+    busy. encoded, sent: pictures. rtp_packets: made so far. losses_told: picture loss indications
+    that came. feedback_garbage: datagrams that were no RTCP."""
+
+    captured: int
+    refused: int
+    encoded: int
+    sent: int
+    rtp_packets: int
+    losses_told: int
+    feedback_garbage: int
+
+
+class VideoSender(PacedSender):
+    """Sends pictures as H.264 over RTP, under a hard cap. A core: it is told the time.
+
+    Tell it of each picture that comes (`handle_picture`). Then, and at `poll_timeout`:
+
+    1. Ask `poll_encode`. If it returns a `Coding`, encode the newest picture so, and pass the
+       access unit to `handle_access_unit`. Until then it wants no other picture encoded; packets
+       go on leaving.
+    2. Send what `poll_transmit` returns until None to the RTP port, and what `poll_report`
+       returns to the RTCP port.
+    3. Pass RTCP of the receiver to `handle_feedback`, and take `next_event` for figures; a caller
+       that takes none loses the oldest.
+
+    cap_bps: over no second do payload bits exceed it, over no 100 ms 1.5 times their share.
+    fps: pictures a second that the encoder was made for.
+    identity: drawn at random. cname: see `RtpSender`.
+    channel_bps: packets leave spaced as a channel of this rate takes them; None: the cap.
+    wall_offset_ns: an instant plus this is the Unix time, which sender reports tell.
+    adapt_refresh: the encoder was made with `REFRESH_S`, and is told a slower refresh while the
+        receiver can ask for a whole picture. False: the encoder keeps its own.
+
+    Raises ConfigError for a cap or channel that cannot work.
+    """
+
+    def __init__(
+        self,
+        *,
+        cap_bps: int,
+        fps: float,
+        identity: RtpIdentity,
+        cname: str,
+        channel_bps: int | None = None,
+        wall_offset_ns: int = 0,
+        adapt_refresh: bool = True,
+        max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS,
+        payload_type: int = VIDEO_PAYLOAD_TYPE,
+        report_interval_ns: int = NS_PER_S,
+    ) -> None:
+        pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps, picture_ns=int(NS_PER_S // fps))
+        rtp = RtpSender(
+            payload_type=payload_type,
+            clock_rate_hz=VIDEO_CLOCK_HZ,
+            ssrc=identity.ssrc,
+            first_sequence=identity.first_sequence,
+            timestamp_offset=identity.timestamp_offset,
+            cname=cname,
+            report_interval_ns=report_interval_ns,
+            # Small enough that no part of a coded picture takes more than a picture's share.
+            max_payload_octets=min(max_payload_octets, pacer.max_payload_octets),
+            wall_offset_ns=wall_offset_ns,
+        )
+        super().__init__(pacer, rtp)
+        self._scheduler = EncodeScheduler(pacer, fps=fps)
+        self._losses = PictureLossListener(ssrc=identity.ssrc)
+        self._events: deque[PictureCoded | UnitSent] = deque(maxlen=EVENTS_KEPT)
+        self._adapt_refresh = adapt_refresh
+        self._slow_refresh = False
+        self._way_back: bool | None = None
+        self._contacts: int | None = None
+        self._keyframe_due = False
+        self._coded_cap_bps = cap_bps
+        # When the newest picture came; of the one that is being encoded, that and the begin.
+        self._came_ns = 0
+        self._coding_ns = 0, 0
+
+    def handle_picture(self, stamp: CaptureStamp, now_ns: int, *, skipped: int = 0) -> None:
+        """A picture is there, the newest one; keep it until it is encoded or a newer one comes.
+
+        skipped: pictures that came before it and were never looked at.
+        """
+        self._scheduler.handle_picture(stamp.capture_ns, now_ns, skipped=skipped)
+        self._came_ns = now_ns
+
+    def handle_feedback(self, datagram: bytes, now_ns: int) -> None:
+        """A datagram from the receiver's RTCP. Garbage is counted."""
+        self._losses.handle_feedback(datagram, now_ns)
+
+    def handle_channel(
+        self, waiting_octets: int, told_ns: int, *, contacts: int, way_back: bool
+    ) -> None:
+        """What is known of the channel behind the pacer; a sender without such a channel is not
+        told.
+
+        At `told_ns` so many octets waited in it. contacts: how often the other end was found
+        (again): what was sent before did not arrive. way_back: the receiver can be heard now.
+        """
+        self._scheduler.handle_channel(waiting_octets, self._pacer.channel_bps, told_ns)
+        if self._contacts is not None and contacts != self._contacts:
+            # What was sent before did not arrive: nothing that refers to it will do.
+            self._keyframe_due = True
+        self._contacts = contacts
+        self._way_back = way_back
+
+    def follow(self, *, cap_bps: int, channel_bps: int) -> None:
+        """From now on this cap and this channel hold; the cap is at least the first one.
+
+        The encoder is told with the next `Coding`. ValueError for a lower cap.
+        """
+        self._pacer.follow(cap_bps=cap_bps, channel_bps=channel_bps)
+
+    def poll_encode(self, now_ns: int) -> Coding | None:
+        """How to encode the newest picture, if it shall be encoded now."""
+        if not self._scheduler.poll_encode(now_ns):
+            return None
+        self._coding_ns = self._came_ns, now_ns
+        keyframe = self._losses.take(now_ns) or self._keyframe_due
+        self._keyframe_due = False
+        refresh_s = None
+        slow = self._can_be_asked(now_ns)
+        if self._adapt_refresh and slow != self._slow_refresh:
+            # Where a whole picture can be asked for, the refresh only costs: 1 to 2 dB.
+            self._slow_refresh = slow
+            refresh_s = SLOW_REFRESH_S if slow else REFRESH_S
+        return Coding(keyframe, self._scheduler.next_rate_hz(), refresh_s, self.take_cap())
+
+    def take_cap(self) -> int | None:
+        """The cap to encode under, once after each change; for a caller that calls `follow`
+        between `poll_encode` and encoding."""
+        if self._coded_cap_bps == self._pacer.cap_bps:
+            return None
+        self._coded_cap_bps = self._pacer.cap_bps
+        return self._coded_cap_bps
+
+    def handle_access_unit(self, unit: AccessUnit, encoded_ns: int) -> None:
+        """The picture that was to be encoded is, since `encoded_ns`."""
+        self._scheduler.handle_encoded(encoded_ns)
+        packetized = self._rtp.video_packets(unit)
+        packets, timestamp, octets = packetized
+        capture_ns = unit.stamp.capture_ns
+        self._events.append(
+            PictureCoded(
+                timestamp, capture_ns, *self._coding_ns, encoded_ns, sum(octets), len(packets)
+            )
+        )
+        self._queue(packetized, capture_ns, encoded_ns)
+
+    def finish(self) -> None:
+        """No more pictures are encoded: from now on `poll_timeout` speaks of packets only."""
+        self._scheduler.finish()
+
+    def poll_timeout(self) -> int | None:
+        """When `poll_transmit` or `poll_encode` has something next; None while nothing waits."""
+        due = [self._pacer.poll_timeout(), self._scheduler.poll_timeout()]
+        return min((due_ns for due_ns in due if due_ns is not None), default=None)
+
+    def next_event(self) -> PictureCoded | UnitSent | None:
+        """What became of a picture, or None."""
+        return self._events.popleft() if self._events else None
+
+    @property
+    def counts(self) -> VideoSenderCounts:
+        """What was counted so far."""
+        return VideoSenderCounts(
+            captured=self._scheduler.captured,
+            refused=self._scheduler.refused,
+            encoded=self._encoded,
+            sent=self._sent,
+            rtp_packets=self._rtp.packets_sent,
+            losses_told=self._losses.received,
+            feedback_garbage=self._losses.garbage,
+        )
+
+    def _can_be_asked(self, now_ns: int) -> bool:
+        """Whether the receiver can ask for a whole picture."""
+        if self._way_back is not None:
+            return self._way_back
+        # A receiver that joins and is silent, or becomes so, cannot ask for a whole picture.
+        heard_ns = self._losses.heard_ns
+        return heard_ns is not None and now_ns - heard_ns < _FEEDBACK_SILENCE_NS
+
+    def _note(self, event: UnitSent) -> None:
+        self._events.append(event)

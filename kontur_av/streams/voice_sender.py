@@ -1,0 +1,104 @@
+"""A voice, from the microphone's side: which blocks of sound to encode, and what may leave."""
+
+from collections import deque
+from dataclasses import dataclass
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.codecs.opus import bitrate_under_cap, heard_stamp
+from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, BLOCK_NS, CaptureStamp
+from kontur_av.rtp.sender import RtpIdentity, RtpSender
+from kontur_av.streams.budget import Pacer
+from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, UnitSent
+
+#: A block this old is no voice any more; it would only push the following ones back.
+_TOO_OLD_NS = 5 * BLOCK_NS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VoiceSenderCounts:
+    """captured: blocks that came. refused: of these, never encoded, because they or what waited
+    before them were too old. encoded, sent: blocks. rtp_packets: made so far."""
+
+    captured: int
+    refused: int
+    encoded: int
+    sent: int
+    rtp_packets: int
+
+
+class VoiceSender(PacedSender):
+    """Sends a voice as Opus over RTP, at a constant rate under a hard cap. A core: it is told the
+    time.
+
+    Ask `handle_block` for each block of sound. If it says so, encode the block and pass the Opus
+    packet to `handle_packet`. Then, and at `poll_timeout`, send what `poll_transmit` returns until
+    None to the RTP port, and what `poll_report` returns to the RTCP port. `next_event` is for
+    figures; a caller that takes none loses the oldest.
+
+    Arguments: as those of `VideoSender`. Raises ConfigError for a cap or channel that cannot work.
+    """
+
+    def __init__(
+        self,
+        *,
+        cap_bps: int,
+        identity: RtpIdentity,
+        cname: str,
+        channel_bps: int | None = None,
+        wall_offset_ns: int = 0,
+        payload_type: int = AUDIO_PAYLOAD_TYPE,
+        report_interval_ns: int = NS_PER_S,
+    ) -> None:
+        #: For the `OpusEncoder`.
+        self.bitrate_bps = bitrate_under_cap(cap_bps)
+        # The rate is constant, but a process that was held up would send two packets at once.
+        pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps)
+        rtp = RtpSender(
+            payload_type=payload_type,
+            clock_rate_hz=AUDIO_CLOCK_HZ,
+            ssrc=identity.ssrc,
+            first_sequence=identity.first_sequence,
+            timestamp_offset=identity.timestamp_offset,
+            cname=cname,
+            report_interval_ns=report_interval_ns,
+            wall_offset_ns=wall_offset_ns,
+        )
+        super().__init__(pacer, rtp)
+        self._events: deque[UnitSent] = deque(maxlen=EVENTS_KEPT)
+        self._captured = self._refused = 0
+
+    def handle_block(self, stamp: CaptureStamp, now_ns: int) -> bool:
+        """A block of sound is there; whether to encode it."""
+        self._captured += 1
+        oldest_ns = max(now_ns - stamp.capture_ns, self.oldest_age_ns(now_ns))
+        if oldest_ns > _TOO_OLD_NS:
+            self._refused += 1
+            return False
+        return True
+
+    def handle_packet(self, opus: bytes, stamp: CaptureStamp, encoded_ns: int) -> None:
+        """The block of `stamp` is encoded, since `encoded_ns`."""
+        heard = heard_stamp(stamp)
+        self._queue(self._rtp.audio_packets(opus, heard), heard.capture_ns, encoded_ns)
+
+    def poll_timeout(self) -> int | None:
+        """When `poll_transmit` has something next; None while nothing waits."""
+        return self._pacer.poll_timeout()
+
+    def next_event(self) -> UnitSent | None:
+        """A block of which the packet has left, or None."""
+        return self._events.popleft() if self._events else None
+
+    @property
+    def counts(self) -> VoiceSenderCounts:
+        """What was counted so far."""
+        return VoiceSenderCounts(
+            captured=self._captured,
+            refused=self._refused,
+            encoded=self._encoded,
+            sent=self._sent,
+            rtp_packets=self._rtp.packets_sent,
+        )
+
+    def _note(self, event: UnitSent) -> None:
+        self._events.append(event)

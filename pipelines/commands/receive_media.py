@@ -1,0 +1,160 @@
+"""What becomes of a received stream: pictures or sound, figures, and perhaps a file."""
+
+import secrets
+from typing import Any
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.media import AUDIO_CLOCK_HZ
+from kontur_av.meters import Histogram
+from kontur_av.rtp.sdp import StreamDescription
+from kontur_av.rtp.wire import TimestampUnwrapper
+from kontur_av.streams.video_receiver import VideoReceiver
+from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.streams.voice_receiver import VoiceReceiver
+from pipelines.commands.raw_pictures import RawPictures
+from pipelines.commands.remux import MatroskaWriter
+
+
+class _TimeLine:
+    """RTP timestamps as ticks since the first one; a restarted sender's go on where they were."""
+
+    def __init__(self, rate_hz: int) -> None:
+        self._rate_hz = rate_hz
+        self._unwrapper = TimestampUnwrapper()
+        self._base = self._last = 0
+        self._last_ns: int | None = None
+
+    def ticks(self, timestamp: int, now_ns: int) -> int:
+        ticks = self._base + self._unwrapper.unwrap(timestamp)
+        if self._last_ns is not None:
+            passed = (now_ns - self._last_ns) * self._rate_hz // NS_PER_S
+            if abs(ticks - self._last - passed) > 10 * self._rate_hz:
+                self._unwrapper = TimestampUnwrapper()
+                self._base = self._last + max(passed, 1)
+                ticks = self._base + self._unwrapper.unwrap(timestamp)
+        self._last, self._last_ns = ticks, now_ns
+        return ticks
+
+
+class PictureOutput:
+    """Decodes what its receiver gives out. received_ns, decoded_ns: since the capture."""
+
+    def __init__(
+        self,
+        stream: StreamDescription,
+        clock: MonotonicClock,
+        writer: MatroskaWriter | None,
+        raw: RawPictures | None = None,
+    ) -> None:
+        self.receiver = VideoReceiver(
+            ssrc=secrets.randbits(32),
+            wall_offset_ns=clock.wall_offset_ns,
+            parameter_sets=stream.parameter_sets,
+            payload_type=stream.payload_type,
+        )
+        self.decoded_ns = Histogram()
+        self.received_ns = Histogram()
+        self._clock = clock
+        self._raw = raw
+        self._decoder = H264Decoder(reordered=True)
+        self._time_line = _TimeLine(stream.clock_rate_hz)
+        self._writer = writer
+        self._size: tuple[int, int] | None = None
+
+    @property
+    def decoded(self) -> int:
+        return self._decoder.decoded
+
+    def drain(self) -> None:
+        """Take what the receiver has."""
+        receiver = self.receiver
+        while (unit := receiver.next_event()) is not None:
+            capture_ns = receiver.capture_ns(unit.timestamp)
+            if capture_ns is not None:
+                self.received_ns.add(unit.received_ns - capture_ns)
+            for picture in self._decoder.decode(unit.data, unit.timestamp):
+                if self._raw is not None:
+                    self._raw.handle_picture(picture)
+                size = self._size = (picture.width, picture.height)
+                capture_ns = receiver.capture_ns(picture.timestamp)
+                stamp = receiver.handle_picture(picture.timestamp, *size, capture_ns)
+                if stamp is not None:
+                    self.decoded_ns.add(self._clock.now_ns() - stamp.capture_ns)
+            if self._writer is not None:
+                ticks = self._time_line.ticks(unit.timestamp, unit.received_ns)
+                self._writer.add_unit(unit.data, ticks, keyframe=unit.keyframe)
+
+    def poll_feedback(self, now_ns: int) -> bytes | None:
+        """RTCP for the sender."""
+        return self.receiver.poll_feedback(now_ns)
+
+    def report(self) -> dict[str, Any]:
+        counts = self.receiver.counts
+        return {
+            "size": self._size,
+            "frames_received": counts.units,
+            "frames_damaged": counts.damaged,
+            "frames_decoded": self._decoder.decoded,
+            "frames_corrupt": self._decoder.corrupt_units,
+            "frames_before_start": self._decoder.units_before_start,
+            "pictures_asked_for": counts.asked,
+        }
+
+
+class SoundOutput:
+    """Plays what its receiver gives out. received_ns, decoded_ns: since the capture."""
+
+    def __init__(
+        self, stream: StreamDescription, clock: MonotonicClock, writer: MatroskaWriter | None
+    ) -> None:
+        self.receiver = VoiceReceiver(
+            wall_offset_ns=clock.wall_offset_ns, payload_type=stream.payload_type
+        )
+        self.decoded_ns = Histogram()
+        self.received_ns = Histogram()
+        self.decoded = 0
+        self._concealed = 0
+        self._player = VoicePlayer()
+        self._time_line = _TimeLine(AUDIO_CLOCK_HZ)
+        self._writer = writer
+
+    def drain(self) -> None:
+        """Take what the receiver has."""
+        receiver = self.receiver
+        for timestamp, received_ns in receiver.take_arrivals():
+            capture_ns = receiver.capture_ns(timestamp)
+            if capture_ns is not None:
+                self.received_ns.add(received_ns - capture_ns)
+        while (block := receiver.next_event()) is not None:
+            _, decoded = self._player.play(block)
+            capture_ns = receiver.capture_ns(block.timestamp)
+            stamp = receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
+            if not decoded:
+                # Before the first packet there is nothing to make up anything from.
+                self._concealed += block.payload is None and self.decoded > 0
+                continue
+            self.decoded += 1
+            if stamp is not None:
+                self.decoded_ns.add(block.play_ns - stamp.capture_ns)
+            if self._writer is not None and block.payload is not None and not block.recovered:
+                ticks = self._time_line.ticks(block.timestamp, block.play_ns)
+                self._writer.add_opus(block.payload, ticks, block.samples)
+
+    def poll_feedback(self, now_ns: int) -> bytes | None:
+        """None: a voice asks for nothing."""
+        return None
+
+    def report(self) -> dict[str, Any]:
+        counts = self.receiver.counts
+        playout = counts.playout
+        return {
+            "frames_received": playout.played + playout.late + playout.dropped,
+            "frames_decoded": self.decoded,
+            "frames_corrupt": counts.corrupt + playout.garbage,
+            "frames_concealed": self._concealed,
+            "frames_recovered": playout.recovered,
+            "frames_late": playout.late,
+            "frames_dropped": playout.dropped,
+            "playout_delay_ms": counts.delay_ns / NS_PER_MS,
+        }

@@ -1,0 +1,63 @@
+"""The streams of a setup as cores of `kontur_av.streams`: what the setup says, in their terms."""
+
+from kontur_av.media import BLOCK_NS
+from kontur_av.rtp.sender import RtpIdentity
+from kontur_av.streams.video_receiver import VideoReceiver
+from kontur_av.streams.video_sender import VideoSender
+from kontur_av.streams.voice_receiver import VoiceReceiver
+from kontur_av.streams.voice_sender import VoiceSender
+from pipelines.setup.names import REPORT_INTERVAL_NS, cname
+from pipelines.setup.table import VIDEO_PAYLOAD_OCTETS, Setup, VideoStream, VoiceStream
+
+
+def video_sender(
+    setup: Setup, stream: VideoStream, identity: RtpIdentity, *, wall_offset_ns: int
+) -> VideoSender:
+    """The sender of a picture: packets leave as fast as the link carries media."""
+    return VideoSender(
+        cap_bps=stream.cap_bps,
+        fps=stream.fps,
+        identity=identity,
+        cname=cname(stream.name),
+        channel_bps=setup.profile_of(stream).media_bps,
+        wall_offset_ns=wall_offset_ns,
+        max_payload_octets=VIDEO_PAYLOAD_OCTETS,
+        report_interval_ns=REPORT_INTERVAL_NS,
+    )
+
+
+def voice_sender(
+    setup: Setup, stream: VoiceStream, identity: RtpIdentity, *, wall_offset_ns: int
+) -> VoiceSender:
+    """The sender of a voice."""
+    return VoiceSender(
+        cap_bps=stream.cap_bps,
+        identity=identity,
+        cname=cname(stream.name),
+        channel_bps=setup.profile_of(stream).media_bps,
+        wall_offset_ns=wall_offset_ns,
+        report_interval_ns=REPORT_INTERVAL_NS,
+    )
+
+
+def video_receiver(stream: VideoStream, *, ssrc: int, wall_offset_ns: int) -> VideoReceiver:
+    """The receiver of a picture. The link tells the sender that there is a way back, so no octet
+    of the channel goes into keeping alive."""
+    return VideoReceiver(
+        ssrc=ssrc,
+        name=stream.name,
+        wall_offset_ns=wall_offset_ns,
+        largest=(stream.width, stream.height),
+        keep_alive_ns=None,
+    )
+
+
+def voice_receiver(setup: Setup, stream: VoiceStream, *, wall_offset_ns: int) -> VoiceReceiver:
+    """The receiver of a voice, in step with the picture of the same place."""
+    picture = setup.picture_of(stream)
+    return VoiceReceiver(
+        name=stream.name,
+        wall_offset_ns=wall_offset_ns,
+        oldest_picture_ns=0 if picture is None else setup.stale_after_ns(picture),
+        oldest_sound_ns=setup.stale_after_ns(stream) - 2 * BLOCK_NS,
+    )

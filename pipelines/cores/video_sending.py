@@ -1,0 +1,44 @@
+"""A picture that goes over the radio link: its sender, with what the link tells of itself."""
+
+from kontur_av.codecs.coding import Coding
+from kontur_av.streams.video_sender import VideoSender
+from pipelines.cores.gain import CapGain
+
+
+class LinkedVideoSender:
+    """Has the `VideoSender` follow the link: what waits in it, and what slots leave free.
+
+    Use `sender` for all but what is here.
+
+    gain: by how much the cap follows what is free; None: by nothing.
+    """
+
+    def __init__(self, sender: VideoSender, gain: CapGain | None = None) -> None:
+        self.sender = sender
+        self.gain = gain
+        self._cap_bps = sender.cap_bps
+        self._channel_bps = sender.channel_bps
+        self._freed_bps = 0
+
+    def handle_freed(self, freed_bps: int, now_ns: int) -> None:
+        """What slots without a sample have left in the last second (`Gateway.freed_bps`)."""
+        self._freed_bps = freed_bps
+        self._follow_freed(now_ns)
+
+    def poll_encode(self, now_ns: int) -> Coding | None:
+        """As that of `VideoSender`: how to encode the newest picture now, or None."""
+        coding = self.sender.poll_encode(now_ns)
+        if coding is None or self.gain is None:
+            return coding
+        keyframe, rate_hz, refresh_s, cap_bps = coding
+        anew = keyframe or rate_hz is not None or refresh_s is not None
+        self._follow_freed(now_ns, key_picture_due=anew)
+        return Coding(keyframe, rate_hz, refresh_s, self.sender.take_cap() or cap_bps)
+
+    def _follow_freed(self, now_ns: int, *, key_picture_due: bool = False) -> None:
+        if self.gain is None:
+            return
+        self.gain.handle_freed(self._freed_bps, now_ns, at_once=key_picture_due)
+        self.sender.follow(
+            cap_bps=self._cap_bps + self.gain.bps, channel_bps=self._channel_bps + self._freed_bps
+        )
