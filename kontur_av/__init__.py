@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from kontur_av.streams.encoding_thread import EncodingThread
     from kontur_av.streams.lipsync import LipSync
     from kontur_av.streams.staleness import Staleness
-    from kontur_av.streams.udp import UdpSender
+    from kontur_av.streams.udp import UdpReceiver, UdpSender
     from kontur_av.streams.video_receiver import VideoReceiver
     from kontur_av.streams.video_sender import VideoSender
     from kontur_av.streams.voice_player import VoicePlayer
@@ -64,6 +64,7 @@ __all__ = [
     "Staleness",
     "StreamDescription",
     "TopicBus",
+    "UdpReceiver",
     "UdpSender",
     "VideoFrame",
     "VideoReceiver",
@@ -101,7 +102,7 @@ _HOMES = {
     "streams.encoding_thread": ("EncodingThread",),
     "streams.lipsync": ("LipSync",),
     "streams.staleness": ("Staleness",),
-    "streams.udp": ("UdpSender",),
+    "streams.udp": ("UdpReceiver", "UdpSender"),
     "streams.video_receiver": ("VideoReceiver",),
     "streams.video_sender": ("VideoSender",),
     "streams.voice_player": ("VoicePlayer",),

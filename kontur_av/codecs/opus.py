@@ -1,11 +1,5 @@
-"""Blocks of sound to Opus packets of one constant size, and back (RFC 6716, RFC 7587).
+"""Blocks of sound to Opus packets of one constant size, and back (RFC 6716, RFC 7587)."""
 
-Of opuslib the functions are used, not the classes: those free their state in `__del__`, which
-fails with a traceback when the interpreter ends first. Coding itself calls libopus past opuslib,
-which makes, clears and copies buffers of the largest size for each packet.
-"""
-
-import ctypes
 import weakref
 from dataclasses import replace
 from typing import Any
@@ -22,7 +16,6 @@ MAX_PACKET_SAMPLES = MAX_OPUS_SAMPLES
 #: Samples a packet may cover: 10, 20, 40 or 60 ms. Voice mode codes nothing shorter (RFC 6716
 #: section 2.1.4).
 FRAME_SAMPLES = (480, 960, 1920, 2880)
-_ROOM_OCTETS = 4000  # what opus_encode's documentation recommends
 _LOWEST_BPS, _HIGHEST_BPS = 6_000, 510_000  # RFC 6716 section 2.1.1
 
 #: From this rate on the encoder searches a little less. Measured on the speech in `samples/`, 20 ms
@@ -78,6 +71,8 @@ class OpusEncoder:
     bitrate_bps: bits of the packets alone. 20 ms at 8000 bit/s give 20 octets, at 64 000 160.
     frame_samples: samples a packet, one of `FRAME_SAMPLES`.
     complexity: libopus' 0..10, how hard it searches. None: 5 from 24 kbit/s on, else 8.
+
+    Raises ConfigError for what libopus cannot do, or when there is no libopus.
     """
 
     def __init__(
@@ -89,37 +84,24 @@ class OpusEncoder:
             raise ConfigError(
                 f"Opus at {bitrate_bps} bit/s: take a rate from {_LOWEST_BPS} to {_HIGHEST_BPS}"
             )
-        opuslib = libopus.opuslib()
-        api, ctl = opuslib.api.encoder, opuslib.api.ctl
-        self._error: type[Exception] = opuslib.OpusError
-        self._encode = _function("opus_encode")
-        self._room = ctypes.create_string_buffer(_ROOM_OCTETS)
         if complexity is None:
             complexity = 5 if bitrate_bps >= _AMPLE_BPS else 8
         self.frame_samples = frame_samples
         self.packet_octets = bitrate_bps * frame_samples // (8 * AUDIO_CLOCK_HZ)
-        self._state = api.create_state(AUDIO_CLOCK_HZ, 1, opuslib.APPLICATION_VOIP)
-        weakref.finalize(self, api.destroy, self._state)
+        self._encoder = libopus.opuslib().Encoder(AUDIO_CLOCK_HZ, 1, "voip")
+        weakref.finalize(self, _free, self._encoder, "encoder_state")
+        self._encoder.vbr = 0
         # The rate of whole octets, because libopus rounds the octets to the nearest.
-        whole_bps = self.packet_octets * 8 * AUDIO_CLOCK_HZ // frame_samples
-        for setting, value in (
-            (ctl.set_vbr, 0),
-            (ctl.set_bitrate, whole_bps),
-            (ctl.set_complexity, complexity),
-        ):
-            api.encoder_ctl(self._state, setting, value)
-        self.lookahead_samples: int = api.encoder_ctl(self._state, ctl.get_lookahead)
+        self._encoder.bitrate = self.packet_octets * 8 * AUDIO_CLOCK_HZ // frame_samples
+        self._encoder.complexity = complexity
+        self.lookahead_samples: int = self._encoder.lookahead
 
     def encode(self, samples: Pcm) -> bytes:
         """One packet of `packet_octets` octets from int16 samples of shape (frame_samples,)."""
         if samples.shape != (self.frame_samples,) or samples.dtype != np.int16:
             raise ValueError(f"{samples.dtype}{samples.shape}, not int16({self.frame_samples},)")
-        octets = self._encode(
-            self._state, samples.tobytes(), self.frame_samples, self._room, _ROOM_OCTETS
-        )
-        if octets < 0:
-            raise self._error(octets)
-        return ctypes.string_at(self._room, octets)
+        packet: bytes = self._encoder.encode(samples.tobytes(), self.frame_samples)
+        return packet
 
 
 class OpusDecoder:
@@ -129,12 +111,8 @@ class OpusDecoder:
         opuslib = libopus.opuslib()
         self.frame_samples = frame_samples
         self._error: type[Exception] = opuslib.OpusError
-        api = opuslib.api.decoder
-        self._decode = _function("opus_decode", ctypes.c_int)
-        self._room = np.empty(MAX_PACKET_SAMPLES, np.int16)
-        self._room_at = self._room.ctypes.data
-        self._state = api.create_state(AUDIO_CLOCK_HZ, 1)
-        weakref.finalize(self, api.destroy, self._state)
+        self._decoder = opuslib.Decoder(AUDIO_CLOCK_HZ, 1)
+        weakref.finalize(self, _free, self._decoder, "decoder_state")
 
     def decode(self, packet: bytes) -> Pcm:
         """The packet's samples, int16 of shape (n,) with n up to 5760; also sets the length that
@@ -144,11 +122,9 @@ class OpusDecoder:
         """
         if not packet:
             raise ProtocolError("an empty Opus packet")
-        count = self._decode(self._state, packet, len(packet), self._room_at, MAX_PACKET_SAMPLES, 0)
-        if count < 0:
-            raise ProtocolError(f"no Opus packet: {self._error(count)}")
-        self.frame_samples = count
-        return self._room[:count].copy()
+        samples = self._received(packet, MAX_PACKET_SAMPLES)
+        self.frame_samples = len(samples)
+        return samples
 
     def recover(self, following: bytes, samples: int) -> Pcm:
         """A lost packet of `samples` samples from the coarse copy in the one after it.
@@ -157,27 +133,25 @@ class OpusDecoder:
         the same as `conceal`. int16 of shape (samples,). `following` is still to be decoded.
         Raises ProtocolError on what is no Opus packet.
         """
-        count = self._decode(self._state, following, len(following), self._room_at, samples, 1)
-        if count < 0:
-            raise ProtocolError(f"no Opus packet: {self._error(count)}")
-        return self._room[:count].copy()
+        return self._received(following, samples, decode_fec=True)
 
     def conceal(self, samples: int | None = None) -> Pcm:
         """libopus' guess at what is missing: int16 of shape (samples,), fading out from packet to
         packet. samples: a multiple of 2.5 ms, at most 5760; None: as the packet before had.
         """
+        # libopus takes an empty packet for a lost one (opus_decode).
         wanted = self.frame_samples if samples is None else samples
-        count = self._decode(self._state, None, 0, self._room_at, wanted, 0)
-        if count < 0:
-            raise self._error(count)
-        return self._room[:count].copy()
+        return np.frombuffer(self._decoder.decode(b"", wanted), np.int16)
+
+    def _received(self, packet: bytes, most_samples: int, *, decode_fec: bool = False) -> Pcm:
+        try:
+            octets = self._decoder.decode(packet, most_samples, decode_fec)
+        except self._error as error:
+            raise ProtocolError(f"no Opus packet: {error}") from error
+        return np.frombuffer(octets, np.int16)
 
 
-def _function(name: str, *more: type[Any]) -> Any:
-    """opus_encode or opus_decode, declared anew: state, data, length, data, length."""
-    # Taken by index, a library's function is an object of its own: opuslib's keeps its types.
-    function = libopus.opuslib().api.libopus[name]
-    pointer, number = ctypes.c_void_p, ctypes.c_int32
-    function.argtypes = (pointer, pointer, number, pointer, number, *more)
-    function.restype = ctypes.c_int
-    return function
+def _free(coder: Any, state: str) -> None:
+    # At the interpreter's end opuslib's destructor would fail: it needs modules that are gone.
+    coder.__del__()
+    delattr(coder, state)

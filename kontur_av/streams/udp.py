@@ -1,13 +1,22 @@
 """The sockets of a stream's ends: RTP on one UDP port, RTCP on the next (RFC 3550 section 11)."""
 
+import ipaddress
+import select
 import socket
+import struct
+from collections.abc import Iterator
 from contextlib import suppress
+from typing import Any
 
-from kontur_av.clock import Clock
+from kontur_av.clock import NS_PER_S, Clock
+from kontur_av.errors import ConfigError
+from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import VideoSender
+from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
 
 _FEEDBACK_OCTETS = 1500
+_RECEIVE_BUFFER_OCTETS = 1 << 20
 
 
 class UdpSender:
@@ -55,3 +64,98 @@ class UdpSender:
         except OSError:
             # A network that goes down and comes back is loss to the receiver, no end to the sender.
             self.failed += 1
+
+
+class UdpReceiver:
+    """Receives what is sent to an IP address, and answers. `close` it at the end.
+
+    host: an IP address, as the SDP has it: of a loopback address only that one is listened to, a
+    multicast group is joined. port: of RTP. control_port: of RTCP; None: the next port.
+
+    Raises ConfigError if a port cannot be opened.
+    """
+
+    def __init__(self, host: str, port: int, control_port: int | None = None) -> None:
+        self._rtp = _bound(host, port)
+        try:
+            self._rtcp = _bound(host, port + 1 if control_port is None else control_port)
+        except ConfigError:
+            self._rtp.close()
+            raise
+        #: Where the stream's sender reports come from, and feedback goes to.
+        self._sender: Any = None
+
+    @property
+    def sockets(self) -> tuple[socket.socket, socket.socket]:
+        """For a caller that sleeps on more than these."""
+        return self._rtp, self._rtcp
+
+    def exchange(
+        self, receiver: VideoReceiver | VoiceReceiver, clock: Clock, timeout_ns: int = 0
+    ) -> None:
+        """Send feedback, sleep until something comes, and pass it to `receiver`.
+
+        Returns after `timeout_ns` or at the receiver's own timeout at the latest. Drain the
+        receiver's `next_event` afterwards.
+        """
+        self._answer(receiver, clock)
+        due_ns = receiver.poll_timeout()
+        if due_ns is not None:
+            timeout_ns = min(timeout_ns, max(due_ns - clock.now_ns(), 0))
+        if timeout_ns > 0:
+            select.select(self.sockets, (), (), timeout_ns / NS_PER_S)
+        for datagram, source in _datagrams(self._rtcp):
+            if receiver.handle_report(datagram, clock.now_ns()):
+                self._sender = source
+        for datagram, _ in _datagrams(self._rtp):
+            receiver.handle_packet(datagram, clock.now_ns())
+        receiver.handle_timeout(clock.now_ns())
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._rtp.close()
+        self._rtcp.close()
+
+    def _answer(self, receiver: VideoReceiver | VoiceReceiver, clock: Clock) -> None:
+        if self._sender is None or not isinstance(receiver, VideoReceiver):
+            return
+        while (feedback := receiver.poll_feedback(clock.now_ns())) is not None:
+            with suppress(OSError):
+                self._rtcp.sendto(feedback, self._sender)
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    address = ipaddress.ip_address(host)
+    family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
+    udp = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_OCTETS)
+        udp.setblocking(False)
+        # The SDP may name another host's view of us: only a loopback address narrows the port.
+        udp.bind((host if address.is_loopback else "", port))
+        if address.is_multicast:
+            _join(udp, address)
+    except OSError as error:
+        udp.close()
+        raise ConfigError(
+            f"UDP port {port} cannot be opened ({error.strerror}): end the program that uses it, "
+            "or choose another port in the SDP"
+        ) from None
+    return udp
+
+
+def _join(udp: socket.socket, group: ipaddress.IPv4Address | ipaddress.IPv6Address) -> None:
+    if group.version == 4:
+        membership = group.packed + socket.inet_aton("0.0.0.0")
+        udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+    else:
+        membership = group.packed + struct.pack("@I", 0)
+        udp.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, membership)
+
+
+def _datagrams(udp: socket.socket) -> Iterator[tuple[bytes, Any]]:
+    """What lies in the socket now and where it came from, at most 256 datagrams, so that time is
+    looked at again."""
+    with suppress(BlockingIOError):
+        for _ in range(256):
+            yield udp.recvfrom(65_536)

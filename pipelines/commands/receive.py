@@ -2,15 +2,11 @@
 
 import argparse
 import contextlib
-import ipaddress
 import json
 import selectors
-import socket
-import struct
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +15,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from kontur_av.meters import RateMeter
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
+from kontur_av.streams.udp import UdpReceiver
 from pipelines.commands.common import check_options, stopped_by_signals, write_text
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.receive_media import PictureOutput, SoundOutput
@@ -27,7 +24,6 @@ from pipelines.commands.remux import MatroskaWriter
 _SILENCE_NS = 5 * NS_PER_S
 _SILENCE_AFTER_GOODBYE_NS = NS_PER_S
 _LONGEST_WAIT_NS = 200 * NS_PER_MS
-_RECEIVE_BUFFER_OCTETS = 1 << 20
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +55,9 @@ def run(args: argparse.Namespace) -> int:
     check_options(args)
     stream = parse_sdp(_read_text(args.sdp))
     with ExitStack() as stack:
-        sockets = stack.enter_context(open_sockets(stream))
+        udp = stack.enter_context(
+            closing(UdpReceiver(stream.host, stream.port, stream.control_port))
+        )
         if args.report:
             write_text(args.report, "", "--report")
         writer: MatroskaWriter | None = None
@@ -75,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
             output = PictureOutput(stream, clock, writer, raw)
         else:
             output = SoundOutput(stream, clock, writer)
-        report = _Shell(stream, output, sockets, clock, raw).run(args.seconds)
+        report = _Shell(stream, output, udp, clock, raw).run(args.seconds)
     if args.save:
         report["saved"] = {"file": args.save, "packets": 0 if writer is None else writer.written}
     if raw is not None:
@@ -106,46 +104,6 @@ def _read_text(path: str) -> str:
         raise ConfigError(f"--sdp {path!r} cannot be read: {error.strerror}") from None
 
 
-@contextmanager
-def open_sockets(stream: StreamDescription) -> Iterator[tuple[socket.socket, socket.socket]]:
-    """The bound UDP sockets for RTP and RTCP. ConfigError if a port is taken."""
-    with ExitStack() as stack:
-        rtp, rtcp = (
-            stack.enter_context(_bound(stream.host, port))
-            for port in (stream.port, stream.control_port)
-        )
-        yield rtp, rtcp
-
-
-def _bound(host: str, port: int) -> socket.socket:
-    address = ipaddress.ip_address(host)
-    family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
-    udp = socket.socket(family, socket.SOCK_DGRAM)
-    try:
-        udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_OCTETS)
-        udp.setblocking(False)
-        # The SDP may name another host's view of us: only a loopback address narrows the port.
-        udp.bind((host if address.is_loopback else "", port))
-        if address.is_multicast:
-            _join(udp, address)
-    except OSError as error:
-        udp.close()
-        raise ConfigError(
-            f"UDP port {port} cannot be opened ({error.strerror}): end the program that uses it, "
-            "or choose another port in the SDP"
-        ) from None
-    return udp
-
-
-def _join(udp: socket.socket, group: ipaddress.IPv4Address | ipaddress.IPv6Address) -> None:
-    if group.version == 4:
-        membership = group.packed + socket.inet_aton("0.0.0.0")
-        udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
-    else:
-        membership = group.packed + struct.pack("@I", 0)
-        udp.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, membership)
-
-
 class _Shell:
     """Drives sockets and receiver in real time."""
 
@@ -153,19 +111,17 @@ class _Shell:
         self,
         stream: StreamDescription,
         output: PictureOutput | SoundOutput,
-        sockets: tuple[socket.socket, socket.socket],
+        udp: UdpReceiver,
         clock: MonotonicClock,
         raw: RawPictures | None,
     ) -> None:
         self._raw = raw
         self._watched: int | None = None
-        #: Where the stream's sender reports come from, and feedback goes to.
-        self._sender: Any = None
         self._stream = stream
         self._clock = clock
         self._output = output
         self._receiver = output.receiver
-        self._sockets = sockets
+        self._udp = udp
         self._rate = RateMeter()
         self._last_packet_ns: int | None = None
         self._payload_octets = 0
@@ -177,8 +133,8 @@ class _Shell:
         next_line_ns = start_ns + NS_PER_S
         print(f"waiting for {self._stream.kind} on UDP port {self._stream.port}", flush=True)
         with stopped_by_signals() as stopped, selectors.DefaultSelector() as selector:
-            for udp in self._sockets:
-                selector.register(udp, selectors.EVENT_READ)
+            for one in self._udp.sockets:
+                selector.register(one, selectors.EVENT_READ)
             while not stopped():
                 now_ns = self._clock.now_ns()
                 if (end_ns is not None and now_ns >= end_ns) or self._has_ended(now_ns):
@@ -192,7 +148,9 @@ class _Shell:
                 if self._raw is not None:
                     self._watch(selector, self._raw.pending())
                 selector.select(wait_ns / NS_PER_S)
-                self._take_datagrams()
+                self._udp.exchange(self._receiver, self._clock)
+                self._note(self._clock.now_ns())
+                self._output.drain()
                 if self._raw is not None and self._raw.pending() is not None:
                     self._raw.handle_writable()
         return self._report(start_ns)
@@ -213,26 +171,6 @@ class _Shell:
         ended = self._receiver.ended
         patience_ns = _SILENCE_AFTER_GOODBYE_NS if ended else _SILENCE_NS
         return now_ns - self._last_packet_ns > patience_ns
-
-    def _take_datagrams(self) -> None:
-        rtp, rtcp = self._sockets
-        receiver = self._receiver
-        for datagram, source in _datagrams(rtcp):
-            if receiver.handle_report(datagram, self._clock.now_ns()):
-                self._sender = source
-        for datagram, _ in _datagrams(rtp):
-            now_ns = self._clock.now_ns()
-            receiver.handle_packet(datagram, now_ns)
-            self._note(now_ns)
-            self._output.drain()
-        now_ns = self._clock.now_ns()
-        self._note(now_ns)
-        receiver.handle_timeout(now_ns)
-        self._output.drain()
-        feedback = self._output.poll_feedback(now_ns)
-        if feedback is not None and self._sender is not None:
-            with contextlib.suppress(OSError):
-                rtcp.sendto(feedback, self._sender)
 
     def _note(self, now_ns: int) -> None:
         """Packets of the stream may have come; a sender report may speak for earlier ones."""
@@ -291,11 +229,3 @@ class _Shell:
             failed.append(f"{counts.received} packets came, but nothing could be decoded")
         report["failed"] = failed
         return report
-
-
-def _datagrams(udp: socket.socket) -> Iterator[tuple[bytes, Any]]:
-    """What lies in the socket now and where it came from, at most 256 datagrams, so that time is
-    looked at again."""
-    with contextlib.suppress(BlockingIOError):
-        for _ in range(256):
-            yield udp.recvfrom(65_536)

@@ -85,10 +85,6 @@ class PictureOutput:
                 ticks = self._time_line.ticks(unit.timestamp, unit.received_ns)
                 self._writer.add_unit(unit.data, ticks, keyframe=unit.keyframe)
 
-    def poll_feedback(self, now_ns: int) -> bytes | None:
-        """RTCP for the sender."""
-        return self.receiver.poll_feedback(now_ns)
-
     def report(self) -> dict[str, Any]:
         counts = self.receiver.counts
         return {
@@ -140,10 +136,6 @@ class SoundOutput:
             if self._writer is not None and block.payload is not None and not block.recovered:
                 ticks = self._time_line.ticks(block.timestamp, block.play_ns)
                 self._writer.add_opus(block.payload, ticks, block.samples)
-
-    def poll_feedback(self, now_ns: int) -> bytes | None:
-        """None: a voice asks for nothing."""
-        return None
 
     def report(self) -> dict[str, Any]:
         counts = self.receiver.counts

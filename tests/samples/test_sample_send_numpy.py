@@ -1,19 +1,19 @@
-"""The sample's own command, received on a real socket and shown."""
+"""The two samples of one's own pictures: each against the library, and against each other."""
 
+import re
+import secrets
 import socket
 import subprocess
 import sys
 import time
 
+import pytest
 from places import ROOT
 
-from kontur_av.codecs.h264 import H264Decoder
-from kontur_av.media import VIDEO_CLOCK_HZ, planes
-from kontur_av.rtp.payload_h264 import H264Depacketizer
-from kontur_av.rtp.receiver import RtpReceiver
-from kontur_av.rtp.sdp import parse_sdp
+from kontur_av import H264Decoder, VideoReceiver, parse_sdp, planes
 
 SAMPLE = ROOT / "samples" / "send_numpy.py"
+OTHER_END = ROOT / "samples" / "receive_numpy.py"
 
 
 def test_send_numpy(tmp_path):
@@ -27,8 +27,8 @@ def test_send_numpy(tmp_path):
         assert done.returncode == 0, done.stderr
         stream = parse_sdp(sdp.read_text())
         assert (stream.kind, stream.port) == ("video", port)
-        receiver = RtpReceiver(payload_type=stream.payload_type, clock_rate_hz=VIDEO_CLOCK_HZ)
-        depacketizer, decoder = H264Depacketizer(), H264Decoder()
+        receiver = VideoReceiver(ssrc=secrets.randbits(32), payload_type=stream.payload_type)
+        decoder = H264Decoder()
         udp.settimeout(0.2)
         pictures = []
         while True:
@@ -36,14 +36,59 @@ def test_send_numpy(tmp_path):
                 receiver.handle_packet(udp.recv(2048), time.monotonic_ns())
             except TimeoutError:
                 break
-            while (packet := receiver.next_event()) is not None:
-                depacketizer.handle_packet(packet)
-            while (unit := depacketizer.next_event()) is not None:
+            while (unit := receiver.next_event()) is not None:
                 pictures += decoder.decode(unit.data, unit.timestamp)
     # Two seconds on a machine of any speed: no rate is asserted but the cap.
     assert len(pictures) >= 10
-    assert receiver.counts.lost == receiver.counts.garbage == decoder.corrupt_units == 0
-    assert 0 < receiver.counts.payload_octets * 8 <= 2 * 85_000 * 1.1
+    counts = receiver.counts.rtp
+    assert counts.lost == counts.garbage == decoder.corrupt_units == 0
+    assert 0 < counts.payload_octets * 8 <= 2 * 85_000 * 1.1
     luma = planes(pictures[-1].to_i420())[0]
     assert luma.max() > 120
     assert "largest second" in done.stdout
+
+
+def free_port():
+    """A UDP port that nobody uses, nor the next one."""
+    while True:
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as rtp,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as rtcp,
+        ):
+            rtp.bind(("127.0.0.1", 0))
+            port = rtp.getsockname()[1]
+            try:
+                rtcp.bind(("127.0.0.1", port + 1))
+            except OSError:
+                continue
+            return port
+
+
+def test_both_ends_together(tmp_path):
+    sdp, port = tmp_path / "picture.sdp", free_port()
+    words = [sys.executable, SAMPLE, "127.0.0.1", str(port), "85", sdp, "60"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as sender:
+        try:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as before:
+                before.bind(("127.0.0.1", port))
+                before.settimeout(30)
+                for _ in range(5):
+                    before.recv(2048)
+            # It joins a running stream, and asks for a whole picture.
+            done = subprocess.run(
+                [sys.executable, OTHER_END, sdp, "4"], capture_output=True, text=True, timeout=60
+            )
+        finally:
+            sender.terminate()
+    assert done.returncode == 0, done.stderr
+    *pictures, counts = done.stdout.splitlines()
+    assert len(pictures) >= 10
+    assert all(re.match(r"\(288, 384, 3\), -?[\d.]+ ms old, FRESH, mean 6", p) for p in pictures), (
+        pictures
+    )
+    assert re.search(r"lost=0,.*asked=[1-9]", counts)
+
+
+@pytest.mark.parametrize("sample", [SAMPLE, OTHER_END])
+def test_a_sample_fits_on_a_page(sample):
+    assert len(sample.read_text(encoding="utf-8").splitlines()) <= 40

@@ -26,7 +26,7 @@ def packets(bitrate_bps, sound, *, copies=False):
             (opuslib.api.ctl.set_inband_fec, 1),
             (opuslib.api.ctl.set_packet_loss_perc, 20),
         ):
-            opuslib.api.encoder.encoder_ctl(encoder._state, setting, value)
+            opuslib.api.encoder.encoder_ctl(encoder._encoder.encoder_state, setting, value)
     return [encoder.encode(sound[at : at + BLOCK]) for at in range(0, len(sound) - BLOCK, BLOCK)]
 
 

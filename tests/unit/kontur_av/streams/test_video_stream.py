@@ -1,0 +1,193 @@
+"""Both ends of a stream of pictures, without encoder and decoder."""
+
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
+from kontur_av.media import AccessUnit, CaptureStamp, Quality
+from kontur_av.rtp.sender import RtpIdentity
+from kontur_av.streams.paced_sender import EVENTS_KEPT, UnitSent
+from kontur_av.streams.video_receiver import VideoReceiver
+from kontur_av.streams.video_sender import PictureCoded, VideoSender
+
+PERIOD_NS = NS_PER_S // 30
+#: The receiver's clock shows so much more than the sender's.
+AHEAD_NS = 7 * NS_PER_S
+KEY, SLICE = b"\x00\x00\x00\x01\x65\x88", b"\x00\x00\x00\x01\x41\x88"
+
+
+def make_sender(**changes):
+    settings = {"cap_bps": 1_000_000, "fps": 30, "cname": "test"}
+    return VideoSender(identity=RtpIdentity(5, 65_530, 2**32 - 9), **settings | changes)
+
+
+def make_receiver(**changes):
+    return VideoReceiver(**{"ssrc": 6, "name": "view", "wall_offset_ns": -AHEAD_NS} | changes)
+
+
+class Stream:
+    """Encodes in no time. lost: numbers of pictures that do not arrive."""
+
+    def __init__(self, lost=(), way_back=True, sender=None, receiver=None):
+        self.sender = sender or make_sender()
+        self.receiver = receiver or make_receiver()
+        self.lost, self.way_back = lost, way_back
+        self.codings, self.stamps, self.units = [], [], []
+
+    def step(self, number, octets=300):
+        """A picture is captured, sent and shown."""
+        sender, receiver = self.sender, self.receiver
+        now_ns = number * PERIOD_NS
+        stamp = CaptureStamp(now_ns, number, "camera")
+        sender.handle_picture(stamp, now_ns)
+        coding = sender.poll_encode(now_ns)
+        assert coding is not None
+        self.codings.append(coding)
+        nal = (KEY if coding.keyframe or number == 0 else SLICE) + bytes([7]) * octets
+        sender.handle_access_unit(AccessUnit(nal, stamp, coding.keyframe), now_ns)
+        there_ns = now_ns + AHEAD_NS + NS_PER_MS
+        while (packet := sender.poll_transmit(now_ns)) is not None:
+            if number not in self.lost:
+                receiver.handle_packet(packet, there_ns)
+        if (report := sender.poll_report(now_ns)) is not None:
+            receiver.handle_report(report, there_ns)
+        receiver.handle_timeout(there_ns + 20 * NS_PER_MS)
+        while (unit := receiver.next_event()) is not None:
+            self.units.append(unit)
+            dated_ns = receiver.capture_ns(unit.timestamp)
+            self.stamps.append(receiver.handle_picture(unit.timestamp, 64, 48, dated_ns))
+        feedback = receiver.poll_feedback(there_ns + 20 * NS_PER_MS)
+        if feedback is not None and self.way_back:
+            sender.handle_feedback(feedback, now_ns + 21 * NS_PER_MS)
+
+
+def test_pictures_arrive_with_stamps_of_the_receivers_clock():
+    stream = Stream()
+    for number in range(10):
+        stream.step(number)
+    sent = [event for event in iter(stream.sender.next_event, None) if isinstance(event, UnitSent)]
+    assert [event.capture_ns for event in sent] == [n * PERIOD_NS for n in range(10)]
+    for number, (stamp, event) in enumerate(zip(stream.stamps, sent, strict=True)):
+        assert abs(stamp.capture_ns - number * PERIOD_NS - AHEAD_NS) <= 11_112
+        assert (stamp.sequence, stamp.source) == (number, "view")
+        assert (stamp.quality, stamp.rtp_timestamp) == (Quality.FRESH, event.timestamp)
+    counts = stream.sender.counts
+    assert (counts.captured, counts.encoded, counts.sent, counts.refused) == (10, 10, 10, 0)
+    assert stream.receiver.counts.units == stream.receiver.counts.rtp.received == 10
+
+
+def test_a_loss_is_seen_told_and_healed_by_a_key_picture():
+    stream = Stream(lost={4})
+    for number in range(12):
+        stream.step(number)
+    damaged = [stamp.quality is Quality.DAMAGED for stamp in stream.stamps]
+    assert damaged == [False] * 4 + [True] + [False] * 6
+    assert [coding.keyframe for coding in stream.codings] == [n == 6 for n in range(12)]
+    assert (stream.receiver.counts.asked, stream.sender.counts.losses_told) == (1, 1)
+
+
+def test_the_refresh_is_slow_while_the_receiver_can_be_heard():
+    stream = Stream()
+    for number in range(60):
+        stream.step(number)
+    stream.way_back = False
+    for number in range(60, 240):
+        stream.step(number)
+    changes = [(n, c.refresh_s) for n, c in enumerate(stream.codings) if c.refresh_s is not None]
+    assert [refresh_s for _, refresh_s in changes] == [SLOW_REFRESH_S, REFRESH_S]
+    assert changes[0][0] == 1
+    # Three seconds after the last sign of life, of which there is one a second.
+    assert 120 <= changes[1][0] <= 152
+
+
+def test_a_channel_that_is_told_of_decides_about_the_refresh_and_about_key_pictures():
+    sender = make_sender()
+    stream = Stream(sender=sender, way_back=False)
+    for number, (contacts, way_back) in enumerate([(3, True), (3, True), (4, True), (4, False)]):
+        sender.handle_channel(0, number * PERIOD_NS, contacts=contacts, way_back=way_back)
+        stream.step(number)
+    assert [coding.refresh_s for coding in stream.codings] == [
+        *(SLOW_REFRESH_S, None, None, REFRESH_S)
+    ]
+    assert [coding.keyframe for coding in stream.codings] == [False, False, True, False]
+
+
+def test_an_encoder_that_keeps_its_own_refresh_is_told_none():
+    stream = Stream(sender=make_sender(adapt_refresh=False))
+    for number in range(40):
+        stream.step(number)
+    assert {coding.refresh_s for coding in stream.codings} == {None}
+
+
+def test_what_waits_in_the_channel_holds_the_next_picture_back():
+    sender = make_sender()
+    sender.handle_channel(5000, 0, contacts=1, way_back=True)  # 40 ms of it
+    sender.handle_picture(CaptureStamp(0, 0, "camera"), 0)
+    assert sender.poll_encode(0) is None
+    due_ns = sender.poll_timeout()
+    assert due_ns > 0
+    sender.finish()
+    assert sender.poll_timeout() is None
+    assert (sender.counts.captured, sender.counts.refused) == (1, 1)
+
+
+def test_a_raised_cap_is_told_to_the_encoder_once_and_no_lower_one_taken():
+    stream = Stream()
+    stream.step(0)
+    stream.sender.follow(cap_bps=1_100_000, channel_bps=2_000_000)
+    stream.step(1)
+    stream.step(2)
+    assert [coding.cap_bps for coding in stream.codings] == [None, 1_100_000, None]
+    assert (stream.sender.cap_bps, stream.sender.channel_bps) == (1_100_000, 2_000_000)
+    with pytest.raises(ValueError, match="at least 1000000"):
+        stream.sender.follow(cap_bps=999_999, channel_bps=2_000_000)
+
+
+def test_a_picture_says_when_it_came_was_begun_and_was_coded():
+    sender = make_sender()
+    sender.handle_picture(CaptureStamp(10, 0, "camera"), 20, skipped=2)
+    assert sender.poll_encode(30) is not None
+    sender.handle_access_unit(
+        AccessUnit(KEY + bytes([7]) * 3000, CaptureStamp(10, 0, "camera"), True), 40
+    )
+    event = sender.next_event()
+    assert event == PictureCoded(event.timestamp, 10, 20, 30, 40, event.octets, 3)
+    assert (sender.counts.captured, sender.counts.refused) == (3, 2)
+    assert sender.backlog_octets == event.octets > 3000
+    assert sender.oldest_age_ns(45) == 5
+
+
+def test_a_caller_that_takes_no_events_loses_the_oldest():
+    stream = Stream()
+    for number in range(EVENTS_KEPT):
+        stream.step(number, octets=20)
+    assert len(list(iter(stream.sender.next_event, None))) == EVENTS_KEPT
+
+
+def test_pictures_that_nobody_dates_or_that_are_too_large_are_counted():
+    receiver = make_receiver(largest=(64, 48))
+    assert receiver.handle_picture(1, 64, 48, None) is None
+    assert receiver.handle_picture(2, 48, 64, 5).capture_ns == 5
+    assert receiver.handle_picture(3, 64, 52, 5) is None
+    counts = receiver.counts
+    assert (counts.undated, counts.oversized) == (1, 1)
+
+
+def test_a_receiver_on_a_thin_channel_keeps_silent_while_all_is_well():
+    stream = Stream(receiver=make_receiver(keep_alive_ns=None))
+    for number in range(60):
+        stream.step(number)
+    assert stream.receiver.poll_feedback(10**12) is None
+    assert stream.receiver.poll_timeout() is None
+    assert all(coding.refresh_s is None for coding in stream.codings)
+
+
+def test_garbage_is_counted_and_changes_nothing():
+    stream = Stream()
+    stream.sender.handle_feedback(b"\x00nonsense", 0)
+    stream.receiver.handle_packet(b"", 0)
+    assert not stream.receiver.handle_report(b"\x81", 0)
+    stream.step(0)
+    assert stream.sender.counts.feedback_garbage == 1
+    assert stream.receiver.counts.rtp.garbage == 2
+    assert len(stream.stamps) == 1
