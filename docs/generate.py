@@ -75,7 +75,8 @@ def entry(member: griffe.Object | griffe.Alias) -> str:
     for name, found in public.items():
         if found.is_attribute and found.annotation and "property" not in found.labels:
             default = f" = {found.value}" if found.value is not None else ""
-            lines.append(f"    {name}: {found.annotation}{default}")
+            # Quotes as ruff would set them: it checks the page, too.
+            lines.append(f"    {name}: {found.annotation}{default}".replace("'", '"'))
     init = public.pop("__init__", None)
     if init is not None and init.is_function and "dataclass" not in member.labels:
         lines.append("    " + signature(init).replace("\n", "\n    "))
