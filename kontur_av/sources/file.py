@@ -28,8 +28,11 @@ def check_file(path: str, kind: Literal["video", "audio"]) -> None:
     """Raise ConfigError, with the mend, if the file cannot be played."""
     wanted = "pictures" if kind == "video" else "sound"
     try:
-        with Path(path).open("rb") as file:
-            file.read(1)
+        # Opened as a file, a FIFO would wait for a writer for ever.
+        fifo = Path(path).is_fifo()
+        if not fifo:
+            with Path(path).open("rb") as file:
+                file.read(1)
     except FileNotFoundError:
         raise ConfigError(
             f"no file {path!r}: give a media file, or pipe:PATH, v4l2:DEVICE, alsa:DEVICE, "
@@ -39,6 +42,10 @@ def check_file(path: str, kind: Literal["video", "audio"]) -> None:
         raise ConfigError(
             f"cannot read {path!r} ({error.strerror}): give a readable file"
         ) from None
+    if fifo and kind == "video":
+        raise ConfigError(f"{path!r} is a FIFO: write pipe:{path}")
+    if fifo:
+        raise ConfigError(f"{path!r} is a FIFO, which brings no sound: give a file or alsa:DEVICE")
     try:
         with av.open(path) as container:
             found = _stream(container, kind) is not None

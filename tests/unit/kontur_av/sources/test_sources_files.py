@@ -1,5 +1,6 @@
 """Files as sources, on virtual time: pace, loop, aspect, and faulty files."""
 
+import os
 from fractions import Fraction
 from itertools import pairwise
 
@@ -214,6 +215,8 @@ def test_a_sound_file_that_disappears_and_returns(tmp_path):
         ("{}/tone.wav", "video", "no pictures.*video stream"),
         ("{}/clip.mkv", "audio", "no sound.*audio stream"),
         ("pipe:{}/none.fifo", "video", "no FIFO .*mkfifo"),
+        ("{}/head.y4m", "video", "is a FIFO: write pipe:.*/head.y4m$"),
+        ("{}/head.y4m", "audio", "is a FIFO, which brings no sound: give a file or alsa:DEVICE"),
         ("pipe:{}/clip.mkv", "video", "is no FIFO"),
         ("pipe:{}/clip.mkv", "audio", "wants sound"),
         ("alsa:default", "video", "wants pictures"),
@@ -229,6 +232,7 @@ def test_refusals_name_the_mend_in_one_line(tmp_path, spec, kind, words):
     write_video(tmp_path / "clip.mkv", pictures=1)
     write_tone(tmp_path / "tone.wav")
     (tmp_path / "text.mp4").write_text("not a film")
+    os.mkfifo(tmp_path / "head.y4m")
     with pytest.raises(ConfigError, match=words) as refusal:
         check_spec(spec.format(tmp_path), kind, ["two", "one"])
     assert "\n" not in str(refusal.value)
