@@ -53,7 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the link until it is told to end; 1 if its report names a failure."""
-    setup = replace(load_setup(args.setup), **radio_changes(args), **port_changes(args))
+    setup = load_setup(
+        args.setup,
+        changes={**radio_changes(args), **port_changes(args)},
+        radio_start_s=args.radio_start,
+    )
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
     ends = list(Segment) if args.end is None else [Segment(args.end)]

@@ -5,6 +5,8 @@ from typing import Any
 
 from kontur_av.errors import ConfigError
 from pipelines.setup.table import DEADBANDS, NO_RADIO
+from telepresence.link.radio.profile import BUILT_IN as RADIOS
+from telepresence.link.radio.profile_file import load_radio
 
 
 def add_setup_argument(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
@@ -24,7 +26,8 @@ def add_radio_argument(parser: argparse.ArgumentParser, *, default: str | None =
         "--radio",
         default=default,
         metavar="PROFILE",
-        help=f"cable, clean, iss-pass, geo or FILE.toml{_said(default)}",
+        help=f"{', '.join(RADIOS)} or FILE.toml; iss-overhead is iss-pass from its middle on"
+        f"{_said(default)}",
     )
 
 
@@ -33,8 +36,14 @@ def _said(default: str | None) -> str:
 
 
 def add_radio_arguments(parser: argparse.ArgumentParser, *, delay: bool = True) -> None:
-    """`--radio`, `--seed` and, with `delay`, `--radio-delay-ms`."""
+    """`--radio`, `--radio-start`, `--seed` and, with `delay`, `--radio-delay-ms`."""
     add_radio_argument(parser)
+    parser.add_argument(
+        "--radio-start",
+        type=float,
+        metavar="S",
+        help="begin S seconds after a pass's acquisition of signal (negative: before it)",
+    )
     if delay:
         parser.add_argument(
             "--radio-delay-ms", type=float, metavar="D", help="a cable with a delay one way"
@@ -44,13 +53,18 @@ def add_radio_arguments(parser: argparse.ArgumentParser, *, delay: bool = True) 
     )
 
 
+def radio_change(name_or_file: str) -> dict[str, Any]:
+    """What changes in a setup that shall have another radio."""
+    return {"radio": load_radio(name_or_file), "radio_delay_ms": 0.0}
+
+
 def radio_changes(args: argparse.Namespace) -> dict[str, Any]:
     """What the options change in the setup: they win over its radio, whichever it has."""
     delay_ms = getattr(args, "radio_delay_ms", None)
     if args.radio is not None and delay_ms is not None:
         raise ConfigError("--radio and --radio-delay-ms: give one of them")
     if args.radio is not None:
-        return {"radio": args.radio, "radio_delay_ms": 0.0}
+        return radio_change(args.radio)
     if delay_ms is not None:
         return {"radio": NO_RADIO, "radio_delay_ms": delay_ms}
     return {}

@@ -3,7 +3,7 @@
 import argparse
 import gc
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -74,9 +74,13 @@ def run(args: argparse.Namespace) -> int:
     """
     if not 0 < args.seconds < 1e6:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0 and below 1000000")
-    setup = load_setup(args.setup)
-    sources = {**setup.sources, **parse_sources(args.source)}
-    setup = replace(setup, sources=sources, **radio_changes(args), **deadband_changes(args))
+    changes = {**radio_changes(args), **deadband_changes(args)}
+    setup = load_setup(
+        args.setup,
+        sources=parse_sources(args.source),
+        changes=changes,
+        radio_start_s=args.radio_start,
+    )
     check_virtual_sources(setup)
     check_sources(setup)
     check_writable(args.report)

@@ -4,7 +4,6 @@ import argparse
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
@@ -126,10 +125,13 @@ def _live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[
 
 def chosen_setup(args: argparse.Namespace) -> Setup:
     """The setup that the options name, with what they change; ConfigError if it cannot work."""
-    setup = load_setup(args.setup)
-    sources = {**setup.sources, **parse_sources(args.source)}
     changes = {**radio_changes(args), **port_changes(args), **deadband_changes(args)}
-    return replace(setup, sources=sources, **changes)
+    return load_setup(
+        args.setup,
+        sources=parse_sources(args.source),
+        changes=changes,
+        radio_start_s=args.radio_start,
+    )
 
 
 def parse_sources(options: Sequence[str]) -> Mapping[str, str]:

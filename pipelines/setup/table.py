@@ -33,7 +33,8 @@ from telepresence.link.flows import (
     voice_flow,
 )
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
-from telepresence.link.radio import RadioPath, RadioProfile, delayed, load_radio
+from telepresence.link.radio.path import RadioPath
+from telepresence.link.radio.profile import RadioProfile, built_in_radio, delayed
 from telepresence.tmtc.packets import check_name
 from telepresence.world import DEFAULT_SCENES
 
@@ -228,8 +229,8 @@ class Setup:
     cameras: what can be selected for the uplink video; the first is on at the start. `stereo` is
         merged from the inputs `left` and `right`; any other is the input of the same name.
     sources: for each input its source, as on the command line (`--source NAME=SPEC`).
-    radio: what the radio does to frames: a built-in profile (`cable`, `clean`, `iss-pass`, `geo`)
-        or a file NAME.toml (docs/radio.md).
+    radio: what the radio does to frames: a profile, or a built-in one's name (docs/radio.md).
+        `telepresence.link.radio.load_radio` reads one from a file.
     radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
     deadband: unless `off`, haptic samples are left out while nobody would feel the difference, and
         the uplink video gets what that saves: as more of it, or sooner (docs/deadband.md).
@@ -244,7 +245,7 @@ class Setup:
     sources: Mapping[str, str] = field(default_factory=dict)
     uplink: LinkProfile = UPLINK
     downlink: LinkProfile = DOWNLINK
-    radio: str = NO_RADIO
+    radio: RadioProfile | str = NO_RADIO
     radio_delay_ms: float = 0.0
     deadband: Deadband = "off"
     #: Below the ports that Linux gives to whoever names none (32768 on), ours included.
@@ -265,12 +266,12 @@ class Setup:
             raise ConfigError(f"deadband {self.deadband!r}: take one of {', '.join(DEADBANDS)}")
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
-        if self.radio_delay_ms and self.radio != NO_RADIO:
+        radio = self._named_radio
+        if self.radio_delay_ms and radio.name != NO_RADIO:
             raise ConfigError(
-                f"radio {self.radio} has a delay of its own: leave out the delay of "
+                f"radio {radio.name} has a delay of its own: leave out the delay of "
                 f"{self.radio_delay_ms:g} ms, or take radio {NO_RADIO}"
             )
-        # Read once, and now: a process that is started again later needs it, too.
         delay_ms = self.radio_profile.longest_delay_ns / NS_PER_MS
         for stream in self.streams:
             if stream.stale_after_ms is not None and stream.stale_after_ms <= delay_ms:
@@ -282,8 +283,9 @@ class Setup:
         for name in self.sources:
             if name not in self.inputs:
                 raise ConfigError(
-                    f"source {name}: setup {self.name} has no such input; it has "
-                    + ", ".join(self.inputs)
+                    f"source {name}: setup {self.name} has no such input: it has "
+                    f"{', '.join(self.inputs)}; another camera needs a setup file of your own that "
+                    f"names it in cameras (docs/setups.md)"
                 )
         for name in self.inputs:
             self.source(name)
@@ -297,8 +299,12 @@ class Setup:
     @cached_property
     def radio_profile(self) -> RadioProfile:
         """What the radio does to frames."""
-        profile = load_radio(self.radio)
+        profile = self._named_radio
         return delayed(profile, self.radio_delay_ms) if self.radio_delay_ms else profile
+
+    @property
+    def _named_radio(self) -> RadioProfile:
+        return built_in_radio(self.radio) if isinstance(self.radio, str) else self.radio
 
     def radio_path(self, profile: LinkProfile, *, seed: int, epoch_ns: int) -> RadioPath:
         """The radio of one direction; `epoch_ns` is the instant of the profile's time 0."""
@@ -333,7 +339,10 @@ class Setup:
         """The source of the input `name`; ConfigError when it has none."""
         spec = self.sources.get(name, DEFAULT_SCENES.get(name))
         if spec is None:
-            raise ConfigError(f"input {name} has no built-in scene: give --source {name}=SPEC")
+            raise ConfigError(
+                f"input {name} has no built-in scene: give --source {name}=SPEC, "
+                f'or {name} = "SPEC" in [sources] of the setup file'
+            )
         return spec
 
     def stream_of(self, camera_input: str) -> VideoStream:

@@ -18,6 +18,7 @@ from pipelines.commands.simulate import simulate
 from pipelines.setup.setup_file import load_setup
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.session import Selection
+from telepresence.link.radio import load_radio
 
 SECONDS = 4.0
 #: One-way delay of a radio without other effects.
@@ -30,7 +31,7 @@ COSTS = CodingCosts()
 def simulated(name, tmp_path_factory, **options):
     radio = tmp_path_factory.mktemp("radio") / "straight.toml"
     radio.write_text(f"delay_ms = {DELAY_MS}\n")
-    setup = replace(load_setup(name), radio=str(radio))
+    setup = replace(load_setup(name), radio=load_radio(str(radio)))
     return setup, simulate(setup, seconds=SECONDS, seed=1, **options)
 
 
@@ -161,7 +162,7 @@ def test_reports_depend_on_the_seed_only(tmp_path):
 def test_all_streams_resume_after_a_blackout_without_late_data(tmp_path):
     radio = tmp_path / "dark.toml"
     radio.write_text('name = "dark"\ndelay_ms = 2.0\n[[blackouts]]\nstart_s = 1.5\nseconds = 1.0\n')
-    setup = replace(load_setup("spacejustin"), radio=str(radio))
+    setup = replace(load_setup("spacejustin"), radio=load_radio(str(radio)))
     report = simulate(setup, seconds=4.5, seed=3)
     assert report.failures == []
     for name, stream in report.streams.items():

@@ -7,6 +7,7 @@ import pytest
 from pipelines.commands.simulate import simulate
 from pipelines.setup.setup_file import load_setup
 from pipelines.simulation.costs import CodingCosts
+from telepresence.link.radio import load_radio
 
 DELAY_MS = 2.0
 
@@ -19,7 +20,7 @@ def usual(tmp_path_factory):
 def session(tmp_path, *, seconds, radio="", **options):
     path = tmp_path / "radio.toml"
     path.write_text(f"delay_ms = {DELAY_MS}\n{radio}")
-    setup = replace(load_setup("spacejustin"), radio=str(path))
+    setup = replace(load_setup("spacejustin"), radio=load_radio(str(path)))
     return setup, simulate(setup, seconds=seconds, seed=1, **options)
 
 

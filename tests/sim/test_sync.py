@@ -12,6 +12,7 @@ from pipelines.commands.simulate import simulate
 from pipelines.report.model import Ranks
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 from telepresence.haptics.loop import HapticLink
+from telepresence.link.radio import load_radio
 
 SECONDS = 12.0
 DELAY_MS = 2.0
@@ -31,7 +32,7 @@ def setup(tmp_path_factory):
     radio = tmp_path_factory.mktemp("radio") / "straight.toml"
     radio.write_text(f"delay_ms = {DELAY_MS}\n")
     wide = replace(SETUP.uplink, frame_octets=64, pointer_in_signaling=False)
-    return replace(SETUP, radio=str(radio), uplink=wide, sources={"left": "scene:left"})
+    return replace(SETUP, radio=load_radio(str(radio)), uplink=wide, sources={"left": "scene:left"})
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from pipelines.cores.choosing import CameraChoice
 from pipelines.cores.showing import Showing
 from pipelines.setup.setup_file import load_setup
 from pipelines.simulation.session import Selection
+from telepresence.link.radio import load_radio
 
 DELAY_MS = 2.0
 
@@ -39,7 +40,7 @@ def session(tmp_path, *, dark_s=None, **options):
     if dark_s is not None:
         text += f"[[blackouts]]\nstart_s = 1.5\nseconds = {dark_s}\n"
     radio.write_text(text)
-    setup = replace(load_setup("spacejustin"), radio=str(radio))
+    setup = replace(load_setup("spacejustin"), radio=load_radio(str(radio)))
     report = simulate(setup, seed=2, **options)
     assert report.failures == []
     for stream in report.streams.values():

@@ -28,6 +28,7 @@ from pipelines.commands.session_options import (
     add_radio_argument,
     add_setup_argument,
     deadband_changes,
+    radio_change,
 )
 from pipelines.commands.stream import check_sources
 from pipelines.report.report_file import check_writable
@@ -185,7 +186,7 @@ def _setups(args: argparse.Namespace) -> list[Setup]:
     """The chosen setup first, then the other built-in ones, all with the chosen radio."""
     chosen = load_setup(args.setup)
     others = [setup for name, setup in BUILT_IN.items() if name != chosen.name]
-    changes = {"radio": args.radio, "radio_delay_ms": 0.0, **deadband_changes(args)}
+    changes = {**radio_change(args.radio), **deadband_changes(args)}
     # Check the port of the live run before anything is measured.
     first = replace(chosen, base_port=args.base_port, **changes)
     check_virtual_sources(first)

@@ -26,7 +26,11 @@ from pipelines.bench.passes.figures import (
 )
 from pipelines.bench.passes.run import Plan, run_sessions
 from pipelines.bench.result import write_result
-from pipelines.commands.session_options import add_radio_argument, add_setup_argument
+from pipelines.commands.session_options import (
+    add_radio_argument,
+    add_setup_argument,
+    radio_change,
+)
 from pipelines.report.report_file import check_writable
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import Setup
@@ -116,16 +120,12 @@ def _checked(args: argparse.Namespace) -> Setup:
         raise ConfigError(f"--jobs {args.jobs}: give 1 to 64")
     check_writable(args.report)
     check_writable(args.markdown, "--markdown")
-    return replace(load_setup(args.setup), radio=args.radio, radio_delay_ms=0.0)
+    return load_setup(args.setup, changes=radio_change(args.radio))
 
 
 def _content(setup: Setup) -> str:
     """A digest of what the names of a setup and a radio stand for: their files may be changed."""
-    radio = setup.radio_profile
-    digest = sha256(repr((setup, radio)).encode())
-    if radio.contact is not None:
-        digest.update(radio.contact.elements.read_bytes())
-    return digest.hexdigest()[:16]
+    return sha256(repr((setup, setup.radio_profile)).encode()).hexdigest()[:16]
 
 
 def _figures(report: dict[str, Any], setup: Setup) -> Figures:

@@ -20,6 +20,7 @@ from pipelines.bench.console import open_console
 from pipelines.bench.result import Headline, Json, Reading, as_json, write_result
 from pipelines.bench.session import live_session
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
+from pipelines.commands.session_options import radio_change
 from pipelines.commands.simulate import simulate
 from pipelines.commands.stream import check_sources
 from pipelines.report.report_file import check_writable
@@ -113,7 +114,7 @@ def _run_session(args: argparse.Namespace, console: Console) -> int:
     if not 5 <= seconds <= 36_000:
         raise ConfigError(f"--seconds {seconds:g}: give 5 to 36000")
     name, radio = args.setup or "spacejustin", args.radio or "clean"
-    setup = replace(load_setup(name), radio=radio, radio_delay_ms=0.0)
+    setup = load_setup(name, changes=radio_change(radio))
     check_sources(setup)
     if args.live:
         report = live_session(

@@ -12,8 +12,10 @@ from telepresence.link.radio.profile import (
     Direction,
     RadioProfile,
     RandomBlackouts,
+    delayed,
+    started,
 )
-from telepresence.link.radio.profile_file import delayed, load_radio
+from telepresence.link.radio.profile_file import load_radio
 
 __all__ = [
     "Blackout",
@@ -25,4 +27,5 @@ __all__ = [
     "RandomBlackouts",
     "delayed",
     "load_radio",
+    "started",
 ]

@@ -11,11 +11,10 @@ that both directions fade together. docs/radio-model.md has the reasons.
 
 from dataclasses import dataclass
 from math import cos, erfc, exp, hypot, log, log10, pi, sin, sqrt
-from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.figures import ContactWindows
-from telepresence.link.radio.orbit import next_overflight, read_elements
+from telepresence.link.radio.orbit import next_overflight, parse_elements
 
 _LIGHT_KM_S = 299_792.458
 #: Eb/N0 at which an uncoded BPSK receiver takes one bit in a million wrong, dB.
@@ -28,14 +27,20 @@ _STEP_NS = 10 * NS_PER_MS
 _USABLE_DEVIATIONS = 2.5
 _MASK = (1 << 64) - 1
 
-STORED_ELEMENTS = Path(__file__).with_name("iss.tle")
+#: The International Space Station, NORAD 25544: an authentic two-line element set as published by
+#: the United States' space surveillance, epoch 27 August 2015, 09:49:27 UTC, in the weeks of
+#: Kontur-2's first experiments.
+STORED_ELEMENTS = """\
+1 25544U 98067A   15239.40934558  .00012538  00000-0  18683-3 0  9996
+2 25544  51.6452  88.4122 0001595  95.9665 324.8493 15.55497522959124
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
     """A pass over a station, and how well the two hear each other during it.
 
-    elements: the file of the two-line element set.
+    elements: the text of the two-line element set.
     after: the first pass that rises after this instant, UTC, and culminates at least
         `least_peak_deg` high is taken.
     latitude_deg, longitude_deg, altitude_m: the station.
@@ -49,7 +54,7 @@ class Contact:
     light_time: whether range counts for the delay.
     """
 
-    elements: Path = STORED_ELEMENTS
+    elements: str = STORED_ELEMENTS
     after: str = "2015-08-18T14:00:00Z"
     least_peak_deg: float = 30.0
     latitude_deg: float = 47.8811
@@ -137,7 +142,7 @@ class ContactFading:
     def __init__(self, contact: Contact, *, seed: int) -> None:
         self._contact = contact
         self.flight = next_overflight(
-            read_elements(contact.elements),
+            parse_elements(contact.elements),
             (contact.latitude_deg, contact.longitude_deg, contact.altitude_m),
             contact.after,
             contact.horizon_deg,

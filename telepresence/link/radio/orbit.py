@@ -9,7 +9,6 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache
 from math import asin, cos, degrees, hypot, radians, sin, sqrt
-from pathlib import Path
 
 from kontur_av.errors import ConfigError
 
@@ -35,23 +34,21 @@ class Overflight:
     elevations_deg: tuple[float, ...]
 
 
-def read_elements(path: Path) -> tuple[str, str]:
-    """The two lines of an element set from a file, their checksums checked; ConfigError."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"cannot read elements {path}: {reason}") from None
+def parse_elements(text: str) -> tuple[str, str]:
+    """The two lines of an element set, their checksums checked; ConfigError.
+
+    Lines that begin with neither 1 nor 2 are comments.
+    """
     lines = [line.rstrip() for line in text.splitlines() if re.match(r"[12] ", line)]
     if len(lines) != 2 or [line[0] for line in lines] != ["1", "2"]:
-        raise ConfigError(f"elements {path} must hold one set of two lines, 1 … and 2 …")
+        raise ConfigError("one set of two lines is needed, 1 … and 2 …")
     for line in lines:
         if len(line) != 69:
-            raise ConfigError(f"elements {path}: line {line[0]} has {len(line)} columns, not 69")
+            raise ConfigError(f"line {line[0]} has {len(line)} columns, not 69")
         checksum = sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10
         if line[68] != str(checksum):
             raise ConfigError(
-                f"elements {path}: checksum of line {line[0]} is {line[68]}, but its columns "
+                f"checksum of line {line[0]} is {line[68]}, but its columns "
                 f"add up to {checksum}: copy the line again"
             )
     return lines[0], lines[1]

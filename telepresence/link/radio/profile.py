@@ -1,6 +1,6 @@
 """A radio profile: all that makes a radio what it is, as data. Built-in ones are at the end."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from random import Random
 from typing import Literal
@@ -10,7 +10,7 @@ from kontur_av.errors import ConfigError
 from telepresence.link.figures import ContactWindows
 from telepresence.link.radio.channel import Channel
 from telepresence.link.radio.contact import Contact, ContactFading
-from telepresence.link.radio.orbit import Overflight, parse_utc
+from telepresence.link.radio.orbit import Overflight, parse_elements, parse_utc
 from telepresence.link.radio.outages import BlackoutClock, BurstClock, random_windows
 from telepresence.link.radio.path import RadioPath
 
@@ -116,8 +116,8 @@ class RadioProfile:
         """The path of one direction's frames; `epoch_ns` is the instant of the profile's time 0.
 
         Of the same seed, blackouts and fading are the same in both directions and in any process;
-        bit errors, losses and bursts are each direction's own. ConfigError if the contact's
-        elements cannot be read, or have no such pass.
+        bit errors, losses and bursts are each direction's own. ConfigError if the contact has no
+        such pass.
         """
         bursts = more = contact = None
         if self.bursts is not None:
@@ -199,34 +199,75 @@ _CONTACT_LIMITS = {
 def _check_contact(contact: Contact) -> None:
     for name, (least, most) in _CONTACT_LIMITS.items():
         _within(f"contact.{name}", getattr(contact, name), least, most)
+    try:
+        parse_elements(contact.elements)
+    except ConfigError as error:
+        raise ConfigError(f"contact.elements: {error}") from None
     if parse_utc(contact.after) is None:
         raise ConfigError(
             f'contact.after is "{contact.after}": write it like "2015-08-18T14:00:00Z"'
         )
 
 
-_PROFILES = (
-    RadioProfile(name="cable", description="a cable: no delay, no error"),
-    RadioProfile(
-        name="clean",
-        description="Kontur-2's link on a good day, the station high: 10 ms one way, no error",
-        delay_ms=10.0,
-    ),
-    RadioProfile(
-        name="iss-pass",
-        description="the ISS over Weilheim on 18 August 2015, from acquisition to loss of signal",
-        delay_ms=8.5,
-        bursts=Bursts(gap_s=20.0, mean_ms=4.0, frame_loss=0.3, bit_error_rate=1e-4),
-        contact=Contact(),
-    ),
-    RadioProfile(
-        name="geo",
-        description="by a geostationary relay: 600 to 800 ms round trip, some errors",
-        delay_ms=350.0,
-        delay_swing_ms=50.0,
-        delay_period_s=120.0,
-        bit_error_rate=1e-8,
-        bursts=Bursts(gap_s=10.0, mean_ms=6.0, frame_loss=0.5, bit_error_rate=1e-4),
-    ),
+_CABLE = RadioProfile(name="cable", description="a cable: no delay, no error")
+_CLEAN = RadioProfile(
+    name="clean",
+    description="Kontur-2's link on a good day, the station high: 10 ms one way, no error",
+    delay_ms=10.0,
 )
-BUILT_IN = {profile.name: profile for profile in _PROFILES}
+_ISS_PASS = RadioProfile(
+    name="iss-pass",
+    description="the ISS over Weilheim on 18 August 2015, from acquisition to loss of signal",
+    delay_ms=8.5,
+    bursts=Bursts(gap_s=20.0, mean_ms=4.0, frame_loss=0.3, bit_error_rate=1e-4),
+    contact=Contact(),
+)
+_ISS_OVERHEAD = replace(
+    _ISS_PASS,
+    name="iss-overhead",
+    description="the same pass from its middle on: four minutes without drop-outs come first",
+    start_s=296.0,
+)
+_GEO = RadioProfile(
+    name="geo",
+    description="by a geostationary relay: 600 to 800 ms round trip, some errors",
+    delay_ms=350.0,
+    delay_swing_ms=50.0,
+    delay_period_s=120.0,
+    bit_error_rate=1e-8,
+    bursts=Bursts(gap_s=10.0, mean_ms=6.0, frame_loss=0.5, bit_error_rate=1e-4),
+)
+BUILT_IN = {profile.name: profile for profile in (_CABLE, _CLEAN, _ISS_PASS, _ISS_OVERHEAD, _GEO)}
+
+
+def built_in_radio(name: str) -> RadioProfile:
+    """A built-in profile by its name; ConfigError where there is none of that name."""
+    if name not in BUILT_IN:
+        raise ConfigError(f"unknown radio {name}: take {', '.join(BUILT_IN)}, or a file NAME.toml")
+    return BUILT_IN[name]
+
+
+def delayed(profile: RadioProfile, delay_ms: float) -> RadioProfile:
+    """The same profile with a fixed delay one way, in ms, whatever delay it had."""
+    contact = profile.contact and replace(profile.contact, light_time=False)
+    return replace(profile, delay_ms=float(delay_ms), delay_swing_ms=0.0, contact=contact)
+
+
+def started(profile: RadioProfile, start_s: float) -> RadioProfile:
+    """The same profile, begun `start_s` after its contact's acquisition of signal.
+
+    Negative: before it. ConfigError where there is no contact, or where it is over by then.
+    """
+    flight = profile.overflight()
+    if flight is None:
+        passes = " or ".join(each.name for each in BUILT_IN.values() if each.contact)
+        raise ConfigError(
+            f"radio start of {start_s:g} s: radio {profile.name} has no pass to begin in; "
+            f"take radio {passes}, or leave the start out"
+        )
+    if not start_s < flight.visible_s:
+        raise ConfigError(
+            f"radio start of {start_s:g} s: the pass of radio {profile.name} lasts "
+            f"{flight.visible_s:.0f} s; take less"
+        )
+    return replace(profile, start_s=float(start_s))

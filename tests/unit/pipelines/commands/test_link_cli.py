@@ -27,7 +27,10 @@ def nothing_starts(monkeypatch):
     [
         ([], "--setup"),
         (["--setup", "nosuch"], "spacejustin or taskboard, or a file"),
-        (["--setup", "taskboard", "--radio", "nosuch"], "cable, clean, iss-pass, geo"),
+        (
+            ["--setup", "taskboard", "--radio", "nosuch"],
+            "clean, iss-pass, iss-overhead, geo",
+        ),
         (["--setup", "taskboard", "--radio", "missing.toml"], "missing.toml"),
         (["--setup", "taskboard", "--seconds", "0"], "above 0"),
         (["--setup", "taskboard", "--report", "missing/r.json"], "--report missing/r.json"),

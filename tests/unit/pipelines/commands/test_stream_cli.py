@@ -10,8 +10,9 @@ import tempfile
 import pytest
 
 from kontur_av.clock import MonotonicClock
-from pipelines.cli import main
+from pipelines.cli import _parser, main
 from pipelines.commands import stream
+from pipelines.commands.session_options import radio_changes
 from pipelines.setup.setup_file import load_setup
 
 TOML = """
@@ -78,10 +79,30 @@ def write(path, text):
         (["--setup", "taskboard", "--seconds", "soon"], "--seconds"),
         (["--setup", "taskboard", "--radio-delay-ms", "-1"], "take 0 to 10000"),
         (["--setup", "taskboard", "--radio-delay-ms", "nan"], "take 0 to 10000"),
-        (["--setup", "taskboard", "--radio", "nosuch"], "take cable, clean, iss-pass, geo"),
+        (
+            ["--setup", "taskboard", "--radio", "nosuch"],
+            "take cable, clean, iss-pass, iss-overhead, geo, or a file NAME.toml",
+        ),
         (["--setup", "taskboard", "--radio", "missing.toml"], "missing.toml: No such file"),
         (["--setup", "taskboard", "--radio", "geo", "--radio-delay-ms", "3"], "give one of them"),
+        (
+            ["--setup", "taskboard", "--radio-start", "10"],
+            "radio cable has no pass to begin in; take radio iss-pass or iss-overhead, or leave",
+        ),
+        (
+            ["--setup", "taskboard", "--radio", "iss-pass", "--radio-start", "600"],
+            "the pass of radio iss-pass lasts 593 s; take less",
+        ),
+        (["--setup", "taskboard", "--radio", "iss-pass", "--radio-start", "nan"], "take less"),
+        (
+            ["--setup", "taskboard", "--radio-delay-ms", "9", "--radio-start", "1"],
+            "leave the start out",
+        ),
         (["--setup", "taskboard", "--seed", "x"], "--seed"),
+        (
+            ["--setup", "spacejustin", "--source", "wrist=scene:head"],
+            "another camera needs a setup file of your own that names it in cameras",
+        ),
         (["--setup", "taskboard", "--base-port", "80"], "1024"),
         (["--setup", "taskboard", "--base-port", "65535"], "1024"),
         (["--setup", "taskboard", "--report", "missing/r.json"], "--report missing/r.json"),
@@ -117,7 +138,7 @@ def test_options_that_cannot_work(capsys, monkeypatch, tmp_path, options, says):
         (TOML.replace('"static"', '"wrist"'), "--source wrist=SPEC"),
         (TOML.replace('["stereo", "static"]', "[]"), "name at least one"),
         (TOML.replace('["stereo", "static"]', '"stereo"'), "list of names"),
-        ("base_port = true\n" + TOML, "base_port must be a number"),
+        ("base_port = true\n" + TOML, "base_port must be a whole number"),
         ("sources = 3\n" + TOML, "sources must be a table"),
         ('sources = {head = "x.mp4"}\n' + TOML, "left, right, static"),
         ("uplink_voice = 8\n" + TOML, "table [uplink_voice]"),
@@ -128,6 +149,27 @@ def test_options_that_cannot_work(capsys, monkeypatch, tmp_path, options, says):
 def test_setups_that_cannot_work(capsys, tmp_path, text, says):
     path = write(tmp_path / "mine.toml", text)
     assert says in refusal(capsys, "stream", "--setup", path)
+
+
+def test_the_mends_of_a_missing_source_work(capsys, tmp_path):
+    wrist = 'cameras = ["wrist"]\nuplink_video = {cap_kbps = 85}\n'
+    path = write(tmp_path / "mine.toml", wrist)
+    line = refusal(capsys, "stream", "--setup", path)
+    assert 'give --source wrist=SPEC, or wrist = "SPEC" in [sources] of the setup file' in line
+    chosen = _parser().parse_args(["stream", "--setup", path, "--source", "wrist=scene:head"])
+    assert stream.chosen_setup(chosen).source("wrist") == "scene:head"
+    path = write(tmp_path / "mine.toml", wrist + '[sources]\nwrist = "scene:left"\n')
+    chosen = _parser().parse_args(["stream", "--setup", path])
+    assert stream.chosen_setup(chosen).source("wrist") == "scene:left"
+
+
+@pytest.mark.parametrize("command", ["stream", "link", "simulate"])
+def test_every_session_can_begin_in_the_middle_of_a_pass(command):
+    options = ["--setup", "taskboard", "--radio", "iss-pass", "--radio-start", "200"]
+    args = _parser().parse_args([command, "--seconds", "1", *options])
+    setup = load_setup(args.setup, changes=radio_changes(args), radio_start_s=args.radio_start)
+    assert setup.radio_profile.start_s == 200
+    assert setup.radio_profile.name == "iss-pass"
 
 
 @pytest.mark.usefixtures("nothing_starts")

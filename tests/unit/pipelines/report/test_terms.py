@@ -12,6 +12,7 @@ from pipelines.report.model import Terms
 from pipelines.report.terms import TERMS, Way, video_lead, zone_bps
 from pipelines.setup.built_in import BUILT_IN
 from telepresence.link.profile import UPLINK
+from telepresence.link.radio import load_radio
 
 SETUP = replace(BUILT_IN["spacejustin"], radio="clean")
 FORCE_NS = 11 * NS_PER_MS
@@ -105,7 +106,7 @@ def test_headers_and_what_samples_leave_decide_how_long_a_picture_is_on_the_chan
 def test_propagation_is_that_of_the_instants_at_which_pictures_were_sent(tmp_path):
     radio = tmp_path / "far.toml"
     radio.write_text("delay_ms = 100\ndelay_swing_ms = 50\ndelay_period_s = 40\n")
-    setup = replace(SETUP, radio=str(radio))
+    setup = replace(SETUP, radio=load_radio(str(radio)))
     epoch_ns = 7 * NS_PER_S
     for second, expected_ms in ((10, 150), (30, 50)):
         way = Way()

@@ -12,6 +12,7 @@ from pipelines.setup.names import HOUSEKEEPING_INTERVAL_NS, REPORT_INTERVAL_NS, 
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import Ports, Setup, VideoStream
 from telepresence.link.arithmetic import RESERVE_BPS, RESUME_OCTETS, TAG_OCTETS
+from telepresence.link.radio import load_radio
 from telepresence.tmtc import Housekeeping, pack_packet
 
 EVERY_FIELD = """
@@ -104,7 +105,7 @@ def test_a_file_is_named_after_itself(tmp_path):
         ("cap_kbps = 50\ncoded = '800x600'", "coded as 800x600: take no larger size"),
         ("cap_kbps = 50\nstale_after_ms = 2", "uplink_video: stale after 2 ms; take 10 to"),
         ("cap_kbps = 50\nstale_after_ms = '1 s'", "uplink_video.stale_after_ms must be a number"),
-        ('cap_kbps = 50\nsize = "640"', "^uplink_video.size '640': write WIDTHxHEIGHT"),
+        ('cap_kbps = 50\nsize = "640"', "odd.toml: uplink_video.size '640': write WIDTHxHEIGHT"),
     ],
 )
 def test_a_value_that_cannot_be_is_named_with_its_field(tmp_path, fields_of_it, message):
@@ -224,7 +225,7 @@ def test_a_radio_is_a_profile_or_a_cable_with_a_delay(tmp_path):
     file = tmp_path / "storm.toml"
     file.write_text("delay_ms = 40\nframe_loss = 0.1\n")
     assert own_setup().radio_profile.longest_delay_ns == 0
-    assert own_setup(radio=str(file)).radio_profile.frame_loss == 0.1
+    assert own_setup(radio=load_radio(str(file))).radio_profile.frame_loss == 0.1
     assert own_setup(radio_delay_ms=12.5).radio_profile.longest_delay_ns == 12_500_000
     with pytest.raises(ConfigError, match=r"radio geo has .* take radio cable"):
         own_setup(radio="geo", radio_delay_ms=12.5)

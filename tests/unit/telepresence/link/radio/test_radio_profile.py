@@ -8,7 +8,7 @@ import pytest
 from places import ROOT
 
 from kontur_av.errors import ConfigError
-from telepresence.link.radio import RadioProfile, load_radio
+from telepresence.link.radio import RadioProfile, load_radio, started
 from telepresence.link.radio.contact import STORED_ELEMENTS, Contact
 from telepresence.link.radio.profile import BUILT_IN, Blackout, Bursts, RandomBlackouts
 from telepresence.link.radio.profile_file import radio_from_table
@@ -27,7 +27,7 @@ def load(tmp_path):
 
 
 def test_the_built_in_ones():
-    assert list(BUILT_IN) == ["cable", "clean", "iss-pass", "geo"]
+    assert list(BUILT_IN) == ["cable", "clean", "iss-pass", "iss-overhead", "geo"]
     cable = load_radio("cable")
     assert cable.longest_delay_ns == 0
     assert cable.contact_windows() is cable.overflight() is None
@@ -72,9 +72,9 @@ def test_a_table_can_be_switched_off(load):
 
 
 def test_elements_of_ones_own_lie_beside_the_file(load, tmp_path):
-    (tmp_path / "sat.tle").write_text(STORED_ELEMENTS.read_text())
+    (tmp_path / "sat.tle").write_text(STORED_ELEMENTS)
     profile = load('[contact]\nelements = "sat.tle"\nafter = "2015-08-19T00:00:00Z"')
-    assert profile.contact.elements == tmp_path / "sat.tle"
+    assert profile.contact.elements == STORED_ELEMENTS
     assert profile.contact_windows().acquisition.startswith("2015-08-19T")
 
 
@@ -85,7 +85,10 @@ def test_elements_of_ones_own_lie_beside_the_file(load, tmp_path):
         ("[bursts]\nmean_s = 1", "unknown field bursts.mean_s: the nearest one is bursts.mean_ms"),
         ("[contacts]", "unknown field contacts: the nearest one is contact"),
         ("qqq = 1", "unknown field qqq: the nearest one is"),
-        ('base = "iss"', "base must be one of cable, clean, iss-pass, geo, not 'iss'"),
+        (
+            'base = "iss"',
+            "cable, clean, iss-pass, iss-overhead, geo, not 'iss'",
+        ),
         ("base = 3", "base must be one of"),
         ('delay_ms = "5"', "delay_ms must be a number"),
         ("delay_ms = true", "delay_ms must be a number"),
@@ -119,7 +122,7 @@ def test_what_is_wrong_is_told_in_one_line(load, text, told):
 
 def test_names_and_files_that_are_not_there(tmp_path):
     with pytest.raises(
-        ConfigError, match="unknown radio iss: take cable, clean, iss-pass, geo, or"
+        ConfigError, match="unknown radio iss: take cable, clean, iss-pass, iss-overhead, geo, or"
     ):
         load_radio("iss")
     with pytest.raises(ConfigError, match="cannot read radio"):
@@ -129,13 +132,35 @@ def test_names_and_files_that_are_not_there(tmp_path):
         load_radio(str(tmp_path / "binary.toml"))
 
 
-def test_missing_elements_are_told_when_the_path_is_made(load):
-    profile = load('[contact]\nelements = "none.tle"')
-    with pytest.raises(ConfigError, match=r"cannot read elements .*none\.tle"):
-        profile.path("uplink", seed=1, epoch_ns=0)
+def test_elements_that_are_missing_or_wrong_are_told_when_the_file_is_read(load, tmp_path):
+    with pytest.raises(ConfigError, match=r"mine\.toml: cannot read elements .*none\.tle"):
+        load('[contact]\nelements = "none.tle"')
+    (tmp_path / "bad.tle").write_text(STORED_ELEMENTS.replace("15239", "15238"))
+    with pytest.raises(ConfigError, match=r"elements .*bad\.tle: checksum of line 1"):
+        load('[contact]\nelements = "bad.tle"')
+    with pytest.raises(ConfigError, match=r"contact\.elements must be a text in quotes, not 3"):
+        load("[contact]\nelements = 3")
 
 
-def test_the_annotated_profile_of_the_document_has_every_field():
+def test_one_begins_where_another_is_at_its_best():
+    whole, middle = BUILT_IN["iss-pass"], BUILT_IN["iss-overhead"]
+    windows = middle.contact_windows()
+    assert middle.start_s == pytest.approx(windows.loss_s / 2, abs=1)
+    # Minutes without drop-outs come first.
+    assert windows.usable_from_s < middle.start_s < windows.usable_to_s - 230
+    assert (middle.contact, middle.bursts) == (whole.contact, whole.bursts)
+
+
+def test_a_radio_begins_where_it_is_told_to_if_there_is_a_pass():
+    assert started(BUILT_IN["iss-pass"], 100).start_s == 100
+    assert started(BUILT_IN["iss-pass"], -5).start_s == -5
+    with pytest.raises(ConfigError, match="the pass of radio iss-pass lasts 593 s; take less"):
+        started(BUILT_IN["iss-pass"], 593)
+    with pytest.raises(ConfigError, match=r"geo has no pass .* take radio iss-pass or iss-ov"):
+        started(BUILT_IN["geo"], 10)
+
+
+def test_the_annotated_profile_of_the_document_has_every_field(tmp_path):
     text = DOCUMENT.read_text(encoding="utf-8")
     (block,) = re.findall(r"^```toml\n(# mine\.toml\n.*?)^```", text, re.MULTILINE | re.DOTALL)
     table = tomllib.loads(block)
@@ -145,5 +170,6 @@ def test_the_annotated_profile_of_the_document_has_every_field():
         assert set(table[name]) == {field.name for field in fields(kind)}, name
     assert set(table["blackouts"][0]) == {field.name for field in fields(Blackout)}
     # What stands there of the contact is the built-in pass.
-    profile = radio_from_table(table, STORED_ELEMENTS.parent)
+    (tmp_path / "iss.tle").write_text(STORED_ELEMENTS)
+    profile = radio_from_table(table, tmp_path)
     assert profile.contact == Contact()

@@ -1,0 +1,132 @@
+"""TOML files that a user writes: read, checked against typed tables, and refused in one line.
+
+What may stand in a file is a dataclass. msgspec checks and converts; what it finds wrong is told as
+a ConfigError that names the field, its value and what would fit.
+"""
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from difflib import get_close_matches
+from math import isfinite
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_type_hints
+
+import msgspec
+
+from kontur_av.errors import ConfigError
+
+_Table = TypeVar("_Table")
+
+#: What msgspec calls a type, and what a user calls it.
+_WORDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text in quotes",
+    "bool": "true or false",
+}
+_MESSAGE = re.compile(r"(.*?)(?: - at `\$(.*)`)?")
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """The table in a file. ConfigError when it cannot be read or is no TOML; what: "radio", say."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot read {what} {path}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{what} {path} is not TOML: {error}") from None
+
+
+def check_known(table: Mapping[str, Any], kind: type, *, also: tuple[str, ...] = ()) -> None:
+    """ConfigError for a field that `kind` (a dataclass) does not have, or an infinite number.
+
+    also: fields that the caller takes out itself.
+    """
+    _check_known("", table, kind, also)
+
+
+def typed(table: Mapping[str, Any], kind: type[_Table], what: str) -> _Table:
+    """`table` as a `kind` (a dataclass whose fields may be dataclasses); ConfigError otherwise.
+
+    A field's metadata "like" says in words what it takes, where its type alone says too little.
+    what: what the whole table is, for what it needs: "a setup", say.
+    """
+    check_known(table, kind)
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        match = _MESSAGE.fullmatch(str(error))
+        assert match is not None
+        wrong, path = match[1], match[2] or ""
+        raise ConfigError(_told(wrong, path, table, kind, what)) from None
+
+
+def _check_known(
+    prefix: str, table: Mapping[str, Any], kind: type, also: tuple[str, ...] = ()
+) -> None:
+    known = get_type_hints(kind)
+    for key, value in table.items():
+        name = prefix + key
+        if key not in known and key not in also:
+            (nearest,) = get_close_matches(key, [*known, *also], n=1, cutoff=0.0)
+            raise ConfigError(f"unknown field {name}: the nearest one is {prefix}{nearest}")
+        if isinstance(value, float) and not isfinite(value):
+            raise ConfigError(f"{name} is {value}: it must be a finite number")
+        inner = _inner(known.get(key))
+        if inner is not None:
+            for each in value if isinstance(value, list) else (value,):
+                if isinstance(each, Mapping):
+                    _check_known(f"{name}.", each, inner)
+
+
+def _inner(hint: Any) -> type | None:
+    """The dataclass in a field's type: `X`, `X | None` or `tuple[X, ...]`."""
+    return next((each for each in (hint, *get_args(hint)) if is_dataclass(each)), None)  # type: ignore[return-value]
+
+
+def _told(wrong: str, path: str, table: Any, kind: type, what: str) -> str:
+    """What msgspec says of the place `path`, in the words of this module."""
+    name = re.sub(r"\[[^]]*\]", "", path).removeprefix(".")
+    field: Field[Any] | None = None
+    value, holder = table, kind
+    for key, index in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", path):
+        if key:
+            field = next(each for each in fields(holder) if each.name == key)
+            value = value[key]
+            holder = _inner(get_type_hints(holder)[key]) or holder
+        elif index == "...":
+            # A value of a mapping; msgspec does not say of which key.
+            return f"{name} must be {_wanted(wrong, name, field, holder)} throughout"
+        else:
+            value = value[int(index)]
+    if wrong.startswith("Object missing"):
+        needed = [each.name for each in _needed(holder) if each.name not in value]
+        return f"{name or what} needs {' and '.join(needed)}"
+    return f"{name} must be {_wanted(wrong, name, field, holder)}, not {_shown(value)}"
+
+
+def _needed(kind: type) -> Iterator[Field[Any]]:
+    for field in fields(kind):
+        if field.default is MISSING and field.default_factory is MISSING:
+            yield field
+
+
+def _wanted(wrong: str, name: str, field: Field[Any] | None, holder: type) -> str:
+    if field is not None and "like" in field.metadata:
+        return str(field.metadata["like"])
+    match = re.match(r"Expected `([a-z]+)", wrong)
+    expected = match[1] if match else ""
+    if expected == "object":
+        known = ", ".join(each.name for each in fields(holder))
+        return f"a table with {known}: a table [{name}]"
+    if expected == "array":
+        return f"tables [[{name}]]"
+    return _WORDS.get(expected, wrong)
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "a table" if isinstance(value, Mapping) else repr(value)

@@ -1,0 +1,113 @@
+"""TOML files of a user: each mistake is one line that names field, value and what would fit."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from telepresence.toml_file import check_known, read_toml, typed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wheel:
+    radius_m: float
+    spokes: int = 30
+
+    def __post_init__(self):
+        if self.radius_m <= 0:
+            raise ConfigError(f"radius_m is {self.radius_m:g}: take more than 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cart:
+    name: str
+    front: Wheel
+    rear: Wheel | None = None
+    spares: tuple[Wheel, ...] = ()
+    loaded: bool = False
+    names: tuple[str, ...] = field(default=(), metadata={"like": 'a list, like ["a"]'})
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+
+WHOLE = {"name": "x", "front": {"radius_m": 1}}
+
+
+def test_what_fits_arrives_with_its_types():
+    cart = typed(
+        {**WHOLE, "spares": [{"radius_m": 0.5, "spokes": 3}], "names": ["a"], "notes": {"b": "c"}},
+        Cart,
+        "a cart",
+    )
+    assert cart == Cart(
+        name="x",
+        front=Wheel(radius_m=1.0),
+        spares=(Wheel(radius_m=0.5, spokes=3),),
+        names=("a",),
+        notes={"b": "c"},
+    )
+    assert isinstance(cart.front.radius_m, float)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"nam": "y"}, "unknown field nam: the nearest one is name"),
+        (
+            {"front": {"radius": 1}},
+            "unknown field front.radius: the nearest one is front.radius_m",
+        ),
+        (
+            {"spares": [{"spoke": 1}]},
+            "unknown field spares.spoke: the nearest one is spares.spokes",
+        ),
+        ({"name": 3}, "name must be a text in quotes, not 3"),
+        ({"loaded": 1}, "loaded must be true or false, not 1"),
+        ({"front": {"radius_m": "1"}}, "front.radius_m must be a number, not '1'"),
+        ({"front": {"radius_m": True}}, "front.radius_m must be a number, not true"),
+        (
+            {"front": {"radius_m": float("inf")}},
+            "front.radius_m is inf: it must be a finite number",
+        ),
+        (
+            {"front": {"radius_m": 1, "spokes": 2.5}},
+            "front.spokes must be a whole number, not 2.5",
+        ),
+        ({"front": {}}, "front needs radius_m"),
+        ({"front": 1}, "front must be a table with radius_m, spokes: a table [front], not 1"),
+        ({"rear": 1}, "rear must be a table with radius_m, spokes: a table [rear], not 1"),
+        ({"spares": 1}, "spares must be tables [[spares]], not 1"),
+        ({"spares": [{"radius_m": "a"}]}, "spares.radius_m must be a number, not 'a'"),
+        ({"names": "a"}, "names must be a list, like [\"a\"], not 'a'"),
+        ({"notes": {"a": 1}}, "notes must be a text in quotes throughout"),
+        ({"front": {"radius_m": -1}}, "radius_m is -1: take more than 0"),
+    ],
+)
+def test_what_does_not_fit_is_told(changes, told):
+    with pytest.raises(ConfigError, match=re.escape(told)) as caught:
+        typed({**WHOLE, **changes}, Cart, "a cart")
+    assert "\n" not in str(caught.value)
+    assert "msgspec" not in str(caught.value)
+
+
+def test_all_that_is_missing_is_named_at_once():
+    with pytest.raises(ConfigError, match=r"^a cart needs name and front$"):
+        typed({}, Cart, "a cart")
+
+
+def test_fields_that_the_caller_takes_out_are_known():
+    check_known({"base": 1, **WHOLE}, Cart, also=("base",))
+    with pytest.raises(ConfigError, match="nearest one is base"):
+        check_known({"bases": 1}, Cart, also=("base",))
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(ConfigError, match=r"cannot read cart .*none\.toml: No such file"):
+        read_toml(tmp_path / "none.toml", "cart")
+    (tmp_path / "odd.toml").write_text("name = ")
+    with pytest.raises(ConfigError, match=r"cart .*odd\.toml is not TOML: "):
+        read_toml(tmp_path / "odd.toml", "cart")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigError, match="is not TOML"):
+        read_toml(tmp_path / "binary.toml", "cart")
