@@ -12,7 +12,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import output_that_may_fail, parse_address, resolve
-from pipelines.commands.link_ports import bound_ports, port_table
+from pipelines.commands.link_ports import port_table
 from pipelines.commands.session_options import (
     add_radio_arguments,
     add_setup_argument,
@@ -26,7 +26,6 @@ from pipelines.runtime.datagrams import Address, EndAddresses, is_loopback, obst
 from pipelines.runtime.launcher import Launcher, hold_port, launcher_cpu_s
 from pipelines.runtime.process import LOOPBACK
 from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import Setup
 from pipelines.topology import ProcessRow, Segment, Topology, topology_of
 
 _ANY = "0.0.0.0"
@@ -61,13 +60,13 @@ def run(args: argparse.Namespace) -> int:
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
     ends = list(Segment) if args.end is None else [Segment(args.end)]
-    addresses = chosen_addresses(args, setup)
-    check_writable(args.report)
-    held = [hold_link_ports(setup, end, addresses) for end in ends]
     topology = topology_of(setup)
+    addresses = chosen_addresses(args, topology)
+    check_writable(args.report)
+    held = [hold_link_ports(topology, end, addresses) for end in ends]
     collector = Collector(topology)
     screen = _Screen(LinkView(setup, ends), collector, quiet=args.quiet)
-    screen.show_lines(port_table(setup, ends, addresses))
+    screen.show_lines(port_table(topology, ends, addresses))
     launcher = Launcher(
         session="link",
         topology=topology,
@@ -105,7 +104,7 @@ def link_processes(
     return [replace(row, arguments={**row.arguments, **changes}) for row in gateways]
 
 
-def chosen_addresses(args: argparse.Namespace, setup: Setup) -> EndAddresses:
+def chosen_addresses(args: argparse.Namespace, topology: Topology) -> EndAddresses:
     """Where the ends stand, as the options say; ConfigError if that cannot work."""
     apps, apps_bind = _apps(args)
     if args.end is None:
@@ -115,10 +114,8 @@ def chosen_addresses(args: argparse.Namespace, setup: Setup) -> EndAddresses:
                     f"--{option} is for one end alone: add --end ground or --end space"
                 )
         return EndAddresses(apps=apps, apps_bind=apps_bind)
-    ground = args.end == Segment.GROUND.value
-    radio, other = setup.ports.ground_radio, setup.ports.space_radio
-    if not ground:
-        radio, other = other, radio
+    end = Segment(args.end)
+    radio, other = topology.radio_port(end), topology.radio_port(end.peer)
     if args.peer is None:
         raise ConfigError(
             f"--end {args.end} needs --peer HOST:PORT, the other end's radio port "
@@ -177,17 +174,16 @@ def _bound_address(
     )
 
 
-def hold_link_ports(setup: Setup, end: Segment, addresses: EndAddresses) -> socket.socket:
+def hold_link_ports(topology: Topology, end: Segment, addresses: EndAddresses) -> socket.socket:
     """ConfigError when a port that the end needs is taken.
 
     One port is held as long as the socket is: of two that are started at the same moment, only
     one gets it.
     """
-    ports = setup.ports
-    held = hold_port(ports.launcher + (end is Segment.SPACE), addresses.bind)
-    radio = {ports.ground_radio, ports.space_radio}
-    for port in bound_ports(setup, end):
-        hold_port(port, addresses.bind if port in radio else addresses.apps_bind).close()
+    held = hold_port(topology.launcher_port + (end is Segment.SPACE), addresses.bind)
+    radio_port = topology.radio_port(end)
+    for port in topology.gateway(end).ports:
+        hold_port(port, addresses.bind if port == radio_port else addresses.apps_bind).close()
     return held
 
 

@@ -2,6 +2,7 @@
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.setup.table import Setup
+from pipelines.topology import Segment, Topology
 from telepresence.link.gateway import Gateway
 from telepresence.link.supervision.configuration import SupervisionTiming
 
@@ -10,22 +11,22 @@ _TURNAROUND_NS = 200 * NS_PER_MS
 
 
 def make_gateway(
-    setup: Setup, *, ground: bool, life: int, seed: int, epoch_ns: int, now_ns: int
+    topology: Topology, segment: Segment, *, life: int, seed: int, epoch_ns: int, now_ns: int
 ) -> Gateway:
     """The core of one end, with the radio on its way out.
 
     life: 1..65535, by which the peer knows that it has another one before it.
     seed, epoch_ns: what the radio draws by, and when it begins; the same at both ends.
     """
-    up = setup.uplink, setup.uplink_flows
-    down = setup.downlink, setup.downlink_flows
-    (transmit, sent), (receive, received) = (up, down) if ground else (down, up)
+    setup = topology.setup
+    out, back = segment.transmits, segment.peer.transmits
+    transmit = topology.link(out).profile
     return Gateway(
         transmit=transmit,
-        transmit_flows=sent,
-        receive=receive,
-        receive_flows=received,
-        master=ground,
+        transmit_flows=topology.flows(out),
+        receive=topology.link(back).profile,
+        receive_flows=topology.flows(back),
+        master=segment is Segment.GROUND,
         life=life,
         now_ns=now_ns,
         radio=setup.radio_path(transmit, seed=seed, epoch_ns=epoch_ns),

@@ -13,7 +13,7 @@ from kontur_av.topics.session_files import make_session_root
 from pipelines.cores.choosing import Console
 from pipelines.runtime.control import MAX_LINE_OCTETS, console_path
 from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
-from pipelines.setup.table import TELECOMMAND, TELEMETRY
+from pipelines.topology import TELECOMMAND, TELEMETRY
 from telepresence.tmtc import SelectDone
 
 #: How many terminals may ask at once; a further one is turned away.
@@ -31,9 +31,9 @@ class _Client:
 
 def run_console(context: Context) -> None:
     """Turn requests from the control socket into telecommands, and their ends into answers."""
-    clock, setup = context.clock, context.setup
-    udp = context.listen(setup.ports.exit(TELEMETRY))
-    gateway = (LOOPBACK, setup.ports.entry(TELECOMMAND))
+    clock, setup, topology = context.clock, context.setup, context.topology
+    udp = context.listen(topology.exit_port(TELEMETRY))
+    gateway = (LOOPBACK, topology.entry_port(TELECOMMAND))
     console = Console(setup, context.probe, first_token=secrets.randbits(16))
     patience_s = console.sender.tries * console.sender.timeout_ns / NS_PER_S
     listener = _listen(context)

@@ -37,14 +37,14 @@ def run_gateway(
     """
     clock, probe = context.clock, context.probe
     gateway = make_gateway(
-        context.setup,
-        ground=segment is Segment.GROUND,
+        context.topology,
+        segment,
         life=1 + secrets.randbelow(0xFFFF),
         seed=context.seed,
         epoch_ns=context.started_ns,
         now_ns=clock.now_ns(),
     )
-    ports = GatewayPorts(context.setup, segment, gateway, addresses)
+    ports = GatewayPorts(context.topology, segment, gateway, addresses)
     slots = GatewaySlots(
         gateway, first_ns=context.first_deadline_ns(gateway.sender.profile.slot_ns)
     )

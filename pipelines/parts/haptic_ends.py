@@ -22,7 +22,6 @@ _PHASE = 0.5
 
 def run_robot(context: Context) -> None:
     """Follow the commands, measure the force, and let the world see where the tip is."""
-    ports = context.setup.ports
     with context.open_bus() as bus:
         writer = bus.writer(ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
         numbers = count()
@@ -32,17 +31,16 @@ def run_robot(context: Context) -> None:
             writer.publish_octets(pack_state(state), stamp)
 
         end = RobotEnd(context.probe, deadband=context.setup.deadband != "off")
-        _run_loop(context, end, ports.robot, ports.ground_haptic, publish)
+        _run_loop(context, end, "robot", publish)
 
 
 def run_joystick(context: Context, spec: str = SIMULATED) -> None:
     """Operate the joystick that `spec` names, and put the robot's force on it."""
-    ports = context.setup.ports
     device = open_device(spec, hand=Hand())
     try:
         handle = OperatedHandle(device)
         end = JoystickEnd(context.probe, deadband=context.setup.deadband != "off", handle=handle)
-        _run_loop(context, end, ports.joystick, ports.space_haptic)
+        _run_loop(context, end, "joystick")
     finally:
         device.close()
 
@@ -50,15 +48,17 @@ def run_joystick(context: Context, spec: str = SIMULATED) -> None:
 def _run_loop(
     context: Context,
     end: RobotEnd | JoystickEnd,
-    port: int,
-    gateway_port: int,
+    process: str,
     publish: Callable[[WorldState], None] | None = None,
 ) -> None:
     clock, probe = context.clock, context.probe
-    udp = context.listen(port)
+    rows = context.topology.haptics
+    (taken,) = (row for row in rows if row.receiver == process)
+    (given,) = (row for row in rows if row.sender == process)
+    udp = context.listen(taken.exit_port)
     more = select.poll()
     more.register(udp, select.POLLIN)
-    to_gateway = context.sender(gateway_port)
+    to_gateway = context.sender(given.entry_port)
     schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(CYCLE_NS, _PHASE))
     # Looked up once: what follows runs a thousand times a second.
     take, receive = udp.recv, context.receive

@@ -42,7 +42,7 @@ def link_figures(setup: Setup, collector: Collector, direction: str) -> Directio
         ),
         arithmetic=[
             LineReport(what=line.what, stream=line.stream, bps=line.bps)
-            for line in setup.channel_table(direction)
+            for line in setup.channel_table(link.direction)
         ],
         frames=frames,
         freed_bps=_freed_bps(profile, frames, octets),

@@ -6,8 +6,7 @@ from functools import partial
 
 from pipelines.runtime.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
 from pipelines.runtime.process import LOOPBACK
-from pipelines.setup.table import Setup
-from pipelines.topology import Segment
+from pipelines.topology import Segment, Topology
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import Gateway
 
@@ -16,15 +15,11 @@ class GatewayPorts:
     """The sockets of one end, and what strangers have sent to them."""
 
     def __init__(
-        self, setup: Setup, segment: Segment, gateway: Gateway, addresses: EndAddresses
+        self, topology: Topology, segment: Segment, gateway: Gateway, addresses: EndAddresses
     ) -> None:
-        ports = setup.ports
-        if segment is Segment.GROUND:
-            radio, peer = ports.ground_radio, ports.space_radio
-            haptic_entry, haptic_exit = ports.ground_haptic, ports.robot
-        else:
-            radio, peer = ports.space_radio, ports.ground_radio
-            haptic_entry, haptic_exit = ports.space_haptic, ports.joystick
+        radio, peer = topology.radio_port(segment), topology.radio_port(segment.peer)
+        (haptic_out,) = (row for row in topology.haptics if row.direction is segment.transmits)
+        (haptic_in,) = (row for row in topology.haptics if row is not haptic_out)
 
         def entry(port: int) -> Inlet:
             return Inlet((addresses.apps_bind, port), addresses.apps)
@@ -41,14 +36,18 @@ class GatewayPorts:
         )
         self._haptic_octets = gateway.sender.profile.insert_octets + 1
         self.to_peer = Outlet(self.radio)
-        self._haptic = entry(haptic_entry)
+        self._haptic = entry(haptic_out.entry_port)
         self._fetch_haptic = self._haptic.receive
         more_haptic = select.epoll()
         more_haptic.register(self._haptic.udp.fileno(), select.EPOLLIN)
         self._more_haptic = more_haptic.poll
-        self.to_haptic_end = exit_to(haptic_exit)
-        self._entries = {flow.name: entry(ports.entry(flow.name)) for flow in gateway.sender.flows}
-        self.exits = {flow.name: exit_to(ports.exit(flow.name)) for flow in gateway.receiver.flows}
+        self.to_haptic_end = exit_to(haptic_in.exit_port)
+        self._entries = {
+            flow.name: entry(topology.entry_port(flow.name)) for flow in gateway.sender.flows
+        }
+        self.exits = {
+            flow.name: exit_to(topology.exit_port(flow.name)) for flow in gateway.receiver.flows
+        }
         self._radio_strangers = 0
         self._flow_by_fd = {inlet.udp.fileno(): name for name, inlet in self._entries.items()}
         flow_ports = select.epoll()

@@ -15,6 +15,7 @@ from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
 from kontur_av.streams.budget import Pacer
+from pipelines.setup.segments import Direction
 from telepresence.link.arithmetic import (
     ChannelNeed,
     StreamNeed,
@@ -24,13 +25,7 @@ from telepresence.link.arithmetic import (
     freed_need_bps,
 )
 from telepresence.link.flows import (
-    Flow,
     Level,
-    packet_flow,
-    rtcp_flow,
-    tmtc_flow,
-    video_flow,
-    voice_flow,
 )
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.path import RadioPath
@@ -352,8 +347,18 @@ class Setup:
         return self.uplink_video
 
     def profile_of(self, stream: VideoStream | VoiceStream) -> LinkProfile:
-        """The direction of the link that a stream takes."""
-        return self.uplink if stream.name.startswith("uplink_") else self.downlink
+        """The link profile of the direction that a stream takes."""
+        return self.profile(self.direction_of(stream))
+
+    def profile(self, direction: Direction) -> LinkProfile:
+        """The link profile of a direction."""
+        return self.uplink if direction is Direction.UPLINK else self.downlink
+
+    def direction_of(self, stream: VideoStream | VoiceStream) -> Direction:
+        """Which way a stream of this setup goes."""
+        up = (self.uplink_video, self.uplink_voice)
+        names = {each.name for each in up if each is not None}
+        return Direction.UPLINK if stream.name in names else Direction.DOWNLINK
 
     def stale_after_ns(self, stream: VideoStream | VoiceStream) -> int:
         """What is shown of `stream` is stale when it is older than this.
@@ -376,28 +381,6 @@ class Setup:
         every = (self.uplink_video, self.uplink_voice, self.downlink_video, self.downlink_voice)
         return tuple(stream for stream in every if stream is not None)
 
-    @property
-    def uplink_flows(self) -> tuple[Flow, ...]:
-        """What travels from the ground to space."""
-        return (
-            tmtc_flow(TELEMETRY),
-            *_flows(self.uplink_voice),
-            *_flows(self.uplink_video),
-            *_feedback(self.downlink_video),
-            packet_flow(f"uplink_{MAINTENANCE}", Level.MAINTENANCE),
-        )
-
-    @property
-    def downlink_flows(self) -> tuple[Flow, ...]:
-        """What travels from space to the ground."""
-        return (
-            tmtc_flow(TELECOMMAND),
-            *_flows(self.downlink_voice),
-            *_flows(self.downlink_video),
-            *_feedback(self.uplink_video),
-            packet_flow(f"downlink_{MAINTENANCE}", Level.MAINTENANCE),
-        )
-
     def need_up(self) -> ChannelNeed:
         """What the uplink carries at the caps; ConfigError when it does not fit."""
         return check_fit(self.uplink, _needs(self.uplink_voice, self.uplink_video))
@@ -412,27 +395,16 @@ class Setup:
         voice = self.uplink_voice if stream == self.uplink_video else self.downlink_voice
         return max(gain_bps, freed_need_bps(self.profile_of(stream), _needs(voice, grown)))
 
-    def channel_table(self, direction: str) -> tuple[TableLine, ...]:
-        """The arithmetic of `need_up` ("uplink") or `need_down` ("downlink") line by line."""
-        if direction == "uplink":
+    def channel_table(self, direction: Direction) -> tuple[TableLine, ...]:
+        """The arithmetic of `need_up` or `need_down`, line by line."""
+        if direction is Direction.UPLINK:
             return channel_table(self.uplink, _needs(self.uplink_voice, self.uplink_video))
         return channel_table(self.downlink, _needs(self.downlink_voice, self.downlink_video))
-
-
-def _flows(stream: VideoStream | VoiceStream | None) -> tuple[Flow, ...]:
-    if stream is None:
-        return ()
-    make = video_flow if isinstance(stream, VideoStream) else voice_flow
-    return (make(stream.name), rtcp_flow(f"{stream.name}_rtcp"))
 
 
 def feedback_flow(stream: str) -> str:
     """The flow by which a video stream's receiver asks its sender for whole pictures."""
     return f"feedback_{stream}"
-
-
-def _feedback(stream: VideoStream | None) -> tuple[Flow, ...]:
-    return () if stream is None else (rtcp_flow(feedback_flow(stream.name)),)
 
 
 def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:

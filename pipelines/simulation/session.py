@@ -22,13 +22,13 @@ from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
 from pipelines.runtime.probe import FLUSH_NS, Probe
-from pipelines.setup.table import TELECOMMAND, TELEMETRY, Setup
+from pipelines.setup.table import Setup
 from pipelines.simulation.agenda import FAR_NS, Agenda, Timer
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.media import Consumer, Media, Scene
 from pipelines.simulation.telling import Telling
 from pipelines.simulation.workers import Workers
-from pipelines.topology import Segment, topology_of
+from pipelines.topology import TELECOMMAND, TELEMETRY, Segment, topology_of
 from telepresence.link.gateway import Gateway
 from telepresence.link.receiver import HapticReceived, PacketReceived
 from telepresence.world import WorldState, scripted_state
@@ -225,8 +225,8 @@ class Simulation:
 
     def _gateway(self, segment: Segment) -> Gateway:
         gateway = make_gateway(
-            self.setup,
-            ground=segment is Segment.GROUND,
+            self.topology,
+            segment,
             life=self._random(segment.value).randint(1, 0xFFFF),
             seed=self._seed,
             epoch_ns=_START_NS,

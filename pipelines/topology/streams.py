@@ -71,7 +71,7 @@ STEREO_TOPIC = "camera/stereo"
 def link_row(setup: Setup, direction: Direction) -> LinkRow:
     return LinkRow(
         direction=direction,
-        profile=setup.uplink if direction is Direction.UPLINK else setup.downlink,
+        profile=setup.profile(direction),
         sender=f"{direction.sender.value}_gateway",
         receiver=f"{direction.receiver.value}_gateway",
         port=setup.base_port + _RADIO[direction.receiver],

@@ -42,6 +42,10 @@ class Topology:
         """Every UDP port that a session may take."""
         return range(self.setup.base_port, self.setup.base_port + PORTS)
 
+    def radio_port(self, segment: Segment) -> int:
+        """Where the gateway of a segment takes the frames of the other one."""
+        return self.link(segment.peer.transmits).port
+
     def process(self, name: str) -> ProcessRow:
         """The process `name`."""
         return self._processes[name]
@@ -54,6 +58,14 @@ class Topology:
     def stream(self, name: str) -> StreamRow:
         """The stream `name`, of whatever kind."""
         return self._streams[name]
+
+    def entry_port(self, stream: str) -> int:
+        """Where the gateway of the sending segment takes the datagrams of a stream."""
+        return self._streams[stream].entry_port
+
+    def exit_port(self, stream: str) -> int:
+        """Where the receiver of a stream listens, in the other segment."""
+        return self._streams[stream].exit_port
 
     @cached_property
     def media_streams(self) -> tuple[MediaRow, ...]:

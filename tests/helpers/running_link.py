@@ -8,11 +8,14 @@ import socket
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from pipelines.setup.table import PORTS, Ports
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.setup.table import PORTS
+from pipelines.topology import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
 #: Protects against a hang; no test result depends on it.
@@ -72,7 +75,7 @@ class RunningLink:
 
     def __init__(self, *options, directory, name="link", prefix=(), base_port=None):
         self.base_port = base_port or free_base_port()
-        self.ports = Ports(base=self.base_port)
+        self.topology = topology_of(replace(BUILT_IN["spacejustin"], base_port=self.base_port))
         self.report_path = Path(directory) / f"{name}.json"
         self._out_path = Path(directory) / f"{name}.txt"
         self._out = self._out_path.open("w+")

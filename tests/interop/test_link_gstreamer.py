@@ -17,6 +17,7 @@ from places import ROOT
 from running_link import RunningLink, assert_books_are_right, came, eventually
 
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import Segment
 
 pytestmark = pytest.mark.interop
 
@@ -55,7 +56,10 @@ def gst(text, log):
 def test_gstreamer_sends_video_up_and_receives_it_complete(tmp_path):
     needs("x264enc", "rtph264pay", "rtph264depay", "avdec_h264", "udpsink")
     with RunningLink("--setup", "taskboard", directory=tmp_path) as link:
-        entry, out = link.ports.entry("uplink_video"), link.ports.exit("uplink_video")
+        entry, out = (
+            link.topology.entry_port("uplink_video"),
+            link.topology.exit_port("uplink_video"),
+        )
         raw = tmp_path / "out.i420"
         receive = (
             f"udpsrc port={out} address=127.0.0.1 "
@@ -185,28 +189,38 @@ def test_two_gateways_in_two_network_namespaces(namespaces, tmp_path):
 
         ground = start("ground", ground_name, ground_host, f"{space_host}:{base + 1}")
         space = start("space", space_name, space_host, f"{ground_host}:{base}")
-        ports = ground.ports
+        session = ground.topology
         on_ground = [stack.enter_context(socket_in(ground_name)) for _ in range(3)]
         in_space = [stack.enter_context(socket_in(space_name)) for _ in range(3)]
-        on_ground[1].bind(("127.0.0.1", ports.exit("downlink_maintenance")))
-        in_space[1].bind(("127.0.0.1", ports.exit("uplink_maintenance")))
-        on_ground[2].bind(("127.0.0.1", ports.robot))
-        in_space[2].bind(("127.0.0.1", ports.joystick))
+        on_ground[1].bind(("127.0.0.1", session.exit_port("downlink_maintenance")))
+        in_space[1].bind(("127.0.0.1", session.exit_port("uplink_maintenance")))
+        on_ground[2].bind(("127.0.0.1", session.exit_port("downlink_haptic")))
+        in_space[2].bind(("127.0.0.1", session.exit_port("uplink_haptic")))
 
         def through(sender, port, receiver, data):
             sender.sendto(data, ("127.0.0.1", port))
             return data in came(receiver)
 
         ways = (
-            (on_ground[0], ports.entry("uplink_maintenance"), in_space[1], b"up"),
-            (in_space[0], ports.entry("downlink_maintenance"), on_ground[1], b"down"),
-            (on_ground[0], ports.ground_haptic, in_space[2], b"force sample"),
-            (in_space[0], ports.space_haptic, on_ground[2], b"hand command"),
+            (on_ground[0], session.entry_port("uplink_maintenance"), in_space[1], b"up"),
+            (in_space[0], session.entry_port("downlink_maintenance"), on_ground[1], b"down"),
+            (
+                on_ground[0],
+                session.entry_port("uplink_haptic"),
+                in_space[2],
+                b"force sample",
+            ),
+            (
+                in_space[0],
+                session.entry_port("downlink_haptic"),
+                on_ground[2],
+                b"hand command",
+            ),
         )
         for way in ways:
             eventually(lambda way=way: through(*way), f"{way[3]!r}")
         # From the peer's machine, but not from its radio port.
-        on_ground[0].sendto(bytes(32), (space_host, ports.space_radio))
+        on_ground[0].sendto(bytes(32), (space_host, session.radio_port(Segment.SPACE)))
         eventually(lambda: "1 strangers" in space.output(), "the stranger")
         for link in (ground, space):
             code, report = link.interrupt()

@@ -15,11 +15,12 @@ from running_link import (
 )
 
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import Segment, topology_of
 
 pytestmark = pytest.mark.realtime
 
 SPACEJUSTIN = BUILT_IN["spacejustin"]
-FLOWS = (*SPACEJUSTIN.uplink_flows, *SPACEJUSTIN.downlink_flows)
+FLOWS = [row.flow for row in topology_of(SPACEJUSTIN).streams if row.flow is not None]
 
 
 @pytest.fixture
@@ -55,35 +56,50 @@ def rtp(sequence, payload_type=96):
 
 def test_programs_talk_through_it_and_strangers_do_not(start, program):
     link = start("--setup", "spacejustin")
-    ports = link.ports
+    session = link.topology
     anyone = program(0)
     # In the order of first come: packets of all kinds, both ways, and samples.
-    exits = {flow.name: program(ports.exit(flow.name)) for flow in FLOWS}
+    exits = {flow.name: program(session.exit_port(flow.name)) for flow in FLOWS}
     for name in ("uplink_maintenance", "downlink_maintenance"):
-        until_through(anyone, ("127.0.0.1", ports.entry(name)), exits[name], name.encode())
+        until_through(anyone, ("127.0.0.1", session.entry_port(name)), exits[name], name.encode())
     for name in ("uplink_video", "downlink_video", "uplink_voice", "downlink_voice"):
-        where = "127.0.0.1", ports.entry(name)
+        where = "127.0.0.1", session.entry_port(name)
         until_through(anyone, where, exits[name], rtp(7))
-    joystick, robot = program(ports.joystick), program(ports.robot)
-    until_through(robot, ("127.0.0.1", ports.ground_haptic), joystick, b"force sample")
-    until_through(joystick, ("127.0.0.1", ports.space_haptic), robot, b"hand command")
+    joystick, robot = (
+        program(session.exit_port("uplink_haptic")),
+        program(session.exit_port("downlink_haptic")),
+    )
+    until_through(
+        robot, ("127.0.0.1", session.entry_port("uplink_haptic")), joystick, b"force sample"
+    )
+    until_through(
+        joystick,
+        ("127.0.0.1", session.entry_port("downlink_haptic")),
+        robot,
+        b"hand command",
+    )
 
     children = link.children()
     assert len(children) == 2
-    entries = [ports.entry(flow.name) for flow in FLOWS]
-    every = [ports.ground_radio, ports.space_radio, ports.ground_haptic, ports.space_haptic]
+    entries = [session.entry_port(flow.name) for flow in FLOWS]
+    every = [
+        session.radio_port(Segment.GROUND),
+        session.radio_port(Segment.SPACE),
+        session.entry_port("uplink_haptic"),
+        session.entry_port("downlink_haptic"),
+    ]
     for port in every + entries:
         for size in (0, 1, 12, 32, 500, 1400, 9000):
             anyone.sendto(os.urandom(size), ("127.0.0.1", port))
             anyone.sendto(bytes(size), ("127.0.0.1", port))
     link.wait_for_line("strangers")
     for name in ("uplink_maintenance", "downlink_maintenance"):
-        until_through(anyone, ("127.0.0.1", ports.entry(name)), exits[name], b"still there")
+        until_through(anyone, ("127.0.0.1", session.entry_port(name)), exits[name], b"still there")
     assert link.children() == children
 
     def connected():
         for name in ("uplink_maintenance", "downlink_maintenance"):
-            anyone.sendto(b"both ways", ("127.0.0.1", ports.entry(name)))
+            anyone.sendto(b"both ways", ("127.0.0.1", session.entry_port(name)))
         return any("ground connected" in line for line in link.lines())
 
     eventually(connected, "application data both ways")
@@ -120,18 +136,18 @@ def test_two_ends_on_two_addresses_hear_each_other_alone(start, program):
         base_port=base,
         name="space",
     )
-    ports = ground.ports
+    session = ground.topology
     assert eventually(lambda: "radio of the ground end: 127.0.0.1" in ground.output(), "the table")
     here, there, stranger = program(0), program(0, "127.0.0.3"), program(0, "127.0.0.4")
-    up = program(ports.exit("uplink_maintenance"), "127.0.0.3")
-    down = program(ports.exit("downlink_maintenance"))
-    until_through(here, (hosts[0], ports.entry("uplink_maintenance")), up, b"up")
-    entry = hosts[1], ports.entry("downlink_maintenance")
+    up = program(session.exit_port("uplink_maintenance"), "127.0.0.3")
+    down = program(session.exit_port("downlink_maintenance"))
+    until_through(here, (hosts[0], session.entry_port("uplink_maintenance")), up, b"up")
+    entry = hosts[1], session.entry_port("downlink_maintenance")
     for _ in range(3):
         stranger.sendto(b"not from the programs", entry)
-        stranger.sendto(b"twelve octet", (hosts[1], ports.space_haptic))
+        stranger.sendto(b"twelve octet", (hosts[1], session.entry_port("downlink_haptic")))
         # Of the right host, but not of its radio port.
-        here.sendto(bytes(500), (hosts[1], ports.space_radio))
+        here.sendto(bytes(500), (hosts[1], session.radio_port(Segment.SPACE)))
     until_through(there, entry, down, b"down")
     code, report = ground.interrupt()
     assert code == 0, ground.output()
@@ -149,9 +165,9 @@ def test_two_ends_on_two_addresses_hear_each_other_alone(start, program):
 
 def test_a_gateway_that_is_killed_comes_back_and_is_reported(start, program):
     link = start("--setup", "taskboard")
-    ports = link.ports
-    anyone, out = program(0), program(ports.exit("uplink_maintenance"))
-    entry = "127.0.0.1", ports.entry("uplink_maintenance")
+    session = link.topology
+    anyone, out = program(0), program(session.exit_port("uplink_maintenance"))
+    entry = "127.0.0.1", session.entry_port("uplink_maintenance")
     until_through(anyone, entry, out, b"before")
     os.kill(link.children()[0], signal.SIGKILL)
     until_through(anyone, entry, out, b"after")

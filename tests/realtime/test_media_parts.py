@@ -203,7 +203,7 @@ def test_a_gap_in_a_voice_is_made_up_and_marked(session):
     """
     stream = SETUP.uplink_voice
     rtp, encoder = rtp_sender(VOICE_PAYLOAD_TYPE, AUDIO_CLOCK_HZ), OpusEncoder(bitrate_bps=8000)
-    ports = SETUP.ports
+    topology = topology_of(SETUP)
     own, made_up, lost, spoilt = Quality.FRESH, Quality.CONCEALED, 3, 4
     heard = {}
     with (
@@ -228,13 +228,13 @@ def test_a_gap_in_a_voice_is_made_up_and_marked(session):
                 (packet,) = rtp.audio_packets(encoder.encode(SOUND), stamp).packets
                 report = rtp.poll_report(capture_ns)
                 if report is not None:
-                    udp.sendto(report, (LOOPBACK, ports.exit(f"{stream.name}_rtcp")))
+                    udp.sendto(report, (LOOPBACK, topology.exit_port(f"{stream.name}_rtcp")))
                 if number % 10 == spoilt:
                     packet = packet[:12] + b"\xff\xff"  # a packet that holds 0 of 63 frames
                 if number % 10 != lost:
                     # Never a burst: what was queued before the start would be left out.
                     time.sleep(max(0, capture_ns - CLOCK.now_ns()) / NS_PER_S)
-                    udp.sendto(packet, (LOOPBACK, ports.exit(stream.name)))
+                    udp.sendto(packet, (LOOPBACK, topology.exit_port(stream.name)))
                 while (lease := reader.next()) is not None:
                     with lease:
                         at_ns = lease.stamp.capture_ns - begin_ns
@@ -259,7 +259,7 @@ def test_pictures_of_the_setups_own_size_are_shown_and_larger_ones_counted(sessi
     )
     picture = empty_picture(width, height)
     picture[:] = 128
-    ports = SETUP.ports
+    topology = topology_of(SETUP)
     with (
         running(session, run_video_receive, stream=stream) as listen,
         TopicBus(session) as bus,
@@ -272,9 +272,9 @@ def test_pictures_of_the_setups_own_size_are_shown_and_larger_ones_counted(sessi
             packets = rtp.video_packets(encoder.encode(frame)).packets
             report = rtp.poll_report(now_ns)
             if report is not None:
-                udp.sendto(report, (LOOPBACK, ports.exit(f"{stream.name}_rtcp")))
+                udp.sendto(report, (LOOPBACK, topology.exit_port(f"{stream.name}_rtcp")))
             for packet in packets:
-                udp.sendto(packet, (LOOPBACK, ports.exit(stream.name)))
+                udp.sendto(packet, (LOOPBACK, topology.exit_port(stream.name)))
         eventually(lambda: listen().totals["frames_decoded"] == 3 or None)
         lease = reader.latest()
         if size == (stream.width, stream.height):

@@ -17,6 +17,7 @@ from pipelines.cores.stream_figures import Outgoing
 from pipelines.cores.video_sending import LinkedVideoSender
 from pipelines.runtime.probe import Probe
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import Direction, topology_of
 from telepresence.link.flows import Level
 from telepresence.link.gateway import Gateway
 
@@ -43,9 +44,9 @@ class Ground:
     def __post_init__(self):
         self.gateway = Gateway(
             transmit=SETUP.uplink,
-            transmit_flows=SETUP.uplink_flows,
+            transmit_flows=topology_of(SETUP).flows(Direction.UPLINK),
             receive=SETUP.downlink,
-            receive_flows=SETUP.downlink_flows,
+            receive_flows=topology_of(SETUP).flows(Direction.DOWNLINK),
             master=True,
             life=1,
             now_ns=0,

@@ -5,10 +5,10 @@ from places import ROOT
 
 from pipelines.cli import main
 from pipelines.commands import link
-from pipelines.commands.link_ports import bound_ports, channels, port_table
+from pipelines.commands.link_ports import channels, port_table
 from pipelines.runtime.datagrams import EndAddresses
 from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import Segment
+from pipelines.topology import Segment, topology_of
 
 TASKBOARD, SPACEJUSTIN = BUILT_IN["taskboard"], BUILT_IN["spacejustin"]
 GROUND = ["--setup", "taskboard", "--end", "ground"]
@@ -80,36 +80,32 @@ def test_another_machine_needs_an_address_of_this_one(capsys, monkeypatch, way, 
 
 @pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
 def test_every_channel_of_a_setup_has_its_line(setup):
-    ports = setup.ports
-    lines = port_table(setup, list(Segment), EndAddresses())
+    session = topology_of(setup)
+    lines = port_table(session, list(Segment), EndAddresses())
     rows = {line.split()[0]: line.split() for line in lines[1:]}
-    for flow in (*setup.uplink_flows, *setup.downlink_flows):
-        entry, out = f"127.0.0.1:{ports.entry(flow.name)}", f"127.0.0.1:{ports.exit(flow.name)}"
-        assert rows[flow.name][1:3] == [entry, out]
+    for row in session.streams:
+        places = [f"127.0.0.1:{port}" for port in (row.entry_port, row.exit_port)]
+        assert rows[row.name][1:3] == places
     # What the robot says goes up, what the joystick says goes down.
-    assert rows["uplink_haptic"][1:3] == [
-        f"127.0.0.1:{ports.ground_haptic}", f"127.0.0.1:{ports.joystick}"
-    ]  # fmt: skip
-    assert rows["downlink_haptic"][1:3] == [
-        f"127.0.0.1:{ports.space_haptic}", f"127.0.0.1:{ports.robot}"
-    ]  # fmt: skip
+    assert session.haptic("up").sender == "robot"
+    assert session.haptic("down").sender == "joystick"
 
 
 def test_one_end_shows_and_binds_its_own_ports_only():
     addresses = EndAddresses(
         bind="192.0.2.1", peer=("192.0.2.7", 27_001), apps="198.51.100.2", apps_bind="198.51.100.1"
     )
-    lines = port_table(SPACEJUSTIN, [Segment.GROUND], addresses)
+    lines = port_table(topology_of(SPACEJUSTIN), [Segment.GROUND], addresses)
     assert lines[0] == "radio of the ground end: 192.0.2.1:27000, peer 192.0.2.7:27001"
     video = next(line for line in lines if line.startswith("uplink_video "))
     assert "198.51.100.1:27010" in video
     assert "the other end" in video
     down = next(line for line in lines if line.startswith("downlink_video "))
     assert "198.51.100.2:27020" in down
-    both = [set(bound_ports(SPACEJUSTIN, end)) for end in Segment]
+    both = [set(topology_of(SPACEJUSTIN).gateway(end).ports) for end in Segment]
     assert both[0] & both[1] == set()
     for end, bound in zip(Segment, both, strict=True):
-        shown = {channel.in_port for channel in channels(SPACEJUSTIN, [end])} - {None}
+        shown = {channel.in_port for channel in channels(topology_of(SPACEJUSTIN), [end])} - {None}
         assert len(bound - shown) == 1  # the radio's
 
 
@@ -123,5 +119,5 @@ def test_the_ports_of_the_documentation_are_those_of_the_link(setup):
     ]
     assert documented == [
         (channel.name, channel.in_port, channel.out_port)
-        for channel in channels(setup, list(Segment))
+        for channel in channels(topology_of(setup), list(Segment))
     ]

@@ -8,7 +8,7 @@ from pipelines.report.link_report import LinkView, build_link_report, summary_li
 from pipelines.report.model import GatewayReport, LinkReport, from_json, to_json
 from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import Segment, topology_of
+from pipelines.topology import Direction, Segment, topology_of
 from telepresence.link.gateway import Gateway
 
 SETUP = BUILT_IN["taskboard"]
@@ -16,7 +16,8 @@ ENDS = list(Segment)
 
 
 def gateway(end, now_ns=0, setup=SETUP):
-    ways = [(setup.uplink, setup.uplink_flows), (setup.downlink, setup.downlink_flows)]
+    session = topology_of(setup)
+    ways = [(session.link(one).profile, session.flows(one)) for one in Direction]
     (out, sent), (back, received) = ways if end is Segment.GROUND else ways[::-1]
     return Gateway(
         transmit=out,

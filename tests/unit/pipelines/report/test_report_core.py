@@ -15,7 +15,7 @@ from pipelines.report.session_report import build_report, failures
 from pipelines.report.silence import silences
 from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import topology_of
+from pipelines.topology import Direction, topology_of
 from telepresence.link.figures import ContactFigures
 from telepresence.link.gateway import Gateway
 
@@ -142,9 +142,9 @@ def test_a_gateway_that_was_killed_keeps_what_it_had_counted():
     for packets in (3, 4):
         gateway = Gateway(
             transmit=SETUP.uplink,
-            transmit_flows=SETUP.uplink_flows,
+            transmit_flows=topology_of(SETUP).flows(Direction.UPLINK),
             receive=SETUP.downlink,
-            receive_flows=SETUP.downlink_flows,
+            receive_flows=topology_of(SETUP).flows(Direction.DOWNLINK),
             master=True,
             life=packets,
             now_ns=now_ns,
