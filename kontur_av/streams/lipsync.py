@@ -1,5 +1,6 @@
 """Sound and picture together: how early and how late a sound may be (ITU-R BT.1359-1)."""
 
+import struct
 from collections import deque
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -8,6 +9,10 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 #: the picture, and so much after it.
 EARLIEST_NS = 45 * NS_PER_MS
 LATEST_NS = 125 * NS_PER_MS
+
+#: How late a picture was shown, for another process of the same machine: the instant of display and
+#: the time since the capture, in ns.
+LAG = struct.Struct("=qq")
 
 #: So many of the pictures of this time shall not come later than their sound allows.
 _WINDOW_NS = 2 * NS_PER_S

@@ -3,13 +3,12 @@
 from dataclasses import replace
 from itertools import count
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.sources.selector import Selector
 from pipelines.runtime.probe import Probe
-from pipelines.setup.names import HOUSEKEEPING_INTERVAL_NS, STEREO_TOPIC, input_topic
-from pipelines.setup.table import STEREO, Setup
+from pipelines.setup.table import Setup
 from telepresence.tmtc import (
     Housekeeping,
     SelectDone,
@@ -19,6 +18,9 @@ from telepresence.tmtc import (
 )
 from telepresence.world import WorldState
 
+#: How often the robot's side reports its state. The link has room for it:
+#: `telepresence.link.arithmetic.RESERVE_BPS`.
+HOUSEKEEPING_INTERVAL_NS = 2 * NS_PER_S
 #: What a telecommand and its answer may take beside the radio's delay.
 _ANSWER_NS = 500 * NS_PER_MS
 
@@ -26,8 +28,8 @@ _ANSWER_NS = 500 * NS_PER_MS
 class CameraChoice:
     """Takes telecommands, and says which camera's pictures go on.
 
-    After `handle_packet` and `handle_state` send what `poll_transmit` gives until None. `topic`
-    is where to take pictures from; `restamp` numbers each one that goes on.
+    After `handle_packet` and `handle_state` send what `poll_transmit` gives until None. `restamp`
+    numbers each one that goes on.
     """
 
     def __init__(self, setup: Setup, probe: Probe, *, now_ns: int, selected: str = "") -> None:
@@ -41,11 +43,6 @@ class CameraChoice:
     @property
     def selected(self) -> str:
         return self._selector.selected
-
-    @property
-    def topic(self) -> str:
-        """What the selected camera publishes in."""
-        return STEREO_TOPIC if self.selected == STEREO else input_topic(self.selected)
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> bool:
         """A datagram of the telecommand port; True if another camera is selected now."""

@@ -1,13 +1,16 @@
 """The streams of a setup as cores of `kontur_av.streams`: what the setup says, in their terms."""
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.media import BLOCK_NS
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
-from pipelines.setup.names import REPORT_INTERVAL_NS, cname
 from pipelines.setup.table import VIDEO_PAYLOAD_OCTETS, Setup, VideoStream, VoiceStream
+
+#: How often a sender reports. The link has room for it: `telepresence.link.arithmetic.RESERVE_BPS`.
+REPORT_INTERVAL_NS = 2 * NS_PER_S
 
 
 def video_sender(
@@ -18,7 +21,7 @@ def video_sender(
         cap_bps=stream.cap_bps,
         fps=stream.fps,
         identity=identity,
-        cname=cname(stream.name),
+        cname=setup.direction_of(stream).sender.cname,
         channel_bps=setup.profile_of(stream).media_bps,
         wall_offset_ns=wall_offset_ns,
         max_payload_octets=VIDEO_PAYLOAD_OCTETS,
@@ -33,7 +36,7 @@ def voice_sender(
     return VoiceSender(
         cap_bps=stream.cap_bps,
         identity=identity,
-        cname=cname(stream.name),
+        cname=setup.direction_of(stream).sender.cname,
         channel_bps=setup.profile_of(stream).media_bps,
         wall_offset_ns=wall_offset_ns,
         report_interval_ns=REPORT_INTERVAL_NS,

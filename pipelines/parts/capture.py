@@ -5,7 +5,6 @@ from kontur_av.sources.source import BLOCK_SAMPLES
 from pipelines.cores.capturing import Capturing
 from pipelines.parts.robot_state import newest_state
 from pipelines.runtime.process import PATIENCE_NS, Context
-from pipelines.setup.names import input_topic
 from pipelines.setup.table import VideoStream
 from telepresence.world import audio_scenes, video_scenes
 
@@ -17,7 +16,9 @@ def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
     """
     clock = context.clock
     with context.open_bus() as bus:
-        writer = bus.writer(input_topic(name), max_octets=stream.width * stream.height * 3 // 2)
+        writer = bus.writer(
+            context.topology.input(name).topic, max_octets=stream.width * stream.height * 3 // 2
+        )
         source = open_video(
             context.setup.source(name),
             name=name,
@@ -51,7 +52,7 @@ def run_microphone(context: Context, *, name: str) -> None:
     """Capture the sound of the input `name`, 20 ms a sample of the topic."""
     clock = context.clock
     with context.open_bus() as bus:
-        writer = bus.writer(input_topic(name), max_octets=BLOCK_SAMPLES * 2)
+        writer = bus.writer(context.topology.input(name).topic, max_octets=BLOCK_SAMPLES * 2)
         source = open_audio(
             context.setup.source(name),
             name=name,

@@ -10,14 +10,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS
+from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.staleness import Staleness
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.cores.showing import Showing
 from pipelines.cores.watching import OPERATORS, Watching
 from pipelines.parts.marking import mark_stale
 from pipelines.runtime.process import PATIENCE_NS, Context
-from pipelines.setup.names import LAG, displayed_topic, lag_topic, received_topic
 from pipelines.setup.table import VideoStream, VoiceStream
+from pipelines.topology import VideoRow
 
 #: How often the age on a stale picture is drawn anew.
 _REDRAW_NS = 100 * NS_PER_MS
@@ -29,11 +30,13 @@ class _Screen:
     A reader that joins sees the next picture, or the next mark: there is one every `_REDRAW_NS`.
     """
 
-    def __init__(self, bus: TopicBus, stream: VideoStream, staleness: Staleness) -> None:
+    def __init__(
+        self, bus: TopicBus, row: VideoRow, stream: VideoStream, staleness: Staleness
+    ) -> None:
         octets = stream.width * stream.height * 3 // 2
-        self._writer = bus.writer(displayed_topic(stream.name), max_octets=octets)
+        self._writer = bus.writer(row.displayed_topic, max_octets=octets)
         # Polled by who keeps the sound in step.
-        self._lag = bus.writer(lag_topic(stream.name), max_octets=LAG.size, wake=False)
+        self._lag = bus.writer(row.lag_topic, max_octets=LAG.size, wake=False)
         self._staleness = staleness
         self._lease: Lease | None = None
         self._drawn_ns = 0
@@ -81,12 +84,15 @@ def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream
     with context.open_bus() as bus:
         readers = [
             bus.reader(
-                received_topic(stream.name), depth=1 if isinstance(stream, VideoStream) else 8
+                context.topology.media(stream.name).received_topic,
+                depth=1 if isinstance(stream, VideoStream) else 8,
             )
             for stream in streams
         ]
         screens = {
-            stream.name: _Screen(bus, stream, showing.staleness[stream.name])
+            stream.name: _Screen(
+                bus, context.topology.video(stream.name), stream, showing.staleness[stream.name]
+            )
             for stream in streams
             if isinstance(stream, VideoStream)
         }

@@ -14,10 +14,8 @@ from pipelines.cores.ends import make_gateway
 from pipelines.runtime.datagrams import EndAddresses
 from pipelines.runtime.gateway_ports import GatewayPorts
 from pipelines.runtime.process import Context
-from pipelines.setup.names import BACKLOG, backlog_topic
 from pipelines.topology import Segment
-from telepresence.link.backlog import Backlog
-from telepresence.link.gateway import Gateway
+from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
 from telepresence.link.receiver import HapticReceived, PacketReceived
 from telepresence.link.slots import GatewaySlots
 
@@ -86,7 +84,7 @@ def run_gateway(
 
     context.on_flush(fill)
     with ExitStack() as stack:
-        publish = _backlog_publisher(context, gateway, stack) if tell_backlog else None
+        publish = _backlog_publisher(context, segment, stack) if tell_backlog else None
         alarm_ns = poll_timeout()
         while not context.stopping:
             wait_ns = alarm_ns - clock_ns()
@@ -121,14 +119,14 @@ def run_gateway(
 
 
 def _backlog_publisher(
-    context: Context, gateway: Gateway, stack: ExitStack
+    context: Context, segment: Segment, stack: ExitStack
 ) -> Callable[[Backlog, int], None]:
     """What publishes a backlog with its instant, as long as `stack` lives."""
-    topic = backlog_topic(gateway.sender.profile.name)
+    topic = context.topology.link(segment.transmits).backlog_topic
     bus = stack.enter_context(context.open_bus())
-    writer = bus.writer(topic, max_octets=BACKLOG.size, wake=False)
+    writer = bus.writer(topic, max_octets=BACKLOG_OCTETS, wake=False)
 
     def publish(backlog: Backlog, now_ns: int) -> None:
-        writer.publish_octets(BACKLOG.pack(*backlog), CaptureStamp(now_ns, 0, "gateway"))
+        writer.publish_octets(backlog.pack(), CaptureStamp(now_ns, 0, "gateway"))
 
     return publish

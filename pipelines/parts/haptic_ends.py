@@ -8,7 +8,7 @@ from kontur_av.media import CaptureStamp
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.parts.robot_state import STATE_OCTETS, pack_state
 from pipelines.runtime.process import PATIENCE_NS, Context
-from pipelines.setup.names import ROBOT_TOPIC
+from pipelines.topology import ROBOT_TOPIC
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.spec import SIMULATED, open_device
 from telepresence.haptics.hand import Hand

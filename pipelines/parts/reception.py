@@ -29,12 +29,12 @@ class Incoming:
     def __init__(
         self, context: Context, stream: VideoStream | VoiceStream, receiver: Receiving
     ) -> None:
-        ports = context.setup.ports
+        topology = context.topology
         self._clock = context.clock
         self._receiver = receiver
         self._receive = context.receive
-        self._rtp = context.listen(ports.exit(stream.name))
-        self._rtcp = context.listen(ports.exit(f"{stream.name}_rtcp"))
+        self._rtp = context.listen(topology.exit_port(stream.name))
+        self._rtcp = context.listen(topology.exit_port(topology.media(stream.name).rtcp))
         self._memory = session_root(context.session) / f"{stream.name}.report"
         if self._memory.exists():
             receiver.handle_report(self._memory.read_bytes(), self._clock.now_ns())

@@ -3,7 +3,7 @@
 import struct
 
 from kontur_av.topics.bus import TopicBus
-from pipelines.setup.names import ROBOT_TOPIC
+from pipelines.topology import ROBOT_TOPIC
 from telepresence.world import StateAt, WorldState, scripted_state
 
 #: Instant, x, y (m), force (N), contact, instants at which this contact and the newest one began.

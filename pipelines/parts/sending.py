@@ -11,9 +11,9 @@ def to_gateway(
     context: Context, stream: VideoStream | VoiceStream, sender: VideoSender | VoiceSender
 ) -> Outgoing:
     """A stream's way to the gateway."""
-    ports = context.setup.ports
-    send_rtp = context.sender(ports.entry(stream.name))
-    send_rtcp = context.sender(ports.entry(f"{stream.name}_rtcp"))
+    topology = context.topology
+    send_rtp = context.sender(topology.entry_port(stream.name))
+    send_rtcp = context.sender(topology.entry_port(topology.media(stream.name).rtcp))
     return Outgoing(
         sender,
         context.probe,

@@ -7,9 +7,8 @@ import cv2
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
 from pipelines.runtime.process import PATIENCE_NS, Context
-from pipelines.setup.names import STEREO_TOPIC, displayed_topic
 from pipelines.setup.table import STEREO
-from pipelines.topology import Segment
+from pipelines.topology import Segment, VideoRow
 
 _FIRST_NS = NS_PER_S
 _SHORTEST_INTERVAL_NS = 3 * NS_PER_S
@@ -35,11 +34,15 @@ def run_snapshots(context: Context) -> None:
     """
     assert context.snapshots is not None
     clock, setup, probe = context.clock, context.setup, context.probe
-    topics = {f"{Segment.SPACE.value}-uplink_video": displayed_topic("uplink_video")}
-    if setup.downlink_video:
-        topics[f"{Segment.GROUND.value}-downlink_video"] = displayed_topic("downlink_video")
+    topology = context.topology
+    topics = {
+        f"{row.direction.receiver.value}-{row.name}": row.displayed_topic
+        for row in topology.media_streams
+        if isinstance(row, VideoRow)
+    }
+    stereo = f"{Segment.GROUND.value}-{STEREO}"
     if STEREO in setup.cameras:
-        topics[f"{Segment.GROUND.value}-stereo"] = STEREO_TOPIC
+        topics[stereo] = topology.camera(STEREO).topic
     written = failed = 0
 
     def fill() -> None:
@@ -66,17 +69,19 @@ def run_snapshots(context: Context) -> None:
                 if lease is not None:
                     with lease:
                         picture = lease.video().data.copy()
-                    for kept in _write(context.snapshots, f"{name}-{instant}", picture):
+                    for kept in _write(
+                        context.snapshots, f"{name}-{instant}", picture, halves=name == stereo
+                    ):
                         written += kept
                         failed += not kept
                 reader.close()
 
 
-def _write(directory: Path, name: str, picture: I420) -> list[bool]:
+def _write(directory: Path, name: str, picture: I420, *, halves: bool) -> list[bool]:
     """Whether each file could be written: a full disk ends no session."""
     image = cv2.cvtColor(picture, cv2.COLOR_YUV2BGR_I420)
     parts = {"": image}
-    if "stereo" in name:
+    if halves:
         middle = image.shape[1] // 2
         parts |= {"-left-half": image[:, :middle], "-right-half": image[:, middle:]}
     return [

@@ -4,8 +4,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.sources.stereo import StereoPairer, merge
 from kontur_av.topics.bus import Lease
 from pipelines.runtime.process import PATIENCE_NS, Context
-from pipelines.setup.names import STEREO_TOPIC, input_topic
-from pipelines.setup.table import STEREO_INPUTS
+from pipelines.setup.table import STEREO, STEREO_INPUTS
 
 
 def run_stereo(context: Context) -> None:
@@ -13,7 +12,7 @@ def run_stereo(context: Context) -> None:
 
     Pairs are counted all the time, and merged while somebody reads the topic.
     """
-    clock, video = context.clock, context.setup.uplink_video
+    clock, video, topology = context.clock, context.setup.uplink_video, context.topology
     pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
 
     def fill() -> None:
@@ -22,8 +21,10 @@ def run_stereo(context: Context) -> None:
 
     context.on_flush(fill)
     with context.open_bus() as bus:
-        writer = bus.writer(STEREO_TOPIC, max_octets=video.width * video.height * 3 // 2)
-        readers = [bus.reader(input_topic(name)) for name in STEREO_INPUTS]
+        writer = bus.writer(
+            topology.camera(STEREO).topic, max_octets=video.width * video.height * 3 // 2
+        )
+        readers = [bus.reader(topology.input(name).topic) for name in STEREO_INPUTS]
         # The pairer shows a camera's last picture again: its lease is kept until the next one.
         leases: list[Lease | None] = [None, None]
 

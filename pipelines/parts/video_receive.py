@@ -7,13 +7,13 @@ from pipelines.cores.session_streams import video_receiver
 from pipelines.cores.stream_figures import note_unit, tell_video_receiver
 from pipelines.parts.reception import Incoming
 from pipelines.runtime.process import Context
-from pipelines.setup.names import received_topic
-from pipelines.setup.table import VideoStream, feedback_flow
+from pipelines.setup.table import VideoStream
 
 
 def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     """Decode every access unit, and publish its picture with the capture time that the sender
     told."""
+    row = context.topology.video(stream.name)
     clock, probe = context.clock, context.probe
     receiver = video_receiver(
         stream, ssrc=secrets.randbits(32), wall_offset_ns=clock.wall_offset_ns
@@ -29,9 +29,9 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     context.on_flush(tell)
     with context.open_bus() as bus:
         incoming = Incoming(context, stream, receiver)
-        to_sender = context.sender(context.setup.ports.entry(feedback_flow(stream.name)))
+        to_sender = context.sender(context.topology.entry_port(row.feedback))
         largest_octets = stream.width * stream.height * 3 // 2
-        writer = bus.writer(received_topic(stream.name), max_octets=largest_octets)
+        writer = bus.writer(row.received_topic, max_octets=largest_octets)
         while not context.stopping:
             context.tick(clock.now_ns())
             incoming.wait(receiver.poll_timeout())

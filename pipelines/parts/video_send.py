@@ -12,8 +12,8 @@ from pipelines.cores.stream_figures import tell_sender
 from pipelines.cores.video_sending import LinkedVideoSender
 from pipelines.parts.sending import to_gateway
 from pipelines.runtime.process import PATIENCE_NS, Context
-from pipelines.setup.names import BACKLOG, backlog_topic
-from pipelines.setup.table import VideoStream, feedback_flow
+from pipelines.setup.table import VideoStream
+from telepresence.link.backlog import Backlog
 
 
 def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None:
@@ -27,12 +27,12 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
         cap_bps=stream.cap_bps,
         coded_size=stream.coded,
     )
-    profile = context.setup.profile_of(stream)
+    row = context.topology.video(stream.name)
     identity = RtpIdentity.draw(secrets.randbits)
     sender = video_sender(context.setup, stream, identity, wall_offset_ns=clock.wall_offset_ns)
     linked = LinkedVideoSender(sender, gain_of(context.setup, stream))
     outgoing = to_gateway(context, stream, sender)
-    feedback = context.listen(context.setup.ports.exit(feedback_flow(stream.name)))
+    feedback = context.listen(context.topology.exit_port(row.feedback))
     context.on_flush(lambda: tell_sender(probe, sender, linked.gain))
     with (
         context.open_bus() as bus,
@@ -40,7 +40,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
         EncodingThread(encoder, clock) as encoding,
     ):
         reader = bus.reader(topic)
-        backlog_reader = bus.reader(backlog_topic(profile.name))
+        backlog_reader = bus.reader(row.backlog_topic)
         waiter = bus.waiter([reader], [feedback.fileno(), encoding.fileno()])
         # The newest picture, held until it is encoded or a newer one comes, and the one that is
         # being encoded.
@@ -63,7 +63,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
             told = backlog_reader.latest()
             if told is not None:
                 with told:
-                    waiting_octets, contacts, way_back, freed_bps = BACKLOG.unpack(told.octets())
+                    waiting_octets, contacts, way_back, freed_bps = Backlog.unpack(told.octets())
                     told_ns = told.stamp.capture_ns
                     linked.handle_freed(freed_bps, clock.now_ns())
                     sender.handle_channel(

@@ -2,12 +2,12 @@
 
 from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AudioFrame
+from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.cores.session_streams import voice_receiver
 from pipelines.cores.stream_figures import note_arrivals, tell_voice_receiver
 from pipelines.parts.reception import Incoming
 from pipelines.runtime.process import Context
-from pipelines.setup.names import LAG, lag_topic, received_topic
 from pipelines.setup.table import VoiceStream
 
 
@@ -19,9 +19,11 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     context.on_flush(lambda: tell_voice_receiver(probe, receiver))
     with context.open_bus() as bus:
         incoming = Incoming(context, stream, receiver)
-        writer = bus.writer(received_topic(stream.name), max_octets=MAX_PACKET_SAMPLES * 2)
-        picture = context.setup.picture_of(stream)
-        lag_reader = None if picture is None else bus.reader(lag_topic(picture.name))
+        writer = bus.writer(
+            context.topology.media(stream.name).received_topic, max_octets=MAX_PACKET_SAMPLES * 2
+        )
+        picture = context.topology.shown_with(stream.name)
+        lag_reader = None if picture is None else bus.reader(picture.lag_topic)
         while not context.stopping:
             context.tick(clock.now_ns())
             incoming.wait(receiver.poll_timeout())

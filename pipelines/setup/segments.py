@@ -15,6 +15,12 @@ class Segment(Enum):
         return Direction.UPLINK if self is Segment.GROUND else Direction.DOWNLINK
 
     @property
+    def cname(self) -> str:
+        """The RTCP canonical name (RFC 3550 section 6.5.1) of all streams that it sends, because
+        they belong together in time. It is short because each report carries it."""
+        return "gnd" if self is Segment.GROUND else "iss"
+
+    @property
     def peer(self) -> "Segment":
         """The other one."""
         return Segment.SPACE if self is Segment.GROUND else Segment.GROUND

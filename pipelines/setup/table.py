@@ -50,10 +50,6 @@ _STALE_PERIODS = 4
 #: How many ports a session takes, from its base port on.
 PORTS = 40
 
-TELEMETRY = "telemetry"
-TELECOMMAND = "telecommand"
-MAINTENANCE = "maintenance"
-
 
 @dataclass(frozen=True, kw_only=True)
 class VideoStream:
@@ -134,83 +130,6 @@ def _check_stale_after(stream: VideoStream | VoiceStream) -> None:
         raise ConfigError(f"{stream.name}: stale after {after_ms:g} ms; take 10 to 600000")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ports:
-    """Which UDP port is whose, all on loopback, counted from `base`.
-
-    A stream has four: where its sender reaches the gateway (RTP, RTCP) and where the other
-    segment's gateway reaches its receiver (RTP, RTCP).
-    """
-
-    base: int
-
-    def __post_init__(self) -> None:
-        if not 1024 <= self.base <= 65_536 - PORTS:
-            raise ConfigError(f"base port {self.base}: take 1024 to {65_536 - PORTS}")
-
-    @property
-    def ground_radio(self) -> int:
-        return self.base
-
-    @property
-    def space_radio(self) -> int:
-        return self.base + 1
-
-    @property
-    def ground_haptic(self) -> int:
-        """The ground gateway takes the robot's samples here."""
-        return self.base + 2
-
-    @property
-    def robot(self) -> int:
-        return self.base + 3
-
-    @property
-    def space_haptic(self) -> int:
-        """The space gateway takes the joystick's samples here."""
-        return self.base + 4
-
-    @property
-    def joystick(self) -> int:
-        return self.base + 5
-
-    @property
-    def launcher(self) -> int:
-        """Whoever has this one has them all."""
-        return self.base + 6
-
-    def entry(self, flow: str) -> int:
-        """Where the gateway of the sending segment takes the datagrams of `flow`."""
-        return self.base + _PORT_OFFSETS[flow]
-
-    def exit(self, flow: str) -> int:
-        """Where the consumer of `flow` in the receiving segment listens."""
-        offset = 2 if flow.startswith(("uplink_", "downlink_")) else 1
-        return self.entry(flow) + offset
-
-    def all(self) -> range:
-        """Every port that a session may take."""
-        return range(self.base, self.base + PORTS)
-
-
-_PORT_OFFSETS = {
-    "uplink_video": 10,
-    "uplink_video_rtcp": 11,
-    "uplink_voice": 14,
-    "uplink_voice_rtcp": 15,
-    "downlink_video": 18,
-    "downlink_video_rtcp": 19,
-    "downlink_voice": 22,
-    "downlink_voice_rtcp": 23,
-    "feedback_uplink_video": 26,
-    "feedback_downlink_video": 28,
-    TELEMETRY: 30,
-    TELECOMMAND: 32,
-    f"uplink_{MAINTENANCE}": 34,
-    f"downlink_{MAINTENANCE}": 37,
-}
-
-
 #: Whether haptic samples that nobody would feel are left out, and what for: more picture through
 #: a higher cap, or the same picture sooner.
 Deadband = Literal["off", "picture", "latency"]
@@ -274,7 +193,8 @@ class Setup:
                     f"{stream.name}: stale after {stream.stale_after_ms:g} ms, but the radio takes "
                     f"{delay_ms:g}: take more, or leave stale_after_ms out"
                 )
-        Ports(base=self.base_port)
+        if not 1024 <= self.base_port <= 65_536 - PORTS:
+            raise ConfigError(f"base port {self.base_port}: take 1024 to {65_536 - PORTS}")
         for name in self.sources:
             if name not in self.inputs:
                 raise ConfigError(
@@ -286,10 +206,6 @@ class Setup:
             self.source(name)
         self.need_up()
         self.need_down()
-
-    @property
-    def ports(self) -> Ports:
-        return Ports(base=self.base_port)
 
     @cached_property
     def radio_profile(self) -> RadioProfile:
@@ -400,11 +316,6 @@ class Setup:
         if direction is Direction.UPLINK:
             return channel_table(self.uplink, _needs(self.uplink_voice, self.uplink_video))
         return channel_table(self.downlink, _needs(self.downlink_voice, self.downlink_video))
-
-
-def feedback_flow(stream: str) -> str:
-    """The flow by which a video stream's receiver asks its sender for whole pictures."""
-    return f"feedback_{stream}"
 
 
 def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:

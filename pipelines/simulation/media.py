@@ -26,7 +26,6 @@ from pipelines.setup.table import (
     Setup,
     VideoStream,
     VoiceStream,
-    feedback_flow,
 )
 from pipelines.simulation.agenda import Agenda
 from pipelines.simulation.costs import CodingCosts
@@ -171,7 +170,7 @@ class Media:
             costs=scene.costs,
         )
         scene.telling.add(sender.tell)
-        self.consumers[feedback_flow(stream.name)] = sender.handle_feedback
+        self.consumers[scene.topology.video(stream.name).feedback] = sender.handle_feedback
         return sender
 
     def _send_voice(self, stream: VoiceStream, name: str, gateway: Gateway) -> None:
@@ -214,7 +213,7 @@ class Media:
             agenda=scene.agenda,
             decoder=scene.workers.start(partial(VideoDecoding, watched)),
             costs=scene.costs,
-            ask=partial(far.handle_datagram, feedback_flow(stream.name)),
+            ask=partial(far.handle_datagram, scene.topology.video(stream.name).feedback),
         )
         self._add_receiver(stream.name, receiver)
         return receiver

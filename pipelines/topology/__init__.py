@@ -12,6 +12,7 @@ lists the processes with their topics. A new process is a new row there and a mo
 
 from pipelines.setup.segments import Direction, Segment
 from pipelines.topology.build import topology_of
+from pipelines.topology.processes import ROBOT_TOPIC, SELECTED_TOPIC
 from pipelines.topology.rows import (
     LOOP_PRIORITY,
     VOICE_PRIORITY,
@@ -25,12 +26,15 @@ from pipelines.topology.rows import (
     Stage,
     StreamRow,
     TopicRow,
+    VideoRow,
 )
 from pipelines.topology.streams import TELECOMMAND, TELEMETRY
 from pipelines.topology.table import Topology
 
 __all__ = [
     "LOOP_PRIORITY",
+    "ROBOT_TOPIC",
+    "SELECTED_TOPIC",
     "TELECOMMAND",
     "TELEMETRY",
     "VOICE_PRIORITY",
@@ -47,5 +51,6 @@ __all__ = [
     "StreamRow",
     "TopicRow",
     "Topology",
+    "VideoRow",
     "topology_of",
 ]

@@ -13,6 +13,7 @@ from pipelines.topology.rows import (
     ProcessRow,
     Stage,
     TopicRow,
+    VideoRow,
 )
 from pipelines.topology.streams import STEREO_TOPIC
 from pipelines.topology.table import Topology
@@ -47,9 +48,8 @@ def topic_rows(session: Topology) -> Iterable[TopicRow]:
     for media in session.media_streams:
         video = media.kind is Kind.VIDEO
         samples[media.received_topic] = "decoded picture" if video else "decoded sound"
-        if media.displayed_topic is not None:
+        if isinstance(media, VideoRow):
             samples[media.displayed_topic] = "picture, marked where it is stale"
-        if media.lag_topic is not None:
             samples[media.lag_topic] = "how late the newest picture was shown"
     for process in session.processes:
         for name in process.writes:
@@ -184,8 +184,8 @@ def _send(media: MediaRow, topic: str) -> ProcessRow:
 def _end(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
     """Where the pictures and sounds for a segment's people are received and shown."""
     rows = [row for row in session.media_streams if row.direction.receiver is segment]
-    lag_topics = tuple(row.lag_topic for row in rows if row.lag_topic is not None)
-    shown = tuple(row.displayed_topic for row in rows if row.displayed_topic is not None)
+    lag_topics = tuple(row.lag_topic for row in rows if isinstance(row, VideoRow))
+    shown = tuple(row.displayed_topic for row in rows if isinstance(row, VideoRow))
     for row in rows:
         video = row.kind is Kind.VIDEO
         yield ProcessRow(
@@ -216,14 +216,14 @@ def _end(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
 
 
 def _snapshots(session: Topology) -> ProcessRow:
-    shown = [row.displayed_topic for row in session.media_streams]
+    rows = (row for row in session.media_streams if isinstance(row, VideoRow))
     stereo = (STEREO_TOPIC,) if STEREO in session.setup.cameras else ()
     return ProcessRow(
         name="snapshots",
         segment=None,
         stage=Stage.SINK,
         run="pipelines.parts.snapshots:run_snapshots",
-        reads=(*(topic for topic in shown if topic is not None), *stereo),
+        reads=(*(row.displayed_topic for row in rows), *stereo),
         what="keeps what is shown as PNG files",
     )
 

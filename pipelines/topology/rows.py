@@ -103,10 +103,8 @@ class MediaRow(StreamRow):
     """A picture or a voice.
 
     stream: the setup's figures of it. inputs: what it may show or sound.
-    display: the process that shows it. rtcp, feedback: names of its other streams; a voice has no
-    feedback. cname: its RTCP canonical name.
-    received_topic: what the receiver has decoded. displayed_topic, lag_topic: of a picture, what
-    the display shows, and how late it was shown. backlog_topic: what its gateway tells of the
+    display: the process that shows it. rtcp: the name of the stream with its RTCP.
+    received_topic: what the receiver has decoded. backlog_topic: what its gateway tells of the
     link.
     """
 
@@ -117,12 +115,21 @@ class MediaRow(StreamRow):
     inputs: tuple[str, ...]
     display: str
     rtcp: str
-    feedback: str | None
-    cname: str
     received_topic: str
-    displayed_topic: str | None
-    lag_topic: str | None
     backlog_topic: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoRow(MediaRow):
+    """A picture.
+
+    feedback: the name of the stream by which its receiver asks for whole pictures.
+    displayed_topic: what the display shows. lag_topic: how late it was shown.
+    """
+
+    feedback: str
+    displayed_topic: str
+    lag_topic: str
 
 
 @dataclass(frozen=True, kw_only=True)

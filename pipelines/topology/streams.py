@@ -21,6 +21,7 @@ from pipelines.topology.rows import (
     LinkRow,
     MediaRow,
     StreamRow,
+    VideoRow,
 )
 from telepresence.link.flows import (
     Flow,
@@ -60,9 +61,6 @@ _PORTS = {
     "downlink_maintenance": (37, 39),
 }
 
-#: The RTCP canonical name (RFC 3550 section 6.5.1). All streams of a segment share one, because
-#: they belong together in time. It is short because each report carries it.
-_CNAMES = {Segment.GROUND: "gnd", Segment.SPACE: "iss"}
 
 #: The merged picture of the robot's two cameras.
 STEREO_TOPIC = "camera/stereo"
@@ -149,8 +147,7 @@ def stream_rows(setup: Setup, direction: Direction) -> Iterable[StreamRow]:
             flow = rtcp_flow(media.rtcp)
             yield row(media.rtcp, Kind.RTCP, flow, media.sender, media.receiver)
     if other_video is not None:
-        against = _media(setup, direction.opposite, other_video)
-        assert against.feedback is not None
+        against = _video(setup, direction.opposite, other_video)
         flow = rtcp_flow(against.feedback)
         yield row(against.feedback, Kind.FEEDBACK, flow, against.receiver, against.sender)
     name = f"{direction.value}_maintenance"
@@ -176,26 +173,51 @@ def _haptic(setup: Setup, direction: Direction) -> HapticRow:
 
 
 def _media(setup: Setup, direction: Direction, stream: VideoStream | VoiceStream) -> MediaRow:
+    if isinstance(stream, VideoStream):
+        return _video(setup, direction, stream)
     name = stream.name
-    video = isinstance(stream, VideoStream)
     entry, out = _PORTS[name]
     return MediaRow(
         name=name,
         direction=direction,
-        kind=Kind.VIDEO if video else Kind.VOICE,
-        flow=video_flow(name) if video else voice_flow(name),
+        kind=Kind.VOICE,
+        flow=voice_flow(name),
         sender=f"{name}_send",
         receiver=f"{name}_receive",
         entry_port=setup.base_port + entry,
         exit_port=setup.base_port + out,
         stream=stream,
-        inputs=tuple(row.name for row in input_rows(setup) if row.stream == name),
+        inputs=_inputs_of(setup, name),
         display=f"{direction.receiver.value}_display",
         rtcp=f"{name}_rtcp",
-        feedback=f"feedback_{name}" if video else None,
-        cname=_CNAMES[direction.sender],
         received_topic=f"received/{name}",
-        displayed_topic=f"displayed/{name}" if video else None,
-        lag_topic=f"lag/{name}" if video else None,
         backlog_topic=_backlog_topic(direction),
     )
+
+
+def _video(setup: Setup, direction: Direction, stream: VideoStream) -> VideoRow:
+    name = stream.name
+    entry, out = _PORTS[name]
+    return VideoRow(
+        name=name,
+        direction=direction,
+        kind=Kind.VIDEO,
+        flow=video_flow(name),
+        sender=f"{name}_send",
+        receiver=f"{name}_receive",
+        entry_port=setup.base_port + entry,
+        exit_port=setup.base_port + out,
+        stream=stream,
+        inputs=_inputs_of(setup, name),
+        display=f"{direction.receiver.value}_display",
+        rtcp=f"{name}_rtcp",
+        feedback=f"feedback_{name}",
+        received_topic=f"received/{name}",
+        displayed_topic=f"displayed/{name}",
+        lag_topic=f"lag/{name}",
+        backlog_topic=_backlog_topic(direction),
+    )
+
+
+def _inputs_of(setup: Setup, stream: str) -> tuple[str, ...]:
+    return tuple(row.name for row in input_rows(setup) if row.stream == stream)

@@ -10,12 +10,12 @@ from pipelines.topology.rows import (
     CameraRow,
     HapticRow,
     InputRow,
-    Kind,
     LinkRow,
     MediaRow,
     ProcessRow,
     StreamRow,
     TopicRow,
+    VideoRow,
 )
 from telepresence.link.flows import Flow
 
@@ -125,11 +125,18 @@ class Topology:
         """The topic `name`."""
         return next(row for row in self.topics if row.name == name)
 
-    def shown_with(self, voice: str) -> MediaRow | None:
+    def video(self, name: str) -> VideoRow:
+        """The picture `name`."""
+        row = self._streams[name]
+        if not isinstance(row, VideoRow):
+            raise KeyError(name)
+        return row
+
+    def shown_with(self, voice: str) -> VideoRow | None:
         """The picture that is shown where a voice is heard."""
         display = self.media(voice).display
         shown = (row for row in self.media_streams if row.display == display)
-        return next((row for row in shown if row.kind is Kind.VIDEO), None)
+        return next((row for row in shown if isinstance(row, VideoRow)), None)
 
     @cached_property
     def _processes(self) -> Mapping[str, ProcessRow]:

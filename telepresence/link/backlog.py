@@ -1,5 +1,6 @@
 """What a gateway reports to the sender of video: waiting octets, contact, free capacity."""
 
+import struct
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS
@@ -10,6 +11,9 @@ from telepresence.link.gateway import Gateway
 REPORT_NS = 4 * NS_PER_MS
 #: `Backlog.freed_bps` is rounded down to a multiple of this, so that not every slot is a change.
 FREED_STEP_BPS = 1_000
+
+_LAYOUT = struct.Struct("=qq?q")
+BACKLOG_OCTETS = _LAYOUT.size
 
 
 class Backlog(NamedTuple):
@@ -25,6 +29,15 @@ class Backlog(NamedTuple):
     contacts: int
     peer_heard: bool
     freed_bps: int
+
+    def pack(self) -> bytes:
+        """`BACKLOG_OCTETS` octets for another process of the same machine."""
+        return _LAYOUT.pack(*self)
+
+    @classmethod
+    def unpack(cls, data: bytes) -> "Backlog":
+        """What `pack` packed."""
+        return cls(*_LAYOUT.unpack(data))
 
 
 class BacklogReporter:

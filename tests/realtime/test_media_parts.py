@@ -17,13 +17,16 @@ from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
     VIDEO_CLOCK_HZ,
+    VIDEO_PAYLOAD_TYPE,
     AudioFrame,
     CaptureStamp,
     Quality,
     VideoFrame,
     empty_picture,
 )
+from kontur_av.media import AUDIO_PAYLOAD_TYPE as VOICE_PAYLOAD_TYPE
 from kontur_av.rtp.sender import RtpSender
+from kontur_av.streams.lipsync import LAG
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
 from pipelines.parts.capture import run_microphone
@@ -34,18 +37,8 @@ from pipelines.parts.voice_receive import run_voice_receive
 from pipelines.runtime.probe import Message, Probe
 from pipelines.runtime.process import LOOPBACK, Context
 from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.names import (
-    BACKLOG,
-    LAG,
-    SELECTED_TOPIC,
-    VIDEO_PAYLOAD_TYPE,
-    VOICE_PAYLOAD_TYPE,
-    backlog_topic,
-    displayed_topic,
-    lag_topic,
-    received_topic,
-)
-from pipelines.topology import topology_of
+from pipelines.topology import SELECTED_TOPIC, topology_of
+from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
 
 SETUP = replace(BUILT_IN["spacejustin"], base_port=29_300)
 CLOCK = MonotonicClock()
@@ -132,7 +125,7 @@ def test_a_sound_that_was_made_up_is_not_displayed(session):
         running(session, run_display, streams=[stream]) as listen,
         TopicBus(session) as bus,
     ):
-        writer = bus.writer(received_topic(stream.name), max_octets=1920)
+        writer = bus.writer(f"received/{stream.name}", max_octets=1920)
         fresh, concealed = Quality.FRESH, Quality.CONCEALED
         for number, quality in enumerate([fresh, concealed, concealed, fresh]):
             stamp = CaptureStamp(CLOCK.now_ns(), number, stream.name, quality, number)
@@ -153,10 +146,10 @@ def test_a_picture_that_grows_old_is_marked_on_the_display_and_nowhere_else(sess
         running(session, run_display, streams=[stream]) as listen,
         TopicBus(session) as bus,
     ):
-        writer = bus.writer(received_topic(stream.name), max_octets=picture.size)
-        screen = bus.reader(displayed_topic(stream.name))
-        received = bus.reader(received_topic(stream.name))
-        lag = bus.reader(lag_topic(stream.name))
+        writer = bus.writer(f"received/{stream.name}", max_octets=picture.size)
+        screen = bus.reader(f"displayed/{stream.name}")
+        received = bus.reader(f"received/{stream.name}")
+        lag = bus.reader(f"lag/{stream.name}")
 
         def shown(is_marked):
             """What is on display, once it is marked or not; marked anew it is older."""
@@ -211,7 +204,7 @@ def test_a_gap_in_a_voice_is_made_up_and_marked(session):
         TopicBus(session) as bus,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp,
     ):
-        reader = bus.reader(received_topic(stream.name), depth=8)
+        reader = bus.reader(f"received/{stream.name}", depth=8)
         begin_ns = CLOCK.now_ns()
 
         def told_apart():
@@ -265,7 +258,7 @@ def test_pictures_of_the_setups_own_size_are_shown_and_larger_ones_counted(sessi
         TopicBus(session) as bus,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp,
     ):
-        reader = bus.reader(received_topic(stream.name))
+        reader = bus.reader(f"received/{stream.name}")
         for number in range(3):
             now_ns = CLOCK.now_ns()
             frame = VideoFrame(picture, CaptureStamp(now_ns, number, "left"))
@@ -325,7 +318,7 @@ def test_nothing_is_encoded_while_the_link_is_behind(session):
         running(session, run_video_send, stream=stream, topic=SELECTED_TOPIC) as listen,
     ):
         pictures = bus.writer(SELECTED_TOPIC, max_octets=stream.width * stream.height * 3 // 2)
-        backlog = bus.writer(backlog_topic("uplink"), max_octets=BACKLOG.size, wake=False)
+        backlog = bus.writer("link/uplink", max_octets=BACKLOG_OCTETS, wake=False)
         numbers = iter(range(10_000))
 
         def counted(counter, more_than):
@@ -344,6 +337,6 @@ def test_nothing_is_encoded_while_the_link_is_behind(session):
             (share_octets + 1, "frames_refused", None),
         ):
             stamp = CaptureStamp(CLOCK.now_ns(), 0, "gateway")
-            backlog.publish_octets(BACKLOG.pack(waiting_octets, 1, True, 0), stamp)
+            backlog.publish_octets(Backlog(waiting_octets, 1, True, 0).pack(), stamp)
             totals = counted(counter, listen().totals[counter] + 5)
             assert other is None or totals[other] == 0

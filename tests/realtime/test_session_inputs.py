@@ -11,7 +11,6 @@ import time
 import pytest
 from running_session import assert_sound, eventually
 
-from pipelines.setup.names import input_topic
 from pipelines.setup.table import PORTS
 
 pytestmark = pytest.mark.realtime
@@ -107,7 +106,7 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
     session.pids()
     session.wait_for_flow()
     with session.bus(monkeypatch) as bus:
-        head = bus.reader(input_topic("head"))
+        head = bus.reader("input/head")
 
         def next_level():
             lease = head.latest()

@@ -10,30 +10,24 @@ import pytest
 from running_session import alive, assert_sound, eventually
 
 from kontur_av.clock import MonotonicClock
-from pipelines.setup.names import (
-    ROBOT_TOPIC,
-    SELECTED_TOPIC,
-    STEREO_TOPIC,
-    input_topic,
-    received_topic,
-)
+from pipelines.topology import ROBOT_TOPIC, SELECTED_TOPIC
 
 pytestmark = pytest.mark.realtime
 
 RECEIVED = [
-    received_topic(name)
+    f"received/{name}"
     for name in ("uplink_video", "uplink_voice", "downlink_video", "downlink_voice")
 ]
 #: Where it is seen first that a process works again, if not at the end of the streams.
 WITNESS = {
     "robot": ROBOT_TOPIC,
     "joystick": ROBOT_TOPIC,
-    "stereo": STEREO_TOPIC,
+    "stereo": "camera/stereo",
     "selector": SELECTED_TOPIC,
-    "ground_mic": input_topic("ground_mic"),
-    "iss_camera": input_topic("iss_camera"),
-    "iss_mic": input_topic("iss_mic"),
-    **{f"camera_{name}": input_topic(name) for name in ("left", "right", "static", "head")},
+    "ground_mic": "input/ground_mic",
+    "iss_camera": "input/iss_camera",
+    "iss_mic": "input/iss_mic",
+    **{f"camera_{name}": f"input/{name}" for name in ("left", "right", "static", "head")},
 }
 #: Streams whose end only the line of figures shows, which comes once a second.
 LINES = {

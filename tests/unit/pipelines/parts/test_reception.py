@@ -12,6 +12,7 @@ from kontur_av.rtp.sender import RtpSender
 from pipelines.parts import reception
 from pipelines.parts.reception import Incoming
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import topology_of
 
 
 @pytest.fixture
@@ -35,6 +36,7 @@ def context(tmp_path, monkeypatch):
     yield SimpleNamespace(
         session="x",
         setup=BUILT_IN["taskboard"],
+        topology=topology_of(BUILT_IN["taskboard"]),
         clock=ManualClock(),
         listen=listen,
         receive=receive,

@@ -31,6 +31,6 @@ def test_a_process_that_was_killed_goes_on_where_it_was():
 
 def test_what_cannot_be_written_is_no_picture(tmp_path):
     picture = np.full((72, 64), 128, np.uint8)
-    assert _write(tmp_path, "ground-stereo-0001s", picture) == [True] * 3
+    assert _write(tmp_path, "ground-stereo-0001s", picture, halves=True) == [True] * 3
     assert len(list(tmp_path.glob("*.png"))) == 3
-    assert _write(tmp_path / "missing", "space-0001s", picture) == [False]
+    assert _write(tmp_path / "missing", "space-0001s", picture, halves=False) == [False]

@@ -1,16 +1,18 @@
 """Setups: the built-in ones, and a user's own with every field that there is."""
 
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 
 import pytest
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpSender
+from pipelines.cores.choosing import HOUSEKEEPING_INTERVAL_NS
+from pipelines.cores.session_streams import REPORT_INTERVAL_NS
 from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.names import HOUSEKEEPING_INTERVAL_NS, REPORT_INTERVAL_NS, cname
+from pipelines.setup.segments import Segment
 from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import PORTS, Ports, Setup, VideoStream
+from pipelines.setup.table import PORTS, Setup, VideoStream
 from telepresence.link.arithmetic import RESERVE_BPS, RESUME_OCTETS, TAG_OCTETS
 from telepresence.link.radio import load_radio
 from telepresence.tmtc import Housekeeping, pack_packet
@@ -165,7 +167,7 @@ def test_the_reserve_holds_the_reports_and_the_telemetry_of_a_session():
         ssrc=1,
         first_sequence=0,
         timestamp_offset=0,
-        cname=cname("uplink_video"),
+        cname=Segment.GROUND.cname,
     )
     rtp.audio_packets(b"\x08", CaptureStamp(0, 0, "test"))
     report = rtp.poll_report(0)
@@ -192,7 +194,7 @@ def test_a_setup_cannot_be_changed_or_misused():
             sources={"heda": "x.mp4"},
         )
     with pytest.raises(ConfigError, match="base port"):
-        Ports(base=65_530)
+        replace(setup, base_port=65_530)
 
 
 def own_setup(**changes):
