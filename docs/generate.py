@@ -17,6 +17,8 @@ from pathlib import Path
 
 import griffe
 
+from pipelines.report.keys import keys_tables
+from pipelines.report.model import SessionReport
 from pipelines.setup.setup_file import load_setup
 from pipelines.topology import tables, topology_of
 
@@ -181,6 +183,7 @@ def topology_blocks() -> dict[str, str]:
         "topics": tables.in_code(topics, "topic", "writer", "readers").markdown(),
         "ports": tables.ports_table(session).markdown(),
         "channels": channels.markdown(),
+        "report": keys_tables(SessionReport),
     }
 
 

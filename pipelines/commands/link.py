@@ -201,11 +201,11 @@ class _Screen:
         """The present figures."""
         if self._quiet:
             return
-        lines = self._view.lines(self._collector, launcher.seconds)
+        width = shutil.get_terminal_size().columns - 1 if self._terminal else None
+        lines = self._view.lines(self._collector, launcher.seconds, width)
         if not self._terminal:
             print("  ".join(lines), flush=True)
             return
-        width = shutil.get_terminal_size().columns - 1
         up = f"\x1b[{self._shown}A" if self._shown else ""
         print(up + "".join(f"\x1b[K{line[:width]}\n" for line in lines), end="", flush=True)
         self._shown = len(lines)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from kontur_av.clock import NS_PER_S
 from pipelines.report.collector import Collector
+from pipelines.report.fitting import fitted_line
 from pipelines.report.link_figures import gateway_figures, link_figures, stranger_counts
 from pipelines.report.model import (
     DirectionReport,
@@ -91,14 +92,18 @@ class LinkView:
         self._ends = ends
         self._seen = {end: _Seen() for end in ends}
 
-    def lines(self, collector: Collector, seconds: float) -> list[str]:
-        """A line for each end; rates are those since the lines before."""
-        lines = [self._end(collector, end) for end in self._ends]
-        lines[0] = f"{seconds:6.1f} s  {lines[0]}"
-        lines[1:] = [f"{'':8}  {line}" for line in lines[1:]]
-        return lines
+    def lines(self, collector: Collector, seconds: float, width: int | None = None) -> list[str]:
+        """A line for each end; rates are those since the lines before.
 
-    def _end(self, collector: Collector, end: Segment) -> str:
+        width: the line's length in characters; parts without room are left out.
+        """
+        heads = [f"{seconds:6.1f} s  ", *[" " * 10] * (len(self._ends) - 1)]
+        return [
+            head + self._end(collector, end, None if width is None else width - len(head))
+            for head, end in zip(heads, self._ends, strict=True)
+        ]
+
+    def _end(self, collector: Collector, end: Segment, width: int | None) -> str:
         figures = collector.process(collector.topology.gateway(end).name)
         link: GatewayFigures | None = figures.gauges.get("link")
         if link is None:
@@ -113,14 +118,14 @@ class LinkView:
         levels = " ".join(f"{name} {rates[name]:.1f}" for name in _LEVELS)
         strangers = sum(stranger_counts(collector, end).values())
         parts = [
-            f"{end.value} {state}:",
-            f"sends kbit/s {levels},",
-            f"heard {received.frames} frames, {received.frames_lost} lost,",
+            f"{end.value} {state}",
+            f"heard {received.frames} frames, {received.frames_lost} lost",
             f"{figures.total('slips')} slips",
+            f"sends kbit/s {levels}",
         ]
         if strangers:
-            parts[-1] += f", {strangers} strangers"
-        return " ".join(parts)
+            parts.insert(3, f"{strangers} strangers")
+        return fitted_line(parts, width, gap=", ")
 
 
 def _rates_kbps(sent: SenderFigures, seen: _Seen, profile: LinkProfile) -> dict[str, float]:

@@ -10,21 +10,36 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from kontur_av.clock import NS_PER_S
-from kontur_av.meters import RateMeter
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.meters import Histogram, RateMeter
 from kontur_av.streams.staleness import State
 from pipelines.parts.marking import age_words
 from pipelines.report.ages import shown_now
 from pipelines.report.collector import HAPTIC_ENDS, Collector
+from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.session_report import displayed_frames, haptic_cap_bps, latency_ms
 from pipelines.report.silence import silences
+from pipelines.report.summary import NO_SAMPLE
 from pipelines.runtime.launcher import Launcher
 from pipelines.runtime.probe import FLUSH_NS
 from pipelines.setup.table import VideoStream, VoiceStream
+from pipelines.topology import Segment
+from telepresence.link.figures import GatewayFigures
 
+#: The columns, with the rank by which they are left out on a narrow terminal.
+_COLUMNS = (
+    ("stream", 0),
+    ("kbit/s", 1),
+    ("max 1 s", 6),
+    ("cap", 5),
+    ("shown", 4),
+    ("lost", 3),
+    ("latency ms", 2),
+    ("p99 ms", 7),
+    ("age", 2),
+)
 #: Figures are at most this old: a process tells twice a second, and may be late.
 _TOLD_AFTER_NS = 2 * FLUSH_NS
-
 
 _COLOURS = {
     State.FRESH: "green",
@@ -71,7 +86,8 @@ class LiveView:
         if self._live is not None:
             self._live.update(
                 Group(
-                    _streams(launcher, self._collector),
+                    Text(first_line(launcher, self._collector, self._console.width), "bold"),
+                    streams_table(launcher, self._collector, self._console.width),
                     *_inputs(launcher, self._collector),
                     _processes(launcher, verbose=self._verbose),
                 ),
@@ -81,49 +97,77 @@ class LiveView:
             print(_line(launcher, self._collector), flush=True)
 
 
-def _streams(launcher: Launcher, collector: Collector) -> Table:
-    selector = collector.process("selector").gauges.get("selected", "-")
-    table = Table(
-        title=f"{launcher.setup.name}   {launcher.seconds:.0f} s   camera {selector}",
-        title_justify="left",
+def first_line(launcher: Launcher, collector: Collector, width: int) -> str:
+    """The session's name and time, the link's state, radio and camera, as far as there is room."""
+    link: GatewayFigures | None = collector.process(
+        collector.topology.gateway(Segment.GROUND).name
+    ).gauges.get("link")
+    camera = collector.process("selector").gauges.get("selected", NO_SAMPLE)
+    state = "starting" if link is None else link.supervision.state
+    return fitted_line(
+        [
+            f"{launcher.session}   {launcher.seconds:.0f} s",
+            f"link {state}",
+            f"radio {launcher.setup.radio_profile.name}",
+            f"camera {camera}",
+        ],
+        width,
     )
-    headings = ("stream", "kbit/s", "max 1 s", "cap", "shown", "lost", "latency ms", "p99 ms")
-    for heading in (*headings, "age"):
-        table.add_column(heading, justify="left" if heading == "stream" else "right")
-    for stream in launcher.setup.streams:
-        figures = collector.streams[stream.name]
-        newest = latency_ms(figures)
-        largest = figures.rate.max_bps(NS_PER_S)
-        table.add_row(
-            stream.name,
-            f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
-            Text(f"{largest / 1000:.1f}", "bold red" if figures.above_cap_bps[0] > 0 else "green"),
-            f"{stream.cap_bps / 1000:g}",
-            str(displayed_frames(collector, stream.name)),
-            str(
-                collector.process(collector.topology.media(stream.name).receiver).total("rtp_lost")
-            ),
-            "-" if newest is None else f"{newest:.1f}",
-            f"{figures.latency.percentile(99) / 1e6:.1f}",
-            _age(launcher, collector, stream),
-        )
-    for name, (_, receiver) in HAPTIC_ENDS.items():
-        histogram = collector.haptics[name].latency
-        figures_of_end = collector.process(receiver)
-        samples = figures_of_end.total("received")
-        profile = launcher.setup.uplink if name == "up" else launcher.setup.downlink
-        newest_bps = _last_bps(launcher, collector.haptics[name].rate)
-        table.add_row(
-            f"haptic_{name}",
-            f"{newest_bps / 1000:.1f}",
-            "",
-            f"{haptic_cap_bps(profile) / 1000:g}",
-            str(samples),
-            str(figures_of_end.total("lost")),
-            f"{histogram.percentile(50) / 1e6:.1f}",
-            f"{histogram.percentile(99) / 1e6:.1f}",
-        )
-    return table
+
+
+def streams_table(launcher: Launcher, collector: Collector, width: int) -> Table:
+    """A row for each stream and each direction of haptics; columns that fit `width`."""
+    rows = [
+        *(_stream_row(launcher, collector, stream) for stream in launcher.setup.streams),
+        *(_haptic_row(launcher, collector, name) for name in HAPTIC_ENDS),
+    ]
+    columns = []
+    for index, (heading, rank) in enumerate(_COLUMNS):
+        columns.append(Column(heading, rank, [row[index] for row in rows]))
+    return fitted_table(columns, width)
+
+
+def _stream_row(
+    launcher: Launcher, collector: Collector, stream: VideoStream | VoiceStream
+) -> list[str | Text]:
+    figures = collector.streams[stream.name]
+    newest = latency_ms(figures)
+    largest = figures.rate.max_bps(NS_PER_S)
+    receiver = collector.process(collector.topology.media(stream.name).receiver)
+    return [
+        stream.name,
+        f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
+        Text(f"{largest / 1000:.1f}", "bold red" if figures.above_cap_bps[0] > 0 else "green"),
+        f"{stream.cap_bps / 1000:g}",
+        str(displayed_frames(collector, stream.name)),
+        str(receiver.total("rtp_lost")),
+        NO_SAMPLE if newest is None else f"{newest:.1f}",
+        _percentile_ms(figures.latency, 99),
+        _age(launcher, collector, stream),
+    ]
+
+
+def _haptic_row(launcher: Launcher, collector: Collector, name: str) -> list[str | Text]:
+    figures = collector.haptics[name]
+    receiver = collector.process(HAPTIC_ENDS[name][1])
+    profile = launcher.setup.uplink if name == "up" else launcher.setup.downlink
+    return [
+        f"haptic_{name}",
+        f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
+        "",
+        f"{haptic_cap_bps(profile) / 1000:g}",
+        str(receiver.total("received")),
+        str(receiver.total("lost")),
+        _percentile_ms(figures.latency, 50),
+        _percentile_ms(figures.latency, 99),
+        "",
+    ]
+
+
+def _percentile_ms(histogram: Histogram, percent: float) -> str:
+    if not histogram.count:
+        return NO_SAMPLE
+    return f"{histogram.percentile(percent) / NS_PER_MS:.1f}"
 
 
 def _age(launcher: Launcher, collector: Collector, stream: VideoStream | VoiceStream) -> Text:
@@ -131,7 +175,7 @@ def _age(launcher: Launcher, collector: Collector, stream: VideoStream | VoiceSt
     now_ns = launcher.clock.now_ns()
     state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
     if state is State.NOTHING:
-        return Text("-")
+        return Text(NO_SAMPLE)
     return Text(f"{age_words(age_ns)} {state.value}", _COLOURS[state])
 
 
@@ -178,7 +222,7 @@ def _line(launcher: Launcher, collector: Collector) -> str:
             f"/{stream.cap_bps / 1000:g} kbit/s "
             f"{displayed_frames(collector, stream.name)} shown "
             f"{collector.process(receiver).total('rtp_lost')} lost "
-            f"{'-' if newest is None else f'{newest:.0f}'} ms"
+            f"{NO_SAMPLE if newest is None else f'{newest:.0f}'} ms"
         )
         now_ns = launcher.clock.now_ns()
         state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)

@@ -485,7 +485,6 @@ class SessionReport(Report, frozen=True, kw_only=True):
     setup: str
     #: How long the session ran.
     seconds: float
-    #: By name.
     streams: dict[str, StreamReport]
     #: `up` and `down`.
     haptic: dict[str, HapticReport]
@@ -504,10 +503,13 @@ class SessionReport(Report, frozen=True, kw_only=True):
     #: For how much of the time sound and picture were together; null without both.
     lip_sync: LipSync | None
     cpu: CpuReport
-    #: By name.
     processes: dict[str, ProcessReport]
-    #: What went wrong by the project's own measure; with any, the exit code is 1.
+    #: What broke a promise of the project; with any, the exit code is 1. A cap was exceeded, a
+    #: stream or the haptic samples stopped although there was a signal, a stamp was wrong, energy
+    #: was made, a joystick failed, or values of this report were lost.
     failures: list[str]
+    #: What made the session worse than it has to be, with what mends it.
+    warnings: list[Warning]
     #: Of `simulate` only.
     simulation: SimulationReport | None = None
 
@@ -534,7 +536,6 @@ class LinkReport(Report, frozen=True, kw_only=True):
     #: By end.
     gateways: dict[str, GatewayReport]
     cpu: CpuReport
-    #: By name.
     processes: dict[str, ProcessReport]
     #: What went wrong by the project's own measure; with any, the exit code is 1.
     failures: list[str]

@@ -23,6 +23,7 @@ from pipelines.report.silence import MISSED_NS, missed_ns, signal_ns, silences, 
 from pipelines.report.sync.figures import disagreements
 from pipelines.report.sync.section import sync_section
 from pipelines.report.terms import video_lead
+from pipelines.report.warnings import find_warnings
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.topology import Segment
 from telepresence.link.profile import LinkProfile
@@ -72,6 +73,7 @@ def build_report(
             name: _process(name, cpu_s[name], restarts[name], setup, collector) for name in cpu_s
         },
         failures=failures(setup, collector, seconds, media=media),
+        warnings=find_warnings(setup, collector, seconds=seconds, restarts=restarts, media=media),
     )
 
 

@@ -3,42 +3,35 @@
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
+from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.link_report import end_line, ledger_line
-from pipelines.report.model import SessionReport, SyncReport
+from pipelines.report.model import HapticReport, SessionReport, Spread, StreamReport, SyncReport
+
+#: What stands where there is no sample.
+NO_SAMPLE = "–"
+#: The columns after the name, with the rank by which they are left out on a narrow terminal.
+_COLUMNS = (
+    ("cap", 4),
+    ("mean", 5),
+    ("max 1 s", 3),
+    ("max 0.1 s", 9),
+    ("shown/s", 1),
+    ("lost", 2),
+    ("p50", 0),
+    ("p95", 7),
+    ("p99", 6),
+    ("max ms", 8),
+)
 
 
 def print_summary(report: SessionReport) -> None:
     """The streams, the senses and the cost, on standard output."""
-    # Without a terminal there is no width to keep to; the widest table takes about this.
+    # Without a terminal no width limits the table; the widest one takes about this.
     console = Console() if Console().is_terminal else Console(width=118)
-    title = f"{report.setup}, {report.seconds:.1f} s"
-    streams = Table(title=title, title_justify="left")
-    headings = ("stream", "cap", "mean", "max 1 s", "max 0.1 s", "shown/s", "lost", "p50", "p95")
-    for heading in (*headings, "p99", "max ms"):
-        streams.add_column(heading, justify="left" if heading == "stream" else "right")
-    for name, stream in report.streams.items():
-        latency = stream.latency_ms
-        streams.add_row(
-            name,
-            *map(_kbps, (stream.cap_bps, stream.payload_bps_mean)),
-            *map(_kbps, (stream.payload_bps_max_1s, stream.payload_bps_max_100ms)),
-            f"{stream.displayed_hz:.1f}",
-            str(stream.rtp_lost or 0),
-            *(f"{value:.1f}" for value in (latency.p50, latency.p95, latency.p99, latency.max)),
-        )
-    for name, haptic in report.haptic.items():
-        felt = haptic.latency_ms
-        rate_hz = haptic.received / max(report.seconds, 1e-9)
-        streams.add_row(
-            f"haptic_{name}",
-            *map(_kbps, (haptic.cap_bps, haptic.payload_bps_mean)),
-            *("", ""),
-            f"{rate_hz:.1f}",
-            str(haptic.lost),
-            *(f"{value:.1f}" for value in (felt.p50, felt.p95, felt.p99, felt.max)),
-        )
-    console.print(streams)
+    console.print(Text(first_line(report, console.width), "bold"))
+    console.print(streams_table(report, console.width))
     for direction, link in report.link.items():
         console.print(
             f"{direction}: {link.frames} frames, {link.frames_lost} lost, "
@@ -53,6 +46,9 @@ def print_summary(report: SessionReport) -> None:
     ]
     if skews:
         console.print("skew at the operator, ms: " + ", ".join(skews))
+    stages = stages_line(report)
+    if stages:
+        console.print(stages, highlight=False)
     _print_content(console, report.sync)
     together = report.lip_sync
     if together is not None:
@@ -84,8 +80,85 @@ def print_summary(report: SessionReport) -> None:
         if entry.silent_s is not None:
             fault = f" ({entry.source_fault})" if entry.source_fault else ""
             console.print(f"{name}: gave nothing in the last {entry.silent_s} s{escape(fault)}")
+    for warning in report.warnings:
+        line = f"{warning.where}: {warning.measured}; {warning.mend}"
+        console.print(f"[bold yellow]warning:[/] {escape(line)}", highlight=False)
     for failure in report.failures:
         console.print(f"[bold red]failed:[/] {failure}")
+
+
+def first_line(report: SessionReport, width: int) -> str:
+    """The setup, how long the session ran, its radio, and the link's last state."""
+    ground = report.gateways["ground"]
+    parts = [f"{report.setup}, {report.seconds:.1f} s"]
+    if ground.supervision is not None:
+        parts.append(f"link {ground.supervision.state}")
+    if ground.radio is not None and ground.radio.profile is not None:
+        parts.append(f"radio {ground.radio.profile}")
+    return fitted_line(parts, width)
+
+
+def streams_table(report: SessionReport, width: int) -> Table:
+    """A row for each stream and each direction of haptics; columns that fit `width`."""
+    rows = [
+        *((name, _stream_cells(stream)) for name, stream in report.streams.items()),
+        *(
+            (f"haptic_{name}", _haptic_cells(haptic, report.seconds))
+            for name, haptic in report.haptic.items()
+        ),
+    ]
+    columns = [Column("stream", 0, [name for name, _ in rows])]
+    for index, (heading, rank) in enumerate(_COLUMNS):
+        columns.append(Column(heading, rank, [cells[index] for _, cells in rows]))
+    return fitted_table(columns, width)
+
+
+def _stream_cells(stream: StreamReport) -> list[str]:
+    return [
+        _kbps(stream.cap_bps),
+        _kbps(stream.payload_bps_mean),
+        _kbps(stream.payload_bps_max_1s),
+        _kbps(stream.payload_bps_max_100ms),
+        f"{stream.displayed_hz:.1f}",
+        str(stream.rtp_lost or 0),
+        *_latency_cells(stream.latency_ms),
+    ]
+
+
+def _haptic_cells(haptic: HapticReport, seconds: float) -> list[str]:
+    return [
+        _kbps(haptic.cap_bps),
+        _kbps(haptic.payload_bps_mean),
+        "",
+        "",
+        f"{haptic.received / max(seconds, 1e-9):.1f}",
+        str(haptic.lost),
+        *_latency_cells(haptic.latency_ms),
+    ]
+
+
+def _latency_cells(latency: Spread) -> list[str]:
+    values = latency.p50, latency.p95, latency.p99, latency.max
+    return [f"{value:.1f}" if latency.count else NO_SAMPLE for value in values]
+
+
+def stages_line(report: SessionReport) -> str:
+    """Where the time of the uplink's picture goes, mean of an event; empty without pictures."""
+    if report.video_lead is None:
+        return ""
+    video = report.video_lead.video_ms
+    terms = {
+        "camera": video.camera,
+        "capture": video.capture,
+        "encoding": video.encoding,
+        "queueing": video.queueing,
+        "serialisation": video.serialisation,
+        "propagation": video.propagation,
+        "decoding": video.decoding,
+        "display": video.display,
+    }
+    parts = ", ".join(f"{name} {ms:.0f}" for name, ms in terms.items() if round(ms))
+    return f"uplink picture {video.total:.0f} ms: {parts}"
 
 
 def _print_content(console: Console, sync: SyncReport | None) -> None:

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.collector import Collector
-from pipelines.report.live import _age, _inputs, _line, _streams
+from pipelines.report.live import _age, _inputs, _line, first_line, streams_table
 from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import topology_of
@@ -21,6 +21,7 @@ def launcher():
     """A session of ten seconds, as far as a view looks at it."""
     return SimpleNamespace(
         setup=SETUP,
+        session="taskboard-7",
         collector=Collector(topology_of(SETUP)),
         children=[],
         seconds=10.0,
@@ -31,7 +32,7 @@ def launcher():
 def table_of(launcher):
     console = Console(width=118)
     with console.capture() as capture:
-        console.print(_streams(launcher, launcher.collector))
+        console.print(streams_table(launcher, launcher.collector, 118))
     return capture.get()
 
 
@@ -65,7 +66,7 @@ def test_what_is_shown_has_its_age_and_a_word_that_grows_worse(launcher):
         )
         return _age(launcher, launcher.collector, stream)
 
-    assert _age(launcher, launcher.collector, stream).plain == "-"
+    assert _age(launcher, launcher.collector, stream).plain == "–"
     assert "age" in table_of(launcher)
     fresh = shown("fresh", 45, 9.8)
     assert (fresh.plain, str(fresh.style)) == ("45 ms fresh", "green")
@@ -94,3 +95,33 @@ def test_an_input_that_gives_nothing_is_shown_with_its_fault(launcher):
         ("camera_right: garbage in the pipe", "yellow"),
     ]
     assert _line(launcher, launcher.collector).endswith(silent)
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 100, 120, 200])
+def test_no_name_and_no_number_is_cut_at_any_width(launcher, width):
+    launcher.setup = BUILT_IN["spacejustin"]
+    launcher.collector = Collector(topology_of(launcher.setup))
+    totals = {"uplink_video.frames_displayed": 1234567890}
+    launcher.collector.handle_message("space_display", Message(totals, {}), 9 * NS_PER_S)
+    console = Console(width=width)
+    with console.capture() as capture:
+        console.print(streams_table(launcher, launcher.collector, width))
+    lines = capture.get().splitlines()
+    assert "…" not in capture.get()
+    assert max(map(len, lines)) <= width
+    names = [stream.name for stream in launcher.setup.streams]
+    assert all(any(f" {name} " in line for line in lines) for name in names)
+    assert width < 80 or "1234567890" in capture.get()
+    assert width < 120 or all(heading in lines[1] for heading in ("p99 ms", "max 1 s", "age"))
+
+
+def test_the_first_line_names_session_link_radio_and_camera(launcher):
+    assert first_line(launcher, launcher.collector, 118) == (
+        "taskboard-7   10 s   link starting   radio cable   camera –"
+    )
+    assert first_line(launcher, launcher.collector, 35) == "taskboard-7   10 s   link starting"
+
+
+def test_where_there_is_no_sample_yet_stands_a_dash(launcher):
+    (video,) = [line for line in table_of(launcher).splitlines() if "uplink_video" in line]
+    assert video.count("–") == 3

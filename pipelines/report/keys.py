@@ -1,0 +1,123 @@
+"""The tables of a report's keys for the documents, made from the types and their comments."""
+
+import dataclasses
+import inspect
+import re
+import types
+import typing
+from collections.abc import Iterator
+
+import msgspec
+
+_UNITS = {
+    "ns": "ns",
+    "us": "µs",
+    "ms": "ms",
+    "s": "s",
+    "bps": "bit/s",
+    "hz": "1/s",
+    "uj": "µJ",
+    "octets": "octets",
+    "percent": "%",
+    "n": "N",
+    "c": "°C",
+    "mm": "mm",
+    "km": "km",
+    "deg": "°",
+}
+_WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "true or false"}
+
+
+def keys_tables(kind: type) -> str:
+    """A table for `kind` and one for each type below it, in the order in which they come."""
+    parts = []
+    for one in _types_below(kind):
+        rows = ["| key | type | unit | what |", "|---|---|---|---|"]
+        rows += [
+            f"| `{key}` | {words} | {unit} | {what} |" for key, words, unit, what in _rows(one)
+        ]
+        summary = inspect.getdoc(one) or ""
+        parts.append(f"**{one.__name__}**: {summary.splitlines()[0]}\n\n" + "\n".join(rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def comments(kind: type) -> dict[str, str]:
+    """By field: the `#:` comment above it, those of base classes included."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if not _is_record(base):
+            continue
+        above: list[str] = []
+        for line in inspect.getsource(base).splitlines():
+            text = line.strip()
+            if text.startswith("#: "):
+                above.append(text.removeprefix("#: "))
+            elif match := re.match(r"(\w+): ", text):
+                found[match[1]] = " ".join(above)
+                above = []
+            else:
+                above = []
+    return found
+
+
+def _rows(kind: type) -> Iterator[tuple[str, str, str, str]]:
+    told, hints = comments(kind), typing.get_type_hints(kind)
+    for name, key, optional in _fields(kind):
+        words = _words(hints[name], optional=optional)
+        yield key, words + (", optional" if optional else ""), _unit(name), told.get(name, "")
+
+
+def _fields(kind: type) -> Iterator[tuple[str, str, bool]]:
+    """The name, the key in JSON, and whether it may be absent, of each field."""
+    if issubclass(kind, msgspec.Struct):
+        for field in msgspec.structs.fields(kind):
+            yield field.name, field.encode_name, not field.required
+    elif dataclasses.is_dataclass(kind):
+        for plain in dataclasses.fields(kind):
+            yield plain.name, plain.name, False
+
+
+def _unit(name: str) -> str:
+    """The unit that the name ends with; a rate may have a word behind it."""
+    if name == "seconds":
+        return "s"
+    words = name.split("_")
+    if "bps" in words:
+        return _UNITS["bps"]
+    return _UNITS.get(words[-1], "") if len(words) > 1 else ""
+
+
+def _words(hint: object, *, optional: bool = False) -> str:
+    """A type in words."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (types.UnionType, typing.Union):
+        one = next(of for of in arguments if of is not type(None))
+        return _words(one) + ("" if optional else " or null")
+    if origin is dict:
+        return f"{_words(arguments[1])}, by name"
+    if origin is list:
+        return f"list of {_words(arguments[0])}"
+    if origin is tuple:
+        return f"[{', '.join(map(_words, arguments))}]"
+    return _WORDS.get(hint, getattr(hint, "__name__", str(hint)))
+
+
+def _types_below(kind: type) -> list[type]:
+    found = [kind]
+    for one in found:
+        for hint in typing.get_type_hints(one).values():
+            found += [below for below in _records(hint) if below not in found]
+    return found
+
+
+def _records(hint: object) -> Iterator[type]:
+    if isinstance(hint, type) and _is_record(hint):
+        yield hint
+    for argument in typing.get_args(hint):
+        yield from _records(argument)
+
+
+def _is_record(kind: type) -> bool:
+    return dataclasses.is_dataclass(kind) or (
+        issubclass(kind, msgspec.Struct) and kind is not msgspec.Struct
+    )

@@ -1,0 +1,146 @@
+"""What made a session worse than it has to be, and what mends it. A core.
+
+A failure is a broken promise of the project. A warning is about the machine: the session did what
+it could, and a person can change something.
+"""
+
+from collections.abc import Mapping
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.report.collector import Collector
+from pipelines.report.model import Warning
+from pipelines.setup.table import Setup, VideoStream
+from pipelines.topology import LOOP_PRIORITY, Segment, Topology
+
+#: Of a loop's cycles at most this share may be left out.
+LEFT_OUT_SHARE = 0.01
+#: A loop is late if its cycles begin later than this, at the 99th percentile.
+LATE_NS = NS_PER_MS // 2
+#: Of the pictures that were captured at least this share must be shown.
+SHOWN_SHARE = 0.8
+#: Pictures are judged only if there was a signal for this share of the session, and the radio lost
+#: at most this share of the frames.
+_SIGNAL_SHARE, _LOST_SHARE = 0.95, 0.01
+#: A shorter session says nothing about its pictures.
+_LEAST_NS = 3 * NS_PER_S
+
+_NO_REAL_TIME = "allow real-time priority: `kontur-av doctor` says how"
+_TOO_SLOW = "use fewer cameras, or a faster machine"
+
+
+def find_warnings(
+    setup: Setup,
+    collector: Collector,
+    *,
+    seconds: float,
+    restarts: Mapping[str, int],
+    media: bool = True,
+) -> list[Warning]:
+    """The warnings of a session of `seconds`, in the order of its processes, then its streams.
+
+    restarts: of each process that ran. media: False if the session had no streams.
+    """
+    topology = collector.topology
+    found = []
+    for name, count in restarts.items():
+        figures = collector.process(name)
+        if topology.process(name).priority == LOOP_PRIORITY:
+            scheduler = figures.gauges.get("scheduler", "")
+            late_ns = round(figures.lateness.percentile(99)) if figures.lateness.count else 0
+            found += loop_warnings(
+                name,
+                cycles=figures.total("cycles"),
+                left_out=figures.total("slips"),
+                late_ns=late_ns,
+                scheduler=scheduler,
+            )
+        if count:
+            found.append(restart_warning(name, count, figures.gauges.get("last_error", "")))
+    free = _free_channel(collector, seconds)
+    for stream in setup.streams if media else ():
+        if isinstance(stream, VideoStream) and free:
+            found += picture_warnings(
+                stream.name,
+                fps=stream.fps,
+                seconds=seconds,
+                captured=_captured(stream.name, topology, collector),
+                refused=collector.process(topology.media(stream.name).sender).total(
+                    "frames_refused"
+                ),
+                displayed=collector.total(f"{stream.name}.frames_displayed"),
+            )
+    return found
+
+
+def loop_warnings(
+    process: str, *, cycles: int, left_out: int, late_ns: int, scheduler: str
+) -> list[Warning]:
+    """Whether a loop of 1 kHz left out too much, or was late.
+
+    cycles: done. late_ns: 99th percentile. scheduler: `fifo` with real-time priority.
+    """
+    mend = _TOO_SLOW if scheduler == "fifo" else _NO_REAL_TIME
+    share = left_out / max(1, cycles + left_out)
+    if share > LEFT_OUT_SHARE:
+        measured = f"{100 * share:.1f} % of its cycles were left out"
+        return [Warning(what="cycles_left_out", where=process, measured=measured, mend=mend)]
+    if late_ns > LATE_NS:
+        measured = f"1 of 100 cycles began more than {late_ns / NS_PER_MS:.1f} ms late"
+        return [Warning(what="cycles_late", where=process, measured=measured, mend=mend)]
+    return []
+
+
+def restart_warning(process: str, restarts: int, last_error: str) -> Warning:
+    """A process had to be started again."""
+    why = f": {last_error}" if last_error else ""
+    times = "once" if restarts == 1 else f"{restarts} times"
+    return Warning(
+        what="restarted",
+        where=process,
+        measured=f"it was started again {times}{why}",
+        mend="mend what its error names; report an error of this software",
+    )
+
+
+def picture_warnings(
+    stream: str, *, fps: int, seconds: float, captured: int, refused: int, displayed: int
+) -> list[Warning]:
+    """Whether too few pictures were captured or shown over a free channel.
+
+    captured: at the input; 0 if it gave nothing, which is told elsewhere. refused: pictures that
+    the cap had no room for. displayed: pictures that were shown.
+    """
+    seconds = max(seconds, 1e-9)
+    if not captured:
+        return []
+    if captured < SHOWN_SHARE * fps * seconds:
+        measured = f"its input gave {captured / seconds:.1f} of {fps} pictures a second"
+        mend = f"if the source gives more, {_TOO_SLOW}"
+        return [Warning(what="few_captured", where=stream, measured=measured, mend=mend)]
+    if displayed < SHOWN_SHARE * (captured - refused):
+        measured = (
+            f"{displayed / seconds:.1f} pictures a second were shown of "
+            f"{captured / seconds:.1f} captured"
+        )
+        return [Warning(what="few_shown", where=stream, measured=measured, mend=_TOO_SLOW)]
+    return []
+
+
+def _captured(stream: str, topology: Topology, collector: Collector) -> int:
+    """What the busiest input of a stream captured."""
+    processes = (topology.input(name).process for name in topology.media(stream).inputs)
+    return max((collector.process(name).total("captured") for name in processes), default=0)
+
+
+def _free_channel(collector: Collector, seconds: float) -> bool:
+    """Whether the radio let nearly everything through, both ways, nearly all the time."""
+    if seconds * NS_PER_S < _LEAST_NS:
+        return False
+    for segment in Segment:
+        for link in collector.process(collector.topology.gateway(segment).name).links():
+            heard = link.receive
+            lost_share = heard.frames_lost / max(1, heard.frames + heard.frames_lost)
+            signal_share = link.supervision.contact_ns / (seconds * NS_PER_S)
+            if lost_share > _LOST_SHARE or signal_share < _SIGNAL_SHARE:
+                return False
+    return True

@@ -1,0 +1,48 @@
+"""The tables of a report's keys are made from its types."""
+
+import msgspec
+
+from pipelines.report.keys import comments, keys_tables
+from pipelines.report.model import Report, SessionReport
+
+
+class Part(Report, frozen=True, kw_only=True):
+    """A part."""
+
+    #: How late,
+    #: at most.
+    late_ms: float = msgspec.field(name="p99.9")
+    count: int | None = None
+
+
+class Whole(Report, frozen=True, kw_only=True):
+    """A whole."""
+
+    #: Each one.
+    parts: dict[str, Part | None]
+    rate_bps_mean: int
+
+
+class Heir(Part, frozen=True, kw_only=True):
+    """More."""
+
+    #: Another one.
+    other: int
+
+
+def test_each_type_has_a_table_with_units_and_comments():
+    whole, part = keys_tables(Whole).split("\n\n**")
+    assert "| `parts` | Part or null, by name |  | Each one. |" in whole
+    assert "| `rate_bps_mean` | integer | bit/s |  |" in whole
+    assert "| `p99.9` | number | ms | How late, at most. |" in part
+    assert "| `count` | integer, optional |  |  |" in part
+
+
+def test_comments_of_a_base_are_those_of_its_heirs():
+    assert comments(Heir) == {"late_ms": "How late, at most.", "count": "", "other": "Another one."}
+
+
+def test_every_type_of_the_report_says_what_it_is():
+    text = keys_tables(SessionReport)
+    assert "**SessionReport**: The report of" in text
+    assert "**: \n" not in text

@@ -1,0 +1,67 @@
+"""When a session is warned about, and of what."""
+
+from pipelines.report.warnings import loop_warnings, picture_warnings, restart_warning
+
+
+def loop(*, cycles=1000, left_out=0, late_ns=0, scheduler="other"):
+    return loop_warnings(
+        "robot", cycles=cycles, left_out=left_out, late_ns=late_ns, scheduler=scheduler
+    )
+
+
+def pictures(*, captured=300, refused=0, displayed=300, seconds=10.0):
+    found = picture_warnings(
+        "uplink_video",
+        fps=30,
+        seconds=seconds,
+        captured=captured,
+        refused=refused,
+        displayed=displayed,
+    )
+    return [warning.what for warning in found]
+
+
+def test_a_loop_may_leave_out_one_cycle_in_a_hundred():
+    assert loop(cycles=990, left_out=10) == []
+    (warning,) = loop(cycles=880, left_out=120)
+    assert (warning.what, warning.where) == ("cycles_left_out", "robot")
+    assert "12.0 %" in warning.measured
+
+
+def test_without_real_time_priority_the_mend_is_the_permission():
+    (warning,) = loop(left_out=50)
+    assert "kontur-av doctor" in warning.mend
+    (warning,) = loop(left_out=50, scheduler="fifo")
+    assert "doctor" not in warning.mend
+
+
+def test_a_loop_may_be_late_by_half_its_period():
+    assert loop(late_ns=500_000) == []
+    (warning,) = loop(late_ns=700_000)
+    assert (warning.what, "0.7 ms" in warning.measured) == ("cycles_late", True)
+
+
+def test_a_loop_that_never_ran_is_no_warning():
+    assert loop(cycles=0) == []
+
+
+def test_few_pictures_are_a_warning():
+    assert pictures() == []
+    assert pictures(displayed=240) == []
+    assert pictures(displayed=239) == ["few_shown"]
+    assert pictures(captured=239, displayed=20) == ["few_captured"]
+
+
+def test_what_the_cap_had_no_room_for_need_not_be_shown():
+    assert pictures(refused=150, displayed=120) == []
+    assert pictures(refused=150, displayed=119) == ["few_shown"]
+
+
+def test_an_input_that_gave_nothing_is_told_elsewhere():
+    assert pictures(captured=0, displayed=0) == []
+
+
+def test_a_restart_is_a_warning_with_its_reason():
+    warning = restart_warning("stereo", 1, "ended by SIGKILL")
+    assert warning.measured == "it was started again once: ended by SIGKILL"
+    assert restart_warning("stereo", 2, "").measured == "it was started again 2 times"
