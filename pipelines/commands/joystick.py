@@ -3,7 +3,6 @@
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -12,6 +11,12 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import output_that_may_fail, stopped_by_signals
+from pipelines.report.model import (
+    CheckReport,
+    FigureReport,
+    JoystickTestReport,
+    TransitionReport,
+)
 from pipelines.report.report_file import check_writable, write_report
 from telepresence.haptics.device.check import CheckResult
 from telepresence.haptics.device.checks import CHECKS, CheckBench
@@ -161,22 +166,46 @@ def _verdict(passed: bool) -> Text:
 
 def _report(
     spec: str, bench: CheckBench, transitions: list[Transition], seconds: float
-) -> dict[str, Any]:
-    return {
-        "device": spec,
-        "virtual_time": is_simulated(spec),
-        "seconds": round(seconds, 3),
-        "passed": bench.done and not any(result.failed for result in bench.results),
-        "checks": [result.as_dict() for result in bench.results],
-        "joystick": bench.operation.report(),
-        "transitions": [
-            {
-                "s": round(transition.now_ns / NS_PER_S, 3) if is_simulated(spec) else None,
-                "before": transition.before.words,
-                "event": transition.event.value,
-                "after": transition.after.words,
-                "reason": transition.reason,
-            }
+) -> JoystickTestReport:
+    return JoystickTestReport(
+        device=spec,
+        virtual_time=is_simulated(spec),
+        seconds=round(seconds, 3),
+        passed=bench.done and not any(result.failed for result in bench.results),
+        checks=[_check(result) for result in bench.results],
+        joystick=bench.operation.report(),
+        transitions=[
+            TransitionReport(
+                s=round(transition.now_ns / NS_PER_S, 3) if is_simulated(spec) else None,
+                before=transition.before.words,
+                event=transition.event.value,
+                after=transition.after.words,
+                reason=transition.reason,
+            )
             for transition in transitions
         ],
-    }
+    )
+
+
+def _check(result: CheckResult) -> CheckReport:
+    return CheckReport(
+        name=result.name,
+        passed=None if result.skipped else result.passed,
+        trouble=result.trouble,
+        skipped=result.skipped,
+        figures=[
+            FigureReport(
+                name=figure.name,
+                value=_rounded(figure.value),
+                unit=figure.unit,
+                least=_rounded(figure.least),
+                most=_rounded(figure.most),
+                passed=figure.passed,
+            )
+            for figure in result.figures
+        ],
+    )
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 6)

@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.runtime.control import ask
+from pipelines.runtime.control import Request, ask
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,11 +21,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 once the ground has acknowledged the camera; 1 if it refused, or no answer came."""
-    answer = ask({"select": args.camera}, args.session)
-    if answer.get("mistake"):
-        raise ConfigError(str(answer["error"]))
-    if not answer.get("ok"):
-        print(f"kontur-av: {answer.get('error', 'refused on the ground')}", file=sys.stderr)
+    answer = ask(Request(args.camera), args.session)
+    if answer.mistake:
+        raise ConfigError(answer.error)
+    if not answer.ok:
+        print(f"kontur-av: {answer.error or 'refused on the ground'}", file=sys.stderr)
         return 1
-    print(f"{answer['camera']} is selected; acknowledged after {answer['round_trip_ms']:.1f} ms")
+    print(f"{answer.camera} is selected; acknowledged after {answer.round_trip_ms:.1f} ms")
     return 0

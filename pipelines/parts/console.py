@@ -1,17 +1,17 @@
 """The operator's console in space: sends telecommands, receives telemetry, answers `select`."""
 
-import json
 import os
 import secrets
 import select
 import socket
 from contextlib import suppress
-from typing import Any
+
+import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.session_files import make_session_root
 from pipelines.cores.choosing import Console
-from pipelines.runtime.control import MAX_LINE_OCTETS, console_path
+from pipelines.runtime.control import MAX_LINE_OCTETS, Answer, Request, console_path
 from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
 from pipelines.topology import TELECOMMAND, TELEMETRY
 from telepresence.tmtc import SelectDone
@@ -39,9 +39,9 @@ def run_console(context: Context) -> None:
     listener = _listen(context)
     clients: list[_Client] = []
 
-    def answer(token: int, **content: Any) -> None:
+    def answer(token: int, content: Answer) -> None:
         for client in [client for client in clients if client.token == token]:
-            _answer(client, **content)
+            _answer(client, content)
             clients.remove(client)
 
     context.on_flush(console.tell)
@@ -64,15 +64,15 @@ def run_console(context: Context) -> None:
             request = _read(client)
             if request is None:
                 continue
-            camera = request.get("select")
-            if camera not in setup.cameras:
+            camera = request.select
+            if not isinstance(camera, str) or camera not in setup.cameras:
                 known = ", ".join(setup.cameras)
                 error = f"unknown camera {camera}: choose one of {known}"
-                _answer(client, ok=False, error=error, mistake=True)
+                _answer(client, Answer(ok=False, error=error, mistake=True))
                 clients.remove(client)
             else:
                 client.token = console.select(camera, now_ns)
-                _tell(client, wait_s=patience_s)
+                _tell(client, Answer(wait_s=patience_s))
         while (datagram := context.receive(udp)) is not None:
             console.handle_packet(datagram, now_ns)
         while (packet := console.poll_transmit(now_ns)) is not None:
@@ -80,10 +80,13 @@ def run_console(context: Context) -> None:
         while (event := console.next_event()) is not None:
             if isinstance(event, SelectDone):
                 round_trip_ms = event.round_trip_ns / NS_PER_MS
-                answer(event.token, ok=event.ok, camera=event.name, round_trip_ms=round_trip_ms)
+                answer(
+                    event.token,
+                    Answer(ok=event.ok, camera=event.name, round_trip_ms=round_trip_ms),
+                )
             else:
                 why = "a later request came" if event.superseded else "no acknowledgement came"
-                answer(event.token, ok=False, error=f"select {event.name}: {why}")
+                answer(event.token, Answer(ok=False, error=f"select {event.name}: {why}"))
         gone = [client for client in clients if client.link.fileno() < 0]
         for client in gone:
             clients.remove(client)
@@ -101,7 +104,7 @@ def _listen(context: Context) -> socket.socket:
     return listener
 
 
-def _read(client: _Client) -> dict[str, Any] | None:
+def _read(client: _Client) -> Request | None:
     """The request if its line is complete; a client that sends anything else is let go."""
     try:
         data = client.link.recv(MAX_LINE_OCTETS)
@@ -113,20 +116,17 @@ def _read(client: _Client) -> dict[str, Any] | None:
     if b"\n" not in client.line and data and len(client.line) < MAX_LINE_OCTETS:
         return None
     try:
-        request = json.loads(client.line)
-    except (ValueError, RecursionError):  # the latter of "[[[[" without end
-        request = None
-    if isinstance(request, dict):
-        return request
-    client.link.close()
-    return None
+        return msgspec.json.decode(client.line, type=Request)
+    except (msgspec.DecodeError, RecursionError):  # the latter of "[[[[" without end
+        client.link.close()
+        return None
 
 
-def _tell(client: _Client, **content: Any) -> None:
+def _tell(client: _Client, content: Answer) -> None:
     with suppress(OSError):  # the terminal may have gone
-        client.link.sendall(json.dumps(content).encode() + b"\n")
+        client.link.sendall(msgspec.json.encode(content) + b"\n")
 
 
-def _answer(client: _Client, **content: Any) -> None:
-    _tell(client, **content)
+def _answer(client: _Client, content: Answer) -> None:
+    _tell(client, content)
     client.link.close()

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from telepresence.haptics.figures import JoystickFigures
+from telepresence.haptics.figures import JoystickFigures, OperationFigures
 from telepresence.link.figures import ContactWindows, QueueFigures, SupervisionFigures
 
 
@@ -539,6 +539,59 @@ class LinkReport(Report, frozen=True, kw_only=True):
     processes: dict[str, ProcessReport]
     #: What went wrong by the project's own measure; with any, the exit code is 1.
     failures: list[str]
+
+
+class FigureReport(Report, frozen=True, kw_only=True):
+    """One measured quantity of a functional check, with its limits."""
+
+    name: str
+    #: Null when it could not be measured.
+    value: float | None
+    unit: str
+    #: Null for no limit on this side.
+    least: float | None
+    most: float | None
+    passed: bool
+
+
+class CheckReport(Report, frozen=True, kw_only=True):
+    """One functional check of a joystick."""
+
+    name: str
+    #: Null for a check that was skipped.
+    passed: bool | None
+    #: Why it ended early; empty if it did not.
+    trouble: str
+    #: What the device lacks for it; empty if nothing.
+    skipped: str
+    figures: list[FigureReport]
+
+
+class TransitionReport(Report, frozen=True, kw_only=True):
+    """One transition of the joystick's state machine."""
+
+    #: Since the test began; null in real time.
+    s: float | None
+    #: The state before, in words.
+    before: str
+    event: str
+    #: The state after, in words.
+    after: str
+    reason: str
+
+
+class JoystickTestReport(Report, frozen=True, kw_only=True):
+    """The report of `joystick test`."""
+
+    #: SPEC of the joystick.
+    device: str
+    virtual_time: bool
+    seconds: float
+    #: Whether every check was done, and none failed.
+    passed: bool
+    checks: list[CheckReport]
+    joystick: OperationFigures
+    transitions: list[TransitionReport]
 
 
 AnyReport = TypeVar("AnyReport", bound=Report)

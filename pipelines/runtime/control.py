@@ -6,11 +6,11 @@ enter. Request: `{"select": "static"}`. Answer: `{"ok": true, ...}` or `{"ok": f
 answer to a telecommand comes `{"wait_s": 1.5}`: how long the console itself may wait for space.
 """
 
-import json
 import os
 import socket
 from pathlib import Path
-from typing import Any
+
+import msgspec
 
 from kontur_av.topics.session_files import choose_session, session_root
 
@@ -18,6 +18,23 @@ _SOCKET = "console"
 #: How long a console may take beside what it says that it has to wait; then nobody is there.
 _PATIENCE_S = 5.0
 MAX_LINE_OCTETS = 4096
+
+
+class Request(msgspec.Struct, frozen=True):
+    """What a terminal asks. select: the camera; anything, because it comes from outside."""
+
+    select: object = None
+
+
+class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What a console answers; the fields are those of the module's docstring."""
+
+    ok: bool | None = None
+    camera: str = ""
+    round_trip_ms: float = 0.0
+    error: str = ""
+    mistake: bool = False
+    wait_s: float | None = None
 
 
 def console_path(session: str) -> Path:
@@ -31,7 +48,7 @@ def running_sessions() -> list[str]:
     return [path.parent.name for path in sorted(found, key=lambda path: path.stat().st_mtime)]
 
 
-def ask(request: dict[str, Any], session: str | None = None) -> dict[str, Any]:
+def ask(request: Request, session: str | None = None) -> Answer:
     """The answer of the session that `session` means (`choose_session`), or of the only one.
 
     ConfigError when there is no such session, or several.
@@ -44,25 +61,24 @@ def ask(request: dict[str, Any], session: str | None = None) -> dict[str, Any]:
             other.close()
     with chosen as link:
         try:
-            link.sendall(json.dumps(request).encode() + b"\n")
+            link.sendall(msgspec.json.encode(request) + b"\n")
             lines = link.makefile("rb")
             answer = _parse(lines.readline(MAX_LINE_OCTETS))
-            if answer is not None and isinstance(wait_s := answer.get("wait_s"), int | float):
-                link.settimeout(wait_s + _PATIENCE_S)
+            if answer is not None and answer.wait_s is not None:
+                link.settimeout(answer.wait_s + _PATIENCE_S)
                 answer = _parse(lines.readline(MAX_LINE_OCTETS))
         except OSError:
             answer = None
     if answer is None:
-        return {"ok": False, "error": "the session's console has ended before it answered"}
+        return Answer(ok=False, error="the session's console has ended before it answered")
     return answer
 
 
-def _parse(line: bytes) -> dict[str, Any] | None:
+def _parse(line: bytes) -> Answer | None:
     try:
-        answer = json.loads(line)
-    except ValueError:
+        return msgspec.json.decode(line, type=Answer)
+    except msgspec.DecodeError:
         return None
-    return answer if isinstance(answer, dict) else None
 
 
 def _connect(path: Path) -> socket.socket | None:

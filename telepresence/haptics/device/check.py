@@ -1,7 +1,6 @@
 """Result of a functional check: figures, each with its limits."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from telepresence.haptics.device.script import Script
 
@@ -27,21 +26,6 @@ class Figure:
         above = self.least is None or self.value >= self.least
         return above and (self.most is None or self.value <= self.most)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the figure for the report."""
-        return {
-            "name": self.name,
-            "value": _rounded(self.value),
-            "unit": self.unit,
-            "least": _rounded(self.least),
-            "most": _rounded(self.most),
-            "passed": self.passed,
-        }
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 6)
-
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
@@ -65,16 +49,6 @@ class CheckResult:
     def failed(self) -> bool:
         """Whether the check was done and did not pass."""
         return not self.skipped and not self.passed
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the result for the report."""
-        return {
-            "name": self.name,
-            "passed": None if self.skipped else self.passed,
-            "trouble": self.trouble,
-            "skipped": self.skipped,
-            "figures": [figure.as_dict() for figure in self.figures],
-        }
 
 
 CheckScript = Script[CheckResult]

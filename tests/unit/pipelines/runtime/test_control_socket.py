@@ -9,7 +9,7 @@ import threading
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.runtime.control import ask, console_path, running_sessions
+from pipelines.runtime.control import Answer, Request, ask, console_path, running_sessions
 
 
 @pytest.fixture
@@ -55,14 +55,14 @@ def console(monkeypatch):
 
 def test_the_only_session_is_asked(console):
     asked = console("one", b'{"ok": true}\n')
-    assert ask({"select": "static"}) == {"ok": True}
+    assert ask(Request("static")) == Answer(ok=True)
     assert asked == [{"select": "static"}]
 
 
 def test_a_setups_name_will_do_where_one_session_has_it(console):
     asked = console("taskboard-41", b'{"ok": true}\n')
     console("spacejustin-42", b"")
-    assert ask({"select": "static"}, "taskboard") == {"ok": True}
+    assert ask(Request("static"), "taskboard") == Answer(ok=True)
     assert asked == [{"select": "static"}]
 
 
@@ -70,9 +70,9 @@ def test_a_name_that_no_session_has_is_told_with_those_that_run(console):
     console("taskboard-41", b"")
     console("taskboard-42", b"")
     with pytest.raises(ConfigError, match=r"no session lab is running: .*taskboard-42"):
-        ask({"select": "static"}, "lab")
+        ask(Request("static"), "lab")
     with pytest.raises(ConfigError, match=r"several .* taskboard-41, taskboard-42 with --session"):
-        ask({"select": "static"}, "taskboard")
+        ask(Request("static"), "taskboard")
 
 
 def test_of_several_sessions_one_has_to_be_named(console):
@@ -80,8 +80,8 @@ def test_of_several_sessions_one_has_to_be_named(console):
     asked = console("two", b'{"ok": true}\n')
     assert sorted(running_sessions()) == ["one", "two"]
     with pytest.raises(ConfigError, match="--session"):
-        ask({"select": "static"})
-    assert ask({"select": "head"}, "two") == {"ok": True}
+        ask(Request("static"))
+    assert ask(Request("head"), "two") == Answer(ok=True)
     assert asked == [{"select": "head"}]
 
 
@@ -90,12 +90,12 @@ def test_a_session_that_was_killed_is_passed_over(console):
     console_path("dead").parent.mkdir(parents=True)
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(console_path("dead")))
-    assert ask({"select": "static"})["ok"]
+    assert ask(Request("static")).ok
 
 
 def test_the_answer_comes_after_the_time_that_it_takes(console):
     console("one", b'{"wait_s": 61.5}\n{"ok": true}\n')
-    assert ask({"select": "static"}) == {"ok": True}
+    assert ask(Request("static")) == Answer(ok=True)
 
 
 CUT = (b"", b"garbage\n", b"[1]\n", b'{"ok": tr', b"\xff\xfe\n", b'{"wait_s": 1.5}\n')
@@ -104,4 +104,4 @@ CUT = (b"", b"garbage\n", b"[1]\n", b'{"ok": tr', b"\xff\xfe\n", b'{"wait_s": 1.
 @pytest.mark.parametrize("answer", CUT)
 def test_a_console_that_falls_in_the_middle_is_no_success(console, answer):
     console("one", answer)
-    assert not ask({"select": "static"})["ok"]
+    assert not ask(Request("static")).ok
