@@ -41,10 +41,11 @@ def find_warnings(
     restarts: of each process that ran. media: False if the session had no streams.
     """
     topology = collector.topology
+    loops = {row.name for row in topology.processes if row.priority == LOOP_PRIORITY}
     found = []
     for name, count in restarts.items():
         figures = collector.process(name)
-        if topology.process(name).priority == LOOP_PRIORITY:
+        if name in loops:
             scheduler = figures.gauges.get("scheduler", "")
             late_ns = round(figures.lateness.percentile(99)) if figures.lateness.count else 0
             found += loop_warnings(
