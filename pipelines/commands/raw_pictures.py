@@ -13,6 +13,7 @@ from kontur_av.codecs.h264 import DecodedPicture
 from kontur_av.errors import ConfigError
 from kontur_av.sources.pipe import PIPE_OCTETS
 from kontur_av.sources.y4m import FRAME
+from pipelines.commands.media_reports import RawReport
 
 _FRAME_LINE = FRAME + b"\n"
 
@@ -95,14 +96,14 @@ class RawPictures:
         self.dropped += bool(self._rest) + (self._waiting is not None)
         self._forget()
 
-    def report(self) -> dict[str, int | str]:
+    def report(self) -> RawReport:
         """What became of the pictures."""
-        return {
-            "file": self._path,
-            "pictures": self.written,
-            "dropped": self.dropped,
-            "readers_gone": self.readers_gone,
-        }
+        return RawReport(
+            file=self._path,
+            pictures=self.written,
+            dropped=self.dropped,
+            readers_gone=self.readers_gone,
+        )
 
     def _forget(self) -> None:
         self._rest, self._waiting, self._header_due = memoryview(b""), None, True

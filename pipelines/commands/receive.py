@@ -2,13 +2,11 @@
 
 import argparse
 import contextlib
-import json
 import selectors
 import sys
 import time
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
@@ -17,6 +15,14 @@ from kontur_av.meters import RateMeter
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
 from pipelines.commands.common import check_options, stopped_by_signals, write_text
+from pipelines.commands.media_reports import (
+    ReceivedLatency,
+    ReceivedStages,
+    ReceiveReport,
+    RtpReport,
+    SavedReport,
+    latency_ms,
+)
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.receive_media import PictureOutput, SoundOutput
 from pipelines.commands.remux import MatroskaWriter
@@ -75,15 +81,16 @@ def run(args: argparse.Namespace) -> int:
             output = SoundOutput(stream, clock, writer)
         report = _Shell(stream, output, udp, clock, raw).run(args.seconds)
     if args.save:
-        report["saved"] = {"file": args.save, "packets": 0 if writer is None else writer.written}
+        packets = 0 if writer is None else writer.written
+        report.saved = SavedReport(file=args.save, packets=packets)
     if raw is not None:
-        report["raw"] = raw.report()
-        report["failed"] += [raw.fault] if raw.fault else []
+        report.raw = raw.report()
+        report.failed += [raw.fault] if raw.fault else []
     if args.report:
-        write_text(args.report, json.dumps(report, indent=2) + "\n", "--report")
-    for failure in report["failed"]:
+        write_text(args.report, report.to_json(), "--report")
+    for failure in report.failed:
         print(f"failed: {failure}", file=sys.stderr)
-    return 1 if report["failed"] else 0
+    return 1 if report.failed else 0
 
 
 def _open_raw(args: argparse.Namespace, stream: StreamDescription) -> RawPictures | None:
@@ -126,7 +133,7 @@ class _Shell:
         self._last_packet_ns: int | None = None
         self._payload_octets = 0
 
-    def run(self, seconds: float | None) -> dict[str, Any]:
+    def run(self, seconds: float | None) -> ReceiveReport:
         """Receive until the end; the report."""
         start_ns = self._clock.now_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
@@ -194,38 +201,37 @@ class _Shell:
             flush=True,
         )
 
-    def _report(self, start_ns: int) -> dict[str, Any]:
+    def _report(self, start_ns: int) -> ReceiveReport:
         counts, rate, output = self._receiver.counts.rtp, self._rate, self._output
-        report: dict[str, Any] = {
-            "stream": self._stream.kind,
-            "seconds": (self._clock.now_ns() - start_ns) / NS_PER_S,
-            "seconds_of_stream": ((rate.last_ns or 0) - (rate.first_ns or 0)) / NS_PER_S,
-            "payload_bps_mean": rate.mean_bps(),
-            "payload_bps_max_1s": rate.max_bps(NS_PER_S),
-            "payload_bps_max_100ms": rate.max_bps(100 * NS_PER_MS),
-            "rtp_packets": counts.received,
-            "rtp_lost": counts.lost,
-            "rtp_reordered": counts.reordered,
-            "rtp_duplicates": counts.duplicates,
-            "rtp_late": counts.late,
-            "rtp_garbage": counts.garbage,
-            "rtp_restarts": max(counts.sources - 1, 0),
-            "rtcp_reports": counts.reports,
-            "jitter_ms": self._receiver.counts.jitter_ns / NS_PER_MS,
-            **output.report(),
-            "latency_ms": None,
-            "cpu_s": time.process_time(),
-        }
+        rtp = RtpReport(
+            stream=self._stream.kind,
+            seconds=(self._clock.now_ns() - start_ns) / NS_PER_S,
+            seconds_of_stream=((rate.last_ns or 0) - (rate.first_ns or 0)) / NS_PER_S,
+            payload_bps_mean=rate.mean_bps(),
+            payload_bps_max_1s=rate.max_bps(NS_PER_S),
+            payload_bps_max_100ms=rate.max_bps(100 * NS_PER_MS),
+            rtp_packets=counts.received,
+            rtp_lost=counts.lost,
+            rtp_reordered=counts.reordered,
+            rtp_duplicates=counts.duplicates,
+            rtp_late=counts.late,
+            rtp_garbage=counts.garbage,
+            rtp_restarts=max(counts.sources - 1, 0),
+            rtcp_reports=counts.reports,
+            jitter_ms=self._receiver.counts.jitter_ns / NS_PER_MS,
+        )
+        latency = None
         if output.decoded_ns.count:
-            report["latency_ms"] = {
+            latency = ReceivedLatency(
                 **output.decoded_ns.summary_ms(),
-                "stages": {"capture_to_received": output.received_ns.summary_ms()},
-                "clock": "the wall clocks of both hosts",
-            }
+                stages=ReceivedStages(capture_to_received=latency_ms(output.received_ns)),
+                clock="the wall clocks of both hosts",
+            )
         failed = []
         if not counts.received:
             failed.append(f"no packet came to UDP port {self._stream.port}: is the sender running?")
         elif not output.decoded:
             failed.append(f"{counts.received} packets came, but nothing could be decoded")
-        report["failed"] = failed
-        return report
+        return ReceiveReport(
+            rtp, output.report(), latency_ms=latency, cpu_s=time.process_time(), failed=failed
+        )

@@ -1,7 +1,6 @@
 """What becomes of a received stream: pictures or sound, figures, and perhaps a file."""
 
 import secrets
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.h264 import H264Decoder
@@ -12,6 +11,7 @@ from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_player import VoicePlayer
 from kontur_av.streams.voice_receiver import VoiceReceiver
+from pipelines.commands.media_reports import PicturesReport, SoundReport
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.remux import MatroskaWriter
 
@@ -85,17 +85,17 @@ class PictureOutput:
                 ticks = self._time_line.ticks(unit.timestamp, unit.received_ns)
                 self._writer.add_unit(unit.data, ticks, keyframe=unit.keyframe)
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> PicturesReport:
         counts = self.receiver.counts
-        return {
-            "size": self._size,
-            "frames_received": counts.units,
-            "frames_damaged": counts.damaged,
-            "frames_decoded": self._decoder.decoded,
-            "frames_corrupt": self._decoder.corrupt_units,
-            "frames_before_start": self._decoder.units_before_start,
-            "pictures_asked_for": counts.asked,
-        }
+        return PicturesReport(
+            size=self._size,
+            frames_received=counts.units,
+            frames_damaged=counts.damaged,
+            frames_decoded=self._decoder.decoded,
+            frames_corrupt=self._decoder.corrupt_units,
+            frames_before_start=self._decoder.units_before_start,
+            pictures_asked_for=counts.asked,
+        )
 
 
 class SoundOutput:
@@ -137,16 +137,16 @@ class SoundOutput:
                 ticks = self._time_line.ticks(block.timestamp, block.play_ns)
                 self._writer.add_opus(block.payload, ticks, block.samples)
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> SoundReport:
         counts = self.receiver.counts
         playout = counts.playout
-        return {
-            "frames_received": playout.played + playout.late + playout.dropped,
-            "frames_decoded": self.decoded,
-            "frames_corrupt": counts.corrupt + playout.garbage,
-            "frames_concealed": self._concealed,
-            "frames_recovered": playout.recovered,
-            "frames_late": playout.late,
-            "frames_dropped": playout.dropped,
-            "playout_delay_ms": counts.delay_ns / NS_PER_MS,
-        }
+        return SoundReport(
+            frames_received=playout.played + playout.late + playout.dropped,
+            frames_decoded=self.decoded,
+            frames_corrupt=counts.corrupt + playout.garbage,
+            frames_concealed=self._concealed,
+            frames_recovered=playout.recovered,
+            frames_late=playout.late,
+            frames_dropped=playout.dropped,
+            playout_delay_ms=counts.delay_ns / NS_PER_MS,
+        )

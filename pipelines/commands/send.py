@@ -1,11 +1,9 @@
 """`kontur-av send`: one stream from a source to plain RTP over UDP, under a hard cap."""
 
 import argparse
-import json
 import sys
 import time
 from contextlib import closing
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
@@ -21,7 +19,15 @@ from pipelines.commands.common import (
     stopped_by_signals,
     write_text,
 )
+from pipelines.commands.media_reports import (
+    SendReport,
+    SentLatency,
+    SentStages,
+    SourceReport,
+    latency_ms,
+)
 from pipelines.commands.send_media import PictureFeed, SoundFeed, open_feed
+from pipelines.report.model import to_json
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
 
@@ -99,10 +105,10 @@ def run(args: argparse.Namespace) -> int:
         with closing(UdpSender(*address)) as udp:
             report = _Shell(feed, udp, clock).run(args.seconds)
     if args.report:
-        write_text(args.report, json.dumps(report, indent=2) + "\n", "--report")
-    for failure in report["failed"]:
+        write_text(args.report, to_json(report), "--report")
+    for failure in report.failed:
         print(f"failed: {failure}", file=sys.stderr)
-    return 1 if report["failed"] else 0
+    return 1 if report.failed else 0
 
 
 class _Shell:
@@ -121,7 +127,7 @@ class _Shell:
         self._encoded_ns = Histogram()
         self._sent_ns = Histogram()
 
-    def run(self, seconds: float | None) -> dict[str, Any]:
+    def run(self, seconds: float | None) -> SendReport:
         """Send until the end; the report."""
         start_ns = self._clock.now_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
@@ -173,40 +179,40 @@ class _Shell:
             flush=True,
         )
 
-    def _report(self, start_ns: int) -> dict[str, Any]:
+    def _report(self, start_ns: int) -> SendReport:
         feed, sender, now_ns = self._feed, self._sender, self._clock.now_ns()
         counts, released = sender.counts, sender.released
-        report: dict[str, Any] = {
-            "stream": feed.kind,
-            "seconds": (now_ns - start_ns) / NS_PER_S,
-            "cap_bps": sender.cap_bps,
-            "payload_bps_mean": released.mean_bps(),
-            "payload_bps_max_1s": released.max_bps(NS_PER_S),
-            "payload_bps_max_100ms": released.max_bps(100 * NS_PER_MS),
-            "frames_captured": counts.captured,
-            "frames_encoded": counts.encoded,
-            "frames_sent": counts.sent,
-            "pictures_refused": counts.refused,
-            "rtp_packets": released.events,
-            "rtp_payload_octets": released.octets,
-            "send_errors": self._udp.failed,
-            "latency_ms": {
-                "stages": {
-                    "capture_to_encoded": self._encoded_ns.summary_ms(),
-                    "capture_to_sent": self._sent_ns.summary_ms(),
-                }
-            },
-            "source": {"faults": feed.source.faults, "last_fault": feed.source.last_fault},
-            "cpu_s": time.process_time(),
-        }
-        if isinstance(feed, PictureFeed):
-            report |= {"size": feed.size, "coded_size": feed.coded_size}
+        largest_bps = released.max_bps(NS_PER_S)
         failed = []
         if not counts.sent:
             failed.append(f"nothing was captured: {feed.source.last_fault or 'the source is mute'}")
-        if report["payload_bps_max_1s"] > sender.cap_bps:
+        if largest_bps > sender.cap_bps:
             failed.append("the cap was broken")
         if self._udp.failed:
             failed.append(f"{self._udp.failed} datagrams could not be sent")
-        report["failed"] = failed
-        return report
+        return SendReport(
+            stream=feed.kind,
+            seconds=(now_ns - start_ns) / NS_PER_S,
+            cap_bps=sender.cap_bps,
+            payload_bps_mean=released.mean_bps(),
+            payload_bps_max_1s=largest_bps,
+            payload_bps_max_100ms=released.max_bps(100 * NS_PER_MS),
+            frames_captured=counts.captured,
+            frames_encoded=counts.encoded,
+            frames_sent=counts.sent,
+            pictures_refused=counts.refused,
+            rtp_packets=released.events,
+            rtp_payload_octets=released.octets,
+            send_errors=self._udp.failed,
+            latency_ms=SentLatency(
+                stages=SentStages(
+                    capture_to_encoded=latency_ms(self._encoded_ns),
+                    capture_to_sent=latency_ms(self._sent_ns),
+                )
+            ),
+            source=SourceReport(faults=feed.source.faults, last_fault=feed.source.last_fault),
+            cpu_s=time.process_time(),
+            size=feed.size if isinstance(feed, PictureFeed) else None,
+            coded_size=feed.coded_size if isinstance(feed, PictureFeed) else None,
+            failed=failed,
+        )
