@@ -130,6 +130,10 @@ class Reading:
             raise ValueError(f"{self._where}.{'.'.join(keys)}: {value!r} is no number")
         return value
 
+    def count(self, *keys: str) -> int:
+        """The whole number under `keys`."""
+        return round(self.number(*keys))
+
     def number_or_none(self, *keys: str) -> float | None:
         """The number under `keys`; None where there is none."""
         return self.number(*keys) if self.has(*keys) else None

@@ -1,4 +1,4 @@
-"""`kontur-av bench passes`: many sessions of a whole pass, and whether every one was usable."""
+"""`kontur-av bench passes`: many sessions of a whole pass, each judged as usable or not."""
 
 import argparse
 import json
@@ -6,8 +6,8 @@ from contextlib import closing
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
+from msgspec import convert
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -16,7 +16,9 @@ from pipelines.bench.children import ended_alike
 from pipelines.bench.console import open_console
 from pipelines.bench.passes.figures import (
     HEADINGS,
-    Figures,
+    Crash,
+    PassFigures,
+    Session,
     faults,
     headlines,
     markdown,
@@ -24,7 +26,7 @@ from pipelines.bench.passes.figures import (
     summary,
     table_rows,
 )
-from pipelines.bench.passes.run import Plan, run_sessions
+from pipelines.bench.passes.run import Plan, Result, run_sessions
 from pipelines.bench.result import write_result
 from pipelines.commands.session_options import (
     add_radio_argument,
@@ -35,7 +37,7 @@ from pipelines.report.report_file import check_writable
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import Setup
 
-#: So many missions were flown (Kontur-2, 2015 and 2016).
+#: As many as Kontur-2 flew in 2015 and 2016.
 _SESSIONS = 23
 
 
@@ -88,11 +90,11 @@ def run(args: argparse.Namespace) -> int:
     ended_early = False
     try:
         with ended_alike(), closing(run_sessions(plan, missing, jobs=args.jobs)) as runs:
-            for seed, report in runs:
-                sessions[seed] = _figures(report, setup)
+            for seed, result in runs:
+                session = sessions[seed] = _session(result, setup)
                 _keep(args.report, plan, sessions)
-                said = ", ".join(faults(sessions[seed])) or "usable"
-                took = f" after {report['wall_s']:.0f} s" if "wall_s" in report else ""
+                said = ", ".join(faults(session)) or "usable"
+                took = "" if isinstance(session, Crash) else f" after {session.wall_s:.0f} s"
                 console.print(f"seed {seed}: {said}{took}", highlight=False)
     except KeyboardInterrupt:
         ended_early = True
@@ -103,8 +105,8 @@ def run(args: argparse.Namespace) -> int:
     title = _title(args, ended_early, len(wanted))
     console.print(_table(title, wanted))
     console.print(summary(wanted), highlight=False)
-    for seed, figures in wanted.items():
-        for failure in [*figures.get("failures", ()), *filter(None, [figures.get("error")])]:
+    for seed, session in wanted.items():
+        for failure in [session.error] if isinstance(session, Crash) else session.failures:
             console.print(f"seed {seed}: {failure}", markup=False, highlight=False)
     if args.markdown is not None:
         args.markdown.write_text(markdown(wanted, title), encoding="utf-8")
@@ -124,26 +126,26 @@ def _checked(args: argparse.Namespace) -> Setup:
 
 
 def _content(setup: Setup) -> str:
-    """A digest of what the names of a setup and a radio stand for: their files may be changed."""
+    """A digest of the values of setup and radio, because their files may change."""
     return sha256(repr((setup, setup.radio_profile)).encode()).hexdigest()[:16]
 
 
-def _figures(report: dict[str, Any], setup: Setup) -> Figures:
-    if "error" in report:
-        return report
-    figures = pass_figures(report, start_s=setup.radio_profile.start_s)
-    return {**figures, "wall_s": report["wall_s"]}
+def _session(result: Result, setup: Setup) -> Session:
+    if isinstance(result, Crash):
+        return result
+    start_s = setup.radio_profile.start_s
+    return pass_figures(result.report, start_s=start_s, wall_s=result.wall_s)
 
 
-def _kept(path: Path | None, plan: Plan) -> dict[int, Figures]:
-    """The sessions that an earlier run has left; those that crashed are run again."""
+def _kept(path: Path | None, plan: Plan) -> dict[int, Session]:
+    """The sessions of an earlier run, without those that crashed."""
     if path is None or not path.is_file() or not path.stat().st_size:
         return {}
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
         before, sessions = Plan(**kept["plan"]), kept["sessions"]
-        found = {int(seed): figures for seed, figures in sessions.items()}
-        # What cannot be shown is of another version, or none of ours.
+        found = {int(seed): _read(figures) for seed, figures in sessions.items()}
+        # A file of another version fails here at the latest.
         list(table_rows(found))
         summary(found)
     except (ValueError, KeyError, TypeError, AttributeError):
@@ -162,10 +164,16 @@ def _kept(path: Path | None, plan: Plan) -> dict[int, Figures]:
             if value != getattr(plan, name)
         )
         raise ConfigError(f"--report {path}: its sessions have {differ}; name another file")
-    return {seed: figures for seed, figures in found.items() if "error" not in figures}
+    return {seed: session for seed, session in found.items() if isinstance(session, PassFigures)}
 
 
-def _keep(path: Path | None, plan: Plan, sessions: dict[int, Figures]) -> None:
+def _read(figures: object) -> Session:
+    if isinstance(figures, dict) and "error" in figures:
+        return convert(figures, Crash)
+    return convert(figures, PassFigures)
+
+
+def _keep(path: Path | None, plan: Plan, sessions: dict[int, Session]) -> None:
     if path is not None:
         ordered = {str(seed): sessions[seed] for seed in sorted(sessions)}
         write_result(path, {"plan": plan, "sessions": ordered}, headlines(sessions))
@@ -180,7 +188,7 @@ def _title(args: argparse.Namespace, ended_early: bool, count: int) -> str:
     )
 
 
-def _table(title: str, sessions: dict[int, Figures]) -> Table:
+def _table(title: str, sessions: dict[int, Session]) -> Table:
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in HEADINGS:
         table.add_column(heading, justify="left" if heading == "verdict" else "right")

@@ -1,200 +1,313 @@
-"""What a session of a pass is judged by: a few figures out of its report, and a verdict. A core."""
+"""The figures by which a session of a pass is judged, and the verdict. A core."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
-from pipelines.bench.result import Headline
+from pipelines.bench.result import Headline, Reading
 
-#: Of the time that the orbit predicts as usable, this share must have been.
+#: The least share of the usable time that the orbit predicts.
 USABLE_SHARE = 0.99
-#: What shows or feels nothing for longer, while there is a signal and the orbit predicts one, is
-#: stuck: pictures and sounds, and samples.
+#: A stream that shows nothing, or a channel that moves no sample, for longer is stuck: while there
+#: is a signal and the orbit predicts one.
 LONGEST_PAUSE_S = {"shown": 3.0, "felt": 1.0}
-#: Rounding down at both ports makes the observed energy short by this much at most (µJ).
+#: Rounding down at both ports makes the observed energy too small by this at most (µJ).
 ROUNDING_UJ = 2
-#: Over no 100 ms more than this of a cap's share (docs/video.md).
+#: The largest rate over 100 ms, as a share of the cap (docs/video.md).
 BURST_SHARE = 1.5
-_SPELLS = ("stale", "frozen", "damaged")
-_SENSES = ("video_haptic", "audio_haptic", "audio_video")
-
-Figures = dict[str, Any]
 
 
-def pass_figures(report: Mapping[str, Any], *, start_s: float = 0.0) -> Figures:
-    """What is kept of a session.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frames:
+    """Frames of one direction of the link."""
 
-    start_s: how long after the contact's acquisition the session began.
+    frames: int
+    frames_lost: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Haptic:
+    """Samples of one direction. latency_ms: percentiles, `max` and `count`."""
+
+    sent: int
+    received: float
+    latency_ms: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pauses:
+    """The longest pause (s) with a signal: of any stream, and of samples in any direction."""
+
+    shown: float
+    felt: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stream:
+    """One media stream; a count or a duration that the stream does not have is None.
+
+    latency_ms: percentiles, `max` and `count`. cap_share, burst_share: the largest rate over 1 s
+    and over 100 ms, as shares of the cap.
+    """
+
+    latency_ms: dict[str, float]
+    cap_share: float
+    burst_share: float
+    rtp_packets: int | None = None
+    rtp_lost: int | None = None
+    frames_captured: int | None = None
+    frames_displayed: int | None = None
+    frames_concealed: int | None = None
+    stale_ms: float | None = None
+    stale_episodes: int | None = None
+    frozen_ms: float | None = None
+    frozen_episodes: int | None = None
+    damaged_ms: float | None = None
+    damaged_episodes: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contacts:
+    """Contacts with a target; `missed` and `skew_ms` by sense and by pair of senses."""
+
+    events: int
+    missed: dict[str, int | None]
+    skew_ms: dict[str, dict[str, float] | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassFigures:
+    """One session.
+
+    predicted_s, usable_s: the time that the orbit predicts as usable, and what of it had a signal;
+    None where the radio has no contact. longest_delay_s: of the radio. signal_s: time with a
+    signal, at the end that had less. contacts, frames_hit: by end. video_lead_ms: by how much force
+    came before its picture. least_energy_uj: the least energy that a passivity observer saw.
+    wall_s: how long the session ran in real time.
+    """
+
+    seconds: float
+    predicted_s: float | None
+    usable_s: float | None
+    longest_delay_s: float
+    signal_s: float
+    contacts: dict[str, int]
+    frames: dict[str, Frames]
+    frames_hit: dict[str, int]
+    haptic: dict[str, Haptic]
+    longest_pause_s: Pauses
+    streams: dict[str, Stream]
+    skew_ms: dict[str, dict[str, float] | None]
+    lip_sync: dict[str, float] | None
+    video_lead_ms: float | None
+    sync: Contacts | None
+    least_energy_uj: float | None
+    failures: list[str]
+    wall_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Crash:
+    """A session without a report. error: its last words."""
+
+    error: str
+
+
+Session = PassFigures | Crash
+
+
+def pass_figures(report: Reading, *, start_s: float = 0.0, wall_s: float = 0.0) -> PassFigures:
+    """The figures of a session.
+
+    start_s: when the session began, after the acquisition of signal.
     """
     window = usable_window(report, start_s)
-    ends = {
-        end: told["supervision"]
-        for end, told in report["gateways"].items()
-        if "supervision" in told
-    }
-    usable_s = None if window is None else round(signal_s(report, *window), 3)
+    gateways = dict(report.items("gateways"))
+    ends = {end: of.at("supervision") for end, of in gateways.items() if of.has("supervision")}
+    radio = report.at("gateways", "ground")
+    return PassFigures(
+        seconds=report.number("seconds"),
+        predicted_s=None if window is None else round(window[1] - window[0], 3),
+        usable_s=None if window is None else round(signal_s(report, *window), 3),
+        longest_delay_s=(radio.number_or_none("radio", "delay_max_ns") or 0) / NS_PER_S,
+        signal_s=min((of.number("contact_ns") / NS_PER_S for of in ends.values()), default=0.0),
+        contacts={end: of.count("counts", "signals_acquired") for end, of in ends.items()},
+        frames={
+            name: Frames(frames=link.count("frames"), frames_lost=link.count("frames_lost"))
+            for name, link in report.items("link")
+        },
+        frames_hit={
+            end: of.count("radio", "frames_hit") for end, of in gateways.items() if of.has("radio")
+        },
+        haptic={
+            name: Haptic(
+                sent=of.count("sent"),
+                received=of.number("received"),
+                latency_ms=_numbers(of.at("latency_ms")),
+            )
+            for name, of in report.items("haptic")
+        },
+        longest_pause_s=Pauses(
+            shown=_longest_pause_s(report, "streams", window),
+            felt=_longest_pause_s(report, "haptic", window),
+        ),
+        streams={name: _stream(stream) for name, stream in report.items("streams")},
+        skew_ms={
+            name: None if of.value is None else _numbers(of) for name, of in report.items("skew_ms")
+        },
+        lip_sync=_numbers(report.at("lip_sync")) if report.has("lip_sync") else None,
+        video_lead_ms=report.number_or_none("video_lead", "lead_ms", "total"),
+        sync=_contacts(report.at("sync")) if report.has("sync") else None,
+        least_energy_uj=least_energy_uj(report),
+        failures=[failure.text() for failure in report.elements("failures")],
+        wall_s=wall_s,
+    )
+
+
+def _numbers(of: Reading) -> dict[str, float]:
+    """The numbers of an object, without its other values."""
     return {
-        "seconds": report["seconds"],
-        "predicted_s": None if window is None else round(window[1] - window[0], 3),
-        "usable_s": usable_s,
-        "longest_delay_s": report["gateways"]["ground"].get("radio", {}).get("delay_max_ns", 0)
-        / NS_PER_S,
-        "signal_s": min((told["contact_ns"] / NS_PER_S for told in ends.values()), default=0.0),
-        "contacts": {end: told["counts"]["signals_acquired"] for end, told in ends.items()},
-        "frames": {
-            name: {key: link[key] for key in ("frames", "frames_lost")}
-            for name, link in report["link"].items()
-        },
-        "frames_hit": {
-            end: told["radio"]["frames_hit"]
-            for end, told in report["gateways"].items()
-            if "radio" in told
-        },
-        "haptic": {
-            name: {
-                "sent": haptic["sent"],
-                "received": haptic["received"],
-                "latency_ms": haptic["latency_ms"],
-            }
-            for name, haptic in report["haptic"].items()
-        },
-        "longest_pause_s": {
-            "shown": _longest_pause_s(report, report["streams"], window),
-            "felt": _longest_pause_s(report, report["haptic"], window),
-        },
-        "streams": {name: _stream(stream) for name, stream in report["streams"].items()},
-        "skew_ms": report["skew_ms"],
-        "lip_sync": report["lip_sync"],
-        "video_lead_ms": (report.get("video_lead") or {}).get("lead_ms", {}).get("total"),
-        "sync": _sync(report.get("sync")),
-        "least_energy_uj": least_energy_uj(report),
-        "failures": report["failures"],
+        name: value.number()
+        for name, value in of.items()
+        if isinstance(value.value, int | float) and not isinstance(value.value, bool)
     }
 
 
-def _stream(stream: Mapping[str, Any]) -> Figures:
-    counts = ("rtp_packets", "rtp_lost", "frames_captured", "frames_displayed", "frames_concealed")
-    return {
-        **{name: stream[name] for name in counts if name in stream},
-        "latency_ms": {
-            key: value for key, value in stream["latency_ms"].items() if key != "stages"
+def _stream(stream: Reading) -> Stream:
+    def count(name: str) -> int | None:
+        return stream.count(name) if stream.has(name) else None
+
+    cap_bps = stream.number("cap_bps")
+    return Stream(
+        latency_ms=_numbers(stream.at("latency_ms")),
+        cap_share=round(stream.number("payload_bps_max_1s") / cap_bps, 4),
+        burst_share=round(stream.number("payload_bps_max_100ms") / cap_bps, 4),
+        rtp_packets=count("rtp_packets"),
+        rtp_lost=count("rtp_lost"),
+        frames_captured=count("frames_captured"),
+        frames_displayed=count("frames_displayed"),
+        frames_concealed=count("frames_concealed"),
+        stale_ms=stream.number_or_none("stale_ms"),
+        stale_episodes=count("stale_episodes"),
+        frozen_ms=stream.number_or_none("frozen_ms"),
+        frozen_episodes=count("frozen_episodes"),
+        damaged_ms=stream.number_or_none("damaged_ms"),
+        damaged_episodes=count("damaged_episodes"),
+    )
+
+
+def _contacts(sync: Reading) -> Contacts:
+    return Contacts(
+        events=sync.count("events"),
+        missed={
+            sense: of.count("missed") if of.value is not None else None
+            for sense, of in sync.items("senses")
         },
-        "cap_share": round(stream["payload_bps_max_1s"] / stream["cap_bps"], 4),
-        "burst_share": round(stream["payload_bps_max_100ms"] / stream["cap_bps"], 4),
-        **{
-            f"{spell}_{unit}": stream[f"{spell}_{unit}"]
-            for spell in _SPELLS
-            for unit in ("ms", "episodes")
-            if f"{spell}_{unit}" in stream
+        skew_ms={
+            pair: None if of.value is None else _numbers(of) for pair, of in sync.items("skew_ms")
         },
-    }
+    )
 
 
-def _sync(sync: Mapping[str, Any] | None) -> Figures | None:
-    """Contacts with a target, how many each sense has missed, and the skews from content."""
-    if sync is None:
-        return None
-    missed = {
-        sense: None if told is None else told["missed"] for sense, told in sync["senses"].items()
-    }
-    return {"events": sync["events"], "missed": missed, "skew_ms": sync["skew_ms"]}
+def usable_window(report: Reading, start_s: float) -> tuple[float, float] | None:
+    """Begin and end (s) of the usable contact in the session, as the orbit predicts it.
 
-
-def usable_window(report: Mapping[str, Any], start_s: float) -> tuple[float, float] | None:
-    """From when to when (s) of the session the orbit predicts a usable contact.
-
-    The whole session where the radio is no contact with an orbit; None where it has none of it.
+    The whole session where the radio has no orbit; None where the session misses the contact.
     """
-    radio = report["gateways"]["ground"].get("radio", {})
-    contact = radio.get("contact")
-    if contact is None:
-        return 0.0, report["seconds"]
-    begin_s = max(0.0, contact["usable_from_s"] - start_s)
-    end_s = min(report["seconds"], contact["usable_to_s"] - start_s)
+    ground, seconds = report.at("gateways", "ground"), report.number("seconds")
+    if not ground.has("radio", "contact"):
+        return 0.0, seconds
+    contact = ground.at("radio", "contact")
+    begin_s = max(0.0, contact.number("usable_from_s") - start_s)
+    end_s = min(seconds, contact.number("usable_to_s") - start_s)
     return (begin_s, end_s) if end_s > begin_s else None
 
 
-def signal_s(report: Mapping[str, Any], begin_s: float, end_s: float) -> float:
-    """For how long between two instants both ends heard each other: the lesser of the two."""
+def signal_s(report: Reading, begin_s: float, end_s: float) -> float:
+    """The time (s) between two instants in which an end had a signal, at the end that had less."""
     heard = []
-    for told in report["gateways"].values():
-        windows = told.get("supervision", {}).get("contacts", ())
-        total_ns = 0
-        for window in windows:
-            lost_ns = window["lost_ns"]
+    for _, gateway in report.items("gateways"):
+        total_ns = 0.0
+        for acquired_ns, lost_ns in _windows_ns(gateway):
             last_ns = end_s * NS_PER_S if lost_ns is None else min(lost_ns, end_s * NS_PER_S)
-            total_ns += max(0, last_ns - max(window["acquired_ns"], begin_s * NS_PER_S))
+            total_ns += max(0, last_ns - max(acquired_ns, begin_s * NS_PER_S))
         heard.append(total_ns / NS_PER_S)
     return min(heard, default=0.0)
 
 
-def _longest_pause_s(
-    report: Mapping[str, Any],
-    channels: Mapping[str, Mapping[str, Any]],
-    window: tuple[float, float] | None,
-) -> float:
-    """The longest part of a pause in which there was a signal all the time, in the window."""
+def _windows_ns(gateway: Reading) -> Iterator[tuple[float, float | None]]:
+    """(acquisition, loss) of each contact of one end; None for one that lasts."""
+    if gateway.has("supervision", "contacts"):
+        for window in gateway.elements("supervision", "contacts"):
+            yield window.number("acquired_ns"), window.number_or_none("lost_ns")
+
+
+def _longest_pause_s(report: Reading, channels: str, window: tuple[float, float] | None) -> float:
+    """The longest part of a pause of one of `channels` with a signal throughout, in the window."""
     if window is None:
         return 0.0
     longest_s = 0.0
-    for name, channel in channels.items():
-        # Where it ends, somebody hears the other end's gateway.
+    for name, channel in report.items(channels):
+        # The signal at the receiving end counts.
         end = "space" if name.startswith("up") else "ground"
-        contacts = report["gateways"][end].get("supervision", {}).get("contacts", ())
-        for begin_s, end_s in channel["pauses_s"]:
-            for contact in contacts:
-                lost_ns = contact["lost_ns"]
-                last_s = report["seconds"] if lost_ns is None else lost_ns / NS_PER_S
-                first_s = max(begin_s, contact["acquired_ns"] / NS_PER_S, window[0])
+        contacts = list(_windows_ns(report.at("gateways", end)))
+        for pause in channel.elements("pauses_s"):
+            begin_s, end_s = (instant.number() for instant in pause.elements())
+            for acquired_ns, lost_ns in contacts:
+                last_s = report.number("seconds") if lost_ns is None else lost_ns / NS_PER_S
+                first_s = max(begin_s, acquired_ns / NS_PER_S, window[0])
                 longest_s = max(longest_s, min(end_s, last_s, window[1]) - first_s)
     return round(longest_s, 3)
 
 
-def least_energy_uj(report: Mapping[str, Any]) -> float | None:
+def least_energy_uj(report: Reading) -> float | None:
     """The least energy (µJ) that a passivity observer has seen; None if there is none."""
-    places = (report["haptic"], report.get("processes", {}))
+    places = (report.at(name) for name in ("haptic", "processes") if report.has(name))
     return min((least for place in places for least in _values("least_uj", place)), default=None)
 
 
-def _values(name: str, table: Mapping[str, Any]) -> Iterator[float]:
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _values(name, value)
-        elif key == name and value is not None:
-            yield value
+def _values(name: str, table: Reading) -> Iterator[float]:
+    for key, part in table.items():
+        if isinstance(part.value, Mapping):
+            yield from _values(name, part)
+        elif key == name and part.value is not None:
+            yield part.number()
 
 
-def faults(figures: Figures) -> list[str]:
-    """What is wrong with a session, a word each; an empty list is a usable pass."""
-    if "error" in figures:
+def faults(session: Session) -> list[str]:
+    """What is wrong with a session, one word each; an empty list means a usable pass."""
+    if isinstance(session, Crash):
         return ["crashed"]
     found = []
-    predicted_s, usable_s = figures["predicted_s"], figures["usable_s"]
-    if predicted_s is None or usable_s < USABLE_SHARE * predicted_s - _acquisition_s(figures):
+    predicted_s, usable_s = session.predicted_s, session.usable_s
+    if (
+        predicted_s is None
+        or usable_s is None
+        or usable_s < USABLE_SHARE * predicted_s - _acquisition_s(session)
+    ):
         found.append("unusable")
-    if any(figures["longest_pause_s"][kind] > most for kind, most in LONGEST_PAUSE_S.items()):
+    pauses = session.longest_pause_s
+    if pauses.shown > LONGEST_PAUSE_S["shown"] or pauses.felt > LONGEST_PAUSE_S["felt"]:
         found.append("stuck")
-    least_uj = figures["least_energy_uj"]
-    if least_uj is not None and least_uj < -ROUNDING_UJ:
+    if session.least_energy_uj is not None and session.least_energy_uj < -ROUNDING_UJ:
         found.append("unstable")
-    streams = figures["streams"].values()
-    if any(of["cap_share"] > 1 or of["burst_share"] > BURST_SHARE for of in streams):
+    if any(of.cap_share > 1 or of.burst_share > BURST_SHARE for of in session.streams.values()):
         found.append("over its cap")
-    if figures["failures"]:
+    if session.failures:
         found.append("failed")
     return found
 
 
-def _acquisition_s(figures: Figures) -> float:
-    """What finding each other may take at a session's begin, the light's way included."""
-    if figures["predicted_s"] != figures["seconds"]:
+def _acquisition_s(session: PassFigures) -> float:
+    """How long the acquisition of signal may take at the beginning, with the radio's delay."""
+    if session.predicted_s != session.seconds:
         return 0.0
-    return 0.1 + float(figures["longest_delay_s"])
+    return 0.1 + session.longest_delay_s
 
 
-#: Of the table of sessions. Lost: of all frames, with those before and after the usable time;
-#: shown/s: pictures a second of signal; skew: video after force; hurt: damaged; cap: the largest
-#: second of any stream, of its cap.
+#: Of the table of sessions. lost: of all frames, also outside the usable time; shown/s: pictures
+#: per second of signal; skew: video after force; hurt: damaged; cap: the largest second of any
+#: stream, as a share of its cap.
 HEADINGS = (
     "seed",
     "usable s",
@@ -213,52 +326,53 @@ HEADINGS = (
 )
 
 
-def table_rows(sessions: Mapping[int, Figures]) -> Iterator[tuple[str, ...]]:
+def table_rows(sessions: Mapping[int, Session]) -> Iterator[tuple[str, ...]]:
     """The cells of each session, in the order of its seed."""
     for seed in sorted(sessions):
         yield (str(seed), *_cells(sessions[seed]))
 
 
-def _cells(figures: Figures) -> tuple[str, ...]:
-    verdict = ", ".join(faults(figures)) or "usable"
-    if "error" in figures:
+def _cells(session: Session) -> tuple[str, ...]:
+    verdict = ", ".join(faults(session)) or "usable"
+    if isinstance(session, Crash):
         return *[""] * (len(HEADINGS) - 2), verdict
-    streams = figures["streams"]
+    streams = session.streams
     video, voice = streams.get("uplink_video"), streams.get("uplink_voice")
-    skew, together = figures["skew_ms"].get("video_haptic"), figures["lip_sync"]
-    least_uj, usable_s = figures["least_energy_uj"], figures["usable_s"]
-    lost = [
-        f"{100 * of['frames_lost'] / max(1, of['frames']):.2f}" for of in figures["frames"].values()
-    ]
+    skew, together = session.skew_ms.get("video_haptic"), session.lip_sync
+    lost = [f"{100 * of.frames_lost / max(1, of.frames):.2f}" for of in session.frames.values()]
+    shown = 0 if video is None else video.frames_displayed or 0
     return (
-        "none" if usable_s is None else f"{usable_s:.1f} of {figures['predicted_s']:.1f}",
-        str(max(figures["contacts"].values(), default=0)),
+        "none"
+        if session.usable_s is None
+        else f"{session.usable_s:.1f} of {session.predicted_s:.1f}",
+        str(max(session.contacts.values(), default=0)),
         " / ".join(lost),
-        _latencies(figures["haptic"]["up"], "p99.9"),
-        _latencies(video, "p50", "p99"),
-        ""
-        if video is None
-        else f"{video['frames_displayed'] / max(1e-9, figures['signal_s']):.1f}",
-        _latencies(voice, "p99"),
+        _latencies(session.haptic["up"].latency_ms, "p99.9"),
+        "" if video is None else _latencies(video.latency_ms, "p50", "p99"),
+        "" if video is None else f"{shown / max(1e-9, session.signal_s):.1f}",
+        "" if voice is None else _latencies(voice.latency_ms, "p99"),
         "" if skew is None else f"{skew['p95']:.1f}",
         "" if together is None else f"{100 * together['within']:.2f}",
-        ""
-        if video is None
-        else " / ".join(f"{video[f'{spell}_ms'] / 1000:.1f}" for spell in _SPELLS),
-        f"{100 * max((of['cap_share'] for of in streams.values()), default=0):.1f}",
-        "" if least_uj is None else f"{least_uj:g}",
+        "" if video is None else _spells(video),
+        f"{100 * max((of.cap_share for of in streams.values()), default=0):.1f}",
+        "" if session.least_energy_uj is None else f"{session.least_energy_uj:g}",
         verdict,
     )
 
 
-def _latencies(channel: Mapping[str, Any] | None, *names: str) -> str:
-    """Nothing for a channel that carried nothing: its percentiles are none."""
-    if channel is None or not channel["latency_ms"]["count"]:
+def _spells(video: Stream) -> str:
+    durations_ms = (video.stale_ms, video.frozen_ms, video.damaged_ms)
+    return " / ".join(f"{(duration_ms or 0) / 1000:.1f}" for duration_ms in durations_ms)
+
+
+def _latencies(latency_ms: Mapping[str, float], *names: str) -> str:
+    """Percentiles; nothing for a channel that carried nothing."""
+    if not latency_ms["count"]:
         return ""
-    return " / ".join(f"{channel['latency_ms'][name]:.1f}" for name in names)
+    return " / ".join(f"{latency_ms[name]:.1f}" for name in names)
 
 
-def markdown(sessions: Mapping[int, Figures], title: str) -> str:
+def markdown(sessions: Mapping[int, Session], title: str) -> str:
     """The table for a document."""
     lines = [title, "", _line(HEADINGS), "|" + "|".join(["--:"] * (len(HEADINGS) - 1)) + "|---|"]
     lines += [_line(row) for row in table_rows(sessions)]
@@ -269,31 +383,45 @@ def _line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def summary(sessions: Mapping[int, Figures]) -> str:
+def summary(sessions: Mapping[int, Session]) -> str:
     """All sessions in a sentence."""
-    usable = sum(not faults(figures) for figures in sessions.values())
     words: dict[str, int] = {}
-    for figures in sessions.values():
-        for word in faults(figures):
+    for session in sessions.values():
+        for word in faults(session):
             words[word] = words.get(word, 0) + 1
     others = "".join(f", {count} {word}" for word, count in words.items())
-    whole = [figures for figures in sessions.values() if "error" not in figures]
-    videos = [figures["streams"].get("uplink_video") for figures in whole]
-    worst = _each("p99", [video for video in videos if video is not None])
-    force = _each("max", [figures["haptic"]["up"] for figures in whole])
-    said = f"{usable} of {len(sessions)} sessions usable{others}."
-    if force:
+    said = f"{_usable(sessions)} of {len(sessions)} sessions usable{others}."
+    if force := _force_ms(sessions):
         said += f" Force at most {max(force):.1f} ms on its way."
-    if worst:
+    if worst := _video_p99_ms(sessions):
         said += f" Video p99 from {min(worst):.1f} to {max(worst):.1f} ms."
     return said
 
 
-def headlines(sessions: Mapping[int, Figures]) -> list[Headline]:
+def _usable(sessions: Mapping[int, Session]) -> int:
+    return sum(not faults(session) for session in sessions.values())
+
+
+def _whole(sessions: Mapping[int, Session]) -> list[PassFigures]:
+    return [session for session in sessions.values() if isinstance(session, PassFigures)]
+
+
+def _force_ms(sessions: Mapping[int, Session]) -> list[float]:
+    """The largest latency of the force in each session that carried some."""
+    found = [session.haptic["up"].latency_ms for session in _whole(sessions)]
+    return [latency_ms["max"] for latency_ms in found if latency_ms["count"]]
+
+
+def _video_p99_ms(sessions: Mapping[int, Session]) -> list[float]:
+    """The p99 of the uplink's picture in each session that showed some."""
+    videos = [session.streams.get("uplink_video") for session in _whole(sessions)]
+    found = [video.latency_ms for video in videos if video is not None]
+    return [latency_ms["p99"] for latency_ms in found if latency_ms["count"]]
+
+
+def headlines(sessions: Mapping[int, Session]) -> list[Headline]:
     """The figures of all sessions for the page of measurements."""
-    whole = [figures for figures in sessions.values() if "error" not in figures]
-    videos = [of["streams"]["uplink_video"] for of in whole if "uplink_video" in of["streams"]]
-    usable = sum(not faults(figures) for figures in sessions.values())
+    usable = _usable(sessions)
     found = [
         Headline(
             what="usable sessions",
@@ -304,19 +432,13 @@ def headlines(sessions: Mapping[int, Figures]) -> list[Headline]:
         )
     ]
     for what, values in (
-        ("force, one way, largest", _each("max", [of["haptic"]["up"] for of in whole])),
-        ("uplink picture, p99 of the worst session", _each("p99", videos)),
+        ("force, one way, largest", _force_ms(sessions)),
+        ("uplink picture, p99 of the worst session", _video_p99_ms(sessions)),
     ):
         if values:
             found.append(Headline(what=what, unit="ms", value=max(values)))
-    least_uj = [of["least_energy_uj"] for of in whole if of["least_energy_uj"] is not None]
+    least_uj = [of.least_energy_uj for of in _whole(sessions) if of.least_energy_uj is not None]
     if least_uj:
         what = "least energy that a passivity observer saw"
         found.append(Headline(what=what, unit="µJ", value=min(least_uj)))
     return found
-
-
-def _each(name: str, channels: Sequence[Mapping[str, Any]]) -> list[float]:
-    """A figure of the latencies of each channel that carried something."""
-    spreads = [channel["latency_ms"] for channel in channels]
-    return [spread[name] for spread in spreads if spread["count"]]

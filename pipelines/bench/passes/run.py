@@ -1,4 +1,4 @@
-"""Sessions on virtual time, each in a process of its own, a few at once."""
+"""Sessions on virtual time, each in a process of its own, several at a time."""
 
 import json
 import subprocess
@@ -8,18 +8,30 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from kontur_av.errors import ConfigError
 from pipelines.bench.children import end_all
+from pipelines.bench.passes.figures import Crash
+from pipelines.bench.result import Reading
 
 _LOOK_EVERY_S = 0.1
 _USERS_FAULT = 2
 
 
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The report of a session. wall_s: how long it ran in real time."""
+
+    report: Reading
+    wall_s: float
+
+
+Result = Report | Crash
+
+
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What all sessions have in common. content: a digest of what `setup` and `radio` stand for."""
+    """What all sessions have in common. content: a digest of the values of setup and radio."""
 
     setup: str
     seconds: float
@@ -44,7 +56,7 @@ class _Session:
         self._errors = directory / f"{seed}.txt"
         self._began_s = time.monotonic()
         with self._errors.open("wb") as errors:
-            # Its own session: Ctrl-C is for this process, which ends the others itself.
+            # A session of its own: this process takes Ctrl-C and ends the others itself.
             self.process = subprocess.Popen(
                 plan.command(seed, self._report),
                 stdin=subprocess.DEVNULL,
@@ -53,8 +65,8 @@ class _Session:
                 start_new_session=True,
             )
 
-    def result(self) -> dict[str, Any] | None:
-        """Its report with `wall_s`, or `error` if it has none; None while it runs."""
+    def result(self) -> Result | None:
+        """Its result; None while it runs."""
         if self.process.poll() is None:
             return None
         told = self._errors.read_text(encoding="utf-8", errors="replace").strip()
@@ -62,21 +74,20 @@ class _Session:
         if self.process.returncode == _USERS_FAULT:
             raise ConfigError(line.removeprefix("kontur-av: "))
         if not self._report.exists():
-            return {"error": line or f"ended with {self.process.returncode}"}
-        report: dict[str, Any] = json.loads(self._report.read_text(encoding="utf-8"))
+            return Crash(line or f"ended with {self.process.returncode}")
+        report = Reading(json.loads(self._report.read_text(encoding="utf-8")))
         self._report.unlink()
-        if report["seconds"] < round(self._seconds, 3):
-            return {"error": f"ended early, after {report['seconds']:g} s"}
-        report["wall_s"] = round(time.monotonic() - self._began_s, 1)
-        return report
+        if report.number("seconds") < round(self._seconds, 3):
+            return Crash(f"ended early, after {report.number('seconds'):g} s")
+        return Report(report, round(time.monotonic() - self._began_s, 1))
 
 
 def run_sessions(
     plan: Plan, seeds: Sequence[int], *, jobs: int
-) -> Generator[tuple[int, dict[str, Any]], None, None]:
-    """(seed, report) of each as soon as it is over, `jobs` at a time.
+) -> Generator[tuple[int, Result], None, None]:
+    """(seed, result) of each as soon as it is over, `jobs` at a time.
 
-    When the caller stops asking, those that run are ended.
+    Closing the generator ends the sessions that run.
     """
     waiting = list(reversed(seeds))
     running: list[_Session] = []
