@@ -1,4 +1,4 @@
-"""The haptic bench: its cells, its channel, and the command."""
+"""`kontur-av bench haptics`: cells, channel, schedule and the command."""
 
 import json
 from itertools import pairwise
@@ -17,7 +17,7 @@ MS = 1_000_000
 
 
 def carried(channel, datagrams):
-    """Instants (ms) and numbers of what arrives of one datagram a millisecond."""
+    """(instant in ms, number) of each arrival when one datagram a millisecond is sent."""
     arrived = []
     for now in range(datagrams + 2000):
         if now < datagrams:
@@ -37,24 +37,24 @@ def test_samples_overtake_each_other_within_the_jitter():
 
 
 @pytest.mark.parametrize("burst", [1.0, 10.0])
-def test_losses_are_as_many_and_in_such_bursts_as_they_say(burst):
+def test_loss_share_and_burst_length_are_as_configured(burst):
     channel = SampleChannel(seed="1", loss=0.3, burst=burst)
     there = {number for _, number in carried(channel, 60_000)}
     lost = [number for number in range(60_000) if number not in there]
     assert channel.lost == len(lost)
     assert len(lost) / 60_000 == pytest.approx(0.3, rel=0.1)
     bursts = sum(number - 1 in there for number in lost)
-    # By chance alone, losses follow each other as well: 1 / (1 - loss) in a row on average.
+    # Independent losses also come in a row: 1 / (1 - loss) on average.
     assert len(lost) / bursts == pytest.approx(max(burst, 1 / 0.7), rel=0.1)
 
 
-def test_nothing_is_handed_over_in_the_dark_and_what_is_under_way_arrives():
+def test_an_outage_loses_new_datagrams_but_not_those_under_way():
     channel = SampleChannel(seed="1", delay_ns=5 * MS, dark=[(100 * MS, 200 * MS)])
     numbers = [number for _, number in carried(channel, 300)]
     assert numbers == [*range(100), *range(200, 300)]
 
 
-def test_a_cell_is_read_and_what_cannot_be_is_named():
+def test_a_cell_is_read_and_a_wrong_one_is_refused():
     assert read_cell("delay=100, wall=2000") == Cell(delay=100.0, wall=2000.0)
     for text, mend in (
         ("delay", "NAME=NUMBER"),
@@ -82,7 +82,7 @@ def test_the_grids_reach_the_limits_of_the_claims():
         assert max(cell.wall for cell in grid) == 5000
 
 
-def test_a_hold_leaves_time_for_the_loop_to_swing_and_comes_after_all_blackouts():
+def test_the_hold_comes_after_all_blackouts_and_is_long_enough_for_an_oscillation():
     for cell in full_grid():
         found = plan(cell, 10.0)
         begin, end = found.hold_ns
@@ -107,7 +107,7 @@ def test_the_command_writes_its_figures(tmp_path, capsys):
     assert "UNSTABLE" in capsys.readouterr().out
 
 
-def test_a_claim_that_does_not_hold_is_an_exit_code(monkeypatch, capsys):
+def test_a_claim_that_does_not_hold_exits_with_1(monkeypatch, capsys):
     monkeypatch.setattr(haptics_claims, "RISE_N_MS", 1e-6)
     assert main(["bench", "haptics", *CELL]) == 1
     assert "NO" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""The page of latencies: its targets, its terms, its plot and its mistakes."""
+"""`kontur-av bench latency`: targets, terms, chart and mistakes."""
 
 import json
 
@@ -74,7 +74,7 @@ def test_the_page_is_printed_written_and_drawn(tmp_path, capsys):
     for lead in figures["leads"].values():
         video = lead["video_ms"]
         assert sum(video[term] for term in TERMS) == pytest.approx(video["total"], abs=0.005)
-        # On virtual time these are what the session was told that they are.
+        # On virtual time these are the configured costs.
         assert (video["capture"], video["encoding"]) == (4.0, 6.0)
         assert video["propagation"] == 10.0
         assert lead["force_ms"]["total"] == 11.0

@@ -1,4 +1,4 @@
-"""The link's bench: its figures are what they say, on runs short enough for every day."""
+"""`kontur-av bench link`: its figures, on short runs."""
 
 import json
 
@@ -21,14 +21,14 @@ from telepresence.link.radio import RadioPath
 MS = 1_000_000
 
 
-def test_media_and_commands_cost_no_sample_a_slot():
+def test_saturated_media_delay_no_haptic_sample():
     found = haptic_difference(1.0, delay_ns=3 * MS)
     assert found.largest_slots == 0
     assert found.samples > 1980
     assert found.delay_ms == (3.0, 3.0)
 
 
-def test_a_radio_that_is_slower_beside_media_would_show():
+def test_a_slower_radio_shows_in_the_delays():
     def delays(delay_ns):
         path = [RadioPath(delay_ns=delay_ns), RadioPath(delay_ns=delay_ns)]
         return haptic_delays(0.2, saturated=False, radio=path)
@@ -37,20 +37,20 @@ def test_a_radio_that_is_slower_beside_media_would_show():
 
 
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
-def test_voice_waits_two_slots_at_the_most(profile):
+def test_voice_waits_at_most_two_slots(profile):
     waits = voice_waits(4.0, profile)
     assert len(waits) > 190
     assert 0 <= min(waits) <= max(waits) <= 2 * MS
 
 
-def test_all_that_is_left_to_a_level_carries_its_packets():
+def test_a_saturated_flow_uses_the_whole_zone():
     for profile in (UPLINK, DOWNLINK):
         found = goodput(0.5, profile, flow=VIDEO, payload_octets=1000, haptics=True)
         assert found.packets >= 0.99
         assert sum(found.shares()) == pytest.approx(1, abs=1e-9)
 
 
-def test_headers_take_at_most_three_octets_and_about_two():
+def test_compressed_headers_take_at_most_three_octets_and_two_on_average():
     counted = header_octets(20.0)
     assert max(found.most_compressed for found in counted.values()) <= 3
     packets = sum(found.packets for found in counted.values())
@@ -60,7 +60,7 @@ def test_headers_take_at_most_three_octets_and_about_two():
 
 
 @pytest.mark.parametrize("blackout_s", [0.1, 1.0])
-def test_the_link_is_back_with_the_first_good_frame_and_nothing_old_comes_out(blackout_s):
+def test_the_link_recovers_with_the_first_good_frame_and_delivers_nothing_stale(blackout_s):
     found = resumptions(blackout_s, blackouts=5, delay_ns=3 * MS)
     assert len(found.noticed) == 10
     assert max(found.noticed) <= 50 * MS
@@ -71,7 +71,7 @@ def test_the_link_is_back_with_the_first_good_frame_and_nothing_old_comes_out(bl
     assert found.packets > 1000
 
 
-def test_cyclictest_is_read():
+def test_the_output_of_cyclictest_is_parsed():
     output = (
         "# Histogram\n000005 000900\n000006 000089\n000007 000000\n000400 000010\n"
         "# Total: 000000999\n# Min Latencies: 00005\n# Max Latencies: 25000\n"

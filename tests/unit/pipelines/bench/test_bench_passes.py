@@ -1,4 +1,4 @@
-"""Many sessions of a pass: what is kept of each, its verdict, and going on where one has ended."""
+"""`kontur-av bench passes`: figures and verdict of a session, and resuming a run."""
 
 import copy
 import json
@@ -28,7 +28,7 @@ S = 1_000_000_000
 
 
 def report(seconds=100.0, windows=((10, 90),), contact=None):
-    """A session without media whose two ends heard each other in `windows` (s)."""
+    """The report of a session without media and with a signal in `windows` (s)."""
     contacts = [
         {"acquired_ns": begin * S, "lost_ns": None if end is None else end * S}
         for begin, end in windows
@@ -89,7 +89,7 @@ def test_the_usable_window_is_that_of_the_orbit_within_the_session():
     assert usable_window(Reading(report(contact=CONTACT)), 400.0) is None
 
 
-def test_signal_is_counted_within_the_window_and_at_the_end_that_hears_less():
+def test_signal_counts_in_the_window_and_at_the_end_with_less():
     found = report(windows=((10, 40), (50, None)))
     assert signal_s(Reading(found), 30.0, 100.0) == pytest.approx(60.0)
     found["gateways"]["space"] = copy.deepcopy(found["gateways"]["space"])
@@ -115,7 +115,7 @@ def test_a_pass_that_kept_its_signal_is_usable():
         (lambda it: it["streams"].update(uplink_video=video(payload_bps_max_100ms=128_000)), "cap"),
     ],
 )
-def test_what_is_wrong_is_named(change, word):
+def test_each_fault_has_its_word(change, word):
     found = report(windows=((20, None),), contact=CONTACT)
     found["streams"]["uplink_video"] = video()
     found["haptic"]["down"]["energy"] = {"least_uj": -2}
@@ -155,13 +155,13 @@ def test_a_force_that_begins_late_or_stops_for_good_is_stuck(silent, monkeypatch
     assert figures.longest_pause_s.felt == pytest.approx(longest_s, abs=0.2)
 
 
-def test_a_signal_that_was_away_for_a_hundredth_of_the_window_is_not_usable():
+def test_a_signal_lost_for_more_than_a_hundredth_of_the_window_is_unusable():
     lost = report(windows=((20, 50), (51, None)), contact=CONTACT)
     assert faults(pass_figures(Reading(lost))) == ["unusable"]
     assert faults(Crash("killed")) == ["crashed"]
 
 
-def test_the_way_to_a_far_orbit_is_no_time_without_a_signal():
+def test_the_delay_of_a_far_orbit_does_not_count_as_lost_signal():
     setup = replace(BUILT_IN["spacejustin"], radio="geo")
     figures = pass_figures(Reading(as_json(simulate(setup, seconds=2.0, seed=1, media=False))))
     assert figures.usable_s < 1.8
@@ -184,7 +184,7 @@ def test_the_table_has_a_cell_for_every_heading():
     assert "1 of 2 sessions usable, 1 crashed." in lines[-1]
 
 
-def test_what_carried_nothing_has_no_latencies():
+def test_an_empty_stream_has_no_latencies():
     silent = report(windows=((20, None),), contact=CONTACT)
     none = dict.fromkeys(("p50", "p99", "p99.9", "max"), 0.0) | {"count": 0}
     silent["haptic"]["up"]["latency_ms"] = none
@@ -213,11 +213,11 @@ def test_two_sessions_are_run_and_kept(ran):
     assert "2 of 2 sessions usable." in (kept.parent / "table.md").read_text()
 
 
-def test_sessions_that_are_there_are_not_run_again(ran, capsys):
+def test_kept_sessions_are_not_run_again(ran, capsys):
     kept, command = ran
     marked = json.loads(kept.read_text())
     marked["sessions"]["5"]["wall_s"] = 1234.5
-    # One that crashed is worth another try.
+    # A crashed session is run again.
     marked["sessions"]["6"] = {"error": "killed"}
     kept.write_text(json.dumps(marked))
     assert main([*command, "--sessions", "2", "--first-seed", "5"]) == 0
@@ -227,13 +227,13 @@ def test_sessions_that_are_there_are_not_run_again(ran, capsys):
     assert sessions["6"]["wall_s"] < 60
 
 
-def test_a_report_of_other_sessions_is_not_mixed_up_with_these(ran, capsys):
+def test_a_report_with_other_options_is_refused(ran, capsys):
     _, command = ran
     assert main([*command, "--seconds", "5"]) == 2
     assert "its sessions have seconds 4.0; name another file" in capsys.readouterr().err
 
 
-def test_sessions_of_a_file_that_was_changed_are_not_taken_for_these(tmp_path, capsys):
+def test_a_report_of_a_changed_radio_file_is_refused(tmp_path, capsys):
     radio, kept = tmp_path / "mine.toml", tmp_path / "passes.json"
     command = ["bench", "passes", "--sessions", "1", "--seconds", "1", "--no-media"]
     command += ["--radio", str(radio), "--report", str(kept)]
@@ -245,7 +245,7 @@ def test_sessions_of_a_file_that_was_changed_are_not_taken_for_these(tmp_path, c
     assert main(command) == 2
     error = capsys.readouterr().err
     assert f"its sessions have other values in spacejustin or {radio}" in error
-    # As it was before there was a digest.
+    # A report from before the digest.
     older = json.loads(kept.read_text())
     del older["plan"]["content"]
     kept.write_text(json.dumps(older))
@@ -265,7 +265,7 @@ def test_sessions_of_a_file_that_was_changed_are_not_taken_for_these(tmp_path, c
         lambda kept: kept["sessions"]["5"]["haptic"]["up"]["latency_ms"].update(max="long"),
     ],
 )
-def test_a_report_that_is_none_of_these_sessions_is_refused_in_a_line(change, ran, capsys):
+def test_a_report_of_another_shape_is_refused_in_one_line(change, ran, capsys):
     kept, command = ran
     strange = json.loads(kept.read_text())
     change(strange)
@@ -277,7 +277,7 @@ def test_a_report_that_is_none_of_these_sessions_is_refused_in_a_line(change, ra
     assert error.count("\n") == 1
 
 
-def test_sessions_are_ended_with_the_one_who_asked():
+def test_closing_the_generator_ends_the_sessions():
     plan = Plan(setup="spacejustin", seconds=4.0, radio="clean", media=False)
     endless = Plan(setup="spacejustin", seconds=90_000.0, radio="clean", media=False)
     with closing(run_sessions(plan, [1], jobs=2)) as runs:
@@ -291,10 +291,10 @@ def test_sessions_are_ended_with_the_one_who_asked():
     mixed = Mixed(setup="", seconds=0.0, radio="", media=False)
     with closing(run_sessions(mixed, [1, 2], jobs=2)) as runs:
         assert next(runs)[0] == 1
-    # It would have gone on for a day: `close` has ended it, or would not have come back.
+    # The session would have run for a day: `close` ended it, or the test would hang.
 
 
-def test_a_session_that_was_ended_early_is_none_of_a_whole_pass():
+def test_a_session_that_ended_early_counts_as_crashed():
     class Short(Plan):
         def command(self, seed, path):
             return replace(plan, seconds=1.0).command(seed, path)

@@ -1,4 +1,4 @@
-"""`kontur-av bench sync` on recordings: clips with offsets that are known because they are made."""
+"""`kontur-av bench sync` on recordings that are made with known offsets."""
 
 import json
 import wave
@@ -18,7 +18,7 @@ from pipelines.report.sync.figures import skews_ns
 from pipelines.report.sync.matching import Found
 
 FPS, SECONDS = 30, 8.0
-#: Instants of the touches (s); by how much light and sound come later than force.
+#: Instants of the touches (s), and the delays of light and sound after force.
 TOUCHES = (1.213, 3.377, 5.104, 6.651)
 LIGHT_S, CLICK_S = 0.045, 0.020
 SIZE = (320, 240)
@@ -26,7 +26,7 @@ PERIOD_MS = 1000 / FPS
 
 
 def pictures():
-    """Grey room, something that moves, and an LED of 9 pixels that is on for 0.7 s."""
+    """A grey room, a moving object, and an LED of 9 pixels that is on for 0.7 s."""
     width, height = SIZE
     rng = np.random.default_rng(1)
     room = rng.integers(70, 110, (height, width, 1), np.uint8).repeat(3, 2)
@@ -91,7 +91,7 @@ def clips(tmp_path_factory):
 
 
 @pytest.mark.parametrize(("seen", "heard"), [("both.mp4", "both.mp4"), ("see.y4m", "hear.wav")])
-def test_the_skews_are_those_that_were_made(clips, tmp_path, capsys, seen, heard):
+def test_the_known_skews_are_found(clips, tmp_path, capsys, seen, heard):
     report, plot = tmp_path / "r.json", tmp_path / "p.png"
     arguments = ["--video", str(clips / seen), "--audio", str(clips / heard)]
     arguments += ["--haptics", str(clips / "felt.csv"), "--plot", str(plot)]
@@ -132,7 +132,7 @@ def test_light_and_click_are_compared_without_a_force(clips, tmp_path):
     assert early_ms - PERIOD_MS - 1 <= skew["p50"] <= early_ms + 1
 
 
-def test_a_region_leaves_out_the_rest(clips, capsys):
+def test_lights_outside_the_region_are_ignored(clips, capsys):
     arguments = ["--video", str(clips / "both.mp4"), "--haptics", str(clips / "felt.csv")]
     assert main(["bench", "sync", *arguments, "--roi", "180,40,48,48"]) == 0
     assert main(["bench", "sync", *arguments, "--roi", "0,160,48,48"]) == 2
@@ -142,7 +142,7 @@ def test_a_region_leaves_out_the_rest(clips, capsys):
     assert "320x240" in told
 
 
-def test_a_region_is_in_pixels_of_the_file_however_wide_it_is(tmp_path):
+def test_the_region_is_in_pixels_of_the_file_at_any_width(tmp_path):
     path = tmp_path / "wide.mp4"
     with av.open(str(path), "w") as file:
         video = file.add_stream("libx264", rate=FPS, options={"preset": "ultrafast"})
@@ -176,7 +176,7 @@ def test_a_region_is_in_pixels_of_the_file_however_wide_it_is(tmp_path):
         (steps, "octets.csv", b"\xff\xfe\x00", "no table of text"),
     ],
 )
-def test_a_file_that_is_none_is_named(tmp_path, read, name, content, words):
+def test_an_unreadable_file_is_named(tmp_path, read, name, content, words):
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
@@ -187,7 +187,7 @@ def test_a_file_that_is_none_is_named(tmp_path, read, name, content, words):
 
 
 @pytest.mark.parametrize("begin", ["", "\ufeff"])
-def test_a_table_out_of_a_spreadsheet_is_read_whatever_its_numbers(tmp_path, begin):
+def test_a_table_from_a_spreadsheet_is_read_at_any_start_time(tmp_path, begin):
     path = tmp_path / "felt.csv"
     rows = "time_s,force_n\n0,1e200\n\n0.1,3\n0.2,3\n0.3,8\n"
     path.write_text(begin + rows, encoding="utf-8")
@@ -214,7 +214,7 @@ def test_touches_close_to_each_other_keep_their_own_lights(gaps_ms, skew_ms):
     assert skews == [skew_ms * NS_PER_MS] * 20
 
 
-def test_what_is_three_quarters_of_a_second_away_is_not_joined():
+def test_a_light_more_than_three_quarters_of_a_second_away_is_not_joined():
     found = {"force": [Found(NS_PER_S)], "light": [Found(249 * NS_PER_MS), Found(1751 * NS_PER_MS)]}
     assert joined(found)[0].perceived["light"] is None
 
@@ -239,7 +239,7 @@ def test_a_film_without_sound_and_a_sound_without_film_are_named(clips):
         ["--plot", "a.jpg"],
     ],
 )
-def test_options_that_do_not_go_together_are_refused_in_a_line(arguments, capsys):
+def test_contradicting_options_are_refused_in_one_line(arguments, capsys):
     assert main(["bench", "sync", *arguments]) == 2
     told = capsys.readouterr().err
     assert told.startswith("kontur-av: ")

@@ -1,4 +1,4 @@
-"""The bench of pictures: what it reads, carries and computes is right, without any process."""
+"""`kontur-av bench video`: marks, channel, figures and targets, without processes."""
 
 from itertools import pairwise
 
@@ -51,7 +51,7 @@ def test_from_one_number_to_the_next_two_squares_change(number):
 
 
 @given(st.integers(0, NUMBERS - 1), st.integers(0, SQUARES - 1))
-def test_a_square_that_is_wrong_or_grey_gives_no_number(number, square):
+def test_a_wrong_or_grey_square_gives_no_number(number, square):
     squares = seen(number)
     squares[square] = 128
     assert read_number(squares) is None
@@ -76,31 +76,31 @@ def test_numbers_are_read_after_hard_compression_and_in_a_smaller_size(coded):
             luma = planes(decoded.to_i420())[0]
             full = cv2.resize(luma, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
             read.append(read_number(levels(full)))
-    # At the very start there are no bits to draw anything with.
+    # The first pictures get too few bits for the squares.
     assert read[5:] == list(range(1005, 1060))
 
 
-def test_what_cannot_be_read_by_itself_gets_the_number_between_its_neighbours():
+def test_an_unreadable_picture_gets_the_number_between_its_neighbours():
     grey = np.full(SQUARES, 128, np.uint8)
     squares = [seen(3), grey, grey, seen(6), seen(7)]
     assert read_all(squares, [list(range(20))] * 5) == [3, 4, 5, 6, 7]
 
 
-def test_of_several_that_would_do_it_gets_the_one_that_is_half_there():
+def test_a_half_coded_number_gets_the_best_fit():
     before, after = seen(40).astype(int), seen(44).astype(int)
     half = ((2 * before + 3 * after) // 5).astype(np.uint8)
     assert read_number(half) is None
     assert read_all([seen(40), half, seen(47)], [list(range(60))] * 3) == [40, 44, 47]
 
 
-def test_what_the_camera_left_out_or_took_later_was_not_shown():
+def test_numbers_not_yet_captured_or_left_out_are_impossible():
     grey = np.full(SQUARES, 128, np.uint8)
     captured = [[0, 1, 2], [0, 1, 2, 5], [0, 1, 2, 5, 9]]
     assert read_all([seen(2), grey, seen(9)], captured) == [2, 5, 9]
     assert read_all([seen(2), seen(7), seen(9)], captured) == [2, 5, 9]
 
 
-def test_a_picture_that_is_shown_again_gets_no_number():
+def test_a_repeated_picture_gets_no_number():
     captured = [list(range(10))] * 4
     assert read_all([seen(4), seen(4), seen(5), seen(5)], captured)[:3] == [4, None, 5]
 
@@ -109,7 +109,7 @@ def test_a_picture_that_is_shown_again_gets_no_number():
     st.lists(st.tuples(st.integers(0, 80 * MS), st.integers(1, 1500)), min_size=1, max_size=60),
     st.integers(10_000, 1_000_000),
 )
-def test_the_channel_keeps_order_and_rate_and_wastes_nothing(arrivals, rate_bps):
+def test_the_channel_keeps_order_and_rate_and_is_never_idle_with_a_queue(arrivals, rate_bps):
     channel = Channel(rate_bps)
     now_ns, came, left = 0, [], []
     for number, (gap_ns, octets) in enumerate(arrivals):
@@ -131,7 +131,7 @@ def test_the_channel_keeps_order_and_rate_and_wastes_nothing(arrivals, rate_bps)
         free_ns = departure.due_ns
 
 
-def test_the_payload_is_what_follows_the_header():
+def test_the_payload_is_counted_without_the_header():
     header = bytes([0x80, 96, *range(10)])
     assert rtp_payload_octets(header + bytes(50)) == 50
     contributors = bytes([0x82, *header[1:]]) + bytes(8)
@@ -141,12 +141,12 @@ def test_the_payload_is_what_follows_the_header():
     assert rtp_payload_octets(b"x") == 0
 
 
-def test_a_clip_goes_on_backwards():
+def test_a_clip_continues_backwards():
     assert mirrored(4, 9).tolist() == [0, 1, 2, 3, 2, 1, 0, 1, 2]
     assert mirrored(1, 3).tolist() == [0, 0, 0]
 
 
-def test_what_was_shown_is_counted_from_the_first_number_that_counts():
+def test_pictures_of_the_settling_time_do_not_count():
     captured_ns = np.arange(1, 11) * 100 * MS
     shown_ns = {n: int(captured_ns[n]) + (30 + n) * MS for n in (0, 1, 2, 3, 5, 8, 9)}
     found = shown(captured_ns, shown_ns, first=2, fps=10)
@@ -162,7 +162,7 @@ def test_a_picture_that_never_comes_is_a_gap_to_the_end():
     assert shown(captured_ns, {}, first=2, fps=10).longest_gap_ms == float("inf")
 
 
-def test_percentiles_are_values_that_were_there():
+def test_percentiles_are_measured_values():
     assert percentiles(range(1, 101)) == {"p50": 50, "p95": 95, "p99": 99, "max": 100}
     assert percentiles([3.0]) == {"p50": 3, "p95": 3, "p99": 3, "max": 3}
 
@@ -215,7 +215,7 @@ def missed(measured, targets=NARROW) -> list[str]:
     return [verdict.what for verdict in judge(measured, targets, 85) if not verdict.met]
 
 
-def test_targets_are_met_or_missed_against_the_better_peer():
+def test_relative_targets_compare_with_the_better_peer():
     worse, better = Quality(27.0, 23.9), Quality(28.9, 20.0)
     peers = {DEFAULT: figures(psnr_db=worse), TUNED: figures(psnr_db=better, sender_cpu_s=0.4)}
     assert missed({OURS: figures(), **peers}) == []
@@ -231,7 +231,7 @@ def test_targets_are_met_or_missed_against_the_better_peer():
     ]
 
 
-def test_without_a_peer_only_the_rest_is_judged():
+def test_without_a_peer_only_absolute_targets_are_judged():
     assert len(judge({OURS: figures()}, NARROW, 85)) == len(NARROW) - 3
     assert judge({TUNED: figures()}, NARROW, 85) == []
 

@@ -1,4 +1,4 @@
-"""The voice bench: the same figures each time, and what they are made of."""
+"""`kontur-av bench voice`: reproducible figures, and the parts that they come from."""
 
 import json
 
@@ -17,7 +17,7 @@ from pipelines.setup.built_in import BUILT_IN
 SETUP = BUILT_IN["spacejustin"]
 
 
-def test_losses_are_as_many_and_in_such_bursts_as_they_say():
+def test_loss_share_and_burst_length_are_as_configured():
     for loss in (0.02, 0.1):
         assert len(Network(loss=loss).lost(20_000, spared=50)) / 20_000 == pytest.approx(
             loss, rel=0.15
@@ -36,11 +36,11 @@ def track():
 
 
 @pytest.mark.parametrize("stream", [SETUP.uplink_voice, SETUP.downlink_voice])
-def test_the_stamps_say_what_the_sound_itself_says(track, stream):
-    """Mouth to ear by the stamps is the delay by which the sound heard lies behind."""
+def test_stamps_agree_with_the_lag_of_the_sound(track, stream):
+    """Mouth to ear by stamps equals the lag of the sound that is heard."""
     heard = listen(SETUP, stream, speak(SETUP, stream, track), Network(loss=0.0))
     found = lags(track, heard.samples)[LEAD_IN_BLOCKS // 50 + 1 : -2]
-    # 0.3 ms: the phase of Opus' filters.
+    # 0.3 ms: the phase of the filters of Opus.
     assert max(abs(lag - heard.lag_samples) for lag in found) <= 15
     worst_ms = max(heard.mouth_to_ear_ns) / 1e6
     # 20 of the block, 6.5 of look-ahead, 1.5 of coding, 5 to 10 of the network, 10 of playout.
@@ -48,7 +48,7 @@ def test_the_stamps_say_what_the_sound_itself_says(track, stream):
     assert heard.payload_octets * 8 / (heard.packets * 0.02) <= stream.cap_bps
 
 
-def test_a_delay_is_found_although_the_speakers_repeat_themselves():
+def test_a_lag_is_found_although_the_speakers_repeat_themselves():
     track = speech_track(40)
     for late in (-700, 0, 9_000):
         # The second of the two rounds is the louder one.
@@ -57,7 +57,7 @@ def test_a_delay_is_found_although_the_speakers_repeat_themselves():
         assert set(lags(track, heard)[2:-2]) == {late}
 
 
-def test_a_peers_sound_is_laid_out_as_its_sound_card_plays_it():
+def test_the_sound_of_a_peer_is_laid_out_as_a_sound_card_plays_it():
     """Packets follow each other although their timestamps wobble; a hole of more than 40 ms is one.
 
     GstAudioBaseSink, `alignment-threshold`: 40 ms.
@@ -78,7 +78,7 @@ def test_a_peers_sound_is_laid_out_as_its_sound_card_plays_it():
     assert places == [(0, 0), (10, 2881), (20, 3841)]
 
 
-def test_a_lossy_run_repeats_and_is_heard_to_the_end(track):
+def test_a_lossy_run_is_reproducible_and_complete(track):
     network = Network(loss=0.1, bursts=True)
     stream = SETUP.uplink_voice
     first, again = (listen(SETUP, stream, speak(SETUP, stream, track), network) for _ in range(2))
@@ -86,7 +86,7 @@ def test_a_lossy_run_repeats_and_is_heard_to_the_end(track):
     assert first.mouth_to_ear_ns == again.mouth_to_ear_ns
     clean = listen(SETUP, stream, speak(SETUP, stream, track), Network(loss=0.0))
     assert abs(len(first.samples) - len(clean.samples)) <= 960
-    # Of what is lost in a row no more than 100 ms are made up.
+    # At most 100 ms of a row of losses are concealed.
     assert 0.7 * first.lost * 20e6 <= first.made_up_ns <= (first.lost + 5) * 20e6
 
 
@@ -105,7 +105,7 @@ def test_the_command_writes_its_figures(tmp_path, capsys, monkeypatch):
     assert cv2.imread(str(plot)).shape[1] == 1200
 
 
-def test_what_is_missing_is_a_line(monkeypatch, capsys):
+def test_a_missing_peer_or_pesq_is_one_line(monkeypatch, capsys):
     monkeypatch.setattr(voice, "pesq_is_there", lambda: False)
     monkeypatch.setattr(voice, "missing", lambda: "it is not installed")
     monkeypatch.setattr(voice, "_LOSSES", (0.0, 0.1))
@@ -119,6 +119,6 @@ def test_what_is_missing_is_a_line(monkeypatch, capsys):
     "wrong",
     [["--seconds", "0"], ["--jitter-ms", "21"], ["--delay-ms", "-1"], ["--plot", "x.jpg"]],
 )
-def test_what_cannot_be_is_refused(wrong, capsys):
+def test_impossible_options_are_refused(wrong, capsys):
     assert main(["bench", "voice", *wrong]) == 2
     assert wrong[0] in capsys.readouterr().err
