@@ -48,15 +48,16 @@ def _section(runs: Sequence[Record], *, with_machine: bool) -> str:
 
 def _table(group: str, found: Sequence[Headline]) -> list[str]:
     columns = list(dict.fromkeys(one.who for one in found))
-    judged = any(one.target for one in found)
+    judged = list(dict.fromkeys(one.who for one in found if one.target))
     heads = [group or "figure", "unit", *(who or "median (least to largest)" for who in columns)]
-    heads += ["target"] * judged
+    if judged:
+        heads.append("target" if judged == columns else f"target ({', '.join(judged)})")
     lines = [_line(heads), "|" + "|".join(["---", "---", *["--:"] * len(columns)])]
     lines[-1] += "|---|" if judged else "|"
     for what, unit in dict.fromkeys((one.what, one.unit) for one in found):
         row = [one for one in found if (one.what, one.unit) == (what, unit)]
         cells = [_cell([one.value for one in row if one.who == who]) for who in columns]
-        lines.append(_line([what, unit, *cells, *[_verdict(row)] * judged]))
+        lines.append(_line([what, unit, *cells, *[_verdict(row)] * bool(judged)]))
     return lines
 
 
