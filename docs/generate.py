@@ -39,7 +39,9 @@ def python_page() -> str:
     """docs/python.md: every exported name with its signature and docstring."""
     parts = [HEAD]
     for package in PACKAGES:
-        module = griffe.load(package, search_paths=[ROOT], resolve_aliases=True)
+        module = griffe.load(
+            package, search_paths=[ROOT], resolve_aliases=True, try_relative_path=False
+        )
         names = sorted(exported(module), key=lambda name: (name.lower(), name))
         parts.append(f"## `{package}`\n\n{text(module)}\n")
         if names:
@@ -121,6 +123,7 @@ def _split(parameters: str) -> list[str]:
 def text(found: griffe.Object | griffe.Alias) -> str:
     """The docstring; its example after `Use::` becomes a block of Python."""
     docstring = found.docstring.value if found.docstring else ""
+    docstring = listed(docstring, names_of(found))
     body = re.sub(
         r"(\w+)::\n\n((?:    .*\n?|\n)+)",
         lambda match: f"{match[1]}:\n\n```python\n{_dedent(match[2])}\n```\n",
@@ -129,12 +132,46 @@ def text(found: griffe.Object | griffe.Alias) -> str:
     return body.strip()
 
 
+def names_of(found: griffe.Object | griffe.Alias) -> set[str]:
+    """What a docstring may explain: the parameters of a function, the fields of a class."""
+    names = set()
+    if found.is_class:
+        names |= {name for name, member in found.all_members.items() if member.is_attribute}
+        init = found.all_members.get("__init__")
+        names |= {parameter.name for parameter in init.parameters} if init is not None else set()
+    elif found.is_function:
+        names |= {parameter.name for parameter in found.parameters}
+    return names
+
+
+def listed(docstring: str, names: set[str]) -> str:
+    """Lines `name: text`, with their indented continuations, as items of a list."""
+    lines: list[str] = []
+    item = False
+    for line in docstring.splitlines():
+        begin = re.match(r"((?:\w+, )*\w+): ", line)
+        if begin and names.issuperset(begin[1].split(", ")):
+            told = ", ".join(f"`{name}`" for name in begin[1].split(", "))
+            if not item and lines and lines[-1]:
+                lines.append("")
+            lines.append(f"- {told}: {line[begin.end() :]}")
+            item = True
+        elif item and line.startswith("    "):
+            lines.append(f"  {line.strip()}")
+        else:
+            if item and line:
+                lines.append("")
+            item = False
+            lines.append(line)
+    return "\n".join(lines)
+
+
 def _dedent(block: str) -> str:
     return "\n".join(line.removeprefix("    ") for line in block.rstrip().splitlines())
 
 
 def one_paragraph(found: griffe.Object | griffe.Alias) -> str:
-    return " ".join(text(found).split())
+    return " ".join(found.docstring.value.split()) if found.docstring else ""
 
 
 def run_table() -> str:
