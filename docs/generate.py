@@ -76,13 +76,16 @@ def entry(member: griffe.Object | griffe.Alias) -> str:
         for name, found in {**member.inherited_members, **member.members}.items()
         if name == "__init__" or not name.startswith("_")
     }
-    for name, found in public.items():
-        if found.is_attribute and found.annotation and "property" not in found.labels:
-            default = f" = {found.value}" if found.value is not None else ""
-            # Quotes as ruff would set them: it checks the page, too.
-            lines.append(f"    {name}: {found.annotation}{default}".replace("'", '"'))
     init = public.pop("__init__", None)
-    if init is not None and init.is_function and "dataclass" not in member.labels:
+    own_init = init is not None and init.is_function and "dataclass" not in member.labels
+    for name, found in public.items():
+        if own_init or not found.is_attribute or "property" in found.labels:
+            continue
+        kind = f": {found.annotation}" if found.annotation else ""
+        default = f" = {found.value}" if found.value is not None else ""
+        # Quotes as ruff would set them: it checks the page, too.
+        lines.append(f"    {name}{kind}{default}".replace("'", '"'))
+    if own_init:
         lines.append("    " + signature(init).replace("\n", "\n    "))
     lines += ["```\n", text(member), ""]
     for name, found in public.items():
@@ -156,11 +159,9 @@ def listed(docstring: str, names: set[str]) -> str:
                 lines.append("")
             lines.append(f"- {told}: {line[begin.end() :]}")
             item = True
-        elif item and line.startswith("    "):
+        elif item and line:
             lines.append(f"  {line.strip()}")
         else:
-            if item and line:
-                lines.append("")
             item = False
             lines.append(line)
     return "\n".join(lines)

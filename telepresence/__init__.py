@@ -1,1 +1,68 @@
-"""The radio link and the hand: what shares the channel with the media."""
+"""The radio link and the hand: what shares the channel with the media.
+
+What is listed here is the interface for users of the library. Names are loaded when they are first
+used. All are cores: they open no socket and ask no clock. samples/slots_virtual_time.py drives both
+ends of the link by hand.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from telepresence.haptics.bilateral import JoystickSide, RobotSide
+    from telepresence.haptics.sample import Command, Feedback
+    from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_flow
+    from telepresence.link.gateway import Gateway
+    from telepresence.link.profile import LinkProfile
+    from telepresence.link.radio import RadioPath, RadioProfile, load_radio
+    from telepresence.link.receiver import LinkReceiver
+    from telepresence.link.sender import LinkSender
+    from telepresence.tmtc import TelecommandReceiver, TelecommandSender
+
+__all__ = [
+    "Command",
+    "Feedback",
+    "Flow",
+    "Gateway",
+    "JoystickSide",
+    "Level",
+    "LinkProfile",
+    "LinkReceiver",
+    "LinkSender",
+    "RadioPath",
+    "RadioProfile",
+    "RobotSide",
+    "TelecommandReceiver",
+    "TelecommandSender",
+    "load_radio",
+    "packet_flow",
+    "video_flow",
+    "voice_flow",
+]
+
+#: Module -> the names above that it defines.
+_HOMES = {
+    "haptics.bilateral": ("JoystickSide", "RobotSide"),
+    "haptics.sample": ("Command", "Feedback"),
+    "link.flows": ("Flow", "Level", "packet_flow", "video_flow", "voice_flow"),
+    "link.gateway": ("Gateway",),
+    "link.profile": ("LinkProfile",),
+    "link.radio": ("RadioPath", "RadioProfile", "load_radio"),
+    "link.receiver": ("LinkReceiver",),
+    "link.sender": ("LinkSender",),
+    "tmtc": ("TelecommandReceiver", "TelecommandSender"),
+}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    """PEP 562: import a name's module when the name is first used."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value: object = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,5 +1,6 @@
 """What documents take from the code is up to date; the links of docs/python.md lead somewhere."""
 
+import importlib
 import importlib.util
 import re
 
@@ -35,3 +36,10 @@ def test_the_tables_of_the_documents_are_those_of_the_topology():
         assert text == generate().filled(text, blocks), f"{page.name}: run docs/generate.py"
         found |= set(re.findall(r"<!-- generated: ([\w ]+) -->", text))
     assert set(blocks) <= found
+
+
+@pytest.mark.parametrize("package", ["kontur_av", "telepresence", "pipelines"])
+def test_every_exported_name_is_there_and_explained(package):
+    module = importlib.import_module(package)
+    for name in getattr(module, "__all__", ()):
+        assert getattr(module, name).__doc__, name
