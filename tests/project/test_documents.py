@@ -32,6 +32,17 @@ def test_the_readme_is_one_page():
     assert len(text.splitlines()) <= README_LINES
 
 
+def test_the_python_of_the_readme_is_that_of_the_sample():
+    (block,) = re.findall(
+        r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.M | re.S
+    )
+    sample = (ROOT / "samples" / "send_numpy.py").read_text(encoding="utf-8").splitlines()
+    lines = [line for line in block.splitlines() if line]
+    assert len(lines) <= 20
+    # The number of pictures is an argument of the sample.
+    assert [line for line in lines if line not in sample and "range(" not in line] == []
+
+
 def test_the_index_leads_to_every_page():
     for index, pages in ((DOCS / "index.md", PAGES), *_experiments()):
         linked = set(re.findall(r"\]\(([\w-]+\.md)", index.read_text(encoding="utf-8")))
