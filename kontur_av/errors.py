@@ -6,4 +6,4 @@ class ConfigError(Exception):
 
 
 class ProtocolError(Exception):
-    """The peer's garbage: counted and dropped by whoever received it, never a crash."""
+    """The peer's garbage: counted and dropped by its receiver, never a crash."""

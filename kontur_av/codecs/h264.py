@@ -263,7 +263,7 @@ class DecodedPicture:
 
 
 class H264Decoder:
-    """Access units to pictures, one for one and at once; whatever comes, nothing is raised.
+    """Access units to pictures, one for one and at once. It raises nothing, and counts garbage.
 
     It shows its first picture when that is whole: at an IDR picture, or when a whole refresh wave
     has passed since a recovery point. From then on it shows every picture, also those that suffer

@@ -60,7 +60,7 @@ class PictureLossListener:
         self._asked = False
         self.received = 0
         self.garbage = 0
-        #: When an RTCP datagram came last, whatever it said.
+        #: When the last RTCP datagram came, of any content.
         self.heard_ns: int | None = None
 
     def handle_feedback(self, datagram: bytes, now_ns: int) -> None:

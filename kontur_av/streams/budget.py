@@ -1,10 +1,9 @@
 """The hard byte budget of a stream: what may leave now, and whether to encode one more picture.
 
-A rate control inside the encoder aims at a rate; it does not promise one. The promise is made
-here: the pacer releases packets so that over no sliding window the cap is exceeded, whatever the
-encoder did. A coded picture that would break the cap waits, in pieces; it is not dropped, because
-every later picture refers to it. What is given up instead is the next picture: it is not encoded
-while the channel is still busy with those before it.
+The encoder's rate control aims at a rate, but it does not keep a limit. The pacer does: it releases
+packets so that no sliding window exceeds the cap. A coded picture that would exceed it waits, in
+pieces. It is not dropped, because every later picture refers to it. Instead the next picture is not
+encoded while the channel is still busy with those before it.
 """
 
 from collections import deque
@@ -109,8 +108,8 @@ class Pacer:
         self.longest_wait_ns = 0
 
     def follow(self, *, cap_bps: int, channel_bps: int) -> None:
-        """From now on these hold: nothing more leaves before it fits under the new cap, whatever
-        has left under the one before.
+        """From now on these hold. No packet leaves before it fits under the new cap, together with
+        what has left under the one before.
 
         Packets stay as small as the cap of the beginning wants them: ValueError for a lower one.
         """

@@ -1,12 +1,11 @@
-"""When to encode: the channel asks for pictures, not the camera.
+"""When to encode: the channel sets the pace, not the camera.
 
-A picture that is encoded while the channel is still busy waits behind the one before it, and is
-shown that much later. So the newest one is encoded when the channel will have run dry by the time
-that the coding is done: the channel takes the one picture while the next one is encoded. Where the
-newest one is old by then, the next one is waited for: so
-encoding locks to the camera's own instants while pictures are small enough, and where they are not
-one is left out. Without that, one large picture is enough to make all that follow late, for as long
-as pictures fill the channel.
+A picture that is encoded while the channel is busy waits behind the one before it, and is shown
+later by as much. So the newest picture is encoded at the instant at which the channel will be free
+once the coding is done: the channel carries one picture while the next one is encoded. If the
+newest picture is too old by then, the scheduler waits for the next one. Encoding then keeps step
+with the camera while pictures are small enough, and leaves one out where they are not. Without this
+rule, one large picture would delay all that follow, for as long as pictures fill the channel.
 """
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -14,9 +13,9 @@ from kontur_av.streams.budget import Pacer
 
 #: Taken for the coding time before any was measured.
 _CODING_NS = 3 * NS_PER_MS
-#: Of each new measurement so much is believed: one part in eight.
+#: A new measurement counts for one part in eight of the mean.
 _SMOOTHING = 8
-#: So old may a picture be when it is encoded, in parts of the time to the next one: 7 ms of 33.
+#: The largest age of a picture at its encoding, in parts of a period: 7 ms of 33.
 #: Measured: the 99th percentile 10 ms and more lower than with no such limit, at 29.5 pictures a
 #: second.
 _OLDEST = (22, 100)
@@ -24,11 +23,11 @@ _OLDEST = (22, 100)
 _GRACE_PARTS = 8
 #: When to look again whether a channel that is behind has caught up.
 _LOOK_AGAIN_NS = 2 * NS_PER_MS
-#: The rate of the pictures that come is counted over so many; that they come faster than the
-#: encoder was told is noticed sooner, because then each is too large.
+#: The rate of the camera is a mean over this many pictures. A faster camera is noticed sooner,
+#: because then each picture is too large.
 _COUNTED = 45
 _COUNTED_FASTER = 15
-#: So many times faster or slower is another rate.
+#: A rate that differs by this factor is another one.
 _OTHER_RATE = 1.08
 
 
@@ -116,7 +115,7 @@ class EncodeScheduler:
         free_ns = max(self._pacer.start_ns(self._now_ns), self._channel_free_ns)
         due_ns = max(free_ns - self._coding_ns, self._came_ns)
         if self._waiting_octets > self._pacer.picture_octets:
-            # It may carry less than its rate: what it has is to be seen, not to be reckoned.
+            # The channel may carry less than its rate: measured; it cannot be computed.
             due_ns = max(due_ns, self._now_ns + _LOOK_AGAIN_NS)
         next_ns = self._came_ns + self._period_ns
         give_up_ns = next_ns + self._period_ns // _GRACE_PARTS

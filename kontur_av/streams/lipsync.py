@@ -54,7 +54,7 @@ class LipSync:
             self._late_ns = None
 
     def least_latency_ns(self, now_ns: int) -> int | None:
-        """The least latency for a sound that is heard now; None: whatever it has is right."""
+        """The least latency for a sound that is heard now; None: any latency is right."""
         if self._pictures and self._pictures[-1][0] <= now_ns - _WINDOW_NS:
             self._forget(now_ns)
         if self._late_ns is None:

@@ -10,8 +10,8 @@ from kontur_av.rtp.playout import PlayoutBlock
 
 #: What a cubic needs of the block before: its sound comes two samples later (42 µs).
 _TAIL = 3
-#: What is stretched or shortened by more than this part is so in a pause, where nobody hears that
-#: some of it is gone, but might hear another pitch.
+#: A change of length by more than this part happens in pauses only. There missing sound cannot be
+#: heard, but another pitch could be.
 _RESAMPLED = 40
 
 

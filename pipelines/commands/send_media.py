@@ -30,7 +30,7 @@ from kontur_av.topics.notifier import WaitSet
 
 
 def _parameter_sets(encoder: H264Encoder) -> tuple[bytes, ...]:
-    """SPS and PPS of what `encoder`, which nobody uses further, would write."""
+    """SPS and PPS that `encoder` writes. Do not use it afterwards: it has begun its stream."""
     grey = empty_picture(encoder.width, encoder.height)
     grey.fill(128)
     units = split_annex_b(encoder.encode(VideoFrame(grey, CaptureStamp(0, 0, "twin"))).data)
