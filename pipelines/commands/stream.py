@@ -178,9 +178,8 @@ def check_room(setup: Setup) -> None:
     process that was killed.
     """
     cameras = [setup.stream_of(name) for name in setup.inputs if setup.kind_of(name) == "video"]
-    # The stereo merge and the selected camera are of the uplink's size, as what is received; and
-    # what is received is also displayed.
-    relays = [setup.uplink_video] * (2 if STEREO in setup.cameras else 1)
+    # The stereo merge is of the uplink's size. What is received is also displayed.
+    relays = [setup.uplink_video] * (STEREO in setup.cameras)
     received = [stream for stream in setup.streams if isinstance(stream, VideoStream)]
     pictures = sum(
         stream.width * stream.height * 3 // 2

@@ -1,16 +1,16 @@
 """Which camera goes up, by telecommand; and the telecommands' other end."""
 
-from dataclasses import replace
-from itertools import count
+from collections import deque
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.media import CaptureStamp
-from kontur_av.sources.selector import Selector
+from pipelines.cores.camera_selector import Selector
+from pipelines.cores.following import Choice
 from pipelines.runtime.probe import Probe
 from pipelines.setup.table import Setup
 from telepresence.tmtc import (
     Housekeeping,
+    SelectCamera,
     SelectDone,
     SelectFailed,
     TelecommandReceiver,
@@ -23,13 +23,21 @@ from telepresence.world import WorldState
 HOUSEKEEPING_INTERVAL_NS = 2 * NS_PER_S
 #: What a telecommand and its answer may take beside the radio's delay.
 _ANSWER_NS = 500 * NS_PER_MS
+#: The console has one telecommand open at a time; beyond this the oldest is never acknowledged.
+_MOST_OPEN = 16
 
 
 class CameraChoice:
-    """Takes telecommands, and says which camera's pictures go on.
+    """Takes telecommands, and says which camera the sender of the picture is to take.
 
-    After `handle_packet` and `handle_state` send what `poll_transmit` gives until None. `restamp`
-    numbers each one that goes on.
+    After `handle_packet` publish `choice` for the sender; give what the sender confirms to
+    `handle_confirmed`. After each input send what `poll_transmit` returns until None.
+
+    A telecommand is acknowledged when the sender has confirmed the choice that it led to: from then
+    on nothing of another camera is coded or sent. Either process may be killed at any time. A new
+    selector numbers its choice anew, and the repeated telecommand waits for that number. A new
+    sender confirms what it hears first. Publish the choice, and the confirmation, again and again:
+    who begins late then learns of it.
     """
 
     def __init__(self, setup: Setup, probe: Probe, *, now_ns: int, selected: str = "") -> None:
@@ -37,12 +45,21 @@ class CameraChoice:
         self._telecommands = TelecommandReceiver()
         known = selected if selected in setup.cameras else setup.cameras[0]
         self._selector = Selector(setup.cameras, known)
-        self._numbers = count()
+        #: The clock never goes back: a restarted selector's first number is above all before.
+        self._number = now_ns
+        self._confirmed: int | None = None
+        #: Executed telecommands that are not acknowledged yet, with the numbers they wait for.
+        self._open: deque[tuple[SelectCamera, int]] = deque(maxlen=_MOST_OPEN)
         self._housekeeping_ns = now_ns
 
     @property
     def selected(self) -> str:
         return self._selector.selected
+
+    @property
+    def choice(self) -> Choice:
+        """What the sender has to know."""
+        return Choice(self._number, self.selected)
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> bool:
         """A datagram of the telecommand port; True if another camera is selected now."""
@@ -50,12 +67,29 @@ class CameraChoice:
         before = self.selected
         while (request := self._telecommands.next_event()) is not None:
             try:
-                self._selector.handle_select(request.name, now_ns)
-                ok = True
+                changed = self._selector.handle_select(request.name, now_ns).changed
             except ProtocolError:
-                ok = False
-            self._telecommands.handle_result(request, ok=ok, selected=self.selected, now_ns=now_ns)
+                self._telecommands.handle_result(
+                    request, ok=False, selected=self.selected, now_ns=now_ns
+                )
+                continue
+            if changed:
+                self._number = max(now_ns, self._number + 1)
+            self._open.append((request, self._number))
+        self._acknowledge(now_ns)
         return self.selected != before
+
+    def handle_confirmed(self, number: int, now_ns: int) -> None:
+        """The sender has done with what was selected before the choice of this number."""
+        self._confirmed = number
+        self._acknowledge(now_ns)
+
+    def _acknowledge(self, now_ns: int) -> None:
+        while self._open and self._confirmed is not None and self._open[0][1] <= self._confirmed:
+            request, _ = self._open.popleft()
+            self._telecommands.handle_result(
+                request, ok=True, selected=self.selected, now_ns=now_ns
+            )
 
     def poll_timeout(self) -> int:
         """When `handle_state` is due."""
@@ -71,10 +105,6 @@ class CameraChoice:
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """The next packet of telemetry. Call until None."""
         return self._telecommands.poll_transmit(now_ns)
-
-    def restamp(self, stamp: CaptureStamp) -> CaptureStamp:
-        """The stamp of a picture that goes on: its sequence counts all cameras'."""
-        return replace(stamp, sequence=next(self._numbers))
 
     def tell(self) -> None:
         """Put the counters into the probe."""

@@ -1,33 +1,39 @@
-"""The selector's process: forwards the selected camera, and takes the telecommands."""
+"""The selector's process: takes the telecommands, and tells the sender which camera to follow.
 
-import numpy as np
+It touches no picture. A choice is kept in a file, then published, and acknowledged when the sender
+has confirmed it.
+"""
 
+from itertools import count
+
+from kontur_av.media import CaptureStamp
 from kontur_av.topics.session_files import session_root
 from pipelines.cores.choosing import CameraChoice
+from pipelines.cores.following import CHOICE_OCTETS, unpack_confirmed
 from pipelines.parts.reception import replace_file
 from pipelines.parts.robot_state import newest_state
 from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
-from pipelines.topology import SELECTED_TOPIC, TELECOMMAND, TELEMETRY
+from pipelines.topology import FOLLOWED_TOPIC, SELECTED_TOPIC, TELECOMMAND, TELEMETRY
 
 
 def run_selector(context: Context) -> None:
-    """One camera's pictures into the topic of the sender, until a telecommand names another."""
-    clock, setup = context.clock, context.setup
-    video, topology = setup.uplink_video, context.topology
+    """Keep the choice of the camera, and change it by telecommand."""
+    clock, topology = context.clock, context.topology
     # A selector that was killed goes on where it was.
     remembered = session_root(context.session) / "selected"
     known = remembered.read_text("ascii") if remembered.exists() else ""
-    choice = CameraChoice(setup, context.probe, now_ns=clock.now_ns(), selected=known)
+    choice = CameraChoice(context.setup, context.probe, now_ns=clock.now_ns(), selected=known)
     udp = context.listen(topology.exit_port(TELECOMMAND))
     gateway = (LOOPBACK, topology.entry_port(TELEMETRY))
     context.on_flush(choice.tell)
+    numbers = count()
     with context.open_bus() as bus:
-        writer = bus.writer(SELECTED_TOPIC, max_octets=video.width * video.height * 3 // 2)
+        writer = bus.writer(SELECTED_TOPIC, max_octets=CHOICE_OCTETS)
+        reader = bus.reader(FOLLOWED_TOPIC)
         state_at = newest_state(bus)
-        reader = bus.reader(topology.camera(choice.selected).topic)
         waiter = bus.waiter([reader], [udp.fileno()])
+        publish_ns = 0
         while not context.stopping:
-            waiter.wait(PATIENCE_NS)
             now_ns = clock.now_ns()
             context.tick(now_ns)
             changed = False
@@ -35,18 +41,18 @@ def run_selector(context: Context) -> None:
                 changed |= choice.handle_packet(datagram, now_ns)
             if changed:
                 replace_file(remembered, choice.selected.encode("ascii"))
-                del waiter
-                reader.close()
-                reader = bus.reader(topology.camera(choice.selected).topic)
-                waiter = bus.waiter([reader], [udp.fileno()])
+            if changed or now_ns >= publish_ns:
+                # Again and again, for a sender that has begun since.
+                publish_ns = now_ns + PATIENCE_NS
+                stamp = CaptureStamp(now_ns, next(numbers), "selector")
+                writer.publish_octets(choice.choice.pack(), stamp)
+            confirmed = reader.latest()
+            if confirmed is not None:
+                with confirmed:
+                    choice.handle_confirmed(unpack_confirmed(confirmed.octets()), now_ns)
             if now_ns >= choice.poll_timeout():
                 choice.handle_state(state_at(now_ns), now_ns)
             while (packet := choice.poll_transmit(now_ns)) is not None:
                 udp.sendto(packet, gateway)
-            lease = reader.latest()
-            if lease is not None:
-                with lease:
-                    loan = writer.loan_picture(video.width, video.height)
-                    np.copyto(loan.picture, lease.video().data)
-                    loan.publish(choice.restamp(lease.stamp))
+            waiter.wait(PATIENCE_NS)
         del waiter

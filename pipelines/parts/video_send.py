@@ -1,11 +1,15 @@
 """A video stream's sending process: topic -> encoder -> pacer -> RTP to the gateway."""
 
 import secrets
+from dataclasses import replace
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
-from kontur_av.topics.bus import Lease
+from kontur_av.topics.bus import Lease, Reader, TopicBus
+from pipelines.cores.following import CONFIRMED_OCTETS, CameraFollower, Choice, pack_confirmed
 from pipelines.cores.gain import gain_of
 from pipelines.cores.session_streams import video_sender
 from pipelines.cores.stream_figures import tell_sender
@@ -13,11 +17,18 @@ from pipelines.cores.video_sending import LinkedVideoSender
 from pipelines.parts.sending import to_gateway
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.table import VideoStream
+from pipelines.topology import FOLLOWED_TOPIC, SELECTED_TOPIC
 from telepresence.link.backlog import Backlog
 
+#: How long to sleep at least while a switch keeps the sender from encoding.
+_SWITCH_NS = NS_PER_MS
 
-def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None:
-    """Send the newest picture of `topic` whenever the channel is about to run dry."""
+
+def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) -> None:
+    """Send the newest picture of `topic` whenever the channel is about to run dry.
+
+    topic: None for the camera that the selector's choice names.
+    """
     switch_threads_often()
     clock, probe = context.clock, context.probe
     encoder = H264Encoder(
@@ -39,19 +50,36 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
         # It ends before the bus does: till then it may be reading shared memory.
         EncodingThread(encoder, clock) as encoding,
     ):
-        reader = bus.reader(topic)
+        selection = None if topic is not None else Selection(context, bus)
+        reader = None if topic is None else bus.reader(topic)
         backlog_reader = bus.reader(row.backlog_topic)
-        waiter = bus.waiter([reader], [feedback.fileno(), encoding.fileno()])
+        sockets = [feedback.fileno(), encoding.fileno()]
+        waiter = bus.waiter(_wakers(reader, selection), sockets)
         # The newest picture, held until it is encoded or a newer one comes, and the one that is
         # being encoded.
         held: Lease | None = None
         encoded: Lease | None = None
+        #: Of cameras that were selected before: closed when no picture of theirs is encoded.
+        retired: list[Reader] = []
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             due_ns = sender.poll_timeout()
-            waiter.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
-            if reader.has_new():
+            wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns)
+            if selection is not None and selection.waits:
+                # The scheduler asks for a picture that must not be encoded, or is yet to come.
+                wait_ns = max(wait_ns, _SWITCH_NS)
+            waiter.wait(wait_ns)
+            if selection is not None and selection.handle_choice():
+                if held is not None:
+                    held.release()
+                    held = None
+                if reader is not None:
+                    retired.append(reader)
+                reader = bus.reader(selection.topic)
+                del waiter
+                waiter = bus.waiter(_wakers(reader, selection), sockets)
+            if reader is not None and reader.has_new():
                 if held is not None:
                     # First, because a reader holds no more than two and one that it takes.
                     held.release()
@@ -60,6 +88,8 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
                 if held is not None:
                     skipped = reader.skipped - skipped
                     sender.handle_picture(held.stamp, clock.now_ns(), skipped=skipped)
+                    if selection is not None:
+                        selection.handle_picture()
             told = backlog_reader.latest()
             if told is not None:
                 with told:
@@ -78,14 +108,89 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str) -> None
                 encoded = None
                 sender.handle_access_unit(done.unit, done.encoded_ns)
                 outgoing.handle_time(clock.now_ns())
-            if held is not None:
+            if encoded is None:
+                for old in retired:
+                    old.close()
+                retired.clear()
+            if selection is not None:
+                selection.handle_sender(
+                    idle=encoded is None and not sender.backlog_octets, now_ns=clock.now_ns()
+                )
+            if held is not None and (selection is None or selection.may_encode):
                 coding = linked.poll_encode(clock.now_ns())
                 if coding is not None:
-                    encoding.submit(held.video(), coding)
+                    frame = held.video()
+                    if selection is not None:
+                        frame = replace(frame, stamp=selection.restamp(frame.stamp))
+                    encoding.submit(frame, coding)
                     held, encoded = None, held
         encoding.close()
         for lease in (held, encoded):
             if lease is not None:
                 lease.release()
+        for old in retired:
+            old.close()
         outgoing.close(clock.now_ns())
         del waiter
+
+
+class Selection:
+    """The choice of the camera as the sender sees it, and its confirmation, as topics."""
+
+    def __init__(self, context: Context, bus: TopicBus) -> None:
+        self._topology = context.topology
+        self._follower = CameraFollower()
+        self.reader = bus.reader(SELECTED_TOPIC)
+        self._writer = bus.writer(FOLLOWED_TOPIC, max_octets=CONFIRMED_OCTETS)
+        self._told: int | None = None
+        self._told_ns = 0
+        #: No picture has come since another camera was selected.
+        self._new = False
+        self.restamp = self._follower.restamp
+
+    @property
+    def topic(self) -> str:
+        """Where the pictures of the selected camera are."""
+        assert self._follower.camera is not None
+        return self._topology.camera(self._follower.camera).topic
+
+    @property
+    def may_encode(self) -> bool:
+        """Whether nothing of the camera before is under way."""
+        return not self._follower.leaving
+
+    @property
+    def waits(self) -> bool:
+        """Whether no picture can be encoded because another camera was selected."""
+        return self._new or self._follower.leaving
+
+    def handle_choice(self) -> bool:
+        """Look at the choice; whether it is another camera now."""
+        lease = self.reader.latest()
+        if lease is None:
+            return False
+        with lease:
+            changed = self._follower.handle_choice(Choice.unpack(lease.octets()))
+        self._new = self._new or changed
+        return changed
+
+    def handle_picture(self) -> None:
+        """A picture of the selected camera has come."""
+        self._new = False
+
+    def handle_sender(self, *, idle: bool, now_ns: int) -> None:
+        """idle: nothing is being encoded, and nothing waits to be sent. Confirms what it can."""
+        follower = self._follower
+        follower.handle_sender(idle=idle)
+        number = follower.confirmed
+        if number is None or (number == self._told and now_ns - self._told_ns < PATIENCE_NS):
+            return
+        # Again and again, for a selector that has begun since.
+        self._told, self._told_ns = number, now_ns
+        self._writer.publish_octets(pack_confirmed(number), CaptureStamp(now_ns, number, "sender"))
+
+
+def _wakers(reader: Reader | None, selection: Selection | None) -> list[Reader]:
+    """Whose new samples wake the sender."""
+    wakers = [] if reader is None else [reader]
+    return wakers if selection is None else [*wakers, selection.reader]

@@ -7,7 +7,7 @@ from random import Random
 
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity
-from pipelines.cores.choosing import CameraChoice
+from pipelines.cores.following import CameraFollower
 from pipelines.cores.gain import gain_of
 from pipelines.cores.session_streams import (
     video_receiver,
@@ -75,13 +75,15 @@ class Scene:
 class Media:
     """All inputs and streams of a setup.
 
+    on_confirmed: called with the number of a choice that the sender has confirmed, and the instant.
     consumers: by flow, to be called with (datagram, now_ns) that come out of the link.
+    handle_choice: to be called with each choice of the camera, and the instant.
     """
 
-    def __init__(self, scene: Scene, choice: CameraChoice) -> None:
+    def __init__(self, scene: Scene, on_confirmed: Callable[[int, int], None]) -> None:
         self.consumers: dict[str, Consumer] = {}
         self._scene = scene
-        self._choice = choice
+        self._on_confirmed = on_confirmed
         self._receivers: list[VideoReceiveProcess | VoiceReceiveProcess] = []
         #: All that was shown by then is known.
         self._settled_ns = scene.start_ns
@@ -113,10 +115,13 @@ class Media:
         setup, stream = self._scene.setup, self._scene.setup.uplink_video
         studio = self._studio(stream, setup.camera_inputs)
         sender = self._video_sender(stream, self._scene.ground, studio)
+        follower = sender.follower = CameraFollower()
+        sender.on_confirmed = self._on_confirmed
+        self.handle_choice = sender.handle_choice
 
         def select(camera: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
-            if camera == self._choice.selected:
-                sender.handle_picture(picture, self._choice.restamp(stamp), now_ns)
+            if camera == follower.camera:
+                sender.handle_picture(picture, follower.restamp(stamp), now_ns)
 
         stereo = None
         if STEREO in setup.cameras:

@@ -7,6 +7,7 @@ from functools import partial
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_sender import VoiceSender
+from pipelines.cores.following import CameraFollower, Choice
 from pipelines.cores.gain import CapGain
 from pipelines.cores.stream_figures import Outgoing, tell_sender
 from pipelines.cores.video_sending import LinkedVideoSender
@@ -78,6 +79,10 @@ class VideoSendProcess(_Process):
         self._studio = studio
         self._cost_ns = costs.ns("encode")
         self._newest: tuple[Picture, CaptureStamp] | None = None
+        #: Of a sender that follows the selected camera.
+        self.follower: CameraFollower | None = None
+        self.on_confirmed: Callable[[int, int], None] | None = None
+        self._confirmed: int | None = None
         self.handle_feedback = sender.handle_feedback
 
     def tell(self) -> None:
@@ -90,6 +95,31 @@ class VideoSendProcess(_Process):
         self._core.handle_picture(stamp, now_ns)
         self._wake(now_ns)
 
+    def handle_choice(self, choice: Choice, now_ns: int) -> None:
+        """The selector says which camera to take."""
+        assert self.follower is not None
+        if self.follower.handle_choice(choice):
+            self._newest = None
+        self._confirm(now_ns)
+
+    def _confirm(self, now_ns: int) -> None:
+        """Tell the selector of a choice when nothing of another camera is under way."""
+        follower = self.follower
+        if follower is None:
+            return
+        idle = not self._busy and not self._core.backlog_octets
+        ended = follower.handle_sender(idle=idle)
+        number = follower.confirmed
+        if number is not None and number != self._confirmed and self.on_confirmed is not None:
+            self._confirmed = number
+            self.on_confirmed(number, now_ns)
+        if ended:
+            self._look(now_ns)
+
+    def _send_due(self, now_ns: int) -> None:
+        super()._send_due(now_ns)
+        self._confirm(now_ns)
+
     def _wake(self, now_ns: int) -> None:
         self._linked.handle_freed(self._gateway.freed_bps, now_ns)
         self._look(now_ns)
@@ -97,6 +127,8 @@ class VideoSendProcess(_Process):
 
     def _look(self, now_ns: int) -> None:
         if self._busy or self._newest is None:
+            return
+        if self.follower is not None and self.follower.leaving:
             return
         gateway = self._gateway
         self._core.handle_channel(

@@ -116,7 +116,8 @@ class Simulation:
                 state_at=self._state_at,
                 start_ns=_START_NS,
             )
-            self._media = Media(scene, self._choice)
+            self._media = Media(scene, self._confirm)
+            self._media.handle_choice(self._choice.choice, _START_NS)
         consumers: dict[str, Consumer] = self._media.consumers if self._media else {}
         self._consumers = {
             **consumers,
@@ -279,11 +280,22 @@ class Simulation:
 
     def _take_telecommand(self, data: bytes, now_ns: int) -> None:
         self._choice.handle_packet(data, now_ns)
+        if self._media is not None:
+            self._media.handle_choice(self._choice.choice, now_ns)
+        else:
+            self._choice.handle_confirmed(self._choice.choice.number, now_ns)
         self._choice_sends(now_ns)
+
+    def _confirm(self, number: int, now_ns: int) -> None:
+        self._choice.handle_confirmed(number, now_ns)
+        self._acknowledge(now_ns)
+
+    def _acknowledge(self, now_ns: int) -> None:
+        while (packet := self._choice.poll_transmit(now_ns)) is not None:
+            self._ground.handle_datagram(TELEMETRY, packet, now_ns)
 
     def _choice_sends(self, now_ns: int) -> None:
         if now_ns >= self._choice.poll_timeout():
             self._choice.handle_state(self._state_at(now_ns), now_ns)
-        while (packet := self._choice.poll_transmit(now_ns)) is not None:
-            self._ground.handle_datagram(TELEMETRY, packet, now_ns)
+        self._acknowledge(now_ns)
         self._choice_timer.set(self._choice.poll_timeout(), now_ns)

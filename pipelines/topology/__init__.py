@@ -12,7 +12,7 @@ lists the processes with their topics. A new process is a new row there and a mo
 
 from pipelines.setup.segments import Direction, Segment
 from pipelines.topology.build import topology_of
-from pipelines.topology.processes import ROBOT_TOPIC, SELECTED_TOPIC
+from pipelines.topology.processes import FOLLOWED_TOPIC, ROBOT_TOPIC, SELECTED_TOPIC
 from pipelines.topology.rows import (
     LOOP_PRIORITY,
     VOICE_PRIORITY,
@@ -32,6 +32,7 @@ from pipelines.topology.streams import TELECOMMAND, TELEMETRY
 from pipelines.topology.table import Topology
 
 __all__ = [
+    "FOLLOWED_TOPIC",
     "LOOP_PRIORITY",
     "ROBOT_TOPIC",
     "SELECTED_TOPIC",

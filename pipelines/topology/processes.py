@@ -20,8 +20,9 @@ from pipelines.topology.table import Topology
 
 #: The state of the robot, from which the built-in scenes draw.
 ROBOT_TOPIC = "robot/state"
-#: What goes up: the picture of the camera that is selected.
+#: Which camera the sender of the uplink video is to take, and which choice it has confirmed.
 SELECTED_TOPIC = "selected/uplink_video"
+FOLLOWED_TOPIC = "followed/uplink_video"
 
 
 def process_rows(session: Topology, *, joystick: str, snapshots: bool) -> tuple[ProcessRow, ...]:
@@ -38,7 +39,8 @@ def topic_rows(session: Topology) -> Iterable[TopicRow]:
     samples = {
         ROBOT_TOPIC: "instant, place of the tip, force and contact",
         STEREO_TOPIC: "two pictures side by side",
-        SELECTED_TOPIC: "picture of the selected camera",
+        SELECTED_TOPIC: "name of the selected camera, number of the choice",
+        FOLLOWED_TOPIC: "number of the choice that the sender has confirmed",
     }
     for row in session.inputs:
         video = isinstance(session.media(row.stream).stream, VideoStream)
@@ -91,11 +93,16 @@ def _ground(session: Topology) -> Iterable[ProcessRow]:
         segment=Segment.GROUND,
         stage=Stage.RELAY,
         run="pipelines.parts.selector:run_selector",
-        reads=(*(camera.topic for camera in session.cameras), ROBOT_TOPIC),
+        reads=(FOLLOWED_TOPIC, ROBOT_TOPIC),
         writes=(SELECTED_TOPIC,),
-        what="forwards the camera that telecommands select",
+        what="tells the sender which camera telecommands select",
     )
-    yield _send(video, SELECTED_TOPIC)
+    cameras = tuple(camera.topic for camera in session.cameras)
+    yield replace(
+        _send(video, None),
+        reads=(SELECTED_TOPIC, *cameras, video.backlog_topic),
+        writes=(FOLLOWED_TOPIC,),
+    )
     if setup.uplink_voice is not None:
         yield from _say(session, setup.uplink_voice.name)
     yield from _end(session, Segment.GROUND)
@@ -165,7 +172,7 @@ def _say(session: Topology, stream: str) -> Iterable[ProcessRow]:
     yield _send(media, session.input(name).topic)
 
 
-def _send(media: MediaRow, topic: str) -> ProcessRow:
+def _send(media: MediaRow, topic: str | None) -> ProcessRow:
     video = media.kind is Kind.VIDEO
     return ProcessRow(
         name=media.sender,
@@ -176,7 +183,7 @@ def _send(media: MediaRow, topic: str) -> ProcessRow:
         else "pipelines.parts.voice_send:run_voice_send",
         arguments={"stream": media.stream, "topic": topic},
         priority=0 if video else VOICE_PRIORITY,
-        reads=(topic, media.backlog_topic) if video else (topic,),
+        reads=(*((topic,) if topic else ()), *((media.backlog_topic,) if video else ())),
         what="encodes and sends pictures" if video else "encodes and sends sound",
     )
 

@@ -10,7 +10,7 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import Quality
 from pipelines.commands.simulate import simulate
-from pipelines.cores.choosing import CameraChoice
+from pipelines.cores.following import CameraFollower
 from pipelines.cores.showing import Showing
 from pipelines.setup.setup_file import load_setup
 from pipelines.simulation.session import Selection
@@ -75,14 +75,14 @@ def test_a_loss_without_a_loss_of_signal_heals_after_a_round_trip(tmp_path, show
 
 def test_another_camera_is_seen_within_150_ms(tmp_path, shown, monkeypatch):
     captured = []
-    restamp = CameraChoice.restamp
+    restamp = CameraFollower.restamp
 
     def record(self, stamp):
-        if self.selected == "static":
+        if self.camera == "static":
             captured.append(stamp.capture_ns)
         return restamp(self, stamp)
 
-    monkeypatch.setattr(CameraChoice, "restamp", record)
+    monkeypatch.setattr(CameraFollower, "restamp", record)
     asked_ns = 2 * NS_PER_S
     session(tmp_path, seconds=2.6, selections=[Selection(asked_ns, "static")])
     first_ns = next(now_ns for capture_ns, now_ns, _ in shown if capture_ns >= captured[0])

@@ -3,7 +3,7 @@
 import pytest
 
 from kontur_av.errors import ConfigError, ProtocolError
-from kontur_av.sources.selector import Selector
+from pipelines.cores.camera_selector import Selector
 
 
 def test_switches_and_counts():
