@@ -22,6 +22,7 @@ from pipelines.report.skew import RECENT_DEPTH, LipSyncShare, Recent, Skew
 from pipelines.report.sync.figures import PERCEIVED, SyncFigures
 from pipelines.report.terms import LONGEST_GAP_NS, Way
 from pipelines.runtime.probe import FLUSH_NS, Message
+from pipelines.runtime.rows import WIDTHS
 from pipelines.topology import Topology
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.sample import SAMPLE_OCTETS
@@ -44,24 +45,6 @@ STAGES = ("capture_to_encoded", "encoded_to_sent", "sent_to_received", "received
 
 #: An input that tells twice a second has paused if its captures lie this far apart.
 _PAUSE_NS = 3 * FLUSH_NS
-
-#: Series of rows and their widths.
-_WIDTHS = {
-    "out": 3,
-    "tx": 4,
-    "coding": 5,
-    "rx": 2,
-    "decoded": 2,
-    "shown": 3,
-    "haptic_tx": 2,
-    "haptic_rx": 2,
-    "lateness": 1,
-    "sending": 1,
-    "contact": 2,
-    "light": 4,
-    "click": 4,
-    "step": 1,
-}
 
 
 @dataclass(slots=True)
@@ -393,7 +376,7 @@ class Collector:
         self, process: str, figures: ProcessFigures, series: str, values: array[int], now_ns: int
     ) -> None:
         kind, _, stream = series.partition(".")
-        rows = np.frombuffer(values, np.int64).reshape(-1, _WIDTHS[kind])
+        rows = np.frombuffer(values, np.int64).reshape(-1, WIDTHS[kind])
         if kind in PERCEIVED:
             self.sync.handle_rows(kind, stream, rows.tolist())
             return
