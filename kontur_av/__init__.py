@@ -1,8 +1,7 @@
 """Real-time media for thin links: from a camera or a microphone to RTP packets, and back.
 
-Knows no robot and no radio; useful alone. What is listed here is the interface for users of the
-library, whatever module it stands in. Names are loaded when they are first used, because codecs and
-RTP take long to import.
+This package needs no robot and no radio. The names below are its public interface. Each is imported
+at its first use, because codecs and RTP take long to import.
 
 All instants are integer nanoseconds of one clock, most often a `MonotonicClock`. The four streams
 (`VideoSender`, `VideoReceiver`, `VoiceSender`, `VoiceReceiver`) are cores: they open no socket and
@@ -114,7 +113,7 @@ _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> object:
-    """PEP 562: import a name's module when the name is first used."""
+    """Import the module of a name at its first use (PEP 562)."""
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value: object = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)

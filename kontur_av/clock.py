@@ -1,7 +1,7 @@
-"""The one place that asks for the time.
+"""The only module that asks the system for the time.
 
-All stamps are integer nanoseconds of one clock. On one machine this is CLOCK_MONOTONIC,
-which all processes share, so that a latency is a plain difference of two stamps.
+All stamps are integer nanoseconds of one clock. On one machine this is CLOCK_MONOTONIC, which all
+processes share. So a latency is the difference of two stamps.
 """
 
 import time
@@ -16,10 +16,10 @@ NTP_UNIX_OFFSET_S = 2_208_988_800
 
 
 class Clock(Protocol):
-    """What a thin shell asks for the time. Cores never do: they are given `now_ns`."""
+    """The clock of a shell. Cores have none: their caller passes `now_ns`."""
 
     def now_ns(self) -> int:
-        """The present instant in nanoseconds of this clock."""
+        """Return the present instant of this clock in ns."""
         ...
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
@@ -28,13 +28,13 @@ class Clock(Protocol):
 
 
 class MonotonicClock:
-    """CLOCK_MONOTONIC, with one offset to wall time that is fixed when it is made.
+    """CLOCK_MONOTONIC, with a fixed offset to wall time.
 
-    The offset is fixed, because NTP may step or slew the wall clock while a session runs:
-    the sender reports of one session must all lie on one straight line. Processes of one
-    session share the offset, so that their NTP times can be compared to the nanosecond.
+    NTP may step or slew the wall clock during a session, but its sender reports must lie on one
+    straight line. So the offset is fixed. Processes of one session share it, so that their NTP
+    times can be compared.
 
-    wall_offset_ns: an instant of this clock plus this is the Unix time in nanoseconds.
+    wall_offset_ns: Unix time in ns minus this clock's time. None: measured now.
     """
 
     def __init__(self, wall_offset_ns: int | None = None) -> None:
@@ -42,7 +42,7 @@ class MonotonicClock:
             time.time_ns() - time.monotonic_ns() if wall_offset_ns is None else wall_offset_ns
         )
 
-    #: The system's own function: a call of Python less for what all loops ask for most.
+    #: The system's function itself: it saves a Python call in every loop.
     now_ns = staticmethod(time.monotonic_ns)
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
@@ -52,7 +52,7 @@ class MonotonicClock:
 
 
 class ManualClock:
-    """Virtual time: it stands still until it is moved. Its instants are Unix times."""
+    """Virtual time, which moves only when it is told to. Its instants are Unix times."""
 
     wall_offset_ns = 0
 
@@ -66,7 +66,7 @@ class ManualClock:
         self._now_ns = max(self._now_ns, deadline_ns)
 
     def advance_ns(self, by_ns: int) -> int:
-        """Move the clock forward; the new instant."""
+        """Move the clock forward by `by_ns`, at least 0, and return the new instant in ns."""
         if by_ns < 0:
             raise ValueError("time does not run backwards")
         self._now_ns += by_ns
@@ -74,14 +74,14 @@ class ManualClock:
 
 
 def ntp_from_unix_ns(unix_ns: int) -> int:
-    """A Unix time in nanoseconds as a 64-bit NTP timestamp (32.32 fixed point, RFC 5905)."""
+    """Convert a Unix time in ns to a 64-bit NTP timestamp (32.32 fixed point, RFC 5905)."""
     seconds, rest_ns = divmod(unix_ns, NS_PER_S)
-    # Rounded, so that a stamp survives the way there and back to the nanosecond.
+    # Rounded, so that conversion there and back returns the same nanosecond.
     fraction = ((rest_ns << 32) + NS_PER_S // 2) // NS_PER_S
     return ((seconds + NTP_UNIX_OFFSET_S) << 32) + fraction
 
 
 def unix_ns_from_ntp(ntp: int) -> int:
-    """The Unix time in nanoseconds that a 64-bit NTP timestamp names (RFC 5905)."""
+    """Convert a 64-bit NTP timestamp to a Unix time in ns (RFC 5905)."""
     seconds, fraction = ntp >> 32, ntp & 0xFFFF_FFFF
     return (seconds - NTP_UNIX_OFFSET_S) * NS_PER_S + ((fraction * NS_PER_S + (1 << 31)) >> 32)

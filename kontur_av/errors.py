@@ -1,9 +1,9 @@
-"""Whose fault is it? Each error class answers for one party."""
+"""Error classes, one for each party that can be at fault."""
 
 
 class ConfigError(Exception):
-    """The user's mistake: one line that names the mend. The command exits with code 2."""
+    """The user's mistake. Its message is one line that names the mend; commands exit with 2."""
 
 
 class ProtocolError(Exception):
-    """The peer's garbage: counted and dropped by its receiver, never a crash."""
+    """Garbage from the peer. Its receiver counts and drops it, and goes on."""

@@ -1,4 +1,4 @@
-"""The values that travel: pictures, sound and coded pictures, each with its CaptureStamp."""
+"""Pictures, blocks of sound and coded pictures, each with its CaptureStamp."""
 
 import re
 from dataclasses import dataclass
@@ -35,25 +35,25 @@ NEUTRAL_CHROMA = 128
 
 
 class Quality(IntEnum):
-    """How much of what was sent is in a picture or a block of sound."""
+    """Whether a loss shows in a picture or a block of sound."""
 
-    #: All of it, or it was never sent.
+    #: No loss, or it never travelled.
     FRESH = 0
-    #: A picture that shows a loss, its own or that of a picture it refers to.
+    #: A picture that shows a loss: its own, or one of a picture to which it refers.
     DAMAGED = 1
-    #: A block of sound that was made up, because it was lost or no Opus.
+    #: A block of sound that was concealed, because its packet was lost or no Opus.
     CONCEALED = 2
 
 
 @dataclass(frozen=True, slots=True)
 class CaptureStamp:
-    """When and where a picture or a block of sound was captured, and what became of it since.
+    """When and where a picture or a block of sound was captured, and whether it shows a loss.
 
-    capture_ns: the instant of capture on the session's clock; for sound that of the first sample.
-    sequence: counts the captures of one source from 0 without a gap; behind a receiver, what the
-        receiver has given out.
+    capture_ns: the instant of capture on the session's clock; of sound, that of its first sample.
+    sequence: counts the captures of one source from 0 without a gap. Behind a receiver it counts
+        the pictures or blocks that the receiver returned.
     source: the name of the input or of the received stream, at most 15 ASCII characters.
-    quality: whether a loss can be seen or heard in it.
+    quality: whether it shows a loss.
     rtp_timestamp: the 32-bit RTP timestamp with which it was received; None if it never travelled.
     """
 
@@ -66,7 +66,7 @@ class CaptureStamp:
 
 @dataclass(frozen=True, slots=True)
 class VideoFrame:
-    """One picture, planar YUV 4:2:0 (`I420`)."""
+    """One picture. data: planar YUV 4:2:0 (`I420`), uint8, shape (height * 3 // 2, width)."""
 
     data: I420
     stamp: CaptureStamp
@@ -82,7 +82,7 @@ class VideoFrame:
 
 @dataclass(frozen=True, slots=True)
 class AudioFrame:
-    """One block of mono sound at 48 kHz."""
+    """One block of mono sound at 48 kHz. samples: int16, shape (n,), most often n = 960."""
 
     samples: Pcm
     stamp: CaptureStamp
@@ -101,20 +101,20 @@ class AccessUnit:
 
 
 def planes(picture: I420) -> tuple[I420, I420, I420]:
-    """Views of the Y, U and V planes, of shapes (h, w), (h/2, w/2), (h/2, w/2)."""
+    """Return views of the Y, U and V planes, of shapes (h, w), (h/2, w/2), (h/2, w/2)."""
     height, width = picture.shape[0] * 2 // 3, picture.shape[1]
     chroma = picture[height:].reshape(2, height // 2, width // 2)
     return picture[:height], chroma[0], chroma[1]
 
 
 def empty_picture(width: int, height: int) -> I420:
-    """An uninitialised I420 picture."""
+    """Return an uninitialised I420 picture; ConfigError as `check_size`."""
     check_size(width, height)
     return np.empty((height * 3 // 2, width), np.uint8)
 
 
 def check_size(width: int, height: int) -> None:
-    """4:2:0 needs an even width and height; the chroma planes' fold needs 4 | height."""
+    """Raise ConfigError unless an `I420` can have this size: width even, height a multiple of 4."""
     if width < 16 or height < 16 or width % 2 or height % 4 or width > 4096 or height > 4096:
         raise ConfigError(
             f"size {width}x{height}: the width must be even, the height a multiple of 4, "
@@ -123,7 +123,7 @@ def check_size(width: int, height: int) -> None:
 
 
 def parse_size(text: str, name: str = "--size") -> tuple[int, int]:
-    """Width and height in WxH; ConfigError, which says `name`, if they are none."""
+    """Return width and height of a text WxH. Raises ConfigError, which names `name`."""
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     if match is None:
         raise ConfigError(f"{name} {text!r}: write WIDTHxHEIGHT, as in 640x480")

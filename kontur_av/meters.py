@@ -1,4 +1,4 @@
-"""What a run is judged by: percentiles of latencies, and bit rates over sliding windows."""
+"""Percentiles of latencies, and bit rates over sliding windows."""
 
 from collections import deque
 from typing import Any
@@ -17,10 +17,10 @@ _BUCKETS = (63 - _SUB_BITS) * _SUB + _SUB
 class Histogram:
     """Counts of non-negative integers (nanoseconds) in log-linear buckets.
 
-    The layout is that of an HDR histogram: exact below 256, from there 128 buckets an octave.
-    A percentile is the middle of its bucket, so it is off by at most 1/256 (0.4 %); count, mean,
-    smallest and largest are exact. Memory is the same 57 kB however long a run lasts, and the
-    histograms of several processes can be merged.
+    The layout is that of an HDR histogram: exact below 256, then 128 buckets an octave. A
+    percentile is the middle of its bucket, so its error is at most 1/256 (0.4 %). Count, mean,
+    smallest and largest value are exact. The memory is always 57 kB, and histograms of several
+    processes can be merged.
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class Histogram:
         flat = values.astype(np.int64).ravel()
         self.negative += int(np.count_nonzero(flat < 0))
         flat = np.maximum(flat, 0)
-        # Above 2**53 the float may round up to the next octave: the index comes out the same.
+        # Above 2**53 the float may round up to the next octave, which gives the same index.
         exponent = np.frexp(flat.astype(np.float64))[1].astype(np.int64)
         shift = np.maximum(exponent - _SUB_BITS - 1, 0)
         np.add.at(self._counts, shift * _SUB + (flat >> shift), 1)
@@ -66,7 +66,7 @@ class Histogram:
         self._max = max(self._max, int(flat.max()))
 
     def merge(self, other: "Histogram") -> None:
-        """Count all that `other` has counted, too."""
+        """Add the counts of `other`."""
         self._counts += other._counts
         self._count += other._count
         self._sum += other._sum
@@ -94,9 +94,9 @@ class Histogram:
         return self._sum / self._count if self._count else 0.0
 
     def percentile(self, p: float) -> float:
-        """The smallest counted value that at least `p` percent (0..100) of all do not exceed.
+        """Return the smallest counted value that at least `p` percent of all do not exceed.
 
-        To within 0.4 %; 0 when nothing was counted.
+        p: from 0 to 100, else ValueError. The error is at most 0.4 %. 0 when nothing was counted.
         """
         if not 0 <= p <= 100:
             raise ValueError(f"percentile {p}: from 0 to 100")
@@ -110,7 +110,7 @@ class Histogram:
         return float(min(max(middle, self._min), self._max))
 
     def summary_ms(self) -> dict[str, float]:
-        """p50, p95, p99 and the exact max in milliseconds, of values in nanoseconds."""
+        """Return p50, p95, p99 and the exact max in milliseconds, of values in nanoseconds."""
         return {
             "p50": self.percentile(50) / NS_PER_MS,
             "p95": self.percentile(95) / NS_PER_MS,
@@ -120,7 +120,7 @@ class Histogram:
 
 
 class _Window:
-    """The octets of the last `length_ns`, and the most there ever were."""
+    """The octets of the last `length_ns`, and the largest number so far."""
 
     def __init__(self, length_ns: int) -> None:
         self.length_ns = length_ns
@@ -141,7 +141,7 @@ class _Window:
         self.most_octets = max(self.most_octets, self.octets)
 
     def octets_until(self, end_ns: int) -> int:
-        """The octets of the window that ends at `end_ns`, or at the last event if that is later."""
+        """Return the octets of the window that ends at `end_ns`, or at a later last event."""
         gone_ns = end_ns - self.length_ns
         if self._events and self._events[0][0] > gone_ns:
             return self.octets
@@ -151,9 +151,9 @@ class _Window:
 class RateMeter:
     """The mean bit rate, and the largest over any sliding window of each length.
 
-    The largest is exact over all half-open windows (t - w, t] of real t: a window's content only
-    grows at an event, so looking at every event is looking everywhere. Memory is bounded by the
-    events of the last window.
+    The largest is exact over all half-open windows (t - w, t] of real t. The content of a window
+    grows only at an event, so it suffices to look at events. The memory holds the events of the
+    last window.
     """
 
     def __init__(self, windows_ns: tuple[int, ...] = (NS_PER_S, 100_000_000)) -> None:
@@ -164,7 +164,7 @@ class RateMeter:
         self.last_ns: int | None = None
 
     def add(self, now_ns: int, octets: int) -> None:
-        """`octets` passed at `now_ns`, which never runs backwards."""
+        """Count `octets` that passed at `now_ns`. Raises ValueError if time runs backwards."""
         if self.last_ns is not None and now_ns < self.last_ns:
             raise ValueError("time does not run backwards")
         if self.first_ns is None:
@@ -176,7 +176,10 @@ class RateMeter:
             window.add(now_ns, octets)
 
     def mean_bps(self, end_ns: int | None = None, start_ns: int | None = None) -> float:
-        """All octets over the time from `start_ns` (the first event) to `end_ns` (the last)."""
+        """Return the mean rate in bit/s from `start_ns` to `end_ns`.
+
+        None: the first, the last event.
+        """
         start = self.first_ns if start_ns is None else start_ns
         end = self.last_ns if end_ns is None else end_ns
         if start is None or end is None or end <= start:
@@ -184,10 +187,13 @@ class RateMeter:
         return self.octets * 8 * NS_PER_S / (end - start)
 
     def last_bps(self, end_ns: int, window_ns: int = NS_PER_S) -> float:
-        """The rate over the newest window: it ends at `end_ns`, or at the last event if later."""
+        """Return the rate in bit/s of the window that ends at `end_ns`, or at a later last event.
+
+        window_ns: one of the lengths metered.
+        """
         octets = self._windows[window_ns].octets_until(end_ns)
         return octets * 8 * NS_PER_S / window_ns
 
     def max_bps(self, window_ns: int = NS_PER_S) -> float:
-        """The largest rate over any window of `window_ns`, one of the lengths metered."""
+        """Return the largest rate in bit/s of any window of `window_ns`, one of those metered."""
         return self._windows[window_ns].most_octets * 8 * NS_PER_S / window_ns

@@ -1,1 +1,1 @@
-"""H.264 and Opus: settings, encoders, decoders, and what heals after a loss."""
+"""H.264 and Opus: settings, encoders, decoders, and how long a loss is seen."""

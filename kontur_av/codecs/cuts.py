@@ -1,10 +1,10 @@
-"""Pictures that have to say everything, and how often they may be late.
+"""Pictures that cannot use the picture before, and how often they may be late.
 
-That is the first picture after a cut, and a key picture that a receiver asked for after a loss. On
-a thin channel it is either late, or coarse for as long as it takes to mend. Late is the better
-choice while it is rare: one in a hundred is what a 99th percentile forgives. Where they come
-faster, pictures are coded in a smaller size, in which that one is on time: measured at 85 kbit/s it
-has 25 dB in 256x192, and 21 in 384x288 where x264 is held to the same octets.
+These are the first picture after a cut, and a key picture that a receiver asked for. On a thin
+channel such a picture is either late or coarse. Late is better while it is rare: one in a hundred
+does not change the 99th percentile. Where such pictures come faster, all are coded in a smaller
+size, in which they are on time. Measured at 85 kbit/s with the same octets: 25 dB in 256x192, 21 dB
+in 384x288.
 """
 
 from collections import deque
@@ -12,40 +12,40 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-#: Luma that has changed by so many steps more than so many times its largest change lately has been
-#: cut. Footage from a moving bicycle: 4 at the median, 18 at the 95th percentile, 43 and more at
-#: its cuts; the scene's cameras: 1, and 20 at a switch.
+#: A cut changes the mean luma by more than `_STEPS` plus `_TIMES` the largest recent change.
+#: Footage from a moving bicycle: 4 at the median, 18 at the 95th percentile, 43 and more at cuts.
+#: The built-in scene's cameras: 1, and 20 at a switch.
 _STEPS = 8.0
 _TIMES = 1.5
-#: Pictures that are lately.
-_LATELY = 8
+#: The number of pictures that count as recent.
+_RECENT = 8
 
-#: Two such pictures within so many come too fast for both to be late.
+#: Two cuts within this many pictures are too close for both to be late.
 RARE = 120
-#: After so many pictures without any, pictures are large again.
+#: After this many pictures without a cut, pictures are large again.
 CALM = 300
 
 
 class Cuts:
     """Follows the pictures of one stream, and says whether they change too often to be large.
 
-    Give it a thumbnail of each picture that is encoded. A core: it counts in pictures.
+    Pass a thumbnail of each encoded picture to `handle_picture`. A core: it counts in pictures.
     """
 
     def __init__(self) -> None:
         self._last: NDArray[np.int16] | None = None
-        self._changes: deque[float] = deque(maxlen=_LATELY)
+        self._changes: deque[float] = deque(maxlen=_RECENT)
         self._since_cut = CALM
         #: Cuts found, and key pictures asked for.
         self.found = 0
-        #: Whether pictures are to be small now.
+        #: Whether to code in the smaller size now.
         self.restless = False
 
     def handle_picture(self, thumbnail: NDArray[np.uint8], *, key: bool = False) -> bool:
-        """Whether this picture is to be small; it changes at cuts, and after a calm time.
+        """Return whether to code this picture in the smaller size.
 
-        thumbnail: luma, of any shape, the same each time. key: it will be a key picture, though
-        nothing was cut.
+        thumbnail: luma, dtype uint8, of any shape, the same shape each time.
+        key: the picture will be a key picture, even without a cut.
         """
         picture = thumbnail.astype(np.int16)
         last, self._last = self._last, picture

@@ -1,10 +1,9 @@
 """Pictures to H.264 access units of nearly constant size, and back (ITU-T H.264, by PyAV).
 
-Encoder: libx264 with zero latency (one access unit out for each picture in) and periodic intra
-refresh: instead of a large IDR picture now and then, a column of intra-coded blocks wanders
-through the picture, so that each access unit takes about as long on the channel as the last.
-Every wave begins with SPS, PPS and a recovery point SEI (clause D.2.8), where a decoder that comes
-late may start.
+The encoder is libx264 with zero latency: one access unit out for each picture in. It uses periodic
+intra refresh: a column of intra-coded blocks moves through the picture, in place of large IDR
+pictures. So each access unit takes about the same time on the channel. Every wave begins with SPS,
+PPS and a recovery point SEI (clause D.2.8), at which a late decoder can start.
 """
 
 from collections.abc import Iterator
@@ -38,27 +37,28 @@ _SEI_USER_DATA_UNREGISTERED = 5
 
 _SCALER = VideoReformatter()
 
-_MOST_PIXELS = 4096 * 4096  # as media.check_size has it
+_MOST_PIXELS = 4096 * 4096  # the limit of media.check_size
 _LIKE_BEFORE = Coding()
 
 
 class H264Encoder:
-    """libx264, set up for a thin channel. The hard cap is the pacer's to keep.
+    """libx264, set up for a thin channel. It aims at the cap; the pacer keeps it.
 
-    width, height: of the pictures that will be given; what `media.check_size` admits.
-    fps: pictures a second that will be given; when some are left out, each access unit keeps its
-        size. A `Coding` changes it.
-    coded_size: (width, height) in which they are coded; None: `h264_settings.coded_size_for`, and
-        where that is smaller, a smaller one yet while cuts or forced key pictures come too fast for
-        it (`cuts.Cuts`), each time from a key picture on. A receiver gets them in this size, and
-        scales them up with `DecodedPicture.scale_into`.
-    refresh_s: from the begin of one refresh wave to the next. A wave takes a picture for each
-        column of macroblocks, or all of this time if that is less; a decoder that joins without
-        a key picture has a whole picture at the end of the first wave that begins.
-    search: "thorough" takes twice the time for pictures of 640x480, and gives 1 dB.
-    preset: libx264's, for what `h264_settings` leaves open.
+    width, height: size of the pictures in pixels, within the limits of `media.check_size`.
+    fps: pictures a second, from 1 to 120. If some are left out, each access unit keeps its size. A
+        `Coding` changes the rate.
+    cap_bps: bits a second of all access units together, at least 10000.
+    coded_size: (width, height) in which pictures are coded. None: `h264_settings.coded_size_for`
+        chooses it. Where that is smaller than the picture, cuts and forced key pictures that come
+        too fast make it smaller again (`cuts.Cuts`). A receiver gets pictures in the coded size,
+        and scales them up with `DecodedPicture.scale_into`.
+    refresh_s: time from the start of one refresh wave to the next. A wave takes one picture for
+        each column of macroblocks, or all of this time if that is less. A decoder that joins
+        without a key picture has a whole picture at the end of the next wave.
+    search: "thorough" takes twice the time for pictures of 640x480, and gains 1 dB.
+    preset: libx264's, for the options that `h264_settings` leaves open.
 
-    Raises ConfigError for what cannot be encoded, or when PyAV has no libx264.
+    Raises ConfigError for a size, rate or cap that cannot be encoded, or when PyAV has no libx264.
     """
 
     def __init__(
@@ -86,11 +86,11 @@ class H264Encoder:
                 f"pictures of {width}x{height} coded as {coded[0]}x{coded[1]}: take no larger size"
             )
         self.width, self.height = width, height
-        #: The size in which pictures are coded, where not too many of them are cuts.
+        #: The size in which pictures are coded, unless cuts come too fast.
         self.coded_size = coded
         #: Access units made so far.
         self.encoded = 0
-        # A stream in its own size keeps it: not every receiver can scale.
+        # A stream in its full size keeps it, because not every receiver can scale.
         self._cuts = Cuts() if coded_size is None and coded != (width, height) else None
         self._settings = H264Settings(
             width=coded[0],
@@ -105,13 +105,13 @@ class H264Encoder:
 
     @property
     def refresh_pictures(self) -> int:
-        """From the begin of one refresh wave to the next."""
+        """Pictures from the start of one refresh wave to the next."""
         return self._settings.refresh_pictures
 
     def encode(self, frame: VideoFrame, coding: Coding = _LIKE_BEFORE) -> AccessUnit:
-        """The one access unit of this picture.
+        """Return the one access unit of this picture.
 
-        ValueError if `frame` has not the size that the encoder was made for.
+        Raises ValueError if `frame` is not of the encoder's size.
         """
         if (frame.width, frame.height) != (self.width, self.height):
             raise ValueError(
@@ -121,7 +121,7 @@ class H264Encoder:
         self._follow(coding)
         data = frame.data
         if self._cuts is not None:
-            # Only here: OpenCV takes longer to load than all the rest of a receiver.
+            # Imported late: OpenCV takes longer to load than all the rest of a receiver.
             from kontur_av.codecs.scaling import thumbnail
 
             self._settle(self._cuts.handle_picture(thumbnail(data), key=force_keyframe))
@@ -131,12 +131,12 @@ class H264Encoder:
             shrink(data, self._small)
             data = self._small
             if (self.encoded == 0 or force_keyframe) and not self._settings.punctual:
-                # Nothing can be seen until it is there. The built-in scene's has a quarter fewer
-                # octets, and is there 25 ms sooner; it is up to 2 dB coarser, 1 dB after 0.3 s.
+                # Nothing is visible before this picture. Measured on the built-in scene: a quarter
+                # fewer octets, 25 ms sooner, up to 2 dB coarser, 1 dB after 0.3 s.
                 soften(data)
         if self._given == 0:
-            # x264 guesses the size of a picture from those before it. Without any it spends a
-            # fifth of what it may: so the first one is coded twice, and goes out the second time.
+            # x264 predicts sizes from earlier pictures. Without any it spends a fifth of the
+            # budget. So the first picture is coded twice, and the second result is sent.
             self._give(data, force_keyframe=True)
             force_keyframe = True
         packet = self._give(data, force_keyframe=force_keyframe)
@@ -145,7 +145,7 @@ class H264Encoder:
         return AccessUnit(unit, frame.stamp, packet.is_keyframe)
 
     def _follow(self, coding: Coding) -> None:
-        """Begin anew if `coding` changes anything; the coded size stays."""
+        """Open a new encoder if `coding` changes rate, refresh or cap; the coded size stays."""
         _, rate_hz, refresh_s, cap_bps = coding
         if rate_hz is None and refresh_s is None and cap_bps is None:
             return
@@ -205,9 +205,9 @@ def _open_encoder(settings: H264Settings) -> VideoCodecContext:
 
 
 def without_user_data(access_unit: bytes) -> bytes:
-    """The access unit without its user data SEI (clause D.2.7).
+    """Return the access unit without its user data SEI (ITU-T H.264 clause D.2.7).
 
-    x264 opens a stream with 650 octets of text about itself: 60 ms of an 85 kbit/s channel.
+    x264 begins a stream with 650 octets of text about itself: 60 ms of an 85 kbit/s channel.
     """
     kept = [
         nal
@@ -219,10 +219,11 @@ def without_user_data(access_unit: bytes) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class DecodedPicture:
-    """A picture that still lies in the decoder's memory; copy it where it shall go.
+    """A picture in the decoder's memory. Copy it to where it is needed.
 
-    timestamp: that of the access unit it came from. corrupt: the decoder knows of damage in it.
-    width, height: its size in pixels, cut down to what an `I420` can hold.
+    timestamp: that of its access unit.
+    corrupt: the decoder found damage in it.
+    width, height: size in pixels, cut down to a size that an `I420` can hold.
     """
 
     timestamp: int
@@ -232,14 +233,17 @@ class DecodedPicture:
     _frame: Any
 
     def copy_to(self, into: I420) -> None:
-        """Write the picture into `into`, of shape (height * 3 // 2, width): one copy, no other."""
+        """Copy the picture once, into `into` of shape (height * 3 // 2, width).
+
+        Raises ValueError if `into` has another shape.
+        """
         if into.shape != (self.height * 3 // 2, self.width):
             raise ValueError(f"room for {into.shape}, picture of {self.width}x{self.height}")
         for view, plane in zip(planes(into), self._planes(), strict=True):
             view[:] = plane
 
     def scale_into(self, into: I420) -> None:
-        """Write the picture into `into`, of shape (h * 3 // 2, w), in that size: no other copy."""
+        """Scale the picture to the size of `into`, of shape (h * 3 // 2, w), and write it there."""
         if into.shape == (self.height * 3 // 2, self.width):
             self.copy_to(into)
             return
@@ -256,42 +260,44 @@ class DecodedPicture:
             yield rows[: self.height // share, : self.width // share]
 
     def to_i420(self) -> I420:
-        """A copy of the picture of its own."""
+        """Return a copy, of shape (height * 3 // 2, width)."""
         picture = empty_picture(self.width, self.height)
         self.copy_to(picture)
         return picture
 
 
 class H264Decoder:
-    """Access units to pictures, one for one and at once. It raises nothing, and counts garbage.
+    """Access units to pictures, one for one and without delay. It counts garbage and never raises.
 
-    It shows its first picture when that is whole: at an IDR picture, or when a whole refresh wave
-    has passed since a recovery point. From then on it shows every picture, also those that suffer
-    from a lost one, with the missing parts filled from the picture before: the next wave cleans
-    them, and an operator rather sees a smear than a still. This is FFmpeg's behaviour without
-    `output_corrupt`; with it, a decoder that joins late would show grey for up to a wave.
+    The first picture is a whole one: an IDR picture, or the end of the first whole refresh wave.
+    From then on every picture is returned, because an operator needs motion more than a clean
+    still. After a loss, missing parts come from the picture before, until the next wave repairs
+    them. This is FFmpeg's behaviour without `output_corrupt`. With that flag, a decoder that joins
+    late would show grey for up to a wave.
 
-    reordered: the stream has pictures out of order (B pictures), which must be held back. Without
-        it a decoder that begins to hold pictures back, because damage made it believe so, is begun
-        anew: it would never stop, and every picture would be late from then on.
+    reordered: the stream has pictures out of order (B pictures), so the decoder must hold some
+        back. False: a decoder that begins to hold pictures back is opened anew. Damage causes
+        that, and every later picture would be late.
     """
 
     def __init__(self, *, reordered: bool = False) -> None:
-        #: Access units that could not be decoded, or not into a picture that fits `I420`.
+        #: Access units that could not be decoded, or whose picture no `I420` can hold.
         self.corrupt_units = 0
-        #: Access units before the first one at which a decoder can start: late, not corrupt.
+        #: Access units before the first one at which a decoder can start; these are not corrupt.
         self.units_before_start = 0
         self.decoded = 0
-        #: How often it was begun anew, because it held pictures back.
+        #: How often the decoder was opened anew, because it held pictures back.
         self.restarts = 0
         self._reordered = reordered
         self._codec = _open_decoder()
 
     def decode(self, data: bytes, timestamp: int) -> list[DecodedPicture]:
-        """The pictures that `data` (Annex B, one access unit) completes: most often one.
+        """Return the pictures that `data` completes: most often one.
 
-        timestamp: any integer below 2**63, for example the RTP timestamp without its wrap-around.
-        A picture stays valid until it is dropped, also past the next call.
+        data: one access unit as an Annex B byte stream.
+        timestamp: any integer below 2**63, for example the RTP timestamp.
+
+        A returned picture stays valid after the next call.
         """
         if not data:
             return []
@@ -300,7 +306,7 @@ class H264Decoder:
         try:
             frames = self._codec.decode(packet)
         except (av.FFmpegError, ValueError):
-            # Garbage from the peer: FFmpeg says so in many ways, and goes on with the next unit.
+            # FFmpeg has many errors for garbage, and goes on with the next unit after each.
             if self.decoded:
                 self.corrupt_units += 1
             else:

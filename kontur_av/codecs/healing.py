@@ -1,4 +1,4 @@
-"""Which pictures are damaged after a loss, and when the refresh has healed them."""
+"""Which pictures are damaged after a loss, and when the intra refresh has healed them."""
 
 from kontur_av.rtp.payload_h264 import NAL_SEI, ReceivedUnit, nal_type, split_annex_b
 
@@ -8,9 +8,9 @@ _SEI_RECOVERY_POINT = 6  # ITU-T H.264 table D-1
 class Healing:
     """Follows a stream of access units in order.
 
-    A loss damages every picture from then on, because each is predicted from the one before. An
-    IDR picture heals at once. A recovery point (ITU-T H.264 clause D.2.8) says after how many
-    pictures all will be right again, if none of them is lost: one wave of the intra refresh.
+    A loss damages every later picture, because each is predicted from the one before. An IDR
+    picture heals at once. A recovery point SEI (ITU-T H.264 clause D.2.8) names the number of
+    pictures after which all are right again, if none is lost.
     """
 
     def __init__(self) -> None:
@@ -18,7 +18,7 @@ class Healing:
         self._left: int | None = None
 
     def handle_unit(self, unit: ReceivedUnit) -> bool:
-        """Whether the picture of `unit` shows damage."""
+        """Return whether the picture of `unit` shows damage."""
         if unit.damaged or unit.lost_before:
             self._damaged = True
             self._left = None
@@ -35,9 +35,9 @@ class Healing:
 
 
 def recovery_pictures(access_unit: bytes) -> int | None:
-    """recovery_frame_cnt of the recovery point SEI in an access unit (Annex B), or None.
+    """Return recovery_frame_cnt of the recovery point SEI in an access unit (ITU-T H.264 D.2.8).
 
-    A garbled one is none.
+    access_unit: an Annex B byte stream. None if there is no such SEI, or it is malformed.
     """
     for nal in split_annex_b(access_unit):
         if nal_type(nal) == NAL_SEI:
@@ -59,7 +59,7 @@ def _recovery_point(messages: bytes) -> int | None:
 
 
 def _number(messages: bytes, at: int) -> tuple[int, int]:
-    """A payloadType or payloadSize (clause 7.3.2.3.1), and where it ends."""
+    """Return a payloadType or payloadSize (ITU-T H.264 clause 7.3.2.3.1), and where it ends."""
     value = 0
     while at < len(messages) and messages[at] == 0xFF:
         value += 0xFF
@@ -68,7 +68,7 @@ def _number(messages: bytes, at: int) -> tuple[int, int]:
 
 
 def _exp_golomb(data: bytes) -> int | None:
-    """The first ue(v) (clause 9.1), of at most 16 bits as frame numbers have."""
+    """Return the first ue(v) (ITU-T H.264 clause 9.1), of at most 16 bits like frame numbers."""
     bits = "".join(f"{octet:08b}" for octet in data[:5])
     zeros = len(bits) - len(bits.lstrip("0"))
     code = bits[zeros : 2 * zeros + 1]

@@ -1,7 +1,7 @@
-"""Give opuslib a libopus: the system's, or else the one that PyAV's wheel carries.
+"""Load opuslib with a libopus: the system's, or else the one in PyAV's wheel.
 
-opuslib looks for a system library the moment it is imported and raises without one. A fresh
-machine often has none, yet PyAV, which we need anyway, brings a whole libopus along.
+opuslib looks for a system library when it is imported, and raises without one. A fresh machine
+often has none, but PyAV's wheel, which is needed anyway, contains a whole libopus.
 """
 
 import ctypes
@@ -17,14 +17,14 @@ from typing import Literal
 
 from kontur_av.errors import ConfigError
 
-#: Where wheels keep their libraries, as seen from the `av` package: auditwheel's and delvewheel's
-#: folder beside it, delocate's inside it.
+#: Folders of a wheel's libraries, relative to the `av` package: auditwheel and delvewheel put them
+#: beside it, delocate inside it.
 _PLACES = (("../av.libs", "*opus*.so*"), (".dylibs", "*opus*.dylib"), ("../av.libs", "*opus*.dll"))
 
 
 @dataclass(frozen=True, slots=True)
 class LibOpus:
-    """The libopus in use. `path` is what the loader was given: a full path or a library's name."""
+    """The libopus in use. path: what the loader was given, a full path or a library's name."""
 
     path: str
     origin: Literal["system", "PyAV"]
@@ -35,9 +35,9 @@ _loaded: LibOpus | None = None
 
 
 def load() -> LibOpus:
-    """Import opuslib with whichever libopus there is. Again: what the first call found.
+    """Import opuslib with the libopus of this machine. Later calls return the first result.
 
-    Raises ConfigError, naming the mend, when there is neither a system libopus nor PyAV's.
+    Raises ConfigError, which names the mend, without a system libopus and PyAV's.
     """
     global _loaded
     if _loaded is None:
@@ -46,7 +46,7 @@ def load() -> LibOpus:
 
 
 def opuslib() -> ModuleType:
-    """The imported opuslib, with its libopus loaded."""
+    """Return the imported opuslib, with its libopus loaded."""
     load()
     return sys.modules["opuslib"]
 
@@ -66,7 +66,7 @@ def _load() -> LibOpus:
 
 
 def carried_by_pyav() -> Path | None:
-    """The libopus in PyAV's wheel, or None (a PyAV that was built against the system's FFmpeg)."""
+    """Return the libopus in PyAV's wheel; None if PyAV was built against the system's FFmpeg."""
     spec = importlib.util.find_spec("av")
     if spec is None or spec.origin is None:
         return None
@@ -86,15 +86,15 @@ def _import_with(path: str) -> None:
     ctypes.util.find_library = found
     try:
         with warnings.catch_warnings():
-            # opuslib compares integers with `is`, which the compiler remarks on.
+            # opuslib compares integers with `is`, of which the compiler warns.
             warnings.simplefilter("ignore", SyntaxWarning)
             importlib.import_module("opuslib")
     except OSError as error:
         raise ConfigError(f"libopus {path} cannot be loaded ({error}): reinstall it") from error
     finally:
         ctypes.util.find_library = find_library
-    # opus_*_ctl are variadic. Told which arguments are not, ctypes passes the others as the
-    # platform wants it: on Apple's arm64 that is the stack, not the registers.
+    # opus_*_ctl are variadic: ctypes must know the fixed arguments, because Apple's arm64 passes
+    # the others on the stack and not in registers.
     for name in ("encoder", "decoder"):
         module = sys.modules[f"opuslib.api.{name}"]
         pointer = getattr(module, f"{name.capitalize()}Pointer")

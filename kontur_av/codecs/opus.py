@@ -13,30 +13,32 @@ from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, MAX_OPUS_SAMPLES, Cap
 
 MAX_PACKET_SAMPLES = MAX_OPUS_SAMPLES
 
-#: Samples a packet may cover: 10, 20, 40 or 60 ms. Voice mode codes nothing shorter (RFC 6716
+#: Samples that a packet may have: 10, 20, 40 or 60 ms. Voice mode has no shorter frames (RFC 6716
 #: section 2.1.4).
 FRAME_SAMPLES = (480, 960, 1920, 2880)
 _LOWEST_BPS, _HIGHEST_BPS = 6_000, 510_000  # RFC 6716 section 2.1.1
 
-#: From this rate on the encoder searches a little less. Measured on the speech in `samples/`, 20 ms
-#: a packet, PESQ wideband and time a packet: at 8 kbit/s complexity 2 gives 1.61 for 0.24 ms, 5
-#: gives 1.72 for 0.32, 8 1.82 for 0.63, 10 the same; at 61 kbit/s 1 gives 3.60 for 0.35 ms, 5
-#: 4.31 for 0.69, 10 4.42 for 1.29.
+#: From this rate on the encoder searches less. Measured on the speech in `samples/`, 20 ms a
+#: packet, as complexity: PESQ wideband, time a packet.
+#: 8 kbit/s: 2: 1.61, 0.24 ms; 5: 1.72, 0.32 ms; 8 and 10: 1.82, 0.63 ms.
+#: 61 kbit/s: 1: 3.60, 0.35 ms; 5: 4.31, 0.69 ms; 10: 4.42, 1.29 ms.
 #:
-#: No in-band copies of the packet before (RFC 6716 section 2.1.7): libopus makes none below 12
-#: kbit/s, whatever loss it is told of; at 61 kbit/s they turn 4.31 into 3.87 where nothing is lost.
-#: They would pay from 1 % of loss on (3.30 against 1.83 at 5 %), for 20 ms more of delay.
+#: There are no in-band copies of the packet before (RFC 6716 section 2.1.7). libopus makes none
+#: below 12 kbit/s. At 61 kbit/s they lower PESQ from 4.31 to 3.87 without loss. They would help
+#: from 1 % of loss on (3.30 against 1.83 at 5 %), for 20 ms more delay.
 _AMPLE_BPS = 24_000
 
 
 def bitrate_under_cap(cap_bps: int, frame_samples: int = BLOCK_SAMPLES) -> int:
-    """The largest bit rate of constant packets that keeps a hard cap even when sends jitter.
+    """Return the largest constant bit rate in bit/s that keeps a hard cap even when sends jitter.
 
-    At exactly `cap_bps` there is no room at all: one packet that leaves a millisecond early and
-    a 1 s window holds 51 of them. Here 52 packets of 20 ms still fit (8 kbit/s: 19 octets each,
-    7600 bit/s; 64 kbit/s: 153 octets, 61 200 bit/s), so a packet may be 20 ms early or late.
-    Raises ConfigError, which names the cap, where Opus has no rate for it: with packets of 20 ms
-    below 6.24 and above 530.4 kbit/s.
+    At exactly `cap_bps`, one packet that leaves a millisecond early would exceed the cap: a window
+    of 1 s then holds 51 of 50 packets. Here 52 packets of 20 ms fit, so a packet may be 20 ms
+    early or late. A cap of 8 kbit/s gives 19 octets a packet, 7600 bit/s; 64 kbit/s gives 153
+    octets, 61 200 bit/s.
+
+    Raises ConfigError, which names the cap, where Opus has no such rate. With packets of 20 ms
+    these are caps below 6.24 and above 530.4 kbit/s.
     """
     packets = -(-AUDIO_CLOCK_HZ // frame_samples) + 2
     octets = cap_bps // 8 // packets
@@ -51,28 +53,30 @@ def bitrate_under_cap(cap_bps: int, frame_samples: int = BLOCK_SAMPLES) -> int:
     return -(-octets * 8 * AUDIO_CLOCK_HZ // frame_samples)
 
 
-#: libopus' look-ahead at 48 kHz in every mode but restricted low delay: the sound of a packet
-#: begins so much before the block that it was made from.
+#: libopus' look-ahead at 48 kHz, in every mode but restricted low delay. The sound of a packet
+#: begins this many samples before its block.
 LOOKAHEAD_SAMPLES = 312
 
 
 def heard_stamp(stamp: CaptureStamp) -> CaptureStamp:
-    """The stamp of what a listener hears of the packet that was made from the block of `stamp`.
+    """Return the stamp of the sound that a listener hears from the packet of this block.
 
-    With it in the sender reports, the codec's look-ahead is part of every latency and of lip-sync.
+    It is earlier by the codec's look-ahead. Sender reports use it, so that latencies and lip-sync
+    include the look-ahead.
     """
     lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
     return replace(stamp, capture_ns=stamp.capture_ns - lookahead_ns)
 
 
 class OpusEncoder:
-    """Voice mode, mono, 48 kHz, hard constant bit rate: every packet has `packet_octets` octets.
+    """Opus in voice mode: mono, 48 kHz, constant bit rate. Every packet has `packet_octets` octets.
 
-    bitrate_bps: bits of the packets alone. 20 ms at 8000 bit/s give 20 octets, at 64 000 160.
+    bitrate_bps: bits a second of Opus packets, headers left out. With 20 ms a packet, 8000 bit/s
+        give 20 octets, 64 000 bit/s 160.
     frame_samples: samples a packet, one of `FRAME_SAMPLES`.
-    complexity: libopus' 0..10, how hard it searches. None: 5 from 24 kbit/s on, else 8.
+    complexity: of libopus, 0 to 10. None: 5 from 24 kbit/s on, else 8.
 
-    Raises ConfigError for what libopus cannot do, or when there is no libopus.
+    Raises ConfigError for a rate or frame that Opus does not have, or without a libopus.
     """
 
     def __init__(
@@ -97,7 +101,10 @@ class OpusEncoder:
         self.lookahead_samples: int = self._encoder.lookahead
 
     def encode(self, samples: Pcm) -> bytes:
-        """One packet of `packet_octets` octets from int16 samples of shape (frame_samples,)."""
+        """Return one packet of `packet_octets` octets.
+
+        samples: int16, shape (frame_samples,); ValueError for any other.
+        """
         if samples.shape != (self.frame_samples,) or samples.dtype != np.int16:
             raise ValueError(f"{samples.dtype}{samples.shape}, not int16({self.frame_samples},)")
         packet: bytes = self._encoder.encode(samples.tobytes(), self.frame_samples)
@@ -105,7 +112,7 @@ class OpusEncoder:
 
 
 class OpusDecoder:
-    """Opus packets to mono sound at 48 kHz, and something to hear where a packet is missing."""
+    """Opus packets to mono sound at 48 kHz, with concealment of missing packets."""
 
     def __init__(self, *, frame_samples: int = BLOCK_SAMPLES) -> None:
         opuslib = libopus.opuslib()
@@ -115,10 +122,10 @@ class OpusDecoder:
         weakref.finalize(self, _free, self._decoder, "decoder_state")
 
     def decode(self, packet: bytes) -> Pcm:
-        """The packet's samples, int16 of shape (n,) with n up to 5760; also sets the length that
-        `conceal` stands in for.
+        """Return the packet's samples, int16, shape (n,), n at most 5760.
 
-        Raises ProtocolError on what is no Opus packet; the decoder goes on with the next one.
+        `conceal` then makes n samples, too. Raises ProtocolError if `packet` is no Opus packet; the
+        decoder goes on with the next one.
         """
         if not packet:
             raise ProtocolError("an empty Opus packet")
@@ -127,17 +134,20 @@ class OpusDecoder:
         return samples
 
     def recover(self, following: bytes, samples: int) -> Pcm:
-        """A lost packet of `samples` samples from the coarse copy in the one after it.
+        """Return a lost packet's sound from the coarse copy in the packet after it.
 
-        That is Opus' in-band error correction (RFC 6716 section 2.1.7); without such a copy it is
-        the same as `conceal`. int16 of shape (samples,). `following` is still to be decoded.
-        Raises ProtocolError on what is no Opus packet.
+        This is Opus' in-band error correction (RFC 6716 section 2.1.7). Without a copy in
+        `following`, the result is that of `conceal`. Decode `following` afterwards as usual.
+
+        Returns int16, shape (samples,). Raises ProtocolError if `following` is no Opus packet.
         """
         return self._received(following, samples, decode_fec=True)
 
     def conceal(self, samples: int | None = None) -> Pcm:
-        """libopus' guess at what is missing: int16 of shape (samples,), fading out from packet to
-        packet. samples: a multiple of 2.5 ms, at most 5760; None: as the packet before had.
+        """Return libopus' estimate of a missing packet, int16, shape (samples,).
+
+        It fades out from packet to packet.
+        samples: a multiple of 120 (2.5 ms), at most 5760. None: as many as the packet before had.
         """
         # libopus takes an empty packet for a lost one (opus_decode).
         wanted = self.frame_samples if samples is None else samples
@@ -152,6 +162,6 @@ class OpusDecoder:
 
 
 def _free(coder: Any, state: str) -> None:
-    # At the interpreter's end opuslib's destructor would fail: it needs modules that are gone.
+    # When the interpreter ends, opuslib's own destructor would fail: its modules are gone by then.
     coder.__del__()
     delattr(coder, state)

@@ -1,25 +1,24 @@
-"""Picture loss indications: the receiver of a damaged picture asks for one that needs no other.
+"""Picture loss indications (PLI): the receiver of a damaged picture asks for a key picture.
 
-RFC 4585 clause 6.3.1 (PLI), sent alone as RFC 5506 allows: 12 octets, on a channel where each
-counts. Healing on demand spares the periodic refresh most of its octets, as long as there is a way
-back.
+A PLI (RFC 4585 section 6.3.1) is sent alone, as RFC 5506 allows: 12 octets. While PLIs arrive, the
+periodic intra refresh can be slow, which saves most of its octets.
 """
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.rtp.wire import RTCP_PSFB_PLI, RtcpPsfbPacket, parse_rtcp
 
-#: While a picture stays damaged, it is asked for again this often: longer than most round trips.
+#: The time between two indications while pictures stay damaged: longer than most round trips.
 ASK_AGAIN_NS = 250 * NS_PER_MS
-#: A sender that is asked by several, or twice for the same loss, answers once in this time.
+#: A sender answers all indications within this time once: several may report the same loss.
 ANSWER_ONCE_NS = 100 * NS_PER_MS
 
 
 class PictureLossReporter:
-    """The receiver's end. ssrc: its own, told in each indication.
+    """The receiver's end. Call `handle_picture` after each access unit; send `poll_transmit`.
 
-    Tell it after each access unit whether the picture shows damage; send what `poll_transmit`
-    gives.
+    ssrc: the receiver's own, of 32 bits; it stands in each indication.
+    ask_again_ns: the time between two indications while pictures stay damaged.
     """
 
     def __init__(self, *, ssrc: int, ask_again_ns: int = ASK_AGAIN_NS) -> None:
@@ -30,7 +29,7 @@ class PictureLossReporter:
         self.sent = 0
 
     def handle_picture(self, *, damaged: bool, media_ssrc: int, now_ns: int) -> None:
-        """A picture was received, and whether it or what it refers to is damaged or missing."""
+        """Handle a received picture. damaged: it, or a picture to which it refers, shows a loss."""
         self._media_ssrc = media_ssrc
         if not damaged:
             self._due_ns = None
@@ -38,7 +37,7 @@ class PictureLossReporter:
             self._due_ns = now_ns
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The indication to send now, or None."""
+        """Return the indication to send now, or None."""
         if self._due_ns is None or now_ns < self._due_ns:
             return None
         self._due_ns = now_ns + self._ask_again_ns
@@ -46,12 +45,12 @@ class PictureLossReporter:
         return bytes(RtcpPsfbPacket(RTCP_PSFB_PLI, self._ssrc, self._media_ssrc))
 
     def poll_timeout(self) -> int | None:
-        """When `poll_transmit` has something."""
+        """Return when `poll_transmit` has an indication; None while pictures are whole."""
         return self._due_ns
 
 
 class PictureLossListener:
-    """The sender's end. ssrc: of the stream; indications for any other are not its concern."""
+    """The sender's end. ssrc: of its stream; indications for other streams are ignored."""
 
     def __init__(self, *, ssrc: int, answer_once_ns: int = ANSWER_ONCE_NS) -> None:
         self._ssrc = ssrc
@@ -64,7 +63,7 @@ class PictureLossListener:
         self.heard_ns: int | None = None
 
     def handle_feedback(self, datagram: bytes, now_ns: int) -> None:
-        """An RTCP datagram from the receiver. Garbage is counted; this never raises."""
+        """Handle an RTCP datagram from the receiver. Garbage is counted and never raises."""
         try:
             packets = parse_rtcp(datagram)
         except ProtocolError:
@@ -81,7 +80,7 @@ class PictureLossListener:
                 self._asked = True
 
     def take(self, now_ns: int) -> bool:
-        """Whether the next picture shall be one that needs no other; asked for each picture."""
+        """Return whether to encode the next picture as a key picture. Call it for each picture."""
         if not self._asked:
             return False
         answered_ns = self._answered_ns

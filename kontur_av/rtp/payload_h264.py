@@ -1,7 +1,7 @@
-"""H.264 in RTP, packetization-mode 1 (RFC 6184 section 6.3): access units <-> payloads.
+"""H.264 in RTP, packetization-mode 1 (RFC 6184 section 6.3): access units to payloads, and back.
 
-A payload is a single NAL unit, a STAP-A (several small NAL units) or one part of an FU-A
-(a large NAL unit, cut up).
+A payload is a single NAL unit, a STAP-A (several small NAL units) or an FU-A (one part of a large
+NAL unit).
 """
 
 from collections import deque
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from kontur_av.errors import ProtocolError
 
 if TYPE_CHECKING:
-    # The encoder takes NAL units apart, too, and needs nothing of RTP.
+    # The encoder splits NAL units, too, and must not load the rest of RTP.
     from kontur_av.rtp.receiver import RtpReceived
 
 DEFAULT_MAX_PAYLOAD_OCTETS = 1200
@@ -27,9 +27,9 @@ _START_CODE = b"\x00\x00\x00\x01"
 
 
 def split_annex_b(stream: bytes) -> list[bytes]:
-    """The NAL units of an Annex B byte stream (ITU-T H.264 B.1), without start codes.
+    """Return the NAL units of an Annex B byte stream (ITU-T H.264 B.1), without start codes.
 
-    Octets before the first start code and zeros after a NAL unit are no part of any.
+    Octets before the first start code and zeros after a NAL unit belong to none.
     """
     units = []
     start = stream.find(b"\x00\x00\x01")
@@ -45,23 +45,26 @@ def split_annex_b(stream: bytes) -> list[bytes]:
 
 
 def join_annex_b(nal_units: Iterable[bytes]) -> bytes:
-    """An Annex B byte stream of `nal_units`, each behind a start code of 4 octets."""
+    """Return an Annex B byte stream of `nal_units`, each behind a start code of 4 octets."""
     return b"".join(_START_CODE + unit for unit in nal_units)
 
 
 def nal_type(nal_unit: bytes) -> int:
-    """The nal_unit_type (ITU-T H.264 section 7.3.1) of a NAL unit of at least one octet."""
+    """Return nal_unit_type (ITU-T H.264 clause 7.3.1) of a NAL unit of at least one octet."""
     return nal_unit[0] & _TYPE_BITS
 
 
 def packetize(
     nal_units: Sequence[bytes], max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS
 ) -> list[bytes]:
-    """RTP payloads of at most `max_payload_octets` that carry `nal_units` in their order.
+    """Return RTP payloads of at most `max_payload_octets` that carry `nal_units` in order.
 
-    Neighbours that fit together share a STAP-A; what fits alone goes alone; what is larger
-    is cut into FU-A parts of equal size, so that no tiny last packet pays for a full header.
-    Raises ValueError for a NAL unit whose type cannot travel in RTP (0 and 24 to 31).
+    Neighbours that fit together share a STAP-A. A NAL unit that fits only alone is a payload of its
+    own. A larger one is cut into FU-A parts of equal size, so that no small last packet costs a
+    header of its own.
+
+    Raises ValueError for a NAL unit of a type that RTP cannot carry (0 and 24 to 31), or if
+    `max_payload_octets` is below 8.
     """
     if max_payload_octets < 8:
         raise ValueError(f"max_payload_octets {max_payload_octets}: at least 8")
@@ -88,7 +91,7 @@ def packetize(
 def _aggregate(group: list[bytes]) -> bytes:
     if len(group) == 1:
         return group[0]
-    # RFC 6184 section 5.7.1: F is set if any is set, NRI is the largest of all.
+    # RFC 6184 section 5.7.1: F is the OR of all, NRI the largest of all.
     forbidden = max(unit[0] & _FORBIDDEN_BIT for unit in group)
     nri = max(unit[0] & _NRI_BITS for unit in group)
     parts = [bytes((forbidden | nri | STAP_A,))]
@@ -116,10 +119,11 @@ def _fragment(unit: bytes, max_payload_octets: int) -> list[bytes]:
 
 @dataclass(frozen=True, slots=True)
 class Fragment:
-    """What one payload holds: whole NAL units, or a part of one (FU-A).
+    """The content of one payload: whole NAL units, or one part of a NAL unit (FU-A).
 
-    is_part: `nal_units` has one element, a part of a NAL unit; the first part begins with the
-    NAL unit's rebuilt header. starts, ends: this part is the first, the last.
+    is_part: `nal_units` has one element, a part of a NAL unit. The first part begins with the
+        rebuilt NAL unit header.
+    starts, ends: this part is the first, the last.
     """
 
     nal_units: tuple[bytes, ...]
@@ -129,7 +133,7 @@ class Fragment:
 
 
 def parse_payload(payload: bytes) -> Fragment:
-    """Take one RTP payload apart (RFC 6184 sections 5.6 to 5.8).
+    """Parse one RTP payload (RFC 6184 sections 5.6 to 5.8).
 
     Raises ProtocolError if it is no single NAL unit, STAP-A or FU-A.
     """
@@ -146,7 +150,7 @@ def parse_payload(payload: bytes) -> Fragment:
         raise ProtocolError("an FU-A without content")
     starts, ends = bool(payload[1] & _FU_START), bool(payload[1] & _FU_END)
     original = payload[1] & _TYPE_BITS
-    # RFC 6184 section 5.8: start and end in one FU is forbidden; so is a nested type.
+    # RFC 6184 section 5.8 forbids start and end in one FU, and nested types.
     if (starts and ends) or not 1 <= original <= 23:
         raise ProtocolError(f"an FU-A with the header {payload[1]:#04x}")
     body = payload[2:]
@@ -175,16 +179,18 @@ def _disaggregate(payload: bytes) -> list[bytes]:
 
 @dataclass(frozen=True, slots=True)
 class ReceivedUnit:
-    """One access unit as it came out of the network.
+    """One received access unit.
 
-    data: Annex B, start codes of 4 octets.
-    timestamp: its 32-bit RTP timestamp.  keyframe: it holds an IDR slice.
+    data: an Annex B byte stream with start codes of 4 octets.
+    timestamp: its 32-bit RTP timestamp.
+    keyframe: it holds an IDR slice.
     damaged: packets of it are missing.
     lost_before: packets lost directly before its first packet. They belonged to earlier access
-        units, to non-slice NAL units at its head, or to both: nobody can tell. An access unit
-        that is not damaged and has no loss before it is octet for octet what was sent (the first
-        one after joining a running stream may lack non-slice NAL units in the same way).
+        units or to non-slice NAL units at its head, which cannot be told apart.
     first_received_ns, received_ns: when its first and its last packet came.
+
+    A unit that is not damaged and has no loss before it equals the unit sent. Exception: the first
+    unit of a stream that was joined late may lack non-slice NAL units.
     """
 
     data: bytes
@@ -197,15 +203,14 @@ class ReceivedUnit:
 
 
 class H264Depacketizer:
-    """Packets in sequence order in, access units out. No clock, nothing waits.
+    """Packets in sequence order in, access units out (RFC 6184). It needs no time.
 
-    Feed each packet that an RtpReceiver delivers to `handle_packet`, then call `next_event`
-    until it gives None. An access unit ends with the marker bit or, with senders that set none,
-    when the timestamp changes.
+    Pass each packet of an RtpReceiver to `handle_packet`, then call `next_event` until None. An
+    access unit ends with the marker bit or, for senders without it, when the timestamp changes.
 
-    parameter_sets: SPS and PPS NAL units of the SDP (sprop-parameter-sets); they are put before
-        the first access unit and before each IDR if the stream carries none there.
-    max_unit_octets: a larger access unit is dropped as garbage: nobody may fill our memory.
+    parameter_sets: SPS and PPS NAL units of the SDP (sprop-parameter-sets). They go before the
+        first access unit and before each IDR picture, if the stream has none there.
+    max_unit_octets: a larger access unit is dropped as garbage, so that no peer fills the memory.
     """
 
     def __init__(
@@ -219,10 +224,10 @@ class H264Depacketizer:
         self._joining = True
         self._open = False
         self._begin(0, 0, 0)
-        #: Payloads that were no H.264, and access units beyond `max_unit_octets`.
+        #: Payloads that were no H.264, and access units of more than `max_unit_octets`.
         self.garbage = 0
-        #: Access units given out, how many of them were damaged, and how many were so broken
-        #: that no NAL unit was left of what had come.
+        #: Access units returned, those of them that were damaged, and those dropped because no
+        #: whole NAL unit of them came.
         self.units = 0
         self.units_damaged = 0
         self.units_dropped = 0
@@ -238,7 +243,7 @@ class H264Depacketizer:
         self._too_large = False
 
     def handle_packet(self, packet: "RtpReceived") -> None:
-        """Take the next packet of the sequence."""
+        """Handle the next packet in sequence. Garbage is counted and never raises."""
         if packet.ssrc != self._source or packet.restart:
             if self._open:
                 self._finish(complete=False)
@@ -329,15 +334,15 @@ class H264Depacketizer:
         return [*self._parameter_sets, *units]
 
     def next_event(self) -> ReceivedUnit | None:
-        """The next access unit, or None if packets have to come first."""
+        """Return the next access unit, or None until more packets come."""
         return self._ready.popleft() if self._ready else None
 
 
 def _lacks_its_head(units: list[bytes]) -> bool:
-    """Whether the first slice is not the picture's first (first_mb_in_slice, H.264 7.3.3).
+    """Return whether the first slice is not the picture's first (ITU-T H.264 clause 7.3.3).
 
-    first_mb_in_slice is the first field of the slice header in Exp-Golomb code: a leading
-    one bit says 0.
+    first_mb_in_slice is the first field of the slice header, in Exp-Golomb code. It is 0 if the
+    first bit is 1.
     """
     for unit in units:
         if nal_type(unit) in (NAL_SLICE, NAL_IDR):

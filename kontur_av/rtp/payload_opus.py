@@ -1,13 +1,13 @@
-"""Opus in RTP (RFC 7587): one Opus packet is one payload; its first octet says how long it is."""
+"""Opus in RTP (RFC 7587): each payload is one Opus packet, whose first octet tells its length."""
 
 from kontur_av.errors import ProtocolError
 from kontur_av.media import MAX_OPUS_SAMPLES
 
 
 def opus_samples(payload: bytes) -> int:
-    """The number of samples per channel at 48 kHz in an Opus packet (RFC 6716 section 3.1).
+    """Return the samples per channel at 48 kHz of an Opus packet (RFC 6716 section 3.1).
 
-    Raises ProtocolError if the payload cannot be an Opus packet.
+    Raises ProtocolError if the payload is no Opus packet.
     """
     if not payload:
         raise ProtocolError("an empty Opus packet")
@@ -31,24 +31,27 @@ def opus_samples(payload: bytes) -> int:
 
 
 def holds_copy(payload: bytes) -> bool:
-    """Whether an Opus packet of one frame carries a coarse copy of the packet before it.
+    """Return whether an Opus packet of one frame carries a coarse copy of the packet before it.
 
-    That is the LBRR flag, which follows a voice activity flag for each 20 ms (RFC 6716 sections
-    4.2.3 and 4.2.4); only SILK and hybrid frames have it. Packets of several frames: no.
+    The LBRR flag tells it. It follows one voice activity flag for each 20 ms (RFC 6716 sections
+    4.2.3 and 4.2.4). Only SILK and hybrid frames have it. False for packets of several frames.
     """
     flags = _silk_flags(payload)
     return flags is not None and bool(flags[0] & 0x80 >> flags[1])
 
 
 def is_pause(payload: bytes) -> bool:
-    """Whether an Opus packet of one frame says that nobody speaks in it: no voice activity flag
-    is set (RFC 6716 section 4.2.3). False where there are none, as in CELT frames."""
+    """Return whether an Opus packet of one frame is a pause in speech.
+
+    Then no voice activity flag is set (RFC 6716 section 4.2.3). False for packets without these
+    flags, such as CELT frames.
+    """
     flags = _silk_flags(payload)
     return flags is not None and not flags[0] >> 8 - flags[1]
 
 
 def _silk_flags(payload: bytes) -> tuple[int, int] | None:
-    """The octet that holds the flags of a SILK or hybrid frame, and how many blocks it has."""
+    """Return the octet with the flags of a SILK or hybrid frame, and its number of blocks."""
     begin = _only_frame(payload)
     config = payload[0] >> 3 if payload else 16
     if begin is None or begin >= len(payload) or config >= 16:
@@ -57,12 +60,15 @@ def _silk_flags(payload: bytes) -> tuple[int, int] | None:
 
 
 def _only_frame(payload: bytes) -> int | None:
-    """Where the frame of a packet of one frame begins (RFC 6716 section 3.2); None: several."""
+    """Return where the frame of a packet of one frame begins (RFC 6716 section 3.2).
+
+    None for packets of several frames.
+    """
     if len(payload) < 2:
         return None
     if payload[0] & 3 == 0:
         return 1
-    # Constant rate: one frame, and padding up to the size of all packets.
+    # Constant bit rate: one frame and padding.
     if payload[0] & 3 != 3 or payload[1] & 0x3F != 1:
         return None
     at = 2

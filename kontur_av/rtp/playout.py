@@ -1,33 +1,76 @@
-"""The jitter buffer of a voice: when each Opus packet is to be played, and what to conceal."""
+"""The jitter buffer of a voice: when to play each Opus packet, and what to conceal."""
 
 from collections import deque
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES
 from kontur_av.rtp.payload_opus import holds_copy, is_pause, opus_samples
-from kontur_av.rtp.playout_block import PlayoutBlock as PlayoutBlock
-from kontur_av.rtp.playout_block import PlayoutCounts
 from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.rtp.transits import Transits
 from kontur_av.rtp.wire import TimestampUnwrapper
 
-#: A transit that differs by more than this from the last one is a new time line, not jitter.
+#: A larger difference of two transits in a row is a new time line, not jitter.
 _RESYNC_NS = 2 * NS_PER_S
-#: A block is stretched or shortened by at most this share: 25 ms a second, and half a semitone.
+#: Stretch or shorten a block by at most one part in this many: 25 ms a second, half a semitone.
 _STRETCH = 40
-#: One in which nobody speaks by at most this one: 10 ms each.
+#: The same for a block without speech: 10 ms each.
 _PAUSE_STRETCH = 2
-#: After nothing or a silence the first block waits so long: what comes with it in one burst tells
-#: how late it is.
+#: The first block waits this long, so that the other packets of its burst tell how late it is.
 _SETTLE_NS = 10 * NS_PER_MS
-#: What the delay lacks up to this is stretched in, what it lacks beyond is filled with concealment.
+#: The delay grows by stretching up to this much, and by inserted concealment beyond.
 _STRETCHED_NS = 5 * NS_PER_MS
-#: The delay is not lowered for less.
+#: The delay is lowered only if it is too large by more than this.
 _SLACK_NS = 3 * NS_PER_MS
 #: libopus conceals in steps of 2.5 ms.
 _STEP_SAMPLES = AUDIO_CLOCK_HZ // 400
+
+
+@dataclass(frozen=True, slots=True)
+class PlayoutBlock:
+    """One block of sound to play now. A `VoicePlayer` decodes it.
+
+    payload: an Opus packet; None: conceal `samples` samples.
+    timestamp: its 32-bit RTP timestamp.
+    samples: its length at 48 kHz as sent.
+    play_ns: when its first sample is due.
+    played_samples: its length as played, stretched or shortened.
+    recovered: `payload` is the packet after the missing one, and carries a copy of it.
+    inserted: nothing was sent for it; it fills the time by which the delay grows.
+    """
+
+    payload: bytes | None
+    timestamp: int
+    samples: int
+    play_ns: int
+    played_samples: int
+    recovered: bool = False
+    inserted: bool = False
+
+
+@dataclass(slots=True)
+class PlayoutCounts:
+    """Counts of blocks.
+
+    played: with their own packet. recovered: from a copy in the next packet. concealed: without
+    either. inserted: added while the delay grew. stretched, shortened: played longer, shorter.
+    late: came after their time. dropped: pushed out of a full buffer, or left out after a silence
+    or a stall so that later blocks are not late. garbage: packets that were no Opus. resyncs: new
+    time lines.
+    """
+
+    played: int = 0
+    recovered: int = 0
+    concealed: int = 0
+    inserted: int = 0
+    stretched: int = 0
+    shortened: int = 0
+    late: int = 0
+    dropped: int = 0
+    garbage: int = 0
+    resyncs: int = 0
 
 
 class _Block(NamedTuple):
@@ -36,26 +79,27 @@ class _Block(NamedTuple):
 
 
 class PlayoutBuffer:
-    """A jitter buffer counted in time, not in packets; what it gives out has no gap.
+    """A jitter buffer that counts in time, not in packets. Its output has no gap.
 
-    Each packet's transit is its arrival minus its media time. A block is played at its media
-    time plus an offset. The offset wanted is the transit that all but `late_allowed` packets of
-    the last `window_ns` kept, plus `margin_ns`; at least the smallest one plus `min_delay_ns`, at
-    most plus `max_delay_ns`. So a stall that comes alone, or the burst of a start, costs the
-    blocks that came too late: waiting for it would help nobody, because it is over when it is
-    seen.
+    Pass packets to `handle_packet`. At `poll_timeout` call `handle_timeout`, then drain
+    `next_event`.
 
-    It grows at once: what the decoder makes up is inserted before the next block, or, where a late
-    block has just been concealed, that is taken as the insertion, and the block is played after
-    it. Up to 5 ms are gained by stretching. It shrinks by shortening: each block is played in the
-    time of at most 1/40 fewer samples, so that the voice is half a semitone higher for as long;
-    while nobody speaks, of half as many.
+    The transit of a packet is its arrival minus its media time. A block is played at its media time
+    plus an offset. The offset wanted is the transit that all but `late_allowed` packets of the last
+    `window_ns` did not exceed, plus `margin_ns`. It lies from `min_delay_ns` to `max_delay_ns`
+    above the smallest transit. So a single stall or the burst of a start does not raise the delay:
+    it is over when it is noticed. Its late blocks are lost.
 
-    Feed `handle_packet`; when `poll_timeout` is due call `handle_timeout`, then drain
-    `next_event`. A missing block is recovered from the copy in its successor if that is there and
-    has one; else it gives a concealment at its time, at most `max_concealed` in a
-    row; after that the buffer is silent until a packet comes. The oldest goes: a packet that
-    comes after its time is dropped, and so is the oldest of more than `max_blocks`.
+    The offset grows at once, by concealment before the next block. Where a late block has just been
+    concealed, that concealment counts, and the block is played after it. Up to 5 ms are gained by
+    stretching. The offset shrinks by shortening each block by at most 1/40, or by half in pauses.
+
+    A missing block is recovered from a copy in its successor, else concealed. After
+    `max_concealed` concealments in a row the buffer is silent until a packet comes.
+
+    Queue: at most `max_blocks` blocks; the oldest is dropped, and so is a packet after its time.
+
+    min_delay_ns, max_delay_ns: limits of the delay above the smallest transit.
     """
 
     def __init__(
@@ -78,7 +122,7 @@ class PlayoutBuffer:
         self._max_concealed = max_concealed
         self._max_blocks = max_blocks
         self._events: deque[PlayoutBlock] = deque()
-        #: Up to when sound was given out: nothing may begin before.
+        #: The end of the sound returned so far; no block may begin before.
         self._free_ns: int | None = None
         self._reset()
 
@@ -93,16 +137,16 @@ class PlayoutBuffer:
         self._lowering = False
         self._next: int | None = None
         self._played_up_to: int | None = None
-        #: What was given out last is the concealment of this block, which may yet come.
+        #: The last block returned is the concealment of this media time, which may still come.
         self._just_concealed: int | None = None
         self._samples = BLOCK_SAMPLES
         self._concealed_in_row = 0
-        #: What comes next is the first after nothing or a silence.
+        #: The next block is the first one, or the first after a silence.
         self._beginning = False
 
     @property
     def delay_ns(self) -> int:
-        """How long a packet of the quickest transit waits before it is played."""
+        """How long a packet of the smallest transit waits until it is played, in ns."""
         if self._offset_ns is None or not self._transits:
             return 0
         return self._offset_ns - self._transits.quickest_ns
@@ -111,9 +155,9 @@ class PlayoutBuffer:
         return len(self._blocks)
 
     def hold(self, timestamp: int, until_ns: int | None) -> None:
-        """From now on play as if the block of `timestamp` were not wanted before `until_ns`.
+        """Delay playout so that the block of `timestamp` is played no earlier than `until_ns`.
 
-        That is reached by stretching alone, and kept within the largest delay. None: let go.
+        The delay grows by stretching alone, up to the largest delay. None ends the hold.
         """
         if until_ns is None or self._origin is None:
             self._floor_ns = None
@@ -121,14 +165,14 @@ class PlayoutBuffer:
             self._floor_ns = until_ns - _ns(self._unwrapper.unwrap(timestamp))
 
     def handle_packet(self, packet: RtpReceived) -> None:
-        """Take a packet; its `received_ns` is the instant of its arrival."""
+        """Handle a packet that arrived at its `received_ns`. Garbage is counted."""
         try:
             samples = opus_samples(packet.payload)
         except ProtocolError:
             self.counts.garbage += 1
             return
         now_ns = packet.received_ns
-        # What was due before this arrival is decided without it.
+        # Blocks due before this arrival are played without it.
         self.handle_timeout(now_ns)
         if packet.restart:
             self._resync()
@@ -153,7 +197,7 @@ class PlayoutBuffer:
         elif media < self._next:
             self._next = media
             if self._free_ns is not None and self._offset_ns is not None:
-                # It may be due before the sound that was given out so far has ended.
+                # It may be due before the sound returned so far ends.
                 self._offset_ns = max(self._offset_ns, self._free_ns - _ns(media))
         if len(self._blocks) > self._max_blocks:
             oldest = min(self._blocks)
@@ -171,7 +215,7 @@ class PlayoutBuffer:
         self._transits.handle_arrival(now_ns, transit_ns)
         ceiling_ns = self._transits.quickest_ns + self._max_delay_ns
         if self._offset_ns is not None and self._offset_ns > ceiling_ns:
-            # After a stall the queue empties in a burst: what is too old goes, all at once.
+            # After a stall packets come in a burst: drop all that are too old at once.
             self._skip_overdue(ceiling_ns, now_ns)
 
     def _skip_overdue(self, offset_ns: int, now_ns: int) -> None:
@@ -187,7 +231,7 @@ class PlayoutBuffer:
             self._offset_ns = max(offset_ns, self._free_ns - _ns(self._next))
 
     def _target_ns(self) -> int:
-        """The offset that the jitter of the window asks for."""
+        """The offset that the jitter of the window needs."""
         quickest_ns = self._transits.quickest_ns
         wanted_ns = self._transits.bound_ns + self._margin_ns
         return min(
@@ -195,19 +239,19 @@ class PlayoutBuffer:
         )
 
     def _wanted_ns(self) -> int:
-        """The offset that jitter and `hold` ask for."""
+        """The offset that jitter and `hold` need."""
         target_ns = self._target_ns()
         if self._floor_ns is None:
             return target_ns
         return max(target_ns, min(self._floor_ns, self._transits.quickest_ns + self._max_delay_ns))
 
     def _lacking_ns(self) -> int:
-        """How much the offset is too small for the jitter."""
+        """By how much the offset is too small for the jitter."""
         assert self._offset_ns is not None
         return self._target_ns() - self._offset_ns
 
     def _begin(self, media: int, now_ns: int) -> None:
-        """Play `media` next, after nothing or after a silence: any offset will do."""
+        """Play `media` next, first or after a silence: the offset is free."""
         earliest_ns = now_ns + _SETTLE_NS
         if self._free_ns is not None:
             earliest_ns = max(earliest_ns, self._free_ns)
@@ -216,7 +260,7 @@ class PlayoutBuffer:
         self._beginning = True
 
     def _settle(self, now_ns: int) -> None:
-        """Leave out what came so late that all that follows would be later than it has to be."""
+        """Drop blocks that came so late that they would delay all later ones."""
         self._beginning = False
         wanted_ns = self._wanted_ns()
         waiting = sorted(self._blocks)
@@ -229,7 +273,7 @@ class PlayoutBuffer:
         self._offset_ns = max(wanted_ns, now_ns - _ns(media))
 
     def _rewind(self, media: int) -> None:
-        """Take the concealment of `media` as what the delay has to grow by, and play it now."""
+        """Count the concealment of `media` as the growth of the delay, and play `media` now."""
         assert self._played_up_to is not None and self._offset_ns is not None
         self._offset_ns += _ns(self._played_up_to - media)
         self._next = self._played_up_to = media
@@ -239,13 +283,13 @@ class PlayoutBuffer:
         self.counts.inserted += 1
 
     def poll_timeout(self) -> int | None:
-        """When the next block is due; None while nothing is to be played or concealed."""
+        """Return when the next block is due; None during a silence."""
         if self._next is None or self._offset_ns is None:
             return None
         return _ns(self._next) + self._offset_ns
 
     def handle_timeout(self, now_ns: int) -> None:
-        """Give out every block whose time has come."""
+        """Make an event of every block that is due by `now_ns`."""
         while (due_ns := self.poll_timeout()) is not None and due_ns <= now_ns:
             self._play(due_ns)
 
@@ -273,7 +317,7 @@ class PlayoutBuffer:
             self._emit(following.payload, media, self._samples, due_ns, recovered=True)
             return
         if self._concealed_in_row >= self._max_concealed:
-            # Silence: go on with the earliest packet there is, or wait for one.
+            # Silence: go on with the earliest packet, or wait for one.
             self._concealed_in_row = 0
             self._next = None
             if self._blocks:
@@ -282,14 +326,14 @@ class PlayoutBuffer:
         self._concealed_in_row += 1
         samples = self._samples
         if self._blocks:
-            # Blocks of another length may follow: conceal no further than to the next one.
+            # Blocks of another length may follow: conceal only up to the next one.
             samples = min(samples, min(self._blocks) - media)
         self.counts.concealed += 1
         self._emit(None, media, samples, due_ns)
         self._just_concealed = media
 
     def _insert(self, media: int, due_ns: int) -> None:
-        """Fill what the offset lacks before `media`, a block's length at a time."""
+        """Insert concealment before `media` until the offset suffices, one block at a time."""
         assert self._origin is not None and self._offset_ns is not None
         steps = -(-self._lacking_ns() * AUDIO_CLOCK_HZ // (NS_PER_S * _STEP_SAMPLES))
         samples = min(steps * _STEP_SAMPLES, BLOCK_SAMPLES)
@@ -320,8 +364,10 @@ class PlayoutBuffer:
         self._pass(media, samples)
 
     def _stretch(self, samples: int, parts: int) -> int:
-        """By how many samples a block is to be longer, or, below 0, shorter; at most one of
-        `parts` of them."""
+        """Return the samples to add to a block, or to take away if negative.
+
+        At most one part in `parts` of the block.
+        """
         assert self._offset_ns is not None
         wanted_ns = self._wanted_ns()
         lacking = (wanted_ns - self._offset_ns) * AUDIO_CLOCK_HZ // NS_PER_S
@@ -344,7 +390,7 @@ class PlayoutBuffer:
             self.counts.dropped += 1
 
     def next_event(self) -> PlayoutBlock | None:
-        """The next block that is due, or None."""
+        """Return the next block that is due, or None."""
         return self._events.popleft() if self._events else None
 
 

@@ -1,6 +1,6 @@
-"""The receiving side of one RTP stream: order, loss, statistics, and capture times.
+"""The receiver of one RTP stream: order, loss, statistics and capture times.
 
-Counts after RFC 3550 appendix A.1 (sequence numbers), A.3 (loss) and A.8 (jitter).
+It follows RFC 3550 appendices A.1 (sequence numbers), A.3 (loss) and A.8 (jitter).
 """
 
 from collections import deque
@@ -21,20 +21,21 @@ from kontur_av.rtp.wire import (
 
 MAX_DROPOUT = 3000  # RFC 3550 appendix A.1
 MAX_MISORDER = 100
-#: How many packets may wait behind a gap; then the gap is given up at once.
+#: The most packets that wait behind a gap; with more, the gap is given up at once.
 MAX_WAITING = 512
-#: A report that comes later than this speaks no more for a packet that has waited for it: what was
-#: sent in between is gone, and nobody wants to see or hear the first of it now.
+#: A first packet that waited longer than this for its sender report is too old to be shown.
 _REPORT_WITHIN_NS = 200 * NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True)
 class RtpReceived:
-    """One packet in the order of its sequence.
+    """One packet in sequence order.
 
-    extended_sequence: counts on across wrap-around of the 16 bits.
+    extended_sequence: the sequence number without its wrap-around at 16 bits.
+    timestamp: the 32-bit RTP timestamp.
+    received_ns: when it arrived.
     lost_before: packets given up directly before this one.
-    restart: it is the first of a new source; nothing that came before belongs to it.
+    restart: it is the first packet of a new source.
     """
 
     packet: RtpPacket
@@ -56,15 +57,18 @@ class RtpReceived:
 
 @dataclass(slots=True)
 class ReceiverCounts:
-    """What a receiver has counted since it was made, over all restarts of the sender.
+    """Counts of a receiver since it was made, over all restarts of the sender.
 
-    received: packets of the accepted source, duplicates and late ones left out.
-    payload_octets: of those.  lost: given up and never seen (a late one counts as late instead).
-    reordered: came after a packet of a higher sequence number.  duplicates: came twice.
-    late: came after they had been given up; dropped.
-    garbage: no RTP, a foreign payload type or source; from the RTCP port what is malformed, of a
-        foreign source, or neither report nor goodbye.
-    sources: how often a source was accepted, so 1 + restarts.  reports: sender reports taken.
+    received: packets of the accepted source, without duplicates and late ones.
+    payload_octets: of those.
+    lost: given up and never received. A packet that came late counts as late instead.
+    reordered: came after a packet of a higher sequence number.
+    duplicates: came twice.
+    late: came after they were given up; dropped.
+    garbage: datagrams that are no RTP, or of a foreign payload type or source. Of the RTCP port:
+        malformed, of a foreign source, or neither report nor goodbye.
+    sources: how often a source was accepted: 1 + restarts.
+    reports: sender reports of the accepted source.
     """
 
     received: int = 0
@@ -85,26 +89,27 @@ class _Waiting:
 
 
 class RtpReceiver:
-    """Puts the packets of one stream in order and says what is lost.
+    """Puts the packets of one stream in order and counts losses (RFC 3550).
 
-    In-order packets come out of `next_event` at once. Behind a gap, packets wait until the
-    missing one comes or until `poll_timeout`, at which the caller calls `handle_timeout`.
+    Packets in order come out of `next_event` at once. Behind a gap they wait until the missing
+    packet comes or until `poll_timeout`; then call `handle_timeout`.
 
-    A source is believed after two packets in sequence (probation, RFC 3550 appendix A.1), and then
-    both come out; or after one packet and a sender report, whichever of them comes first, but the
-    report within 200 ms: under a low cap the second packet is the second picture, and the first
-    would wait for it. A new SSRC takes over like that after the old source has been silent for
-    `takeover_silence_ns` or has said goodbye: no stray or hostile packet can take a living stream
-    away. The default is longer than the gaps between the pictures of a stream under a low cap, and
-    shorter than the rest before a killed sender's restart.
+    A source is accepted after two packets in sequence (probation, RFC 3550 appendix A.1). One
+    packet and a sender report within 200 ms suffice, too. The report matters under a low cap: the
+    second packet may be the second picture. Packets of the probation are not lost.
 
-    payload_type: of the stream, 0..127; other packets are garbage.
+    A new SSRC is accepted in the same way, but only after the old source was silent for
+    `takeover_silence_ns` or said goodbye. So no stray or hostile packet can replace a live stream.
+    The default is longer than the gaps between pictures under a low cap, and shorter than the
+    restart of a killed sender.
+
+    payload_type: of the stream, 0 to 127; other packets are garbage.
     clock_rate_hz: of the RTP timestamps.
-    reorder_depth_ns: how long a gap is waited for; 0 gives it up at once.
-    ordered: False for a voice, whose PlayoutBuffer puts it in order by time: each packet comes out
-        as soon as it comes in, also one that was given up (then it is lost no more; the
-        `lost_before` of its successor had counted it).
-    wall_offset_ns: an instant plus this is the Unix time, which sender reports tell.
+    reorder_depth_ns: how long to wait for a missing packet; 0: not at all.
+    ordered: False for a voice, whose PlayoutBuffer orders it by time. Each packet then comes out at
+        once, also one that was given up. It no longer counts as lost, although the `lost_before` of
+        its successor counted it.
+    wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
     """
 
     def __init__(
@@ -135,7 +140,7 @@ class RtpReceiver:
         self._first = self._next = self._highest = 0
         self._restart = False
         self._last_heard_ns = 0
-        #: Given up, and perhaps still on the way: what tells a late packet from a duplicate.
+        #: Sequence numbers given up: they tell a late packet from a duplicate.
         self._given_up: set[int] = set()
         self._transit: int | None = None
         self._jitter_16 = 0
@@ -147,11 +152,11 @@ class RtpReceiver:
 
     @property
     def waiting(self) -> int:
-        """Packets that wait behind a gap now (at most MAX_WAITING)."""
+        """Packets that wait behind a gap now, at most MAX_WAITING."""
         return len(self._waiting)
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
-        """Take a datagram from the RTP port. Garbage is counted and dropped."""
+        """Handle a datagram from the RTP port. Garbage is counted and dropped."""
         try:
             packet = parse_rtp(datagram)
         except ProtocolError:
@@ -163,7 +168,7 @@ class RtpReceiver:
         if packet.ssrc != self.ssrc:
             self._try_candidate(packet, now_ns)
             return
-        # Nothing may wait past its time because the caller woke late.
+        # The caller may have woken late.
         self.handle_timeout(now_ns)
         ahead = (packet.sequence_number - self._highest) & 0xFFFF
         if ahead < MAX_DROPOUT:
@@ -240,14 +245,13 @@ class RtpReceiver:
         self._restart = False
 
     def _drain(self) -> None:
-        """Deliver what has waited for nothing but its predecessor; time the next gap."""
+        """Deliver packets whose predecessor has come, and set the deadline of the next gap."""
         while (ready := self._waiting.pop(self._next, None)) is not None:
             self._deliver(ready.packet, self._next, ready.received_ns, lost_before=0)
         if not self._waiting:
             self._gap_deadline_ns = None
         else:
-            # Each packet that waits is a witness of the gap before the lowest: none may wait
-            # longer than the depth, whatever gaps came before.
+            # No packet may wait longer than the depth, also across several gaps.
             seen_ns = min(waiting.received_ns for waiting in self._waiting.values())
             self._gap_deadline_ns = seen_ns + self._reorder_depth_ns
 
@@ -263,8 +267,7 @@ class RtpReceiver:
         self._drain()
 
     def _try_candidate(self, packet: RtpPacket, now_ns: int) -> None:
-        """Probation: believe a jump of this source after two in sequence; see the class for a new
-        one."""
+        """Accept a jump of this source, or a new one, after probation (see the class)."""
         before = self._candidate
         follows = (
             before is not None
@@ -282,10 +285,12 @@ class RtpReceiver:
         self._take(packet, before.packet.sequence_number + 1, now_ns)
 
     def _try_vouched(self, now_ns: int) -> None:
-        """Believe the candidate if a sender report speaks for it (RFC 3550 section 6.2.1; that its
-        CNAME is there, too, is not asked for)."""
+        """Accept the candidate if a sender report of it came (RFC 3550 section 6.2.1).
+
+        Its CNAME, which the clause asks for too, is not needed here.
+        """
         first = self._candidate
-        # A jump of the present source is none of its reports' business.
+        # Reports of the present source do not confirm a jump of it.
         if first is None or first.packet.ssrc == self.ssrc:
             return
         if now_ns - first.received_ns > _REPORT_WITHIN_NS:
@@ -296,7 +301,7 @@ class RtpReceiver:
             self._take(first.packet, first.packet.sequence_number, first.received_ns)
 
     def _is_free(self, ssrc: int, now_ns: int) -> bool:
-        """Whether a source of this SSRC may take over now."""
+        """Return whether a source of this SSRC may be accepted now."""
         return (
             self.ssrc is None
             or self.ended
@@ -332,10 +337,10 @@ class RtpReceiver:
         self._transit = transit
 
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:
-        """Take a datagram from the RTCP port. Garbage and foreign reports are counted.
+        """Handle a datagram from the RTCP port. Garbage and foreign reports are counted.
 
-        True if it holds a sender report of the present source, or came before there is one. Drain
-        `next_event` afterwards: a report may speak for a packet that has waited for it.
+        Returns True if it holds a sender report of the present source, or of any while there is no
+        source yet. Drain `next_event` afterwards, because a report may confirm a first packet.
         """
         try:
             packets = parse_rtcp(datagram)
@@ -356,13 +361,13 @@ class RtpReceiver:
                         self._forget(ssrc)
                 self._try_vouched(now_ns)
             elif isinstance(packet, RtcpRrPacket):
-                known = True  # of a peer that sends no media for a while (section 6.4)
+                known = True  # of a peer that sends no media now (RFC 3550 section 6.4)
         if not (dates or known):
             self.counts.garbage += 1
         return dates
 
     def _forget(self, ssrc: int) -> None:
-        """Another source has said goodbye: nothing of it may begin a stream any more."""
+        """Another source said goodbye: its packets must not start a stream any more."""
         self._reports.pop(ssrc, None)
         if self._candidate is not None and self._candidate.packet.ssrc == ssrc:
             self._drop_candidate()
@@ -371,7 +376,7 @@ class RtpReceiver:
         if report.ssrc == self.ssrc:
             self.counts.reports += 1
         elif self.ssrc is not None:
-            # A restarted sender's report may overtake its second packet: keep one such.
+            # The report of a restarted sender may overtake its second packet: keep one.
             self._reports = {
                 ssrc: kept for ssrc, kept in self._reports.items() if ssrc == self.ssrc
             }
@@ -380,23 +385,23 @@ class RtpReceiver:
         self._reports[report.ssrc] = report.sender_info
 
     def handle_timeout(self, now_ns: int) -> None:
-        """Give up the gaps whose time has come (`poll_timeout`)."""
+        """Give up the gaps that are due by `now_ns`. Drain `next_event` afterwards."""
         while self._gap_deadline_ns is not None and now_ns >= self._gap_deadline_ns:
             self._give_up_gap()
 
     def poll_timeout(self) -> int | None:
-        """When `handle_timeout` has to be called; None if no packet waits."""
+        """Return when to call `handle_timeout`; None while no packet waits."""
         return self._gap_deadline_ns
 
     def next_event(self) -> RtpReceived | None:
-        """The next packet in order, or None if nothing is ready."""
+        """Return the next packet in order, or None."""
         return self._events.popleft() if self._events else None
 
     def capture_ns(self, timestamp: int) -> int | None:
-        """The instant of capture in nanoseconds of an RTP timestamp of the present source.
+        """Return the instant of capture in ns of an RTP timestamp of the present source.
 
-        None before the first sender report. Right for timestamps within half their range
-        (6.6 hours at 90 kHz) of the last report, wrapped or not.
+        None before the first sender report. The timestamp must lie within half its range (6.6 hours
+        at 90 kHz) of the last report.
         """
         report = None if self.ssrc is None else self._reports.get(self.ssrc)
         if report is None:

@@ -1,6 +1,6 @@
-"""The session description (SDP, RFC 8866) of one RTP stream: written and read.
+"""Write and read the session description (SDP, RFC 8866) of one RTP stream.
 
-What aiortc.sdp reads is WebRTC's dialect; it refuses what GStreamer and FFmpeg write and read.
+aiortc.sdp reads the dialect of WebRTC, and refuses SDP of GStreamer and FFmpeg.
 """
 
 import base64
@@ -21,10 +21,13 @@ class StreamDescription:
     """One stream of plain RTP over UDP.
 
     kind: "video" is H.264 in packetization-mode 1 or 0, "audio" is Opus.
-    host: an IP address: where the stream is sent to.  port: of RTP.
-    rtcp_port: of RTCP, or None: port + 1.
-    bandwidth_bps: the cap of the stream with its headers, or None.
+    host: the IP address to which the stream is sent.
+    port: of RTP, from 1 to 65534.
+    payload_type: of RTP, from 0 to 127.
+    rtcp_port: of RTCP; None: port + 1.
+    bandwidth_bps: the cap of the stream in bit/s with its headers, or None.
     parameter_sets: SPS and PPS NAL units, if known (video).
+    name: of the session (s=).
     """
 
     kind: Literal["video", "audio"]
@@ -47,7 +50,7 @@ class StreamDescription:
 
 
 def write_sdp(stream: StreamDescription) -> str:
-    """SDP text that GStreamer's sdpdemux, ffmpeg and ffplay open as it is."""
+    """Return SDP text that GStreamer's sdpdemux, ffmpeg and ffplay open unchanged."""
     version = ipaddress.ip_address(stream.host).version
     address = f"IN IP{version} {stream.host}"
     payload_type = stream.payload_type
@@ -67,7 +70,7 @@ def write_sdp(stream: StreamDescription) -> str:
         lines.append(f"a=rtpmap:{payload_type} H264/{VIDEO_CLOCK_HZ}")
         lines.append(f"a=fmtp:{payload_type} {_h264_parameters(stream.parameter_sets)}")
     else:
-        # RFC 7587 section 7: always 48000/2, whatever is coded; mono is said in fmtp.
+        # RFC 7587 section 7: rtpmap is always 48000/2; fmtp says mono.
         lines.append(f"a=rtpmap:{payload_type} opus/{AUDIO_CLOCK_HZ}/2")
         lines.append(f"a=fmtp:{payload_type} stereo=0;sprop-stereo=0;cbr=1")
         lines.append("a=ptime:20")
@@ -87,11 +90,11 @@ def _h264_parameters(parameter_sets: tuple[bytes, ...]) -> str:
 
 
 def parse_sdp(text: str) -> StreamDescription:
-    """The first H.264 or Opus stream that the SDP describes.
+    """Return the first H.264 or Opus stream that the SDP describes.
 
-    Raises ConfigError if there is none, or a line of it makes no sense.
+    Raises ConfigError if there is none, or if a line is malformed.
     """
-    # ffmpeg prints a line "SDP:" before the description that users copy.
+    # Users also copy the line "SDP:", which ffmpeg prints before the description.
     text = text.removeprefix("\ufeff").lstrip().removeprefix("SDP:").lstrip()
     if not text.startswith("v="):
         raise ConfigError("this is no SDP: its first line must begin with v=")
@@ -116,7 +119,7 @@ def parse_sdp(text: str) -> StreamDescription:
 
 
 def _blocks(text: str) -> Iterator[list[tuple[str, str]]]:
-    """The session's lines, then those of each m= line, as (key, value)."""
+    """Yield the session's lines, then those of each m= line, as (key, value)."""
     block: list[tuple[str, str]] = []
     for number, raw in enumerate(text.splitlines(), 1):
         line = raw.strip()
@@ -135,7 +138,7 @@ def _blocks(text: str) -> Iterator[list[tuple[str, str]]]:
 def _address(value: str) -> str:
     fields = value.split()
     try:
-        # A multicast address may carry its TTL: 224.1.1.1/127 (RFC 8866 section 5.7).
+        # A multicast address may have a TTL: 224.1.1.1/127 (RFC 8866 section 5.7).
         return str(ipaddress.ip_address(fields[2].partition("/")[0]))
     except (IndexError, ValueError):
         raise ConfigError(
@@ -190,7 +193,7 @@ def _parse_media(
         return StreamDescription(
             kind=kind,
             host=host,
-            # Several ports may be given as 5004/2: only the first is for this stream.
+            # Several ports may be written as 5004/2: only the first is for this stream.
             port=_number(fields[1].partition("/")[0], "m=", 1, 65534),
             payload_type=_number(payload_type, "m=", 0, 127),
             rtcp_port=rtcp_port,

@@ -1,4 +1,4 @@
-"""The sending side of one RTP stream: numbers and stamps packets, and reports to the receiver."""
+"""The sender of one RTP stream: sequence numbers, timestamps and sender reports."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,8 +15,7 @@ from kontur_av.rtp.wire import (
     cname_packet,
 )
 
-#: The header of every packet this sender makes (RFC 3550 section 5.1: no CSRC, no extension), so
-#: a packet's payload has `len(packet) - RTP_HEADER_OCTETS` octets.
+#: The header of every packet of this sender: no CSRC, no extension (RFC 3550 section 5.1).
 RTP_HEADER_OCTETS = 12
 
 
@@ -24,7 +23,7 @@ RTP_HEADER_OCTETS = 12
 class RtpIdentity:
     """The random numbers of a sender, of 32, 16 and 32 bits (RFC 3550 section 5.1).
 
-    A core draws no random numbers: `RtpIdentity.draw(secrets.randbits)` does it in a shell.
+    Cores draw no random numbers. A shell calls `RtpIdentity.draw(secrets.randbits)`.
     """
 
     ssrc: int
@@ -33,12 +32,12 @@ class RtpIdentity:
 
     @classmethod
     def draw(cls, randbits: Callable[[int], int]) -> "RtpIdentity":
-        """One from `randbits`, which returns an integer of the given number of random bits."""
+        """Draw one. randbits: returns an integer of the given number of random bits."""
         return cls(randbits(32), randbits(16), randbits(32))
 
 
 class Packetized(NamedTuple):
-    """The RTP packets of one access unit or one Opus packet, in the order in which to send them.
+    """The RTP packets of one access unit or one Opus packet, in sending order.
 
     timestamp: their 32-bit RTP timestamp. payload_octets: of each packet, without its header.
     """
@@ -51,14 +50,17 @@ class Packetized(NamedTuple):
 class RtpSender:
     """Turns access units or Opus packets into RTP packets (RFC 3550), and makes sender reports.
 
-    Send what `video_packets` or `audio_packets` returns in its order; then, and whenever
-    `poll_timeout` is due, send what `poll_report` returns to the RTCP port.
+    Send the packets of `video_packets` or `audio_packets` in their order. Then, and at
+    `poll_timeout`, send the report of `poll_report` to the RTCP port.
 
-    payload_type: 96..127.  clock_rate_hz: of the RTP timestamps.
+    payload_type: 96 to 127. clock_rate_hz: of the RTP timestamps.
     ssrc, first_sequence, timestamp_offset: random numbers of 32, 16 and 32 bits (RFC 3550
-        section 5.1); the caller draws them, because a core draws no random numbers.
-    cname: the stream's lasting name (section 6.5.1), at most 255 octets.
-    wall_offset_ns: an instant plus this is the Unix time, which sender reports tell.
+        section 5.1), as of an `RtpIdentity`.
+    cname: the stream's lasting name (RFC 3550 section 6.5.1), at most 255 octets.
+    report_interval_ns: time between two sender reports.
+    max_payload_octets: the largest payload of a video packet.
+    samples_per_packet: of a voice.
+    wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
     """
 
     def __init__(
@@ -79,7 +81,7 @@ class RtpSender:
         self.clock_rate_hz = clock_rate_hz
         self.ssrc = ssrc
         self.packets_sent = 0
-        #: Octets of payload, RTP headers left out (RFC 3550 section 6.4.1).
+        #: Payload octets without RTP headers (RFC 3550 section 6.4.1).
         self.payload_octets_sent = 0
         self._sequence = first_sequence & 0xFFFF
         self._offset = timestamp_offset
@@ -97,9 +99,9 @@ class RtpSender:
         self._report_now = False
 
     def video_packets(self, access_unit: AccessUnit) -> Packetized:
-        """The packets of one H.264 access unit; the last one has the marker.
+        """Return the packets of one H.264 access unit; the last one has the marker.
 
-        Raises ValueError if there is no NAL unit in it, or one that RTP cannot carry.
+        Raises ValueError if it has no NAL unit, or one that RTP cannot carry.
         """
         payloads = packetize(split_annex_b(access_unit.data), self._max_payload_octets)
         if not payloads:
@@ -114,12 +116,11 @@ class RtpSender:
         return Packetized(packets, timestamp, [len(payload) for payload in payloads])
 
     def audio_packets(self, opus: bytes, stamp: CaptureStamp) -> Packetized:
-        """The one packet of one Opus packet (RFC 7587 section 4).
+        """Return the one RTP packet of one Opus packet (RFC 7587 section 4).
 
-        The timestamp goes by whole blocks: the sound card counts the samples, and its clock may
-        drift against the machine's. Where blocks are missing, the captures are farther apart, and
-        the timestamp jumps by as many blocks; then the marker shows the first packet after the
-        gap (a talkspurt's).
+        The timestamp counts whole blocks, because the sound card's clock may drift against the
+        machine's. Where captures are missing, it jumps by as many blocks, and the marker shows the
+        first packet after the gap (the start of a talkspurt).
         """
         block_ns = self._samples_per_packet * NS_PER_S // self.clock_rate_hz
         missing = 0
@@ -131,7 +132,7 @@ class RtpSender:
             missing = max(0, (late_ns + block_ns // 4) // block_ns)
             gap = missing > 0
             self._blocks += 1 + missing
-            # What is left of the difference is jitter, or drift, which is followed slowly.
+            # The rest is jitter, or drift, which is followed slowly.
             self._expected_ns += missing * block_ns + (late_ns - missing * block_ns) // 16
         self._expected_ns += block_ns
         timestamp = (self._offset + self._blocks * self._samples_per_packet) & 0xFFFF_FFFF
@@ -139,7 +140,7 @@ class RtpSender:
         return Packetized([self._packet(opus, timestamp, marker=gap)], timestamp, [len(opus)])
 
     def timestamp(self, capture_ns: int) -> int:
-        """The 32-bit RTP timestamp of an instant of capture (video)."""
+        """Return the 32-bit RTP timestamp of a picture captured at this instant."""
         ticks = (capture_ns * self.clock_rate_hz + NS_PER_S // 2) // NS_PER_S
         return (self._offset + ticks) & 0xFFFF_FFFF
 
@@ -163,16 +164,16 @@ class RtpSender:
         return packet.serialize()
 
     def poll_timeout(self) -> int | None:
-        """When `poll_report` is due next; None as long as no media was sent."""
+        """Return when `poll_report` is due next; None before the first media packet."""
         if self._report_now and self._last_stamp is not None:
             return self._last_stamp.capture_ns
         return self._report_due_ns
 
     def poll_report(self, now_ns: int) -> bytes | None:
-        """A compound SR + SDES (RFC 3550 section 6.4.1) if one is due, else None.
+        """Return a compound SR + SDES (RFC 3550 section 6.4.1) if one is due, else None.
 
-        Due with the first media packet, and then once each `report_interval_ns`. Its pair of NTP
-        and RTP time is the capture of the last unit sent: that is what a receiver asks for.
+        It is due with the first media packet, and then every `report_interval_ns`. Its NTP and RTP
+        times are the capture of the last unit sent, from which a receiver dates all others.
         """
         due = self._report_due_ns is not None and now_ns >= self._report_due_ns
         if not (self._report_now or due):
@@ -182,7 +183,7 @@ class RtpSender:
         return self._report()
 
     def goodbye(self) -> bytes | None:
-        """A last SR + SDES + BYE (RFC 3550 section 6.6); None if no media was ever sent."""
+        """Return the last SR + SDES + BYE (RFC 3550 section 6.6); None if no media was sent."""
         if self._last_stamp is None:
             return None
         return self._report() + bytes(RtcpByePacket([self.ssrc]))

@@ -1,23 +1,22 @@
-"""How long packets were under way of late, and what that asks of a jitter buffer."""
+"""Transits of recent packets, from which a jitter buffer sets its delay."""
 
 from bisect import bisect_left, insort
 from collections import deque
 
 from kontur_av.clock import NS_PER_MS
 
-#: So many arrivals in a row, spread over so long, are no burst that empties a queue.
+#: This many arrivals over this time are no burst out of a queue.
 _LEVEL_ARRIVALS = 3
 _LEVEL_SPREAD_NS = 30 * NS_PER_MS
 
 
 class Transits:
-    """The transits, arrival less media time, of the packets that came in the last `window_ns`.
+    """The transits in ns of the packets of the last `window_ns`: arrival minus media time.
 
-    Clocks may differ: only differences of transits mean anything. All in nanoseconds.
+    The two clocks may differ, so only differences of transits have a meaning.
 
-    late_allowed: so many packets of a window may come too late, because each is concealed. That
-    is the share aimed at, and it also says that one stall of the machine or one burst at a
-    start is none that all later sound has to wait for: what it delayed is over when it is seen.
+    late_allowed: the number of packets of a window that may come too late, because each is
+        concealed. So one stall of the machine or one burst at a start does not delay later sound.
     """
 
     def __init__(self, *, window_ns: int, late_allowed: int) -> None:
@@ -30,7 +29,7 @@ class Transits:
         return bool(self._ordered)
 
     def handle_arrival(self, now_ns: int, transit_ns: int) -> None:
-        """A packet has come at `now_ns`."""
+        """Handle a packet that came at `now_ns`."""
         arrivals, ordered = self._arrivals, self._ordered
         arrivals.append((now_ns, transit_ns))
         insort(ordered, transit_ns)
@@ -40,20 +39,20 @@ class Transits:
 
     @property
     def last_ns(self) -> int | None:
-        """That of the packet that came last."""
+        """The transit of the newest packet; None without packets."""
         return self._arrivals[-1][1] if self._arrivals else None
 
     @property
     def quickest_ns(self) -> int:
-        """The smallest; there must be one."""
+        """The smallest transit; there must be one."""
         return self._ordered[0]
 
     @property
     def bound_ns(self) -> int:
-        """That which all but the late ones allowed did not exceed; there must be one.
+        """The transit that all but `late_allowed` packets did not exceed; there must be one.
 
-        Where the last arrivals were all slower, and are no burst, the path has become longer:
-        then the quickest of them counts at once.
+        If the newest packets were all slower and are no burst, the path has become longer. Then the
+        quickest of them counts at once.
         """
         ordered, arrivals = self._ordered, self._arrivals
         bound_ns = ordered[max(0, len(ordered) - 1 - self._late_allowed)]

@@ -1,4 +1,4 @@
-"""RTP and RTCP packets on the wire, parsed by aiortc; garbage becomes a ProtocolError."""
+"""RTP and RTCP packets, parsed by aiortc. Garbage raises ProtocolError."""
 
 import struct
 
@@ -41,10 +41,7 @@ _MALFORMED = (ValueError, IndexError, struct.error)
 
 
 def parse_rtp(datagram: bytes) -> RtpPacket:
-    """The RTP packet (RFC 3550 section 5.1) in `datagram`.
-
-    Raises ProtocolError if it is none.
-    """
+    """Parse an RTP packet (RFC 3550 section 5.1). Raises ProtocolError if it is none."""
     try:
         return RtpPacket.parse(datagram)
     except _MALFORMED as error:
@@ -52,7 +49,7 @@ def parse_rtp(datagram: bytes) -> RtpPacket:
 
 
 def parse_rtcp(datagram: bytes) -> list[AnyRtcpPacket]:
-    """The packets of one compound RTCP packet (RFC 3550 section 6.1); unknown types are left out.
+    """Return the packets of a compound RTCP packet (RFC 3550 section 6.1), without unknown types.
 
     Raises ProtocolError if `datagram` is none.
     """
@@ -65,33 +62,37 @@ def parse_rtcp(datagram: bytes) -> list[AnyRtcpPacket]:
 
 
 def cname_packet(ssrc: int, cname: bytes) -> bytes:
-    """An SDES packet of one chunk with one CNAME of at most 255 octets (RFC 3550 section 6.5).
+    """Return an SDES packet of one chunk with one CNAME (RFC 3550 section 6.5).
 
-    Not aiortc's: its end of a chunk is one octet too long, a word too long for some names.
+    cname: at most 255 octets. aiortc's own ends a chunk with one octet too many, which adds a word
+    for some names.
     """
     item = struct.pack("!LBB", ssrc, SDES_CNAME, len(cname)) + cname + b"\x00"
     return pack_rtcp_packet(RTCP_SDES, 1, item + b"\x00" * (-len(item) % 4))
 
 
 def empty_receiver_report(ssrc: int) -> bytes:
-    """A receiver report without blocks (RFC 3550 section 6.4.2): that the sender is heard."""
+    """Return a receiver report without blocks (RFC 3550 section 6.4.2): a sign of life."""
     return bytes(RtcpRrPacket(ssrc))
 
 
 def signed_32(difference: int) -> int:
-    """The difference of two 32-bit timestamps, taken the short way round: -2^31 .. 2^31 - 1."""
+    """Return the difference of two 32-bit timestamps as a signed number: -2^31 to 2^31 - 1."""
     return ((difference + 0x8000_0000) & 0xFFFF_FFFF) - 0x8000_0000
 
 
 class TimestampUnwrapper:
-    """Makes 32-bit timestamps count on across wrap-around, from 0 at the first one."""
+    """Removes the wrap-around from 32-bit timestamps. The first one becomes 0."""
 
     def __init__(self) -> None:
         self._origin: int | None = None
         self._latest = 0
 
     def unwrap(self, timestamp: int) -> int:
-        """Ticks since the first timestamp; right within half the range of the latest one."""
+        """Return the ticks since the first timestamp.
+
+        The timestamp must lie within half the 32-bit range of the latest one.
+        """
         if self._origin is None:
             self._origin = timestamp
         ticks = self._latest + signed_32(timestamp - self._origin - self._latest)

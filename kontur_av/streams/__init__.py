@@ -1,1 +1,1 @@
-"""One coded stream, from end to end: when to encode, what may leave, what is shown."""
+"""One coded stream, from end to end: schedule, budget, RTP, reception and display."""

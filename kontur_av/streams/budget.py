@@ -1,4 +1,4 @@
-"""The hard byte budget of a stream: what may leave now, and whether to encode one more picture.
+"""The hard byte budget of a stream: which packets may leave, and when to encode the next picture.
 
 The encoder's rate control aims at a rate, but it does not keep a limit. The pacer does: it releases
 packets so that no sliding window exceeds the cap. A coded picture that would exceed it waits, in
@@ -14,7 +14,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.meters import RateMeter
 
 SHORT_WINDOW_NS = 100_000_000
-#: Over a window of 100 ms a stream may take this much of its share: one and a half times.
+#: The limit over 100 ms, as a multiple of the share of the cap: 1.5.
 SHORT_WINDOW_SHARE = (3, 2)
 
 
@@ -33,7 +33,7 @@ class _Limit:
         self._sum += octets
 
     def room_ns(self, octets: int, now_ns: int) -> int:
-        """From when on `octets` fit: `now_ns`, or a later instant."""
+        """Return from when on `octets` fit: `now_ns` or later."""
         self._forget(now_ns)
         excess = self._sum + octets - self.most_octets
         if excess <= 0:
@@ -42,7 +42,7 @@ class _Limit:
             excess -= spent_octets
             if excess <= 0:
                 return spent_ns + self.length_ns
-        # More than the window ever holds: as good a moment as there is.
+        # More than the window can hold: wait until it is empty.
         return self._spent[-1][0] + self.length_ns if self._spent else now_ns
 
     def _forget(self, now_ns: int) -> None:
@@ -52,21 +52,20 @@ class _Limit:
 
 
 class Pacer:
-    """Releases a stream's packets under a hard cap. A core: it is told the time.
+    """Releases a stream's packets under a hard cap. A core.
 
-    cap_bps: over no window of `window_ns` do the payload bits of released packets exceed
-        `cap_bps * window_ns`; over no 100 ms do they exceed 1.5 times their share of it.
-    channel_bps: packets leave spaced as a channel of this rate would take their payload; the cap
-        where it is not given. `start_ns` looks at this modelled channel.
-    guard_ns: the windows are kept this much longer than promised, so that the cap also holds for
-        an observer who sees each packet up to `guard_ns` early or late. It costs its share of the
-        rate: 10 ms of 1 s are 1 %.
-    picture_ns: the time between two pictures; the next one is expected to have its share of the
-        cap.
+    cap_bps: limit of the payload bits of released packets, over any window of `window_ns`. Over any
+        100 ms the limit is 1.5 times the share of the cap. At least 1000.
+    channel_bps: rate of the channel, at least the cap. Packets leave with the spacing with which
+        this channel carries their payload. None: the cap.
+    guard_ns: the windows are longer by this. So the cap also holds for an observer who sees each
+        packet up to `guard_ns` early or late. 10 ms of 1 s cost 1 % of the rate.
+    picture_ns: the time between two pictures, from which the size of the next one is estimated.
 
-    Queue: packets in order, no depth limit but that of `EncodeScheduler`, which has no picture
-    encoded while one waits; nothing is dropped.
-    All arithmetic is in integers, so that a session may last for years.
+    Queue: packets in order. `EncodeScheduler` bounds its depth, because it encodes no picture while
+    one waits. Nothing is dropped.
+
+    Raises ConfigError for a cap or channel that cannot work.
     """
 
     def __init__(
@@ -92,7 +91,7 @@ class Pacer:
             _Limit(SHORT_WINDOW_NS + guard_ns, _short_octets(cap_bps)),
             _Limit(window_ns + guard_ns, cap_bps * window_ns // (8 * NS_PER_S)),
         )
-        #: The largest payload of a packet that this cap lets through.
+        #: The largest payload of a packet that fits under this cap.
         self.max_payload_octets = min(limit.most_octets for limit in self._limits)
         self._least_cap_bps = cap_bps
         share = cap_bps * picture_ns // (8 * NS_PER_S)
@@ -108,10 +107,10 @@ class Pacer:
         self.longest_wait_ns = 0
 
     def follow(self, *, cap_bps: int, channel_bps: int) -> None:
-        """From now on these hold. No packet leaves before it fits under the new cap, together with
-        what has left under the one before.
+        """Change cap and channel from now on.
 
-        Packets stay as small as the cap of the beginning wants them: ValueError for a lower one.
+        The next packets leave when they fit under the new cap, together with those that have left.
+        Packets stay as small as the first cap needs, so a lower cap raises ValueError.
         """
         if not self._least_cap_bps <= cap_bps <= channel_bps:
             raise ValueError(
@@ -126,10 +125,10 @@ class Pacer:
     def handle_access_unit(
         self, packets: Sequence[bytes], payload_octets: Sequence[int], now_ns: int
     ) -> None:
-        """Queue one access unit's packets; `payload_octets` counts each one against the cap.
+        """Queue the packets of one access unit. Then drain `poll_transmit`.
 
-        Then drain `poll_transmit`. Raises ValueError when a packet is larger than
-        `max_payload_octets`: it could never leave.
+        payload_octets: of each packet; they count against the cap. Raises ValueError for a payload
+        of more than `max_payload_octets`, which could never leave.
         """
         for packet, octets in zip(packets, payload_octets, strict=True):
             if octets > self.max_payload_octets:
@@ -138,7 +137,7 @@ class Pacer:
             self._backlog_octets += octets
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The next packet if it may leave now, else None. Call until None."""
+        """Return the next packet if it may leave now, else None. Call it until None."""
         if not self._queue:
             return None
         packet, octets, queued_ns = self._queue[0]
@@ -155,30 +154,30 @@ class Pacer:
         return packet
 
     def poll_timeout(self) -> int | None:
-        """When `poll_transmit` is worth the next call; None while nothing is queued."""
+        """Return when to call `poll_transmit` next; None while nothing is queued."""
         if not self._queue:
             return None
         _, octets, queued_ns = self._queue[0]
         return self._release_ns(octets, max(queued_ns, self.released.last_ns or 0))
 
     def start_ns(self, now_ns: int) -> int:
-        """When the next picture could start on the channel: `now_ns`, or a later instant."""
+        """Return when the next picture could start on the channel: `now_ns` or later."""
         wanted = self._backlog_octets + self.picture_octets
         start_ns = max(self._free_ns, now_ns) + self._on_channel_ns(self._backlog_octets)
         return max(start_ns, *(limit.room_ns(wanted, now_ns) for limit in self._limits))
 
     @property
     def backlog_octets(self) -> int:
-        """Payload octets that wait for their release."""
+        """Payload octets that wait for release."""
         return self._backlog_octets
 
     @property
     def depth(self) -> int:
-        """Packets that wait for their release."""
+        """Packets that wait for release."""
         return len(self._queue)
 
     def oldest_age_ns(self, now_ns: int) -> int:
-        """How long the oldest packet has waited; 0 when none waits."""
+        """Return how long the oldest packet has waited; 0 while none waits."""
         return now_ns - self._queue[0][2] if self._queue else 0
 
     def _release_ns(self, octets: int, now_ns: int) -> int:

@@ -1,17 +1,17 @@
 """When to encode: the channel sets the pace, not the camera.
 
 A picture that is encoded while the channel is busy waits behind the one before it, and is shown
-later by as much. So the newest picture is encoded at the instant at which the channel will be free
-once the coding is done: the channel carries one picture while the next one is encoded. If the
-newest picture is too old by then, the scheduler waits for the next one. Encoding then keeps step
-with the camera while pictures are small enough, and leaves one out where they are not. Without this
-rule, one large picture would delay all that follow, for as long as pictures fill the channel.
+later by as much. So the channel carries one picture while the next one is encoded. Encoding begins
+so that it ends when the channel becomes free. If the newest picture is too old by then, the
+scheduler waits for the next one. Encoding then keeps step with the camera while pictures are small
+enough, and leaves one out where they are not. Without this rule, one large picture would delay all
+that follow, for as long as pictures fill the channel.
 """
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.budget import Pacer
 
-#: Taken for the coding time before any was measured.
+#: The coding time before one was measured.
 _CODING_NS = 3 * NS_PER_MS
 #: A new measurement counts for one part in eight of the mean.
 _SMOOTHING = 8
@@ -19,7 +19,7 @@ _SMOOTHING = 8
 #: Measured: the 99th percentile 10 ms and more lower than with no such limit, at 29.5 pictures a
 #: second.
 _OLDEST = (22, 100)
-#: A picture that was waited for is given up this much later, in parts of a period.
+#: The scheduler gives up waiting for a picture when it is late by this part of a period.
 _GRACE_PARTS = 8
 #: When to look again whether a channel that is behind has caught up.
 _LOOK_AGAIN_NS = 2 * NS_PER_MS
@@ -32,13 +32,12 @@ _OTHER_RATE = 1.08
 
 
 class EncodeScheduler:
-    """Decides about each picture of one stream. A core: it is told the time.
+    """Decides which pictures of a stream to encode, and when. A core.
 
-    pacer: of the stream. fps: the rate of pictures that the encoder was told.
+    Call `handle_picture` for each picture. Then, and at `poll_timeout`, call `poll_encode`. Call
+    `handle_encoded` when the coding is done; until then no other picture is encoded.
 
-    Tell it of each picture that comes (`handle_picture`), ask `poll_encode` then and at
-    `poll_timeout`, and tell it when the coding is done (`handle_encoded`): until then it has
-    no other picture encoded.
+    pacer: of the stream. fps: the picture rate for which the encoder was made.
     """
 
     def __init__(self, pacer: Pacer, *, fps: float) -> None:
@@ -47,10 +46,10 @@ class EncodeScheduler:
         self._told_hz = fps
         self._period_ns = round(NS_PER_S / fps)
         self._coding_ns = _CODING_NS
-        #: When the newest picture came, and whether it still waits for a decision.
+        #: When the newest picture came, and whether it waits for a decision.
         self._came_ns = 0
         self._waits = False
-        #: When the one that is being encoded was begun.
+        #: When the present encoding began.
         self._begun_ns: int | None = None
         self._waiting_octets = self._channel_free_ns = 0
         self._now_ns = 0
@@ -58,18 +57,18 @@ class EncodeScheduler:
         self._last_ns: int | None = None
         self._counted = self._longest_ns = 0
         self._new_hz: float | None = None
-        #: Pictures that came, and those of them that will never be encoded.
+        #: Pictures that came, and those of them that are never encoded.
         self.captured = self.refused = 0
 
     def handle_channel(self, octets: int, rate_bps: int, told_ns: int) -> None:
-        """At `told_ns` so much waited behind the pacer, in a channel of this rate."""
+        """At `told_ns`, this many octets waited behind the pacer, in a channel of this rate."""
         self._waiting_octets = octets
         self._channel_free_ns = told_ns + octets * 8 * NS_PER_S // rate_bps
 
     def handle_picture(self, capture_ns: int, now_ns: int, *, skipped: int = 0) -> None:
-        """A picture is there, the newest one.
+        """A new picture came. It replaces one that still waits.
 
-        skipped: pictures that came before it and were never looked at.
+        skipped: pictures before it that the caller left out.
         """
         self.captured += 1 + skipped
         self.refused += skipped + self._waits
@@ -78,7 +77,7 @@ class EncodeScheduler:
         self._count(capture_ns, 1 + skipped)
 
     def poll_encode(self, now_ns: int) -> bool:
-        """Whether to encode the newest picture now."""
+        """Return whether to encode the newest picture now."""
         self._now_ns = now_ns
         due_ns = self._due_ns()
         if due_ns is None or due_ns > now_ns:
@@ -88,24 +87,26 @@ class EncodeScheduler:
         return True
 
     def poll_timeout(self) -> int | None:
-        """When `poll_encode` is worth the next call; None while no picture waits, or while one is
-        being encoded."""
+        """Return when to call `poll_encode` next.
+
+        None while no picture waits, or while one is being encoded.
+        """
         return self._due_ns()
 
     def handle_encoded(self, now_ns: int) -> None:
-        """The picture that was to be encoded is."""
+        """The picture is encoded. Raises ValueError if `poll_encode` asked for none."""
         if self._begun_ns is None:
             raise ValueError("no picture was to be encoded")
         self._coding_ns += (now_ns - self._begun_ns - self._coding_ns) // _SMOOTHING
         self._begun_ns = None
 
     def finish(self) -> None:
-        """No other picture is encoded: one that waits is refused."""
+        """Encode no more pictures; one that waits is refused."""
         self.refused += self._waits
         self._waits = False
 
     def next_rate_hz(self) -> float | None:
-        """The rate at which pictures really come, once whenever the encoder should follow it."""
+        """Return the measured picture rate if the encoder should change to it, else None."""
         hz, self._new_hz = self._new_hz, None
         return hz
 
@@ -137,7 +138,7 @@ class EncodeScheduler:
         faster = hz > self._told_hz * _OTHER_RATE
         if self._counted < (_COUNTED_FASTER if faster else _COUNTED):
             return
-        # A slow camera is regular; a machine that has too much to do is not.
+        # A slow camera is regular; an overloaded machine is not.
         slower = hz * _OTHER_RATE < self._told_hz and self._longest_ns < 3 * mean_ns // 2
         self._counted_since_ns, self._counted, self._longest_ns = capture_ns, 0, 0
         if faster or slower:

@@ -1,4 +1,4 @@
-"""Encoding in a thread of its own: packets that wait go on leaving meanwhile."""
+"""Encode in a thread, so that waiting packets can leave meanwhile."""
 
 import os
 import sys
@@ -13,33 +13,32 @@ from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import AccessUnit, VideoFrame
 
 _SWITCH_S = 0.0005
-#: No picture takes longer to encode.
+#: The longest time to wait for the last picture.
 _LAST_S = 5.0
 
 
 def switch_threads_often() -> None:
-    """Let no thread of this process keep another one from Python for more than 0.5 ms.
+    """Set the interpreter's switch interval to 0.5 ms, in place of 5 ms.
 
-    Call it once in a process that has an `EncodingThread`: the interpreter's own 5 ms are longer
-    than a packet takes on a channel. x264, swscale and OpenCV release the interpreter; only the
-    lines between them hold it.
+    Call it once in a process that has an `EncodingThread`: 5 ms are longer than a packet takes on a
+    channel. x264, swscale and OpenCV release the interpreter anyway.
     """
     sys.setswitchinterval(_SWITCH_S)
 
 
 class Encoded(NamedTuple):
-    """An access unit, and when it was ready."""
+    """An access unit, and the instant at which it was ready."""
 
     unit: AccessUnit
     encoded_ns: int
 
 
 class EncodingThread:
-    """Encodes one picture at a time while the loop that owns it goes on. A context that ends it.
+    """Encodes one picture at a time in a thread. A context manager, which ends the thread.
 
-    encoder: only this thread uses it from now on. clock: stamps the access units.
+    `submit` a picture, wait for `fileno` to be readable, and `poll` for its access unit.
 
-    `submit` a picture, sleep on `fileno` among others, and `poll` until its access unit is there.
+    encoder: only this thread may use it from now on. clock: stamps the access units.
     """
 
     def __init__(self, encoder: H264Encoder, clock: Clock) -> None:
@@ -49,15 +48,15 @@ class EncodingThread:
         self._done: SimpleQueue[Encoded | BaseException] = SimpleQueue()
         # An eventfd(2), for a loop that sleeps on file descriptors.
         self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        #: Whether `poll` still owes the access unit of a submitted picture.
+        #: Whether a picture was submitted whose access unit `poll` has not returned.
         self.busy = False
         self._thread = threading.Thread(target=self._run, name="encoding", daemon=True)
         self._thread.start()
 
     def submit(self, frame: VideoFrame, coding: Coding) -> None:
-        """Begin to encode `frame`; it must stay as it is until `poll` returns its access unit.
+        """Begin to encode `frame`. Do not change it until `poll` returns its access unit.
 
-        ValueError while there is another one.
+        Raises ValueError while another picture is being encoded.
         """
         if self.busy:
             raise ValueError("a picture is being encoded: wait for its access unit")
@@ -65,9 +64,9 @@ class EncodingThread:
         self._jobs.put((frame, coding))
 
     def poll(self) -> Encoded | None:
-        """The access unit of the submitted picture, once it is ready.
+        """Return the access unit of the submitted picture once it is ready, else None.
 
-        An exception of the encoder is raised here.
+        Raises the encoder's exception, if it had one.
         """
         if not self.busy or not self._rung():
             return None
@@ -78,11 +77,11 @@ class EncodingThread:
         return done
 
     def fileno(self) -> int:
-        """Readable as long as `poll` has something."""
+        """Return a file descriptor that is readable while `poll` has an access unit."""
         return self._bell
 
     def close(self) -> None:
-        """End the thread; it does not touch the submitted picture any more. May be called twice."""
+        """End the thread, after the submitted picture. It may be called twice."""
         if not self._thread.is_alive():
             return
         self._jobs.put(None)
@@ -115,6 +114,6 @@ class EncodingThread:
                 self._done.put(Encoded(unit, self._clock.now_ns()))
             except BaseException as error:
                 self._done.put(error)
-            # Or the picture would be held until the next one comes.
+            # Else the picture would stay in memory until the next one comes.
             del job
             os.eventfd_write(self._bell, 1)

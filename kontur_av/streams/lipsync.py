@@ -1,34 +1,34 @@
-"""Sound and picture together: how early and how late a sound may be (ITU-R BT.1359-1)."""
+"""Lip-sync: how early and how late a sound may be against its picture (ITU-R BT.1359-1)."""
 
 import struct
 from collections import deque
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 
-#: Where the difference begins to be seen (BT.1359-1, figure 2): the sound at most so much before
-#: the picture, and so much after it.
+#: Detectability thresholds (ITU-R BT.1359-1, figure 2): the sound is at most 45 ms before and
+#: 125 ms after the picture.
 EARLIEST_NS = 45 * NS_PER_MS
 LATEST_NS = 125 * NS_PER_MS
 
-#: How late a picture was shown, for another process of the same machine: the instant of display and
-#: the time since the capture, in ns.
+#: A message to another process of the same machine: instant of display and time since the capture,
+#: both in ns.
 LAG = struct.Struct("=qq")
 
-#: So many of the pictures of this time shall not come later than their sound allows.
+#: The sound waits for this share of the pictures of the last 2 s.
 _WINDOW_NS = 2 * NS_PER_S
 _SHARE = 0.95
-#: The sound's own latency changes while it is stretched.
+#: Margin, because the latency of the sound changes while it is stretched.
 _MARGIN_NS = 3 * NS_PER_MS
 
 
 class LipSync:
-    """Knows how late the pictures of a place come, and so how late its sound must be at least.
+    """Computes the least latency of a sound from the latencies of the pictures of its place.
 
-    A picture that is late by itself delays no sound, nor do pictures that no longer come or that
-    are too old to be of use; where most are, none counts. And no sound is delayed until it is too
-    old itself.
+    Single late pictures, old pictures and pictures that no longer come delay no sound. If most
+    pictures are too old, none counts.
 
-    oldest_picture_ns: older pictures do not count. oldest_sound_ns: no sound is made older.
+    oldest_picture_ns: the latency from which on a picture is too old.
+    oldest_sound_ns: the largest latency that lip-sync gives a sound.
     """
 
     def __init__(self, *, oldest_picture_ns: int, oldest_sound_ns: int) -> None:
@@ -54,7 +54,7 @@ class LipSync:
             self._late_ns = None
 
     def least_latency_ns(self, now_ns: int) -> int | None:
-        """The least latency for a sound that is heard now; None: any latency is right."""
+        """Return the least latency in ns of a sound that is heard now; None: any latency."""
         if self._pictures and self._pictures[-1][0] <= now_ns - _WINDOW_NS:
             self._forget(now_ns)
         if self._late_ns is None:

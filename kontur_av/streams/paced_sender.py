@@ -1,4 +1,4 @@
-"""What a sender of pictures and a sender of sound have in common: budget, RTP, and its figures."""
+"""The common part of video and voice senders: budget, RTP and counts."""
 
 from collections import deque
 from typing import NamedTuple
@@ -7,14 +7,14 @@ from kontur_av.meters import RateMeter
 from kontur_av.rtp.sender import Packetized, RtpSender
 from kontur_av.streams.budget import Pacer
 
-#: Events that are kept for a caller that takes none; the oldest goes.
+#: The most events kept for a caller that takes none; the oldest is dropped.
 EVENTS_KEPT = 256
 
 
 class UnitSent(NamedTuple):
     """The last packet of a picture or of a block of sound has left.
 
-    timestamp: its RTP timestamp. capture_ns, encoded_ns, sent_ns: its instants.
+    timestamp: its 32-bit RTP timestamp. capture_ns, encoded_ns, sent_ns: its instants.
     """
 
     timestamp: int
@@ -24,7 +24,7 @@ class UnitSent(NamedTuple):
 
 
 class _UnderWay:
-    """A coded picture or block of sound of which packets still wait in the pacer."""
+    """A coded picture or block of sound with packets that wait in the pacer."""
 
     __slots__ = ("capture_ns", "encoded_ns", "packets", "timestamp")
 
@@ -36,7 +36,7 @@ class _UnderWay:
 
 
 class PacedSender:
-    """Packets wait for their leave, and each unit's last one is noted. Base of the senders."""
+    """Base of the senders: it paces packets, and notes when the last one of each unit leaves."""
 
     def __init__(self, pacer: Pacer, rtp: RtpSender) -> None:
         self._pacer = pacer
@@ -47,30 +47,30 @@ class PacedSender:
 
     @property
     def cap_bps(self) -> int:
-        """The cap that holds now."""
+        """The present cap in bit/s."""
         return self._pacer.cap_bps
 
     @property
     def channel_bps(self) -> int:
-        """The rate at which packets leave now."""
+        """The present rate of the channel in bit/s."""
         return self._pacer.channel_bps
 
     @property
     def released(self) -> RateMeter:
-        """What has left, by payload octets: the mean rate, and the largest of any window."""
+        """Payload rates of released packets: the mean, and the largest over a window."""
         return self._pacer.released
 
     @property
     def backlog_octets(self) -> int:
-        """Payload octets that wait for their leave."""
+        """Payload octets that wait for release."""
         return self._pacer.backlog_octets
 
     def oldest_age_ns(self, now_ns: int) -> int:
-        """How long the oldest packet has waited for its leave; 0 when none waits."""
+        """Return how long the oldest packet has waited for release; 0 while none waits."""
         return self._pacer.oldest_age_ns(now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The next RTP packet, if it may leave now. Send it, and call until None."""
+        """Return the next RTP packet if it may leave now. Send it; call until None."""
         packet = self._pacer.poll_transmit(now_ns)
         if packet is None:
             return None
@@ -83,16 +83,18 @@ class PacedSender:
         return packet
 
     def poll_report(self, now_ns: int) -> bytes | None:
-        """The sender report (RFC 3550 section 6.4.1) to send to the RTCP port, if one is due.
+        """Return the sender report (RFC 3550 section 6.4.1) for the RTCP port, if one is due.
 
-        Ask after each `poll_transmit`: reports have no timeout of their own, because they date
-        what was sent.
+        Call it after each `poll_transmit`. Reports date packets that were sent, so they have no
+        timeout of their own.
         """
         return self._rtp.poll_report(now_ns)
 
     def goodbye(self) -> bytes | None:
-        """The last RTCP datagram, so that a successor is believed at once; None if nothing was
-        sent."""
+        """Return the last RTCP datagram (BYE), after which a new sender is accepted at once.
+
+        None if nothing was sent.
+        """
         return self._rtp.goodbye()
 
     def _queue(self, packetized: Packetized, capture_ns: int, encoded_ns: int) -> None:

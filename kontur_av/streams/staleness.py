@@ -1,14 +1,14 @@
-"""How old what is shown is, all the time: stale, frozen or damaged, and for how long."""
+"""Staleness of what is shown: whether it is stale, frozen or damaged, and for how long."""
 
 from dataclasses import dataclass
 from enum import Enum
 
-#: A picture that is on display for more periods than these is a frozen one.
+#: A picture that is on display for more than this many periods is frozen.
 FROZEN_PERIODS = 2
 
 
 class State(Enum):
-    """Of what is shown; the worst that applies."""
+    """The state of what is shown; the worst that applies."""
 
     NOTHING = "nothing"
     FRESH = "fresh"
@@ -19,14 +19,20 @@ class State(Enum):
 
 @dataclass(slots=True)
 class Spell:
-    """A condition that comes and goes: for how long it has lasted in all, and how often it came."""
+    """A condition that comes and goes. total_ns: its whole duration. episodes: how often it came.
+
+    lasting: it applies at present.
+    """
 
     total_ns: int = 0
     episodes: int = 0
     lasting: bool = False
 
     def handle_time(self, begin_ns: int, end_ns: int, since_ns: int | None) -> None:
-        """Between these instants it applied from `since_ns` on; None: not at all."""
+        """Count the time from `begin_ns` to `end_ns`, of which it applied from `since_ns` on.
+
+        None: it did not apply.
+        """
         if since_ns is None or since_ns >= end_ns:
             self.lasting = False
             return
@@ -37,11 +43,14 @@ class Spell:
 
 
 class Staleness:
-    """Follows what is shown of one stream: `handle_shown` for each, `handle_time` at any time.
+    """Follows what is shown of one stream. A core.
 
-    stale_after_ns: older than this is stale. frozen_after_ns: a picture on display for longer is
-    frozen; None for a voice. span_ns: for how long what is shown goes on being new: a block of
-    sound. Nothing is counted before the first is shown.
+    Call `handle_shown` for each picture or block, and `handle_time` at any time. Counting begins
+    with the first one shown.
+
+    stale_after_ns: the age above which it is stale.
+    frozen_after_ns: a picture on display for longer is frozen; None for a voice.
+    span_ns: the duration of a block of sound; 0 for pictures.
     """
 
     def __init__(
@@ -57,14 +66,14 @@ class Staleness:
         self.stale, self.frozen, self.damaged = Spell(), Spell(), Spell()
 
     def handle_shown(self, capture_ns: int, now_ns: int, *, damaged: bool = False) -> None:
-        """From now on that is shown which was captured at `capture_ns`."""
+        """A picture or block that was captured at `capture_ns` is shown from `now_ns` on."""
         self.handle_time(now_ns)
         self._capture_ns, self._damage = capture_ns, damaged
         self._shown_ns = now_ns
         self._counted_ns = max(now_ns, self._counted_ns)
 
     def handle_time(self, now_ns: int) -> None:
-        """Count what has passed by now."""
+        """Count the time up to `now_ns`."""
         begin_ns = self._counted_ns
         if self._shown_ns is None or now_ns <= begin_ns:
             return
@@ -74,14 +83,14 @@ class Staleness:
         self.damaged.handle_time(begin_ns, now_ns, self._shown_ns if self._damage else None)
 
     def age_ns(self, now_ns: int) -> int | None:
-        """From the capture of what is shown now to now; None if nothing was shown yet."""
+        """Return the time since the capture of what is shown; None if nothing was shown yet."""
         if self._shown_ns is None:
             return None
-        # While a block of sound is played, what is heard is as old as its beginning was.
+        # While a block plays, its samples have all the same age.
         return max(self._shown_ns - self._capture_ns, now_ns - self._capture_ns - self._span_ns)
 
     def stale_from_ns(self) -> int | None:
-        """When what is shown becomes stale; None if nothing was shown yet."""
+        """Return when what is shown becomes stale; None if nothing was shown yet."""
         if self._shown_ns is None:
             return None
         if self._shown_ns - self._capture_ns > self.stale_after_ns:
@@ -94,7 +103,7 @@ class Staleness:
         return self._shown_ns + self._frozen_after_ns
 
     def state(self, now_ns: int) -> State:
-        """What is to be said of what is shown now."""
+        """Return the state of what is shown at `now_ns`."""
         stale_ns, frozen_ns = self.stale_from_ns(), self._frozen_from_ns()
         if stale_ns is None:
             return State.NOTHING

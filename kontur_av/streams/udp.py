@@ -1,4 +1,4 @@
-"""The sockets of a stream's ends: RTP on one UDP port, RTCP on the next (RFC 3550 section 11)."""
+"""UDP sockets of a stream's two ends: RTP on one port, RTCP on the next (RFC 3550 section 11)."""
 
 import ipaddress
 import select
@@ -20,10 +20,10 @@ _RECEIVE_BUFFER_OCTETS = 1 << 20
 
 
 class UdpSender:
-    """Sends to an IP address, and takes the receiver's feedback. `close` it at the end.
+    """Sends a stream to an IP address, and receives feedback. `close` it at the end.
 
-    host: an IP address. port: of RTP. RTCP goes to the next port; feedback comes back to where
-    reports came from.
+    host: an IP address. port: of RTP; RTCP goes to the next one. Receivers send feedback to the
+    address from which reports come.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -31,12 +31,12 @@ class UdpSender:
             socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM
         )
         self._to_rtp, self._to_rtcp = (host, port), (host, port + 1)
-        #: Datagrams that the system did not take.
+        #: Datagrams that the system refused.
         self.failed = 0
 
     def exchange(self, sender: VideoSender | VoiceSender, clock: Clock) -> None:
-        """Pass feedback to `sender`, and send what may leave by now."""
-        # The answer of the system to an earlier datagram is no feedback.
+        """Pass feedback to `sender`, and send the packets that may leave now."""
+        # An ICMP error of an earlier datagram is no feedback.
         with suppress(BlockingIOError, ConnectionError):
             while True:
                 datagram = self._udp.recv(_FEEDBACK_OCTETS, socket.MSG_DONTWAIT)
@@ -62,15 +62,16 @@ class UdpSender:
         try:
             self._udp.sendto(datagram, to)
         except OSError:
-            # A network that goes down and comes back is loss to the receiver, no end to the sender.
+            # A network that goes down for a while is loss, and must not end the sender.
             self.failed += 1
 
 
 class UdpReceiver:
-    """Receives what is sent to an IP address, and answers. `close` it at the end.
+    """Receives a stream, and sends feedback. `close` it at the end.
 
-    host: an IP address, as the SDP has it: of a loopback address only that one is listened to, a
-    multicast group is joined. port: of RTP. control_port: of RTCP; None: the next port.
+    host: the IP address to which the stream is sent, as in the SDP. A loopback address is bound
+        alone, a multicast group is joined; any other address binds all.
+    port: of RTP. control_port: of RTCP; None: the next port.
 
     Raises ConfigError if a port cannot be opened.
     """
@@ -82,20 +83,20 @@ class UdpReceiver:
         except ConfigError:
             self._rtp.close()
             raise
-        #: Where the stream's sender reports come from, and feedback goes to.
+        #: The source address of the sender's reports, to which feedback goes.
         self._sender: Any = None
 
     @property
     def sockets(self) -> tuple[socket.socket, socket.socket]:
-        """For a caller that sleeps on more than these."""
+        """The sockets of RTP and RTCP, for a caller that also waits for others."""
         return self._rtp, self._rtcp
 
     def exchange(
         self, receiver: VideoReceiver | VoiceReceiver, clock: Clock, timeout_ns: int = 0
     ) -> None:
-        """Send feedback, sleep until something comes, and pass it to `receiver`.
+        """Send feedback, wait for datagrams, and pass them to `receiver`.
 
-        Returns after `timeout_ns` or at the receiver's own timeout at the latest. Drain the
+        It returns after `timeout_ns` or at the receiver's own timeout at the latest. Drain the
         receiver's `next_event` afterwards.
         """
         self._answer(receiver, clock)
@@ -131,7 +132,7 @@ def _bound(host: str, port: int) -> socket.socket:
     try:
         udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_OCTETS)
         udp.setblocking(False)
-        # The SDP may name another host's view of us: only a loopback address narrows the port.
+        # The address in the SDP need not be one of this machine, so only loopback is bound alone.
         udp.bind((host if address.is_loopback else "", port))
         if address.is_multicast:
             _join(udp, address)
@@ -154,8 +155,7 @@ def _join(udp: socket.socket, group: ipaddress.IPv4Address | ipaddress.IPv6Addre
 
 
 def _datagrams(udp: socket.socket) -> Iterator[tuple[bytes, Any]]:
-    """What lies in the socket now and where it came from, at most 256 datagrams, so that time is
-    looked at again."""
+    """Yield waiting datagrams and their sources, at most 256, so that timeouts stay exact."""
     with suppress(BlockingIOError):
         for _ in range(256):
             yield udp.recvfrom(65_536)

@@ -1,4 +1,4 @@
-"""A stream of pictures, from the display's side: access units to decode, and what may be shown."""
+"""The receiver of a video stream: access units to decode, stamps of pictures, and feedback."""
 
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -11,17 +11,20 @@ from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.rtp.wire import empty_receiver_report
 
-#: How often a receiver that keeps alive tells the sender that it hears it.
+#: The time between two receiver reports without blocks, as a sign of life.
 KEEP_ALIVE_NS = NS_PER_S
-#: So many damaged units may wait in a decoder.
+#: The most damaged units that are remembered while they are decoded.
 _REMEMBERED = 256
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoReceiverCounts:
-    """rtp: packets. jitter_ns: of their arrival (RFC 3550 appendix A.8). units: access units.
-    damaged: of these, with packets missing. undated: pictures of which no sender report says how
-    old they are. oversized: pictures larger than wanted. asked: whole pictures asked for."""
+    """Counts of a `VideoReceiver`.
+
+    rtp: of packets. jitter_ns: of their arrival (RFC 3550 appendix A.8). units: access units.
+    damaged: of these, with packets missing. undated: pictures before the first sender report, whose
+    capture time is unknown. oversized: pictures larger than wanted. asked: key pictures asked for.
+    """
 
     rtp: ReceiverCounts
     jitter_ns: int
@@ -33,21 +36,22 @@ class VideoReceiverCounts:
 
 
 class VideoReceiver:
-    """Receives pictures as H.264 over RTP. A core: it is told the time.
+    """Receives pictures as H.264 over RTP. A core.
 
     1. Pass datagrams to `handle_packet` and `handle_report`, and call `handle_timeout` at
        `poll_timeout`.
     2. Decode each unit of `next_event`, in order, with its timestamp.
-    3. Ask `handle_picture` for the stamp of each picture that the decoder returns.
-    4. Send what `poll_feedback` returns to the sender's RTCP port.
+    3. Call `handle_picture` for the stamp of each picture that the decoder returns.
+    4. Send the datagrams of `poll_feedback` to the sender's RTCP port.
 
     ssrc: the receiver's own, 32 random bits.
-    name: stands as the source in the stamps.
-    wall_offset_ns: an instant plus this is the Unix time, which sender reports tell.
+    name: the source in the stamps.
+    wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
     parameter_sets: SPS and PPS of the SDP, if it has any.
     largest: width and height of the largest picture wanted; None: any.
-    keep_alive_ns: how often the sender is told that it is heard, so that it may refresh slowly;
-        None: never, where the channel counts each octet.
+    keep_alive_ns: the time between two signs of life, with which the sender may refresh slowly.
+        None: none are sent, to save their octets.
+    payload_type: of the stream.
     """
 
     def __init__(
@@ -69,12 +73,12 @@ class VideoReceiver:
         self._most_pixels = None if largest is None else largest[0] * largest[1]
         self._depacketizer = H264Depacketizer(parameter_sets)
         self._healing = Healing()
-        #: Timestamps of units that are being decoded and will show damage.
+        #: Timestamps of units in the decoder that will show damage.
         self._hurt: OrderedDict[int, None] = OrderedDict()
         self._losses = PictureLossReporter(ssrc=ssrc)
         self._keep_alive_ns = keep_alive_ns
         self._alive_due_ns: int | None = None
-        #: Whether the decoder has had a picture to start at.
+        #: Whether the decoder has a picture at which to start.
         self._begun = False
         self._shown = self._undated = self._oversized = 0
 
@@ -84,27 +88,27 @@ class VideoReceiver:
         return self._receiver.ended
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
-        """A datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards."""
+        """Handle a datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards."""
         self._receiver.handle_packet(datagram, now_ns)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:
-        """A datagram of the RTCP port; True if it says how old pictures are.
+        """Handle a datagram of the RTCP port. True if it was a sender report of the stream.
 
         Garbage is counted. Drain `next_event` afterwards.
         """
         return self._receiver.handle_report(datagram, now_ns)
 
     def handle_timeout(self, now_ns: int) -> None:
-        """Give up what has not come by now. Drain `next_event` afterwards."""
+        """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
         self._receiver.handle_timeout(now_ns)
 
     def poll_timeout(self) -> int | None:
-        """When `handle_timeout` or `poll_feedback` wants to be called."""
+        """Return when to call `handle_timeout` and `poll_feedback`; None: not yet."""
         due = [self._receiver.poll_timeout(), self._losses.poll_timeout(), self._alive_due_ns]
         return min((due_ns for due_ns in due if due_ns is not None), default=None)
 
     def poll_feedback(self, now_ns: int) -> bytes | None:
-        """RTCP to send to the stream's sender now, or None."""
+        """Return an RTCP datagram to send to the stream's sender now, or None."""
         asked = self._losses.poll_transmit(now_ns)
         if asked is not None:
             return asked
@@ -115,7 +119,7 @@ class VideoReceiver:
         return empty_receiver_report(self._ssrc)
 
     def next_event(self) -> ReceivedUnit | None:
-        """The next access unit to decode, or None."""
+        """Return the next access unit to decode, or None."""
         while (packet := self._receiver.next_event()) is not None:
             if self._alive_due_ns is None and self._keep_alive_ns is not None:
                 self._alive_due_ns = packet.received_ns
@@ -136,7 +140,10 @@ class VideoReceiver:
         return unit
 
     def capture_ns(self, timestamp: int) -> int | None:
-        """When the picture of this RTP timestamp was captured; None before a sender report."""
+        """Return when the picture of this RTP timestamp was captured, in ns.
+
+        None before the first sender report.
+        """
         return self._receiver.capture_ns(timestamp)
 
     def handle_picture(
@@ -148,15 +155,18 @@ class VideoReceiver:
         *,
         corrupt: bool = False,
     ) -> CaptureStamp | None:
-        """A unit is decoded; the stamp to show its picture with.
+        """Return the stamp of a decoded picture.
 
-        capture_ns: as `capture_ns` says when it is decoded. corrupt: the decoder knows of damage
-        in it. None if the picture is too large, or nothing says how old it is.
+        timestamp: of its unit. width, height: its size in pixels.
+        capture_ns: the result of `capture_ns` for this timestamp.
+        corrupt: the decoder found damage in it.
+
+        None if the picture is too large, or if `capture_ns` is None.
         """
         self._begun = True
         hurt = self._hurt.pop(timestamp, self) is None or corrupt
         if self._most_pixels is not None and width * height > self._most_pixels:
-            # No sender of ours: shared memory would grow as it likes.
+            # A stranger's picture must not make shared memory grow.
             self._oversized += 1
             return None
         if capture_ns is None:
@@ -168,7 +178,7 @@ class VideoReceiver:
 
     @property
     def counts(self) -> VideoReceiverCounts:
-        """What was counted so far."""
+        """The counts so far."""
         return VideoReceiverCounts(
             rtp=self._receiver.counts,
             jitter_ns=self._receiver.jitter_ns,

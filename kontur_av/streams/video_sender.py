@@ -1,4 +1,4 @@
-"""A stream of pictures, from the camera's side: when and how to encode, and what may leave."""
+"""The sender of a video stream: which pictures to encode and how, and which packets may leave."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -14,16 +14,17 @@ from kontur_av.streams.budget import Pacer
 from kontur_av.streams.encode_scheduler import EncodeScheduler
 from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, UnitSent
 
-#: A receiver that gives feedback does so every second; after so long it is taken for gone.
+#: A receiver with feedback sends some every second. After this long without, it is gone.
 _FEEDBACK_SILENCE_NS = 3 * NS_PER_S
 
 
 class PictureCoded(NamedTuple):
-    """A picture was encoded, and its packets wait for their leave.
+    """A picture was encoded, and its packets wait for release.
 
-    timestamp: its RTP timestamp. capture_ns, encoded_ns: its instants. came_ns: when the newest
-    picture came when it was begun. begun_ns: when encoding it began. octets: of payload, in as
-    many packets.
+    timestamp: its 32-bit RTP timestamp.
+    capture_ns, came_ns, begun_ns, encoded_ns: when it was captured, when it came to the sender, and
+        when its encoding began and ended.
+    octets, packets: of its payload.
     """
 
     timestamp: int
@@ -37,9 +38,12 @@ class PictureCoded(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoSenderCounts:
-    """captured: pictures that came. refused: of these, never encoded, because the channel was
-    busy. encoded, sent: pictures. rtp_packets: made so far. losses_told: picture loss indications
-    that came. feedback_garbage: datagrams that were no RTCP."""
+    """Counts of a `VideoSender`.
+
+    captured: pictures that came. refused: of these, never encoded, because the channel was busy.
+    encoded, sent: pictures. rtp_packets: made so far. losses_told: picture loss indications
+    received. feedback_garbage: datagrams that were no RTCP.
+    """
 
     captured: int
     refused: int
@@ -51,25 +55,26 @@ class VideoSenderCounts:
 
 
 class VideoSender(PacedSender):
-    """Sends pictures as H.264 over RTP, under a hard cap. A core: it is told the time.
+    """Sends pictures as H.264 over RTP, under a hard cap. A core.
 
-    Tell it of each picture that comes (`handle_picture`). Then, and at `poll_timeout`:
+    Call `handle_picture` for each picture. Then, and at `poll_timeout`:
 
-    1. Ask `poll_encode`. If it returns a `Coding`, encode the newest picture so, and pass the
-       access unit to `handle_access_unit`. Until then it wants no other picture encoded; packets
-       go on leaving.
-    2. Send what `poll_transmit` returns until None to the RTP port, and what `poll_report`
-       returns to the RTCP port.
-    3. Pass RTCP of the receiver to `handle_feedback`, and take `next_event` for figures; a caller
-       that takes none loses the oldest.
+    1. Call `poll_encode`. If it returns a `Coding`, encode the newest picture with it, and pass the
+       access unit to `handle_access_unit`. Until then `poll_encode` returns None, while packets
+       still leave.
+    2. Send the packets of `poll_transmit` to the RTP port until None, and the report of
+       `poll_report` to the RTCP port.
+    3. Pass RTCP of the receiver to `handle_feedback`. `next_event` is for figures; the oldest
+       events are dropped if the caller takes none.
 
-    cap_bps: over no second do payload bits exceed it, over no 100 ms 1.5 times their share.
-    fps: pictures a second that the encoder was made for.
+    cap_bps: limit of the payload bits over any second; over any 100 ms 1.5 times their share.
+    fps: the picture rate for which the encoder was made.
     identity: drawn at random. cname: see `RtpSender`.
-    channel_bps: packets leave spaced as a channel of this rate takes them; None: the cap.
-    wall_offset_ns: an instant plus this is the Unix time, which sender reports tell.
-    adapt_refresh: the encoder was made with `REFRESH_S`, and is told a slower refresh while the
-        receiver can ask for a whole picture. False: the encoder keeps its own.
+    channel_bps: rate of the channel, which sets the spacing of packets; None: the cap.
+    wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
+    adapt_refresh: refresh slowly while the receiver can ask for a key picture. The encoder must be
+        made with `REFRESH_S`. False: the encoder keeps its own refresh.
+    max_payload_octets, payload_type, report_interval_ns: see `RtpSender`.
 
     Raises ConfigError for a cap or channel that cannot work.
     """
@@ -97,7 +102,7 @@ class VideoSender(PacedSender):
             timestamp_offset=identity.timestamp_offset,
             cname=cname,
             report_interval_ns=report_interval_ns,
-            # Small enough that no part of a coded picture takes more than a picture's share.
+            # No packet may be larger than the pacer's windows.
             max_payload_octets=min(max_payload_octets, pacer.max_payload_octets),
             wall_offset_ns=wall_offset_ns,
         )
@@ -111,47 +116,47 @@ class VideoSender(PacedSender):
         self._contacts: int | None = None
         self._keyframe_due = False
         self._coded_cap_bps = cap_bps
-        # When the newest picture came; of the one that is being encoded, that and the begin.
+        # When the newest picture came; when the one in the encoder came and was begun.
         self._came_ns = 0
         self._coding_ns = 0, 0
 
     def handle_picture(self, stamp: CaptureStamp, now_ns: int, *, skipped: int = 0) -> None:
-        """A picture is there, the newest one; keep it until it is encoded or a newer one comes.
+        """A new picture came. Keep it until it is encoded or a newer one comes.
 
-        skipped: pictures that came before it and were never looked at.
+        skipped: pictures before it that the caller left out.
         """
         self._scheduler.handle_picture(stamp.capture_ns, now_ns, skipped=skipped)
         self._came_ns = now_ns
 
     def handle_feedback(self, datagram: bytes, now_ns: int) -> None:
-        """A datagram from the receiver's RTCP. Garbage is counted."""
+        """Handle an RTCP datagram from the receiver. Garbage is counted."""
         self._losses.handle_feedback(datagram, now_ns)
 
     def handle_channel(
         self, waiting_octets: int, told_ns: int, *, contacts: int, way_back: bool
     ) -> None:
-        """What is known of the channel behind the pacer; a sender without such a channel is not
-        told.
+        """Handle the state of a channel behind the pacer at `told_ns`, if there is one.
 
-        At `told_ns` so many octets waited in it. contacts: how often the other end was found
-        (again): what was sent before did not arrive. way_back: the receiver can be heard now.
+        waiting_octets: octets that wait in it.
+        contacts: how often contact with the other end has begun.
+        way_back: the receiver can be heard now.
         """
         self._scheduler.handle_channel(waiting_octets, self._pacer.channel_bps, told_ns)
         if self._contacts is not None and contacts != self._contacts:
-            # What was sent before did not arrive: nothing that refers to it will do.
+            # Pictures sent without contact did not arrive, so none may refer to them.
             self._keyframe_due = True
         self._contacts = contacts
         self._way_back = way_back
 
     def follow(self, *, cap_bps: int, channel_bps: int) -> None:
-        """From now on this cap and this channel hold; the cap is at least the first one.
+        """Change cap and channel from now on. The next `Coding` tells the encoder.
 
-        The encoder is told with the next `Coding`. ValueError for a lower cap.
+        Raises ValueError for a cap below the first one.
         """
         self._pacer.follow(cap_bps=cap_bps, channel_bps=channel_bps)
 
     def poll_encode(self, now_ns: int) -> Coding | None:
-        """How to encode the newest picture, if it shall be encoded now."""
+        """Return how to encode the newest picture now, or None if not now."""
         if not self._scheduler.poll_encode(now_ns):
             return None
         self._coding_ns = self._came_ns, now_ns
@@ -160,21 +165,23 @@ class VideoSender(PacedSender):
         refresh_s = None
         slow = self._can_be_asked(now_ns)
         if self._adapt_refresh and slow != self._slow_refresh:
-            # Where a whole picture can be asked for, the refresh only costs: 1 to 2 dB.
+            # While the receiver can ask for key pictures, a fast refresh only costs 1 to 2 dB.
             self._slow_refresh = slow
             refresh_s = SLOW_REFRESH_S if slow else REFRESH_S
         return Coding(keyframe, self._scheduler.next_rate_hz(), refresh_s, self.take_cap())
 
     def take_cap(self) -> int | None:
-        """The cap to encode under, once after each change; for a caller that calls `follow`
-        between `poll_encode` and encoding."""
+        """Return the new cap once after each change, else None.
+
+        For a caller that calls `follow` between `poll_encode` and encoding.
+        """
         if self._coded_cap_bps == self._pacer.cap_bps:
             return None
         self._coded_cap_bps = self._pacer.cap_bps
         return self._coded_cap_bps
 
     def handle_access_unit(self, unit: AccessUnit, encoded_ns: int) -> None:
-        """The picture that was to be encoded is, since `encoded_ns`."""
+        """The picture of the last `Coding` is encoded, since `encoded_ns`."""
         self._scheduler.handle_encoded(encoded_ns)
         packetized = self._rtp.video_packets(unit)
         packets, timestamp, octets = packetized
@@ -187,21 +194,21 @@ class VideoSender(PacedSender):
         self._queue(packetized, capture_ns, encoded_ns)
 
     def finish(self) -> None:
-        """No more pictures are encoded: from now on `poll_timeout` speaks of packets only."""
+        """Encode no more pictures; packets that wait still leave."""
         self._scheduler.finish()
 
     def poll_timeout(self) -> int | None:
-        """When `poll_transmit` or `poll_encode` has something next; None while nothing waits."""
+        """Return when to call `poll_transmit` and `poll_encode` next; None while nothing waits."""
         due = [self._pacer.poll_timeout(), self._scheduler.poll_timeout()]
         return min((due_ns for due_ns in due if due_ns is not None), default=None)
 
     def next_event(self) -> PictureCoded | UnitSent | None:
-        """What became of a picture, or None."""
+        """Return the next event of a picture, or None."""
         return self._events.popleft() if self._events else None
 
     @property
     def counts(self) -> VideoSenderCounts:
-        """What was counted so far."""
+        """The counts so far."""
         return VideoSenderCounts(
             captured=self._scheduler.captured,
             refused=self._scheduler.refused,
@@ -213,10 +220,10 @@ class VideoSender(PacedSender):
         )
 
     def _can_be_asked(self, now_ns: int) -> bool:
-        """Whether the receiver can ask for a whole picture."""
+        """Return whether the receiver can ask for a key picture."""
         if self._way_back is not None:
             return self._way_back
-        # A receiver that joins and is silent, or becomes so, cannot ask for a whole picture.
+        # A silent receiver cannot ask for a key picture.
         heard_ns = self._losses.heard_ns
         return heard_ns is not None and now_ns - heard_ns < _FEEDBACK_SILENCE_NS
 

@@ -1,4 +1,4 @@
-"""Playout blocks to sound without a gap: decoded, recovered or made up, and a little stretched."""
+"""Playout blocks to sound without a gap: decoded, recovered or concealed, and stretched."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import Pcm
 from kontur_av.rtp.playout import PlayoutBlock
 
-#: What a cubic needs of the block before: its sound comes two samples later (42 µs).
+#: Samples of the block before that a cubic needs. They delay sound by two samples (42 µs).
 _TAIL = 3
 #: A change of length by more than this part happens in pauses only. There missing sound cannot be
 #: heard, but another pitch could be.
@@ -23,8 +23,10 @@ class VoicePlayer:
         self._tail: NDArray[np.int16] = np.zeros(_TAIL, np.int16)
 
     def play(self, block: PlayoutBlock) -> tuple[Pcm, bool]:
-        """The block's sound, int16 of shape (block.played_samples,), and whether it is what was
-        sent; False: it was made up, because it was lost or no Opus."""
+        """Return the block's sound, int16, shape (block.played_samples,), and whether it is real.
+
+        False: it is concealment, because the packet was lost or no Opus.
+        """
         sound = self._received(block)
         if sound is not None:
             return self._fitted(sound, block.played_samples), True
@@ -41,12 +43,12 @@ class VoicePlayer:
             return None
 
     def _made_up(self, samples: int) -> Pcm:
-        # libopus guesses in steps of 2.5 ms only; what is over is left out by the fitting.
+        # libopus conceals in steps of 2.5 ms only; the rest is cut off.
         whole = -(-samples // 120) * 120
         return self._decoder.conceal(whole)[:samples]
 
     def _fitted(self, sound: Pcm, count: int) -> Pcm:
-        """`sound` played in the time of `count` samples: Catmull-Rom between its samples."""
+        """Return `sound` resampled to `count` samples by Catmull-Rom interpolation."""
         line = np.concatenate([self._tail, sound])
         self._tail = line[-_TAIL:]
         if count == len(sound):
@@ -64,7 +66,7 @@ class VoicePlayer:
 
 
 def _blended(sound: Pcm, count: int) -> Pcm:
-    """`sound` in `count` samples: its beginning fades into its end where the two overlap."""
+    """Return `sound` in `count` samples: its beginning fades into its end where they overlap."""
     length = len(sound)
     begin, end = max(0, count - length), min(length, count)
     weight = (np.arange(begin, end) - begin + 0.5) / (end - begin)

@@ -1,4 +1,4 @@
-"""A voice, from the loudspeaker's side: blocks of sound, each at the instant to hear it."""
+"""The receiver of a voice stream: blocks of sound, each at the instant at which to play it."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -6,17 +6,16 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, CaptureStamp, Quality
-from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
-from kontur_av.rtp.playout_block import PlayoutCounts
+from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer, PlayoutCounts
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.streams.lipsync import LipSync
 
-#: Arrivals that are kept for a caller that takes none; the oldest goes.
+#: The most arrivals kept for a caller that takes none; the oldest is dropped.
 _ARRIVALS_KEPT = 256
 
 
-class PacketReceived(NamedTuple):
-    """A packet of a voice has come. timestamp: its RTP timestamp."""
+class VoicePacketArrival(NamedTuple):
+    """A packet of a voice has come. timestamp: its 32-bit RTP timestamp."""
 
     timestamp: int
     received_ns: int
@@ -24,9 +23,13 @@ class PacketReceived(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VoiceReceiverCounts:
-    """rtp: packets. jitter_ns: of their arrival (RFC 3550 appendix A.8). playout: blocks. corrupt:
-    blocks that were no Opus. undated: blocks of which no sender report says how old they are.
-    inserted_ns: filled in where the delay grew. delay_ns: of the playout now."""
+    """Counts of a `VoiceReceiver`.
+
+    rtp: of packets. jitter_ns: of their arrival (RFC 3550 appendix A.8). playout: of blocks.
+    corrupt: blocks that were no Opus. undated: blocks before the first sender report, whose capture
+    time is unknown. inserted_ns: concealment added while the delay grew. delay_ns: the present
+    playout delay.
+    """
 
     rtp: ReceiverCounts
     jitter_ns: int
@@ -38,19 +41,20 @@ class VoiceReceiverCounts:
 
 
 class VoiceReceiver:
-    """Receives a voice as Opus over RTP. A core: it is told the time.
+    """Receives a voice as Opus over RTP. A core.
 
     1. Pass datagrams to `handle_packet` and `handle_report`, and call `handle_timeout` at
        `poll_timeout`.
-    2. Play each block of `next_event` at once, with a `VoicePlayer`: its time has come.
-    3. Ask `handle_sound` for its stamp.
+    2. Play each block of `next_event` at once, with a `VoicePlayer`.
+    3. Call `handle_sound` for its stamp.
 
-    For lip-sync also tell it when pictures of the same place are shown (`handle_picture_shown`).
+    For lip-sync call `handle_picture_shown` for pictures of the same place.
 
-    name: stands as the source in the stamps.
-    wall_offset_ns: an instant plus this is the Unix time, which sender reports tell.
-    oldest_picture_ns: older pictures delay no sound. oldest_sound_ns: lip-sync makes no sound
-        older. 0: no sound waits for its picture.
+    name: the source in the stamps.
+    wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
+    oldest_picture_ns: the latency from which on a picture delays no sound.
+    oldest_sound_ns: the largest latency that lip-sync gives a sound; 0: no lip-sync.
+    payload_type: of the stream.
     """
 
     def __init__(
@@ -73,7 +77,7 @@ class VoiceReceiver:
         self._lip_sync = LipSync(
             oldest_picture_ns=oldest_picture_ns, oldest_sound_ns=oldest_sound_ns
         )
-        self._arrivals: deque[PacketReceived] = deque(maxlen=_ARRIVALS_KEPT)
+        self._arrivals: deque[VoicePacketArrival] = deque(maxlen=_ARRIVALS_KEPT)
         self._heard = self._corrupt = self._undated = self._inserted_ns = 0
 
     @property
@@ -82,12 +86,12 @@ class VoiceReceiver:
         return self._receiver.ended
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
-        """A datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards."""
+        """Handle a datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards."""
         self._receiver.handle_packet(datagram, now_ns)
         self._take_packets(now_ns)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:
-        """A datagram of the RTCP port; True if it says how old sounds are.
+        """Handle a datagram of the RTCP port. True if it was a sender report of the stream.
 
         Garbage is counted. Drain `next_event` afterwards.
         """
@@ -96,38 +100,41 @@ class VoiceReceiver:
         return dates
 
     def handle_picture_shown(self, shown_ns: int, latency_ns: int) -> None:
-        """A picture of the same place was shown, so much after its capture."""
+        """A picture of the same place was shown, `latency_ns` after its capture."""
         self._lip_sync.handle_picture(shown_ns, latency_ns)
 
     def handle_timeout(self, now_ns: int) -> None:
-        """Play what is due by now. Drain `next_event` afterwards."""
+        """Make events of the blocks due by `now_ns`. Drain `next_event` afterwards."""
         self._playout.handle_timeout(now_ns)
 
     def poll_timeout(self) -> int | None:
-        """When the next block is due."""
+        """Return when the next block is due; None during a silence."""
         return self._playout.poll_timeout()
 
     def next_event(self) -> PlayoutBlock | None:
-        """The next block that is due: with an Opus packet, or to be made up."""
+        """Return the next block that is due, with an Opus packet or to be concealed, or None."""
         return self._playout.next_event()
 
-    def take_arrivals(self) -> list[PacketReceived]:
-        """The packets that have come since the last call, for figures."""
+    def take_arrivals(self) -> list[VoicePacketArrival]:
+        """Return the packets that have come since the last call, for figures."""
         arrivals = list(self._arrivals)
         self._arrivals.clear()
         return arrivals
 
     def capture_ns(self, timestamp: int) -> int | None:
-        """When the sound of this RTP timestamp was captured; None before a sender report."""
+        """Return when the sound of this RTP timestamp was captured, in ns.
+
+        None before the first sender report.
+        """
         return self._receiver.capture_ns(timestamp)
 
     def handle_sound(
         self, block: PlayoutBlock, *, decoded: bool, capture_ns: int | None
     ) -> CaptureStamp | None:
-        """A block sounds: decoded, or made up because it was lost or no Opus. Its stamp.
+        """Return the stamp of a block that is played; None if `capture_ns` is None.
 
-        capture_ns: as `capture_ns` says of the block's timestamp. None if nothing says how old it
-        is.
+        decoded: False if it was concealed, because it was lost or no Opus.
+        capture_ns: the result of `capture_ns` for the block's timestamp.
         """
         if not decoded and block.payload is not None:
             self._corrupt += 1
@@ -142,7 +149,7 @@ class VoiceReceiver:
 
     @property
     def counts(self) -> VoiceReceiverCounts:
-        """What was counted so far."""
+        """The counts so far."""
         return VoiceReceiverCounts(
             rtp=self._receiver.counts,
             jitter_ns=self._receiver.jitter_ns,
@@ -155,7 +162,7 @@ class VoiceReceiver:
 
     def _take_packets(self, now_ns: int) -> None:
         while (packet := self._receiver.next_event()) is not None:
-            self._arrivals.append(PacketReceived(packet.timestamp, packet.received_ns))
+            self._arrivals.append(VoicePacketArrival(packet.timestamp, packet.received_ns))
             self._playout.handle_packet(packet)
             self._hold(packet.timestamp, now_ns)
 

@@ -1,4 +1,4 @@
-"""A voice, from the microphone's side: which blocks of sound to encode, and what may leave."""
+"""The sender of a voice stream: which blocks of sound to encode, and which packets may leave."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -10,14 +10,17 @@ from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.streams.budget import Pacer
 from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, UnitSent
 
-#: A block this old is no voice any more; it would only push the following ones back.
+#: An older block is not sent, because it would delay those after it.
 _TOO_OLD_NS = 5 * BLOCK_NS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VoiceSenderCounts:
-    """captured: blocks that came. refused: of these, never encoded, because they or what waited
-    before them were too old. encoded, sent: blocks. rtp_packets: made so far."""
+    """Counts of a `VoiceSender`.
+
+    captured: blocks that came. refused: of these, never encoded, because they or packets before
+    them were too old. encoded, sent: blocks. rtp_packets: made so far.
+    """
 
     captured: int
     refused: int
@@ -27,15 +30,14 @@ class VoiceSenderCounts:
 
 
 class VoiceSender(PacedSender):
-    """Sends a voice as Opus over RTP, at a constant rate under a hard cap. A core: it is told the
-    time.
+    """Sends a voice as Opus over RTP, at a constant rate under a hard cap. A core.
 
-    Ask `handle_block` for each block of sound. If it says so, encode the block and pass the Opus
-    packet to `handle_packet`. Then, and at `poll_timeout`, send what `poll_transmit` returns until
-    None to the RTP port, and what `poll_report` returns to the RTCP port. `next_event` is for
-    figures; a caller that takes none loses the oldest.
+    Call `handle_block` for each block of sound. If it returns True, encode the block and pass the
+    Opus packet to `handle_packet`. Then, and at `poll_timeout`, send the packets of `poll_transmit`
+    to the RTP port until None, and the report of `poll_report` to the RTCP port. `next_event` is
+    for figures; the oldest events are dropped if the caller takes none.
 
-    Arguments: as those of `VideoSender`. Raises ConfigError for a cap or channel that cannot work.
+    Arguments: as of `VideoSender`. Raises ConfigError for a cap or channel that cannot work.
     """
 
     def __init__(
@@ -49,9 +51,9 @@ class VoiceSender(PacedSender):
         payload_type: int = AUDIO_PAYLOAD_TYPE,
         report_interval_ns: int = NS_PER_S,
     ) -> None:
-        #: For the `OpusEncoder`.
+        #: The rate for which to make the `OpusEncoder`.
         self.bitrate_bps = bitrate_under_cap(cap_bps)
-        # The rate is constant, but a process that was held up would send two packets at once.
+        # The rate is constant, but a process that was held up has two packets at once.
         pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps)
         rtp = RtpSender(
             payload_type=payload_type,
@@ -68,7 +70,7 @@ class VoiceSender(PacedSender):
         self._captured = self._refused = 0
 
     def handle_block(self, stamp: CaptureStamp, now_ns: int) -> bool:
-        """A block of sound is there; whether to encode it."""
+        """Handle a new block of sound. Return whether to encode it."""
         self._captured += 1
         oldest_ns = max(now_ns - stamp.capture_ns, self.oldest_age_ns(now_ns))
         if oldest_ns > _TOO_OLD_NS:
@@ -77,21 +79,21 @@ class VoiceSender(PacedSender):
         return True
 
     def handle_packet(self, opus: bytes, stamp: CaptureStamp, encoded_ns: int) -> None:
-        """The block of `stamp` is encoded, since `encoded_ns`."""
+        """The block of `stamp` is encoded as `opus`, since `encoded_ns`."""
         heard = heard_stamp(stamp)
         self._queue(self._rtp.audio_packets(opus, heard), heard.capture_ns, encoded_ns)
 
     def poll_timeout(self) -> int | None:
-        """When `poll_transmit` has something next; None while nothing waits."""
+        """Return when to call `poll_transmit` next; None while nothing waits."""
         return self._pacer.poll_timeout()
 
     def next_event(self) -> UnitSent | None:
-        """A block of which the packet has left, or None."""
+        """Return the next block whose packet has left, or None."""
         return self._events.popleft() if self._events else None
 
     @property
     def counts(self) -> VoiceSenderCounts:
-        """What was counted so far."""
+        """The counts so far."""
         return VoiceSenderCounts(
             captured=self._captured,
             refused=self._refused,
