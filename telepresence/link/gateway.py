@@ -50,7 +50,7 @@ from telepresence.link.supervision.supervisor import Supervisor
 LOST_PATIENCE_NS = 80 * NS_PER_MS
 #: Events within this time after the peer was found belong to the same contact.
 SAME_CONTACT_NS = 100 * NS_PER_MS
-#: Shift from the life number to its first frame count, so that two lives never overlap.
+#: Shift from the life number to its first frame count, so that two lives begin far apart.
 LIFE_SHIFT = 8
 #: After this long without a frame, no old header context is valid: the frame count may have gone
 #: through its whole range.
@@ -86,7 +86,7 @@ class Gateway:
         limits: Mapping[Level, QueueLimits] | None = None,
         timing: SupervisionTiming | None = None,
     ) -> None:
-        # Lives with overlapping frame counts would share header contexts.
+        # A life that continued the counts of another one would seem to share its contexts.
         self.sender = LinkSender(
             transmit, transmit_flows, limits=limits, first_count=life << LIFE_SHIFT
         )
