@@ -59,7 +59,7 @@ class Finish:
     chroma: tuple[int, int] | None
 
 
-#: A round rod: begin and end (x + iy), radius at the begin and at the end, all in pixels.
+#: A round rod: start and end (x + iy), radius at the start and at the end, all in pixels.
 #: A rod without length is a sphere.
 Body = tuple[complex, complex, float, float, Finish]
 
@@ -79,7 +79,7 @@ _UPRIGHT = -1j * _LIGHT
 def _outlines() -> NDArray[np.complex64]:
     """Return (2, 3, 2, 11): outlines of a rod of radius 1 along the x axis.
 
-    Axes: side of the light, layer, half (the cap at the end, the cap at the begin), point.
+    Axes: side of the light, layer, half (the cap at the end, the cap at the start), point.
     """
     halves = np.stack((_CAP, -_CAP))
     sides = np.array((1j, -1j))

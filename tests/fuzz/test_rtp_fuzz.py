@@ -150,7 +150,7 @@ def test_every_parser_refuses_or_accepts_any_octets(octets):
 
 
 SOURCE = st.sampled_from([b"\0\0\0\x07", b"\0\0\0\x07", b"\0\0\0\x08"])
-# Octets with a valid begin get further into the parsers.
+# Octets with a valid start get further into the parsers.
 RTP = st.builds(
     lambda first, number, stamp, source, payload: (
         bytes((first, 0x60 | 0x80 * (number & 1)))

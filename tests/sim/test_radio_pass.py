@@ -1,4 +1,4 @@
-"""A whole pass on virtual time: its length, its begin and end, and its delays."""
+"""A whole pass on virtual time: its length, its start and end, and its delays."""
 
 from dataclasses import replace
 from itertools import pairwise

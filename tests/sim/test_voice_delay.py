@@ -22,7 +22,7 @@ SENTENCE, SPOKEN = 95, 75
 
 
 def trace(seed, seconds, *, jitter_ms=1.5, stall_every_s=0.0, start_ms=60.0):
-    """Return arrivals in ms after the begin of the first block, one for each packet, in order."""
+    """Return arrivals in ms after the start of the first block, one for each packet, in order."""
     random = Random(seed)
     stalls = [(0.0, start_ms)]
     at_s = random.expovariate(1 / stall_every_s) if stall_every_s else seconds

@@ -118,7 +118,7 @@ class HeaderContext:
 
 
 def parse_context(body: bytes, count: int) -> HeaderContext | None:
-    """Return the context at the begin of `body`, or None if it is invalid."""
+    """Return the context at the start of `body`, or None if it is invalid."""
     if len(body) < CONTEXT_OCTETS:
         return None
     fields = _CONTEXT.unpack_from(body)

@@ -58,7 +58,7 @@ class BurstClock:
 def random_windows(
     random: Random, *, gap_s: float, shortest_s: float, longest_s: float
 ) -> Iterator[tuple[int, int]]:
-    """Yield begin and end (ns) of random blackouts: exponential gaps, uniform lengths."""
+    """Yield start and end (ns) of random blackouts: exponential gaps, uniform lengths."""
     end_ns = 0
     for _ in count():
         begin_ns = end_ns + round(random.expovariate(1 / gap_s) * NS_PER_S)
@@ -69,8 +69,8 @@ def random_windows(
 class BlackoutClock:
     """Windows in which nothing gets through; they may overlap.
 
-    given: begin and end (ns) of each, in any order.
-    more: further ones without end, sorted by their begins.
+    given: start and end (ns) of each, in any order.
+    more: further ones without end, sorted by their starts.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Steps of the received force: dated at their begin, and counted once."""
+"""Steps of the received force: dated at their start, and counted once."""
 
 import pytest
 from hypothesis import given

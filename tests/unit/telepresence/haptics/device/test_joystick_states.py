@@ -33,7 +33,7 @@ def test_no_sequence_of_events_leaves_the_table(events):
 
 
 def test_force_only_after_a_calibration_and_a_request():
-    # All transitions into the application, followed back to their begin.
+    # All transitions into the application, followed back to their start.
     assert {
         before for (before, _), after in TRANSITIONS.items() if after is JoystickState.APPLICATION
     } == {JoystickState.CALIBRATED}
