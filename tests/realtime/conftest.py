@@ -1,4 +1,4 @@
-"""Sessions for the tests that need one."""
+"""Fixtures that start sessions."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from running_session import RunningSession  # noqa: E402
 
 @pytest.fixture
 def start(tmp_path):
-    """start("taskboard", *options): the session, running; ended after the test in any case."""
+    """start("taskboard", *options): a running session, which ends after the test in any case."""
     started = []
 
     def start_session(setup, *options):
@@ -24,7 +24,7 @@ def start(tmp_path):
 
 
 def pytest_collection_modifyitems(items):
-    """Whatever lies here starts processes, or sleeps."""
+    """Mark all tests here as realtime, because they start processes or sleep."""
     for item in items:
         if item.path.is_relative_to(Path(__file__).parent):
             item.add_marker(pytest.mark.realtime)

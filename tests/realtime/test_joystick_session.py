@@ -1,11 +1,11 @@
-"""The joystick of a live session: it gets into its application, and says when it cannot."""
+"""The joystick of a live session reaches its application, or reports why it cannot."""
 
 import pytest
 
 pytestmark = pytest.mark.realtime
 
 
-def test_it_calibrates_itself_and_the_report_says_so(start):
+def test_it_calibrates_itself_and_reports_it(start):
     session = start("taskboard", "--seconds", "7")
     _, report = session.end()
     joystick = report["joystick"]
@@ -20,7 +20,7 @@ def test_it_calibrates_itself_and_the_report_says_so(start):
     assert not [failure for failure in report["failures"] if failure.startswith("joystick")]
 
 
-def test_one_that_cannot_be_calibrated_fails_the_session(start):
+def test_a_failed_calibration_fails_the_session(start):
     session = start("taskboard", "--seconds", "7", "--joystick", "sim:stuck-x")
     code, report = session.end()
     assert code == 1

@@ -1,4 +1,4 @@
-"""However a process of a session ends, its siblings go on, and the report says how it ended."""
+"""However a process of a session ends, the others continue, and the report gives the reason."""
 
 import json
 import signal
@@ -65,10 +65,10 @@ print(json.dumps({child.row.name: [child.restarts, child.last_error]
 
 
 def ends(bad, seconds=0.5, gone="", hangup=signal.SIG_DFL):
-    """What a launcher says of `bad` and of its sibling: [restarts, last error] of each.
+    """Return what a launcher reports of `bad` and of `good`: [restarts, last error] of each.
 
-    gone: what its figures cannot be shown to, "disk" or "reader". hangup: what it finds to be
-    done on a SIGHUP.
+    gone: what its figures cannot be written to, "disk" or "reader".
+    hangup: the disposition of SIGHUP that it inherits.
     """
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, bad, str(seconds), gone],
@@ -92,7 +92,7 @@ def ends(bad, seconds=0.5, gone="", hangup=signal.SIG_DFL):
         ("real_time_signal", "ended by signal 40"),
     ],
 )
-def test_a_process_that_falls_takes_no_sibling_along(bad, says):
+def test_a_failing_process_affects_no_other(bad, says):
     figures = ends(bad)
     assert figures["good"] == [0, ""]
     restarts, last_error = figures["bad"]
@@ -112,5 +112,5 @@ def test_under_nohup_a_closed_terminal_ends_nothing():
 
 def test_figures_that_cannot_be_shown_break_nothing():
     assert ends("good", 1.5, "disk") == {"good": [0, ""], "bad": [0, ""]}
-    # Without a time to end at: it ends because nobody reads it any more.
+    # Without a time limit: it ends because nobody reads its figures.
     assert ends("good", 0, "reader") == {"good": [0, ""], "bad": [0, ""]}

@@ -1,4 +1,4 @@
-"""The launcher forks: nothing that it loads may have started a thread before."""
+"""The launcher forks, so nothing that it loads may start a thread before."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The link alone: any program's datagrams through it, and nothing from strangers."""
+"""The link alone carries any program's datagrams, and nothing from strangers."""
 
 import contextlib
 import os
@@ -25,7 +25,7 @@ FLOWS = [row.flow for row in topology_of(SPACEJUSTIN).streams if row.flow is not
 
 @pytest.fixture
 def start(tmp_path):
-    """start(*options, **how): the link, running; ended after the test in any case."""
+    """start(*options, **how): the running link, which ends after the test in any case."""
     with contextlib.ExitStack() as stack:
         yield lambda *options, **how: stack.enter_context(
             RunningLink(*options, directory=tmp_path, **how)
@@ -34,13 +34,13 @@ def start(tmp_path):
 
 @pytest.fixture
 def program():
-    """program(port, host): a socket of a program; closed after the test."""
+    """program(port, host): a socket of a program, which is closed after the test."""
     with contextlib.ExitStack() as stack:
         yield lambda port, host="127.0.0.1": stack.enter_context(listening(port, host))
 
 
 def until_through(sender, to, receiver, data):
-    """Send `data` until it comes out, as often as it takes; `sender` never gets an answer."""
+    """Send `data` repeatedly until it comes out; `sender` never gets an answer."""
 
     def through():
         sender.sendto(data, to)
@@ -58,7 +58,7 @@ def test_programs_talk_through_it_and_strangers_do_not(start, program):
     link = start("--setup", "spacejustin")
     session = link.topology
     anyone = program(0)
-    # In the order of first come: packets of all kinds, both ways, and samples.
+    # In any order: packets of all kinds, both ways, and samples.
     exits = {flow.name: program(session.exit_port(flow.name)) for flow in FLOWS}
     for name in ("uplink_maintenance", "downlink_maintenance"):
         until_through(anyone, ("127.0.0.1", session.entry_port(name)), exits[name], name.encode())
@@ -146,7 +146,7 @@ def test_two_ends_on_two_addresses_hear_each_other_alone(start, program):
     for _ in range(3):
         stranger.sendto(b"not from the programs", entry)
         stranger.sendto(b"twelve octet", (hosts[1], session.entry_port("downlink_haptic")))
-        # Of the right host, but not of its radio port.
+        # From the right host, but not from its radio port.
         here.sendto(bytes(500), (hosts[1], session.radio_port(Segment.SPACE)))
     until_through(there, entry, down, b"down")
     code, report = ground.interrupt()
@@ -163,7 +163,7 @@ def test_two_ends_on_two_addresses_hear_each_other_alone(start, program):
     assert set(came(down)) <= {b"down"}
 
 
-def test_a_gateway_that_is_killed_comes_back_and_is_reported(start, program):
+def test_a_killed_gateway_is_restarted_and_reported(start, program):
     link = start("--setup", "taskboard")
     session = link.topology
     anyone, out = program(0), program(session.exit_port("uplink_maintenance"))

@@ -1,4 +1,4 @@
-"""What comes into a session from outside: garbage on its ports, sources that do as they please."""
+"""Input of a session from outside: garbage on its ports, and sources that misbehave."""
 
 import os
 import random
@@ -48,7 +48,7 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
         for index, datagram in enumerate(datagrams):
             for port in range(session.base_port, session.base_port + PORTS):
                 udp.sendto(datagram, ("127.0.0.1", port))
-            # No flood: a socket's buffer would drop it before anybody could.
+            # Not a flood, which a socket's buffer would drop unseen.
             if index % 4 == 0:
                 time.sleep(0.02)
     session.wait_for_flow()
@@ -60,7 +60,7 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
     for direction, link in report["link"].items():
         assert all(count > 0 for count in link["refused"].values()), (direction, link["refused"])
     for end, gateway in report["gateways"].items():
-        # Whoever is not the other gateway is not even read.
+        # Datagrams of anybody but the other gateway are not even parsed.
         assert gateway["strangers"]["radio"] > len(datagrams) // 4, end
     for name, stream in report["streams"].items():
         assert stream["garbage"] > 0, name
@@ -78,7 +78,7 @@ def picture(width, height, level):
 
 
 def write_pictures(fifo, width, height, level):
-    """A program that shows grey for half a second, and ends."""
+    """Write grey pictures for half a second, as a program would, then end."""
 
     def run():
         with fifo.open("wb", buffering=0) as pipe:
@@ -116,7 +116,7 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
                 luma = lease.video().data[:480]
                 return int(luma[240, 320])
 
-        # Nobody writes: the input is silent, the others are not.
+        # Without a writer this input is silent, but the others are not.
         assert next_level() is None
         for width, height, level in ((640, 480, 90), (320, 240, 150), (1280, 960, 210)):
             writer = write_pictures(fifo, width, height, level)
@@ -126,7 +126,7 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
             )
             writer.join()
             session.wait_for_flow()
-    # A camera without pictures is selected: the encoder waits for one, nobody falls.
+    # A camera without pictures is selected: the encoder waits for one, and no process fails.
     assert session.select("head").returncode == 0
     session.wait_for_flow(["uplink_voice", "downlink_video", "haptic_up", "haptic_down"])
     assert session.select("static").returncode == 0

@@ -1,4 +1,4 @@
-"""Each process of a session killed once, with no chance to tidy up; and the launcher itself."""
+"""Each process of a session is killed once without warning; then the launcher itself."""
 
 import contextlib
 import os
@@ -18,7 +18,7 @@ RECEIVED = [
     f"received/{name}"
     for name in ("uplink_video", "uplink_voice", "downlink_video", "downlink_voice")
 ]
-#: Where it is seen first that a process works again, if not at the end of the streams.
+#: Where a process is first seen to work again, if not at the end of the streams.
 WITNESS = {
     "robot": ROBOT_TOPIC,
     "joystick": ROBOT_TOPIC,
@@ -104,7 +104,7 @@ def is_part(pid):
 
 def test_ctrl_c_at_once_leaves_nothing(start):
     session = start("taskboard")
-    # Its first child is none of its processes: libopus is looked for by a program of the system.
+    # Its first child is not one of its processes: a system program looks for libopus.
     eventually(lambda: any(map(is_part, session.children())), "the first process")
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
@@ -113,7 +113,7 @@ def test_ctrl_c_at_once_leaves_nothing(start):
     session.assert_nothing_left()
 
 
-def test_the_processes_go_with_a_launcher_that_is_killed(start):
+def test_processes_end_with_a_killed_launcher(start):
     session = start("taskboard")
     pids = session.pids()
     session.wait_for_flow()
@@ -122,7 +122,7 @@ def test_the_processes_go_with_a_launcher_that_is_killed(start):
     eventually(lambda: not any(alive(pid) for pid in pids.values()), "the end of all processes")
 
 
-def test_a_process_that_falls_for_ever_takes_nobody_along(start):
+def test_a_repeatedly_failing_process_affects_no_other(start):
     session = start("taskboard")
     pids = session.pids()
     session.wait_for_flow()
@@ -138,7 +138,7 @@ def test_a_process_that_falls_for_ever_takes_nobody_along(start):
     assert code == 0
     assert_sound(report)
     restarts = {name: entry["restarts"] for name, entry in report["processes"].items()}
-    # Each restart waits longer than the one before: two seconds have room for six.
+    # Each restart waits longer than the one before; two seconds have room for six.
     assert 2 <= restarts.pop("camera_static") <= 8
     assert set(restarts.values()) == {0}
     session.assert_nothing_left()

@@ -1,4 +1,4 @@
-"""What a launcher that was killed has left is cleared away; what belongs to the living stays."""
+"""What a killed launcher left is removed; files of running sessions stay."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ from pipelines.runtime.sessions import clear_dead_sessions, hold_session, new_se
 
 
 def leave_behind(session):
-    """A process that opens topics of `session` and is killed in the middle of it."""
+    """A process that opens topics of `session` and is killed while it does."""
     code = (
         "import os, signal, sys; from kontur_av.topics.bus import TopicBus;"
         "bus = TopicBus(sys.argv[1]); bus.writer('a', max_octets=10);"
@@ -23,7 +23,7 @@ def leave_behind(session):
     assert shared_memory(session)
 
 
-def test_only_what_the_dead_left_is_cleared():
+def test_only_remains_of_ended_sessions_are_removed():
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     dead, living = f"lab-{ended.pid}", f"lab-{os.getpid()}"
@@ -90,7 +90,7 @@ def test_a_session_lives_as_long_as_one_of_its_processes(monkeypatch):
         finally:
             os._exit(0)
     os.read(ready[0], 1)
-    # As if the launcher had been killed: its descriptors go, and nothing is cleared away.
+    # As if the launcher had been killed: its descriptors are closed, and nothing is removed.
     with monkeypatch.context() as killed:
         killed.setattr("pipelines.runtime.sessions.remove_session", lambda session: 0)
         held.__exit__(None, None, None)

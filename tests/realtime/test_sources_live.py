@@ -1,4 +1,4 @@
-"""Live sources on real time: FIFOs with real writers, a camera thread, a real ALSA device."""
+"""Live sources in real time: FIFOs with real writers, a camera thread, a real ALSA device."""
 
 import itertools
 import os
@@ -31,7 +31,7 @@ def y4m_header(width, height, colour="420jpeg", rate="30:1"):
 
 
 def y4m_picture(width, height, level, chroma=2):
-    """chroma: how many chroma samples for each four of luma."""
+    """chroma: how many chroma samples there are for each four of luma."""
     return (
         b"FRAME\n"
         + bytes([level]) * (width * height)
@@ -93,7 +93,7 @@ def test_pictures_are_captured_when_they_arrive(fifo):
     writer.join()
 
 
-def test_the_writer_goes_and_comes_back_with_another_size(fifo):
+def test_the_writer_leaves_and_returns_with_another_size(fifo):
     source = opened(fifo)
     first = write_later(
         fifo, [y4m_header(*SIZE), y4m_picture(*SIZE, 60), y4m_picture(*SIZE, 61)[:99]]
@@ -160,7 +160,7 @@ def test_a_writer_at_full_speed_is_held_to_the_rate_it_states(fifo):
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs the program ffmpeg")
 @pytest.mark.interop
-def test_what_ffmpeg_pipes_is_shown(fifo):
+def test_pictures_piped_by_ffmpeg_are_shown(fifo):
     source = opened(fifo, (160, 120))
     command = ["ffmpeg", "-v", "error", "-re", "-f", "lavfi", "-i", "testsrc=size=320x240:rate=30"]
     writer = subprocess.Popen(
@@ -173,7 +173,7 @@ def test_what_ffmpeg_pipes_is_shown(fifo):
 
 
 def test_a_camera_gives_its_newest_picture_and_ends_in_time():
-    # No camera is at hand on a build machine: FFmpeg's test picture comes through the same door.
+    # A build machine has no camera, so FFmpeg's test picture takes the same path.
     camera = CameraVideo("testsrc=size=128x48:rate=30,realtime", name="head", width=64, height=48,
                          fps=30, clock=CLOCK, demuxer="lavfi")  # fmt: skip
     picture = empty_picture(*SIZE)
@@ -221,7 +221,7 @@ def test_a_microphone_gives_blocks_of_20_ms(alsa_file):
     source.close()
 
 
-def test_a_microphone_that_goes_away_comes_back(alsa_file):
+def test_a_microphone_that_disappears_is_opened_again(alsa_file):
     source = open_audio(alsa_file, name="ground_mic", clock=CLOCK)
     assert source.read(2 * NS_PER_S) is not None
     source._process.kill()
@@ -235,6 +235,6 @@ def test_a_microphone_that_goes_away_comes_back(alsa_file):
     source.close()
 
 
-def test_a_microphone_that_is_not_there_is_refused():
+def test_a_missing_microphone_is_refused():
     with pytest.raises(ConfigError, match="nosuchcard"):
         open_audio("alsa:nosuchcard", name="ground_mic", clock=CLOCK)

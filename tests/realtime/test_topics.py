@@ -70,7 +70,7 @@ def test_a_guest_joins_what_is_there_and_leaves_nothing_where_nothing_is(session
     assert not shared_memory(absent) and not session_root(absent).exists()
 
 
-def test_sound_comes_back_as_it_went_in(session):
+def test_sound_is_read_as_it_was_published(session):
     with TopicBus(session) as bus:
         writer = bus.writer("voice", max_octets=1920)
         reader = bus.reader("voice", depth=8)
@@ -96,8 +96,10 @@ def test_a_slow_reader_loses_the_oldest_and_never_blocks_the_writer(session):
 
 
 def test_a_reader_that_holds_two_samples_may_still_look_for_the_newest(session):
-    """Like the stereo merge, which shows a camera's last picture again. Publications between the
-    steps of `latest` are stood in for by a deeper queue."""
+    """The stereo merge does so when it shows a camera's last picture again.
+
+    A deeper queue stands for publications between the steps of `latest`.
+    """
     with TopicBus(session) as bus:
         writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
         reader = bus.reader("pictures", depth=4)
@@ -125,7 +127,7 @@ def test_a_reader_that_joins_late_sees_the_last_sample(session):
 
 
 def test_a_reader_of_a_topic_that_rested_begins_with_a_fresh_sample(session):
-    """Like a camera that is drawn only while somebody reads it."""
+    """A camera that is drawn only while somebody reads it is such a topic."""
     with TopicBus(session) as bus:
         writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
         assert not writer.has_readers()
@@ -184,7 +186,7 @@ def _tell_what_arrives(session, tell):
 
 
 def test_a_killed_writer_and_a_killed_reader_leave_the_others_running(session):
-    """More kills than writers are allowed at once: what the dead held is taken back."""
+    """More kills than allowed writers at once: resources of killed processes are freed."""
     # Not forked: this process has had a bus, and a child would inherit its locks.
     spawn = multiprocessing.get_context("spawn")
     told, tell = spawn.Pipe(duplex=False)
@@ -224,12 +226,12 @@ def test_an_unfit_session_name_or_size_is_refused(session):
 
 @pytest.mark.parametrize("octets", [1, 12, 90])
 def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, tmp_path, octets):
-    # Its path has 107 octets at most, and a user's number may be long as well.
+    # Its path has at most 107 octets, and a user's number may be long as well.
     directory = tmp_path / ("d" * octets)
     directory.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(directory))
     monkeypatch.setattr(os, "getuid", lambda: 1_234_567_890)
-    # It belongs to another.
+    # The directory belongs to another user.
     monkeypatch.setattr(session_files, "_check_own", lambda directory: None)
     name = "l" * 31
     with TopicBus(name) as bus:
@@ -246,7 +248,7 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, t
     user_root.rmdir()
 
 
-def test_a_directory_that_others_may_have_filled_is_not_used(monkeypatch, tmp_path):
+def test_a_directory_that_others_can_write_to_is_not_used(monkeypatch, tmp_path):
     # Not tmp_path itself, which may be too deep for sockets.
     with tempfile.TemporaryDirectory(prefix="kav") as directory:
         monkeypatch.setattr(tempfile, "tempdir", directory)

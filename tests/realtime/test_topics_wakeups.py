@@ -1,4 +1,4 @@
-"""Who sleeps for a topic is woken: under load, by the dying, and with one system call."""
+"""Readers that wait for a topic are woken: under load, by dying writers, with one system call."""
 
 import multiprocessing
 import os
@@ -15,7 +15,7 @@ from kontur_av.topics.bus import MAX_READERS, TopicBus
 from kontur_av.topics.notifier import NotificationListener, Notifier, WaitSet
 from kontur_av.topics.session_files import notifier_path, remove_session, shared_memory
 
-#: Nothing takes that long: what comes later was lost.
+#: Far longer than any wake-up takes; one that comes later was lost.
 LONG_NS = 20_000_000_000
 #: Not forked from here: this process has had a bus, and a child would inherit its locks.
 PROCESSES = multiprocessing.get_context("forkserver")
@@ -37,7 +37,7 @@ def path(session):
 
 @pytest.fixture
 def start(session):
-    """Starts processes, and leaves none."""
+    """Start processes, and end them after the test."""
     running = []
 
     def start(work, *arguments):
@@ -57,7 +57,7 @@ def stamp(sequence):
 
 
 def _acknowledge_each(session, tell, depth):
-    """Go to sleep right after each sample: just when the next one is published."""
+    """Wait right after each sample, just when the next one is published."""
     bus = TopicBus(session)
     reader = bus.reader("numbers", depth=depth)
     waiter = bus.waiter([reader]) if depth > 1 else None
@@ -67,7 +67,7 @@ def _acknowledge_each(session, tell, depth):
             sequence = lease.octets()
             lease.release()
             tell.send_bytes(sequence)
-    tell.send_bytes(b"slept on")
+    tell.send_bytes(b"not woken")
 
 
 def test_no_wakeup_is_lost_in_thousands(session, start):
@@ -96,8 +96,8 @@ def _sleep_for_ever(session, tell):
         reader.latest().release()
 
 
-def test_readers_killed_in_their_sleep_cost_the_others_no_wakeup(session, start):
-    """More than there may be at once, beside one that lives."""
+def test_readers_killed_while_waiting_cost_others_no_wakeup(session, start):
+    """More of them than may exist at once, beside one that lives."""
     with TopicBus(session) as bus:
         writer, reader = bus.writer("numbers", max_octets=8), bus.reader("numbers")
         waiter = bus.waiter([reader])
@@ -124,7 +124,7 @@ def _die_before_ringing(session, order):
     writer.publish_octets(bytes(8), stamp(1))
 
 
-def test_a_writer_killed_before_it_rings_is_heard_nevertheless(session, start):
+def test_a_writer_killed_before_it_notifies_still_wakes_readers(session, start):
     order, give = PROCESSES.Pipe(duplex=False)
     with TopicBus(session) as bus:
         reader = bus.reader("numbers")
@@ -133,7 +133,7 @@ def test_a_writer_killed_before_it_rings_is_heard_nevertheless(session, start):
         seen = None
         for wanted in (0, 1):
             while seen != wanted:
-                assert waiter.wait(LONG_NS), "slept on"
+                assert waiter.wait(LONG_NS), "not woken"
                 if (lease := reader.latest()) is not None:
                     with lease:
                         seen = lease.stamp.sequence
@@ -144,7 +144,9 @@ def test_a_writer_killed_before_it_rings_is_heard_nevertheless(session, start):
 
 
 @pytest.mark.parametrize("readers", [0, 1, MAX_READERS])
-def test_a_publication_takes_one_system_call_whoever_sleeps(session, monkeypatch, readers):
+def test_a_publication_takes_one_system_call_for_any_number_of_readers(
+    session, monkeypatch, readers
+):
     notified = []
 
     def write(fd, data):
@@ -164,16 +166,14 @@ def test_a_publication_takes_one_system_call_whoever_sleeps(session, monkeypatch
             assert [waiter.wait(0) for waiter in waiters] == [False] * readers
 
 
-def test_a_bell_never_fills_up_and_each_ring_counts(path, monkeypatch):
+def test_a_notifier_never_fills_up_and_each_notification_counts(path, monkeypatch):
     notifier, listener = Notifier(path), NotificationListener(path)
     wait_set = WaitSet([listener])
     made_room = []
 
     def read(fd, octets):
         made_room.append(real_read(fd, octets))
-        assert select.select([listener], [], [], 0)[0], (
-            "emptied: who is slow to wake would sleep on"
-        )
+        assert select.select([listener], [], [], 0)[0], "emptied: a slow listener would sleep on"
 
     real_read = os.read
     monkeypatch.setattr(notifier_module.os, "read", read)
@@ -188,7 +188,7 @@ def test_a_bell_never_fills_up_and_each_ring_counts(path, monkeypatch):
     assert made_room
 
 
-def test_a_sleep_goes_on_until_it_was_for_something(path):
+def test_waiting_continues_until_the_condition_holds(path):
     notifier, listener = Notifier(path), NotificationListener(path)
     first, second = WaitSet([listener]), WaitSet([listener])
     notifier.notify()
@@ -220,7 +220,7 @@ def test_a_bus_gives_back_what_it_opened(session):
     assert len(list(Path("/proc/self/fd").iterdir())) == len(before)
 
 
-def test_what_somebody_else_put_there_is_no_bell(path, tmp_path):
+def test_a_fifo_of_another_user_is_refused(path, tmp_path):
     path.touch()
     with pytest.raises(ConfigError, match=r"\.notifier is no FIFO of yours: remove it"):
         Notifier(path)
