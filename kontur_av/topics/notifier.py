@@ -17,7 +17,7 @@ the later releases of 5.10 and 5.13. `kontur-av doctor` tests it.
 
 Alternatives: a futex needs one system call too, but a wait for it cannot include sockets, and
 Python has no atomic operation to count the waiters. Letting the first waiter wake the others would
-cost the writer less, but all others would sleep on if that one is killed, stopped or busy.
+cost the writer less. But all others would sleep on if that one is killed, stopped or busy.
 """
 
 import mmap

@@ -1,4 +1,4 @@
-"""No sliding window over the cap, whatever is put in and whenever it is polled."""
+"""No sliding window exceeds the cap, whatever is put in and whenever it is polled."""
 
 import pytest
 from hypothesis import given
@@ -12,7 +12,7 @@ MS = 1_000_000
 
 
 def largest(releases, window_ns):
-    """Octets in the fullest window of `window_ns`, both ends included: by trying every start."""
+    """Return the octets in the fullest window of `window_ns`, both ends included, by trying all."""
     return max(
         sum(octets for t, octets in releases if start <= t <= start + window_ns)
         for start, _ in releases
@@ -31,7 +31,7 @@ steps = st.lists(
 
 
 @given(steps, st.sampled_from([85_000, 85_001, 512_000]), st.sampled_from([None, 2_000_000]))
-def test_no_window_breaks_the_cap(script, cap_bps, channel_bps):
+def test_no_window_exceeds_the_cap(script, cap_bps, channel_bps):
     pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps, window_ns=NS_PER_S)
     now, serial, put, got, releases = 0, 0, [], [], []
     for step, sizes, exactly in script:
@@ -74,7 +74,7 @@ def test_the_cap_holds_for_an_observer_whose_clock_jitters(script, jitter):
         assert largest(seen, NS_PER_S) * 8 <= 85_000
 
 
-def test_nothing_leaves_before_its_time_and_it_leaves_then():
+def test_packets_leave_exactly_when_due():
     pacer = Pacer(cap_bps=80_000)
     pacer.handle_access_unit([b"a" * 100, b"b" * 100], [100, 100], 0)
     assert pacer.poll_transmit(0) == b"a" * 100
@@ -122,6 +122,6 @@ def test_a_packet_that_can_never_leave_is_refused_at_once():
     ("kwargs", "text"),
     [({"cap_bps": 0}, "at least 1000"), ({"cap_bps": 90_000, "channel_bps": 80_000}, "80000")],
 )
-def test_what_cannot_work_is_refused(kwargs, text):
+def test_invalid_budgets_are_refused(kwargs, text):
     with pytest.raises(ConfigError, match=text):
         Pacer(**kwargs)

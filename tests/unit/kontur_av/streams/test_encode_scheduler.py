@@ -1,4 +1,4 @@
-"""When the newest picture is encoded: as the channel runs dry, and not when it is old."""
+"""When the newest picture is encoded: as the channel runs dry, but not when it is too old."""
 
 import pytest
 from hypothesis import given
@@ -34,12 +34,12 @@ def test_a_picture_is_encoded_when_the_channel_will_be_dry_by_then():
     clock.handle_picture(20 * MS, 24 * MS)
     assert not clock.poll_encode(24 * MS)
     due_ns = clock.poll_timeout()
-    # The coding is taken for 3 ms as long as none was measured.
+    # The coding time is assumed to be 3 ms until one was measured.
     assert due_ns == 27 * MS
     assert clock.poll_encode(due_ns)
 
 
-def test_packets_that_wait_for_their_leave_do_not_hold_the_next_coding_back():
+def test_waiting_packets_do_not_delay_the_next_coding():
     pacer = Pacer(cap_bps=80_000)
     clock = EncodeScheduler(pacer, fps=30)
     pacer.handle_access_unit([bytes(270), bytes(20)], [270, 20], 0)  # 27 and 2 ms of the channel
@@ -62,7 +62,7 @@ def test_one_picture_is_encoded_at_a_time():
     assert clock.refused == 0
 
 
-def test_an_old_picture_gives_way_to_the_next_but_not_for_ever():
+def test_an_old_picture_is_replaced_but_not_for_ever():
     clock = clock_with(300)
     clock.handle_picture(0, 10 * MS)
     assert not clock.poll_encode(27 * MS)
@@ -76,7 +76,7 @@ def test_an_old_picture_gives_way_to_the_next_but_not_for_ever():
     assert alone.poll_encode(due_ns)
 
 
-def test_while_the_link_is_behind_nothing_is_encoded():
+def test_nothing_is_encoded_while_the_link_is_behind_its_cap():
     clock = clock_with()
     clock.handle_channel(10_000, 96_000, 0)
     clock.handle_picture(0, 0)
@@ -100,7 +100,7 @@ def test_a_regular_camera_that_is_slower_is_followed_and_back_again(hz):
     assert len(rates) <= 3
 
 
-def test_hiccups_are_no_new_rate():
+def test_single_delays_are_no_new_rate():
     clock, now_ns = clock_with(), 0
     for i in range(300):
         now_ns += PERIOD * (5 if i % 4 == 0 else 1)
@@ -111,7 +111,7 @@ def test_hiccups_are_no_new_rate():
 @given(
     st.lists(st.tuples(st.integers(0, 80 * MS), st.booleans(), st.integers(1, 900)), max_size=80)
 )
-def test_every_picture_is_encoded_or_refused_whatever_comes(script):
+def test_every_picture_is_encoded_or_refused(script):
     pacer = Pacer(cap_bps=80_000)
     clock, now_ns, encoded = EncodeScheduler(pacer, fps=30), 0, 0
     for step_ns, comes, octets in script:

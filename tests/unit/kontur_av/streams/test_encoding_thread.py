@@ -1,4 +1,4 @@
-"""The thread that encodes: the loop goes on, and what goes wrong in the thread ends it."""
+"""The encoding thread: the loop continues meanwhile, and an error in the thread ends it."""
 
 import select
 import threading
@@ -27,7 +27,7 @@ def readable(thread, timeout_s=10.0):
 
 
 class Slow:
-    """An encoder that waits until it may go on."""
+    """An encoder that waits for permission to continue."""
 
     def __init__(self):
         self.begun, self.may = threading.Event(), threading.Event()
@@ -38,7 +38,7 @@ class Slow:
         return given.stamp.sequence, coding.keyframe
 
 
-def test_what_the_thread_encodes_is_what_the_encoder_would():
+def test_the_thread_encodes_like_the_encoder():
     def encoder():
         return H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=85_000)
 
@@ -55,7 +55,7 @@ def test_what_the_thread_encodes_is_what_the_encoder_would():
     assert [unit.keyframe for unit in units] == [True, False, False, True, False]
 
 
-def test_while_it_encodes_the_loop_goes_on_and_gives_it_nothing_else():
+def test_the_loop_continues_while_the_thread_encodes():
     slow = Slow()
     with EncodingThread(slow, CLOCK) as encoding:
         assert encoding.poll() is None
@@ -72,7 +72,7 @@ def test_while_it_encodes_the_loop_goes_on_and_gives_it_nothing_else():
     encoding.close()
 
 
-def test_what_it_stumbles_over_ends_the_loop():
+def test_an_error_in_the_thread_ends_the_loop():
     encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=85_000)
     with EncodingThread(encoder, CLOCK) as encoding:
         other = VideoFrame(empty_picture(32, 32), CaptureStamp(0, 0, "test"))

@@ -1,4 +1,4 @@
-"""Sound and picture together: what the sound has to wait for, and what is said of it."""
+"""Lip-sync: how long sound waits for pictures, and the reported share of time in sync."""
 
 import pytest
 
@@ -16,11 +16,11 @@ def watching(latencies_ms, *, begin_ms=0):
     return lip_sync
 
 
-def test_sound_waits_for_pictures_only_as_much_as_it_must():
+def test_sound_waits_for_pictures_only_as_long_as_needed():
     assert LipSync(oldest_picture_ns=300, oldest_sound_ns=150).least_latency_ns(0) is None
     least_ns = watching([120] * 60).least_latency_ns(2 * NS_PER_S)
     assert 120 * MS - EARLIEST_NS <= least_ns <= 125 * MS - EARLIEST_NS
-    # Pictures in 40 ms: whatever the sound has is right.
+    # Pictures within 40 ms: sound of any latency is in sync.
     assert watching([40] * 60).least_latency_ns(2 * NS_PER_S) <= 0
 
 
@@ -28,12 +28,12 @@ def test_a_single_late_picture_delays_no_sound_and_one_too_old_never_does():
     calm = watching([60] * 60).least_latency_ns(2 * NS_PER_S)
     assert watching([60] * 58 + [250, 60]).least_latency_ns(2 * NS_PER_S) == calm
     assert watching([500] * 60).least_latency_ns(2 * NS_PER_S) is None
-    # Where most come too late to be of use, the others cannot save it.
+    # If most pictures are too late to be useful, the others do not matter.
     assert watching([500, 200, 500] * 20).least_latency_ns(2 * NS_PER_S) is None
     assert watching([200, 500, 200] * 20).least_latency_ns(2 * NS_PER_S) is not None
 
 
-def test_no_sound_is_made_too_old_and_pictures_that_stay_away_hold_nothing():
+def test_sound_never_becomes_too_old_and_missing_pictures_delay_nothing():
     lip_sync = watching([290] * 60)
     assert lip_sync.least_latency_ns(2 * NS_PER_S) <= 155 * MS
     assert lip_sync.least_latency_ns(5 * NS_PER_S) is None
@@ -41,7 +41,7 @@ def test_no_sound_is_made_too_old_and_pictures_that_stay_away_hold_nothing():
 
 def test_the_share_counts_time_not_pictures():
     share = LipSyncShare()
-    # A second together, a tenth too early, two tenths too late.
+    # A second in sync, a tenth too early, two tenths too late.
     for at_ms, skew_ms in ((0, -45), (500, 125), (1000, -46), (1100, 126), (1300, 0)):
         share.add(at_ms * MS, skew_ms * MS)
     summary = share.summary()

@@ -1,4 +1,4 @@
-"""How old what is shown is, and for how long it was stale, frozen or damaged."""
+"""The age of what is shown, and for how long it was stale, frozen or damaged."""
 
 from dataclasses import replace
 
@@ -21,13 +21,13 @@ def video():
 
 
 def shown(staleness, *, until_ms, begin_ms=0, latency_ms=40, damaged=False):
-    """A picture every 33 ms; the last one's instant."""
+    """Show a picture every 33 ms; return the last one's instant."""
     for at_ms in range(begin_ms, until_ms + 1, 33):
         staleness.handle_shown((at_ms - latency_ms) * MS, at_ms * MS, damaged=damaged)
     return at_ms
 
 
-def test_age_goes_on_between_pictures():
+def test_age_grows_between_pictures():
     staleness = video()
     assert staleness.age_ns(0) is None
     assert staleness.state(0) is State.NOTHING
@@ -39,7 +39,7 @@ def test_age_goes_on_between_pictures():
     assert staleness.stale_from_ns() == (last_ms + 160) * MS
 
 
-def test_a_stream_that_stays_away_is_frozen_and_then_stale_until_it_is_back():
+def test_a_missing_stream_is_frozen_then_stale_until_it_returns():
     staleness = video()
     last_ms = shown(staleness, until_ms=330)
     for at_ms in range(last_ms, last_ms + 1000, 70):
@@ -50,7 +50,7 @@ def test_a_stream_that_stays_away_is_frozen_and_then_stale_until_it_is_back():
     assert staleness.damaged.total_ns == 0
 
 
-def test_pictures_that_are_all_too_old_are_one_stale_episode():
+def test_continuously_old_pictures_are_one_stale_episode():
     staleness = video()
     last_ms = shown(staleness, until_ms=990, latency_ms=300)
     assert (staleness.stale.total_ns, staleness.stale.episodes) == (last_ms * MS, 1)
@@ -60,7 +60,7 @@ def test_pictures_that_are_all_too_old_are_one_stale_episode():
     assert staleness.frozen.total_ns == 0
 
 
-def test_two_spells_between_two_looks_are_two():
+def test_two_episodes_between_two_checks_count_as_two():
     staleness = video()
     staleness.handle_shown(0, 40 * MS)
     staleness.handle_shown(960 * MS, 1000 * MS)
@@ -78,7 +78,7 @@ def test_damage_lasts_until_a_whole_picture_is_shown():
     assert (staleness.damaged.total_ns, staleness.damaged.episodes) == (330 * MS, 1)
 
 
-def test_a_block_of_sound_is_new_as_long_as_it_is_played():
+def test_a_block_of_sound_is_new_while_it_is_played():
     staleness = Staleness(stale_after_ns=100 * MS, span_ns=20 * MS)
     for at_ms in range(0, 200, 20):
         staleness.handle_shown((at_ms - 90) * MS, at_ms * MS)
@@ -89,7 +89,7 @@ def test_a_block_of_sound_is_new_as_long_as_it_is_played():
     assert (staleness.stale.total_ns, staleness.stale.episodes) == (20 * MS, 1)
 
 
-def test_sound_that_is_too_old_when_it_is_heard_is_stale_from_its_beginning():
+def test_sound_heard_too_late_is_stale_from_its_start():
     staleness = Staleness(stale_after_ns=100 * MS, span_ns=20 * MS)
     for at_ms in range(0, 200, 20):
         staleness.handle_shown((at_ms - 110) * MS, at_ms * MS)
@@ -97,7 +97,7 @@ def test_sound_that_is_too_old_when_it_is_heard_is_stale_from_its_beginning():
     assert (staleness.stale.total_ns, staleness.stale.episodes) == (200 * MS, 1)
 
 
-def test_what_is_made_up_makes_nothing_younger_and_all_is_told():
+def test_concealed_sound_does_not_reduce_the_age_and_is_counted():
     setup = BUILT_IN["spacejustin"]
     probe = Probe(None)
     streams = [setup.uplink_video, setup.uplink_voice]
@@ -136,6 +136,6 @@ def test_the_mark_is_red_on_the_edge_and_leaves_the_middle(size):
         assert np.count_nonzero(luma[:48] == 235) > 200, "the words"
 
 
-def test_an_age_is_told_as_people_read_it():
+def test_an_age_is_formatted_for_people():
     ages = (0, 340 * MS, 1_300 * MS, 75 * NS_PER_S)
     assert [age_words(age_ns) for age_ns in ages] == ["0 ms", "340 ms", "1.3 s", "75 s"]

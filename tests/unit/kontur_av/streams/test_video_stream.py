@@ -11,7 +11,7 @@ from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import PictureCoded, VideoSender
 
 PERIOD_NS = NS_PER_S // 30
-#: The receiver's clock shows so much more than the sender's.
+#: The receiver's clock is ahead of the sender's by this much.
 AHEAD_NS = 7 * NS_PER_S
 KEY, SLICE = b"\x00\x00\x00\x01\x65\x88", b"\x00\x00\x00\x01\x41\x88"
 
@@ -35,7 +35,7 @@ class Stream:
         self.codings, self.stamps, self.units = [], [], []
 
     def step(self, number, octets=300):
-        """A picture is captured, sent and shown."""
+        """Capture, send and show a picture."""
         sender, receiver = self.sender, self.receiver
         now_ns = number * PERIOD_NS
         stamp = CaptureStamp(now_ns, number, "camera")
@@ -76,7 +76,7 @@ def test_pictures_arrive_with_stamps_of_the_receivers_clock():
     assert stream.receiver.counts.units == stream.receiver.counts.rtp.received == 10
 
 
-def test_a_loss_is_seen_told_and_healed_by_a_key_picture():
+def test_a_loss_is_reported_and_healed_by_a_key_picture():
     stream = Stream(lost={4})
     for number in range(12):
         stream.step(number)
@@ -86,7 +86,7 @@ def test_a_loss_is_seen_told_and_healed_by_a_key_picture():
     assert (stream.receiver.counts.asked, stream.sender.counts.losses_told) == (1, 1)
 
 
-def test_the_refresh_is_slow_while_the_receiver_can_be_heard():
+def test_the_refresh_is_slow_while_the_receiver_is_heard():
     stream = Stream()
     for number in range(60):
         stream.step(number)
@@ -96,11 +96,11 @@ def test_the_refresh_is_slow_while_the_receiver_can_be_heard():
     changes = [(n, c.refresh_s) for n, c in enumerate(stream.codings) if c.refresh_s is not None]
     assert [refresh_s for _, refresh_s in changes] == [SLOW_REFRESH_S, REFRESH_S]
     assert changes[0][0] == 1
-    # Three seconds after the last sign of life, of which there is one a second.
+    # Three seconds after the last sign of life; there is one a second.
     assert 120 <= changes[1][0] <= 152
 
 
-def test_a_channel_that_is_told_of_decides_about_the_refresh_and_about_key_pictures():
+def test_a_reported_channel_controls_the_refresh_and_key_pictures():
     sender = make_sender()
     stream = Stream(sender=sender, way_back=False)
     for number, (contacts, way_back) in enumerate([(3, True), (3, True), (4, True), (4, False)]):
@@ -112,14 +112,14 @@ def test_a_channel_that_is_told_of_decides_about_the_refresh_and_about_key_pictu
     assert [coding.keyframe for coding in stream.codings] == [False, False, True, False]
 
 
-def test_an_encoder_that_keeps_its_own_refresh_is_told_none():
+def test_an_encoder_with_its_own_refresh_gets_none():
     stream = Stream(sender=make_sender(adapt_refresh=False))
     for number in range(40):
         stream.step(number)
     assert {coding.refresh_s for coding in stream.codings} == {None}
 
 
-def test_what_waits_in_the_channel_holds_the_next_picture_back():
+def test_octets_waiting_in_the_channel_delay_the_next_picture():
     sender = make_sender()
     sender.handle_channel(5000, 0, contacts=1, way_back=True)  # 40 ms of it
     sender.handle_picture(CaptureStamp(0, 0, "camera"), 0)
@@ -131,7 +131,7 @@ def test_what_waits_in_the_channel_holds_the_next_picture_back():
     assert (sender.counts.captured, sender.counts.refused) == (1, 1)
 
 
-def test_a_raised_cap_is_told_to_the_encoder_once_and_no_lower_one_taken():
+def test_a_raised_cap_reaches_the_encoder_once_and_a_lower_one_is_refused():
     stream = Stream()
     stream.step(0)
     stream.sender.follow(cap_bps=1_100_000, channel_bps=2_000_000)
@@ -143,7 +143,7 @@ def test_a_raised_cap_is_told_to_the_encoder_once_and_no_lower_one_taken():
         stream.sender.follow(cap_bps=999_999, channel_bps=2_000_000)
 
 
-def test_a_picture_says_when_it_came_was_begun_and_was_coded():
+def test_a_picture_has_stamps_of_arrival_and_coding():
     sender = make_sender()
     sender.handle_picture(CaptureStamp(10, 0, "camera"), 20, skipped=2)
     assert sender.poll_encode(30) is not None
@@ -157,14 +157,14 @@ def test_a_picture_says_when_it_came_was_begun_and_was_coded():
     assert sender.oldest_age_ns(45) == 5
 
 
-def test_a_caller_that_takes_no_events_loses_the_oldest():
+def test_unfetched_events_drop_the_oldest():
     stream = Stream()
     for number in range(EVENTS_KEPT):
         stream.step(number, octets=20)
     assert len(list(iter(stream.sender.next_event, None))) == EVENTS_KEPT
 
 
-def test_pictures_that_nobody_dates_or_that_are_too_large_are_counted():
+def test_undated_or_too_large_pictures_are_counted():
     receiver = make_receiver(largest=(64, 48))
     assert receiver.handle_picture(1, 64, 48, None) is None
     assert receiver.handle_picture(2, 48, 64, 5).capture_ns == 5
@@ -173,7 +173,7 @@ def test_pictures_that_nobody_dates_or_that_are_too_large_are_counted():
     assert (counts.undated, counts.oversized) == (1, 1)
 
 
-def test_a_receiver_on_a_thin_channel_keeps_silent_while_all_is_well():
+def test_a_receiver_on_a_thin_channel_is_silent_without_losses():
     stream = Stream(receiver=make_receiver(keep_alive_ns=None))
     for number in range(60):
         stream.step(number)

@@ -1,4 +1,4 @@
-"""What a listener hears: never a gap, and a lost packet is never silence."""
+"""What a listener hears: no gaps, and a lost packet is never silence."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def block(payload, samples=BLOCK, played=BLOCK, **what):
 
 
 def voiced(sound):
-    """Blocks in the middle of speech: as loud as those around them."""
+    """Return blocks in the middle of speech: as loud as those around them."""
     level = [energy(sound[at : at + BLOCK]) for at in range(0, len(sound) - BLOCK, BLOCK)]
     loud = np.percentile(level, 60)
     return [n for n in range(5, len(level) - 2) if min(level[n - 1 : n + 2]) > loud]
@@ -64,7 +64,7 @@ def test_a_block_is_played_in_exactly_the_time_it_is_given(played):
     heard = [player.play(block(packet, played=played))[0] for packet in packets(61_200, tone)]
     assert {len(sound) for sound in heard} == {played}
     line = np.concatenate(heard[10:]).astype(np.float64)
-    # The same tone, higher or lower by the share, and no clicks: no jump larger than the tone's.
+    # The same tone, shifted by the ratio, without clicks: no jump larger than the tone's own.
     hz = 440 * BLOCK / played
     assert np.abs(np.diff(line)).max() < 1.1 * 9000 * 2 * np.pi * hz / 48_000
     spectrum = np.abs(np.fft.rfft(line * np.hanning(len(line))))
@@ -72,7 +72,7 @@ def test_a_block_is_played_in_exactly_the_time_it_is_given(played):
     assert peak_hz == pytest.approx(hz, abs=1.5)
 
 
-def test_what_is_no_opus_is_made_up_and_any_length_can_be():
+def test_invalid_opus_is_concealed_with_any_length():
     sent = packets(61_200, speech("cabin")[:48_000])
     player = VoicePlayer()
     for packet in sent[:20]:
@@ -101,17 +101,17 @@ def test_a_copy_in_the_next_packet_is_better_than_a_guess():
                 player.play(block(packet))
             payload = sent[lost + 1] if recovered else None
             got, _ = player.play(block(payload, recovered=recovered))
-            # The player's interpolation holds two samples back.
+            # The player's interpolation delays by two samples.
             difference = got[2:].astype(np.float64) - true[lost][:-2]
             errors[recovered] += float(difference @ difference)
     assert errors[True] < 0.5 * errors[False]
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x08", b"\x0b\x01\x02", b"\xf8\xff"])
-def test_what_has_no_copy_says_so(payload):
+def test_packets_without_a_copy_are_recognized(payload):
     assert not holds_copy(payload)
 
 
-def test_the_look_ahead_is_part_of_what_a_listener_hears():
+def test_the_look_ahead_counts_for_the_latency():
     assert OpusEncoder(bitrate_bps=8_000).lookahead_samples == LOOKAHEAD_SAMPLES
     assert heard_stamp(CaptureStamp(10**9, 3, "mic")) == CaptureStamp(10**9 - 6_500_000, 3, "mic")

@@ -7,7 +7,7 @@ from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
 
-#: A SILK packet of 20 ms without a copy of the one before, in which somebody speaks.
+#: A SILK packet of 20 ms with voice activity and without a copy of the one before.
 PACKET = b"\x08\x80" + bytes(18)
 LOOKAHEAD_NS = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
 
@@ -25,7 +25,7 @@ def test_a_block_that_is_too_old_is_not_encoded():
     assert sender.bitrate_bps == 7_600
 
 
-def test_no_block_is_encoded_behind_one_that_waits_for_too_long():
+def test_no_block_is_encoded_behind_one_that_waits_too_long():
     sender = make_sender(channel_bps=None)
     for number in range(9):
         stamp = CaptureStamp(0, number, "mic")
@@ -38,7 +38,7 @@ def test_no_block_is_encoded_behind_one_that_waits_for_too_long():
     assert sender.backlog_octets > 0
 
 
-def test_sound_is_dated_by_what_is_heard_and_a_lost_block_is_marked():
+def test_sound_is_dated_when_heard_and_a_lost_block_is_marked():
     sender = make_sender()
     receiver = VoiceReceiver(name="voice")
     stamps = []
@@ -81,7 +81,7 @@ def test_sound_is_dated_by_what_is_heard_and_a_lost_block_is_marked():
     assert (counts.undated, counts.inserted_ns) == (0, 0)
 
 
-def test_sound_that_nobody_dates_is_counted():
+def test_undated_sound_is_counted():
     sender, receiver = make_sender(), VoiceReceiver()
     for number in range(3):
         stamp = CaptureStamp(number * BLOCK_NS, number, "mic")
