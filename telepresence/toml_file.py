@@ -1,7 +1,7 @@
-"""TOML files that a user writes: read, checked against typed tables, and refused in one line.
+"""Reads TOML files of users and checks them against typed tables; errors are one line.
 
-What may stand in a file is a dataclass. msgspec checks and converts; what it finds wrong is told as
-a ConfigError that names the field, its value and what would fit.
+A dataclass defines the contents of a file. msgspec checks and converts. Its errors become a
+ConfigError that names the field, its value and what would fit.
 """
 
 import re
@@ -19,7 +19,7 @@ from kontur_av.errors import ConfigError
 
 _Table = TypeVar("_Table")
 
-#: What msgspec calls a type, and what a user calls it.
+#: msgspec's names of types, and the words for users.
 _WORDS = {
     "float": "a number",
     "int": "a whole number",
@@ -30,7 +30,7 @@ _MESSAGE = re.compile(r"(.*?)(?: - at `\$(.*)`)?")
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """The table in a file. ConfigError when it cannot be read or is no TOML; what: "radio", say."""
+    """Return the table in a file; ConfigError. what: the kind of file, such as "radio"."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -40,18 +40,18 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 
 def check_known(table: Mapping[str, Any], kind: type, *, also: tuple[str, ...] = ()) -> None:
-    """ConfigError for a field that `kind` (a dataclass) does not have, or an infinite number.
+    """Raise ConfigError for a field that `kind` (a dataclass) lacks, or for an infinite number.
 
-    also: fields that the caller takes out itself.
+    also: additional fields, which the caller handles itself.
     """
     _check_known("", table, kind, also)
 
 
 def typed(table: Mapping[str, Any], kind: type[_Table], what: str) -> _Table:
-    """`table` as a `kind` (a dataclass whose fields may be dataclasses); ConfigError otherwise.
+    """Convert `table` to a `kind` (a dataclass whose fields may be dataclasses); ConfigError.
 
-    A field's metadata "like" says in words what it takes, where its type alone says too little.
-    what: what the whole table is, for what it needs: "a setup", say.
+    A field's metadata "like" describes its values in words, if the type alone says too little.
+    what: what the whole table is, for errors, such as "a setup".
     """
     check_known(table, kind)
     try:
@@ -82,12 +82,12 @@ def _check_known(
 
 
 def _inner(hint: Any) -> type | None:
-    """The dataclass in a field's type: `X`, `X | None` or `tuple[X, ...]`."""
+    """Return the dataclass in a field's type: `X`, `X | None` or `tuple[X, ...]`."""
     return next((each for each in (hint, *get_args(hint)) if is_dataclass(each)), None)  # type: ignore[return-value]
 
 
 def _told(wrong: str, path: str, table: Any, kind: type, what: str) -> str:
-    """What msgspec says of the place `path`, in the words of this module."""
+    """Return msgspec's error at `path` in words for users."""
     name = re.sub(r"\[[^]]*\]", "", path).removeprefix(".")
     field: Field[Any] | None = None
     value, holder = table, kind
@@ -97,7 +97,7 @@ def _told(wrong: str, path: str, table: Any, kind: type, what: str) -> str:
             value = value[key]
             holder = _inner(get_type_hints(holder)[key]) or holder
         elif index == "...":
-            # A value of a mapping; msgspec does not say of which key.
+            # A value of a mapping; msgspec does not say which key it belongs to.
             return f"{name} must be {_wanted(wrong, name, field, holder)} throughout"
         else:
             value = value[int(index)]

@@ -1,4 +1,4 @@
-"""The two speech samples, from wherever this installation keeps them."""
+"""The two speech samples: where they are, and what is spoken at an instant."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +17,7 @@ _WINDOW = AUDIO_CLOCK_HZ // 50
 
 
 def media_folder() -> Path:
-    """Where the sample media are: inside the installed package, or in the checkout."""
+    """Return the folder of the sample media: in the installed package, or in the checkout."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "media", package.parent / "samples" / "media"):
         if (folder / "speech_ground.flac").is_file():
@@ -27,8 +27,8 @@ def media_folder() -> Path:
 
 @lru_cache(maxsize=2)
 def speech(speaker: Speaker) -> Pcm:
-    """The whole sample: (n,) int16 at 48 kHz. Treat as read-only: every caller gets this one."""
-    # Only who speaks needs FFmpeg: the other cameras' processes start without it.
+    """Return the whole sample: (n,) int16 at 48 kHz. Read-only, because all callers share it."""
+    # Imported on demand, because only processes with speech need FFmpeg.
     import av
 
     resampler = av.AudioResampler("s16", "mono", AUDIO_CLOCK_HZ)
@@ -41,16 +41,15 @@ def speech(speaker: Speaker) -> Pcm:
 
 
 def position_at(speaker: Speaker, instant_ns: int) -> int:
-    """Which sample of the loop is spoken at that instant: the same in every process.
+    """Return the index of the sample that is spoken at an instant, equal in every process.
 
-    A picture of the speaker and his voice thus belong together, although two processes make
-    them and know nothing of each other.
+    The speaker's picture and voice thus match, although independent processes produce them.
     """
     return instant_ns * AUDIO_CLOCK_HZ // NS_PER_S % len(speech(speaker))
 
 
 def loudness_at(speaker: Speaker, instant_ns: int) -> float:
-    """How loud he speaks at that instant, smoothed over 20 ms: from 0.0 to 1.0."""
+    """Return the loudness of speech at an instant, smoothed over 20 ms: 0.0 to 1.0."""
     envelope = _envelope(speaker)
     return float(envelope[position_at(speaker, instant_ns) // _WINDOW % len(envelope)])
 

@@ -1,7 +1,7 @@
-"""The radio between two gateways: delay, bit errors, bursts, blackouts and passes, from a seed.
+"""Simulated radio between two gateways: delay, bit errors, bursts, blackouts and passes.
 
-`load_radio(name or FILE.toml)` gives a `RadioProfile`; its `path(direction, seed=, epoch_ns=)` is a
-`RadioPath` for the frames of one direction. docs/radio-model.md has the equations.
+`load_radio(name or FILE.toml)` returns a `RadioProfile`. Its `path(direction, seed=, epoch_ns=)` is
+a `RadioPath` for the frames of one direction. docs/radio-model.md has the equations.
 """
 
 from telepresence.link.radio.contact import Contact

@@ -35,7 +35,7 @@ def _either(one: float, other: float) -> float:
     return one + other - one * other
 
 
-class Channel:
+class RadioChannel:
     """The radio channel of one direction. Request its conditions in order of time.
 
     profile_name, direction: for the report.

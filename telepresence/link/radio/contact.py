@@ -1,12 +1,12 @@
-"""A contact: what a pass does to the signal. Light time from range, drop-outs from elevation.
+"""A contact: effects of a pass on the signal. Light time from range, drop-outs from elevation.
 
-The margin of the link in dB, above the level at which one bit in a million is wrong, is
+The link margin in dB, above the level with a bit error rate of 1e-6, is
 
     M = margin − 20 lg(range / 1000 km) − edge_loss · e + (fading + edge_fading · e) · F(t),
     e = exp(−((elevation − horizon) / edge)²)
 
-with F(t) a random curve of mean 0 and variance 1 that depends on the seed and on time only, so
-that both directions fade together. docs/radio-model.md has the reasons.
+with F(t) a random curve of mean 0 and variance 1. It depends only on the seed and on time, so both
+directions fade together. docs/radio-model.md has the reasons.
 """
 
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from telepresence.link.figures import ContactWindows
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 
 _LIGHT_KM_S = 299_792.458
-#: Eb/N0 at which an uncoded BPSK receiver takes one bit in a million wrong, dB.
+#: Eb/N0 in dB at which an uncoded BPSK receiver has a bit error rate of 1e-6.
 _NOMINAL_DB = 10.53
-#: Above this margin no session ever sees an error (2e-13 a bit), so none is worked out.
+#: Above this margin the bit error rate is negligible (2e-13) and not computed.
 _ERROR_FREE_DB = 3.5
-#: How often the fading is looked at, where it matters.
+#: Interval at which the fading is evaluated, where it matters.
 _STEP_NS = 10 * NS_PER_MS
-#: A link is called usable where only rarer fades than these end the lock: 1 of 160 of the time.
+#: Deviations of the fading that a usable link must bear; deeper fades occur 1/160 of the time.
 _USABLE_DEVIATIONS = 2.5
 _MASK = (1 << 64) - 1
 
@@ -38,20 +38,20 @@ STORED_ELEMENTS = """\
 
 @dataclass(frozen=True, kw_only=True)
 class Contact:
-    """A pass over a station, and how well the two hear each other during it.
+    """A pass over a ground station, and the quality of the signal during it.
 
     elements: the text of the two-line element set.
-    after: the first pass that rises after this instant, UTC, and culminates at least
-        `least_peak_deg` high is taken.
+    after: the pass is the first one that rises after this instant (UTC) and culminates at
+        `least_peak_deg` or higher.
     latitude_deg, longitude_deg, altitude_m: the station.
-    horizon_deg: acquisition and loss of signal are at this elevation.
+    horizon_deg: elevation of acquisition and loss of signal.
     margin_db: the margin at a range of 1000 km.
-    edge_loss_db, edge_fading_db: loss and standard deviation of the fading at the horizon, on top;
-        `edge_deg` above it both are 1/e of that, and soon nothing.
+    edge_loss_db, edge_fading_db: additional loss and standard deviation of the fading at the
+        horizon; `edge_deg` above it both have fallen to 1/e.
     fading_db: standard deviation of the fading at any elevation.
-    fading_s: the fading is a new one after this time.
-    lock_db: below this margin a receiver finds no frames at all.
-    light_time: whether range counts for the delay.
+    fading_s: after this time the fading is independent of its earlier value.
+    lock_db: below this margin a receiver loses frame synchronization.
+    light_time: whether the delay includes the light time.
     """
 
     elements: str = STORED_ELEMENTS
@@ -73,7 +73,7 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class ContactState:
-    """Light time in ns, its change a nanosecond, and how good the signal is, until `until_ns`."""
+    """Light time (ns), its change a nanosecond, and quality of the signal, until `until_ns`."""
 
     until_ns: int
     delay_ns: float
@@ -83,12 +83,12 @@ class ContactState:
 
 
 def bit_error_rate(margin_db: float) -> float:
-    """Of an uncoded BPSK receiver: Q(√(2 Eb/N0)), Eb/N0 being the margin above the nominal one."""
+    """Bit error rate of uncoded BPSK, Q(√(2 Eb/N0)); Eb/N0 is the nominal one plus the margin."""
     return 0.5 * erfc(sqrt(10 ** ((margin_db + _NOMINAL_DB) / 10)))
 
 
 def _mixed(number: int) -> int:
-    """64 well-mixed bits (Steele, Lea, Flood 2014, SplitMix64)."""
+    """Return 64 well-mixed bits (SplitMix64: Steele, Lea, Flood 2014)."""
     number = (number + 0x9E3779B97F4A7C15) & _MASK
     number = ((number ^ (number >> 30)) * 0xBF58476D1CE4E5B9) & _MASK
     number = ((number ^ (number >> 27)) * 0x94D049BB133111EB) & _MASK
@@ -98,8 +98,8 @@ def _mixed(number: int) -> int:
 class FadingCurve:
     """A random curve of time: mean 0 and variance 1 at every instant.
 
-    A normal number at every knot; in between the cosine and the sine weight of the two knots, whose
-    squares add up to 1. Each knot is made from the seed and its own number alone.
+    Each knot is a normal random number, derived only from the seed and the knot's index. Between
+    two knots they are weighted with cosine and sine, whose squares add up to 1.
     """
 
     def __init__(self, seed: int, knot_ns: int) -> None:
@@ -109,13 +109,13 @@ class FadingCurve:
         self._here = self._there = 0.0
 
     def at(self, time_ns: int) -> float:
-        """The curve at an instant."""
+        """Return the value of the curve at an instant."""
         number = self._go_to(time_ns)
         angle = pi / 2 * (time_ns - number * self._knot_ns) / self._knot_ns
         return self._here * cos(angle) + self._there * sin(angle)
 
     def reach(self, time_ns: int) -> tuple[float, int]:
-        """How far from 0 the curve may be from an instant to the next knot, and when that is."""
+        """Return the largest absolute value from here to the next knot, and the knot's instant."""
         number = self._go_to(time_ns)
         return hypot(self._here, self._there), (number + 1) * self._knot_ns
 
@@ -134,7 +134,7 @@ class FadingCurve:
 
 
 class ContactFading:
-    """A contact on its own time, ns: 0 is the acquisition of signal that the orbit predicts.
+    """A contact in its own time, ns: 0 is the acquisition of signal that the orbit predicts.
 
     flight: range and elevation, second by second.
     """
@@ -163,7 +163,7 @@ class ContactFading:
         ]
 
     def state(self, time_ns: int) -> ContactState:
-        """What is so at an instant; outside the pass there is no signal."""
+        """Return the state at an instant; outside the pass there is no signal."""
         if not 0 <= time_ns < self._loss_ns:
             until_ns = 0 if time_ns < 0 else 1 << 62
             light_ns = self._light_ns[0 if time_ns < 0 else self._last]
@@ -173,16 +173,16 @@ class ContactFading:
         slope = (self._light_ns[second + 1] - self._light_ns[second]) / NS_PER_S
         light_ns = self._light_ns[second] + slope * rest_ns
         here, there = self._levels[second], self._levels[second + 1]
-        # At the beginning of the step, so that whoever asks within it is told the same.
+        # Evaluate at the start of the step, so that the result is equal within a step.
         step_ns = time_ns - time_ns % _STEP_NS
         part = (step_ns - second * NS_PER_S) / NS_PER_S
         margin = here[0] + part * (there[0] - here[0])
         deviation = here[1] + part * (there[1] - here[1])
         reach, knot_ns = self._curve.reach(step_ns)
-        # Straight lines from here to the end of the second are nowhere lower than at an end.
+        # The bounds are straight lines up to the end of the second: an end has the minimum.
         lowest = min(margin - reach * deviation, there[0] - reach * there[1])
         if lowest > max(_ERROR_FREE_DB, self._contact.lock_db):
-            # Every step that begins before the knot.
+            # This holds for every step that begins before the knot.
             until_ns = min(until_ns, -(-knot_ns // _STEP_NS) * _STEP_NS)
             return ContactState(until_ns, light_ns, slope, signal=True, bit_error_rate=0.0)
         until_ns = min(until_ns, step_ns + _STEP_NS)

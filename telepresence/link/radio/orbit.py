@@ -1,8 +1,8 @@
-"""An orbit over a ground station: range and elevation, second by second.
+"""A pass over a ground station: range and elevation, second by second.
 
-The orbit is that of a two-line element set under SGP4 (Hoots and Roehrich, Spacetrack Report
-No. 3, 1980; Vallado et al., AIAA 2006-6753), computed by the package sgp4, which is imported only
-when a pass is asked for.
+The orbit is that of a two-line element set under SGP4 (Hoots and Roehrich, Spacetrack Report No. 3,
+1980; Vallado et al., AIAA 2006-6753). The package sgp4 computes it; it is imported only when a pass
+is requested.
 """
 
 import re
@@ -23,9 +23,9 @@ _LONGEST_S = 3600
 class Overflight:
     """A pass, second by second from its rise; the last entry of each table is after its set.
 
-    rise: the instant of second 0, UTC, like "2015-08-18T14:33:01Z".
-    visible_s: from rise to set, s.
-    ranges_km, elevations_deg: at seconds 0, 1, 2, …
+    rise: the instant of second 0, UTC, such as "2015-08-18T14:33:01Z".
+    visible_s: time from rise to set.
+    ranges_km, elevations_deg: values at seconds 0, 1, 2, ...
     """
 
     rise: str
@@ -35,7 +35,7 @@ class Overflight:
 
 
 def parse_elements(text: str) -> tuple[str, str]:
-    """The two lines of an element set, their checksums checked; ConfigError.
+    """Return the two lines of an element set after checking them; ConfigError.
 
     Lines that begin with neither 1 nor 2 are comments.
     """
@@ -55,7 +55,7 @@ def parse_elements(text: str) -> tuple[str, str]:
 
 
 def parse_utc(text: str) -> tuple[int, int, int, int, int, int] | None:
-    """Year, month, day, hour, minute, second of "2015-08-18T14:00:00Z"; None if it is not one."""
+    """Parse an instant such as "2015-08-18T14:00:00Z" into six numbers; None if it is invalid."""
     found = re.fullmatch(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d)(?::(\d\d))?Z?", text)
     if not found:
         return None
@@ -66,7 +66,7 @@ def parse_utc(text: str) -> tuple[int, int, int, int, int, int] | None:
 
 
 def sidereal_angle(days: float, fraction: float) -> float:
-    """Greenwich mean sidereal time in radians (IAU 1982) at a Julian date in two parts."""
+    """Return Greenwich mean sidereal time (rad, IAU 1982) at a Julian date in two parts."""
     centuries = ((days - 2451545.0) + fraction) / 36525
     seconds = 67310.54841 + centuries * (
         876600 * 3600 + 8640184.812866 + centuries * (0.093104 - 6.2e-6 * centuries)
@@ -95,9 +95,9 @@ class Station:
         )
 
     def look(self, position_km: tuple[float, float, float], angle: float) -> tuple[float, float]:
-        """Range in km and elevation in degrees of a position in SGP4's frame (TEME).
+        """Return range (km) and elevation (degrees) of a position in SGP4's frame (TEME).
 
-        Polar motion (some 10 m) and refraction are left out.
+        Polar motion (about 10 m) and refraction are neglected.
         """
         x, y, z = position_km
         turned = (cos(angle) * x + sin(angle) * y, cos(angle) * y - sin(angle) * x, z)
@@ -115,10 +115,12 @@ def next_overflight(
     horizon_deg: float,
     least_peak_deg: float,
 ) -> Overflight:
-    """The first pass that rises after an instant and gets as high as asked; ConfigError if none.
+    """Return the first pass after an instant that is high enough; ConfigError if there is none.
 
+    elements: the two lines of the element set.
     station: latitude and longitude in degrees, altitude in m.
-    after: an instant that `parse_utc` takes.
+    after: the pass rises after this instant, in the format of `parse_utc`.
+    horizon_deg: elevation of rise and set. least_peak_deg: least elevation of the culmination.
     """
     from sgp4.api import SGP4_ERRORS, Satrec, jday
 
@@ -136,7 +138,7 @@ def next_overflight(
         return ground.look(position, sidereal_angle(days, now))
 
     def crossing(low: float, high: float) -> float:
-        """When the elevation passes the horizon, to a millisecond; it does between the two."""
+        """Return when the elevation crosses the horizon in the given interval, to 1 ms."""
         rising = look(high)[1] > horizon_deg
         while high - low > 1e-3:
             middle = (low + high) / 2
@@ -173,7 +175,7 @@ def next_overflight(
 
 
 def _later(instant: tuple[int, int, int, int, int, int], seconds: float) -> str:
-    """The instant so many seconds later, as text, to the second."""
+    """Return the instant `seconds` later as text, rounded to a second."""
     year, month, day, hour, minute, second = instant
     rest = hour * 3600 + minute * 60 + second + round(seconds)
     day, rest = day + rest // _DAY_S, rest % _DAY_S

@@ -5,7 +5,7 @@ from math import inf, log1p
 from random import Random
 
 from telepresence.link.figures import PathFigures
-from telepresence.link.radio.channel import FOREVER_NS, Channel
+from telepresence.link.radio.channel import FOREVER_NS, RadioChannel
 
 
 def hazard(probability: float) -> float:
@@ -36,7 +36,7 @@ class RadioPath:
         delay_ns: int = 0,
         loss: float = 0.0,
         seed: int | str = 0,
-        channel: Channel | None = None,
+        channel: RadioChannel | None = None,
         epoch_ns: int = 0,
     ) -> None:
         if delay_ns < 0 or not 0.0 <= loss <= 1.0:

@@ -1,4 +1,4 @@
-"""A radio profile: all that makes a radio what it is, as data. Built-in ones are at the end."""
+"""A radio profile: all properties of a simulated radio, as data, and the built-in profiles."""
 
 from dataclasses import dataclass, replace
 from math import pi
@@ -8,7 +8,7 @@ from typing import Literal
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from telepresence.link.figures import ContactWindows
-from telepresence.link.radio.channel import Channel
+from telepresence.link.radio.channel import RadioChannel
 from telepresence.link.radio.contact import Contact, ContactFading
 from telepresence.link.radio.orbit import Overflight, parse_elements, parse_utc
 from telepresence.link.radio.outages import BlackoutClock, BurstClock, random_windows
@@ -16,16 +16,16 @@ from telepresence.link.radio.path import RadioPath
 
 Direction = Literal["uplink", "downlink"]
 
-#: The states of bursts change at the beginning of a slot.
+#: The states of bursts change at the start of a slot.
 SLOT_NS = NS_PER_MS
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bursts:
-    """Bursts of errors, of each direction by itself (`BurstClock`).
+    """Bursts of errors, independent in each direction (`BurstClock`).
 
     gap_s, mean_ms: mean time between two bursts, and mean length of one.
-    frame_loss, bit_error_rate: within a burst.
+    frame_loss, bit_error_rate: probabilities within a burst.
     """
 
     gap_s: float
@@ -42,7 +42,7 @@ class Bursts:
 
 @dataclass(frozen=True, kw_only=True)
 class Blackout:
-    """Nothing gets through for a while, in one direction ("uplink", "downlink") or in "both"."""
+    """An interval in which nothing gets through, in "uplink", "downlink" or "both"."""
 
     start_s: float
     seconds: float
@@ -59,7 +59,7 @@ class Blackout:
 
 @dataclass(frozen=True, kw_only=True)
 class RandomBlackouts:
-    """Blackouts of both directions at random: exponential gaps, lengths evenly between two."""
+    """Random blackouts of both directions: exponential gaps, uniform lengths."""
 
     gap_s: float
     shortest_s: float
@@ -73,14 +73,14 @@ class RandomBlackouts:
 
 @dataclass(frozen=True, kw_only=True)
 class RadioProfile:
-    """What a radio does to frames, both ways alike but for `blackouts` of one direction.
+    """What a radio does to frames. Both directions are alike, except for one-way `blackouts`.
 
     name, description: for reports and lists.
-    delay_ms: one way; of a `contact` that of the equipment, on top of the light time.
-    delay_swing_ms, delay_period_s: the delay swings so far to both sides, once in so long.
-    frame_loss, bit_error_rate: probabilities that are always there.
-    bursts, blackouts, random_blackouts, contact: what comes on top, if anything.
-    start_s: how long after its acquisition a contact is at the beginning.
+    delay_ms: one-way delay. With a `contact` it is the equipment's, in addition to the light time.
+    delay_swing_ms, delay_period_s: amplitude and period of a slow swing of the delay.
+    frame_loss, bit_error_rate: permanent probabilities.
+    bursts, blackouts, random_blackouts, contact: additional effects, if any.
+    start_s: how long after its acquisition of signal a contact is at the start.
     """
 
     name: str
@@ -113,11 +113,11 @@ class RadioProfile:
             _check_contact(self.contact)
 
     def path(self, direction: Direction, *, seed: int, epoch_ns: int) -> RadioPath:
-        """The path of one direction's frames; `epoch_ns` is the instant of the profile's time 0.
+        """Return the path of one direction; `epoch_ns` is the instant of the profile's time 0.
 
-        Of the same seed, blackouts and fading are the same in both directions and in any process;
-        bit errors, losses and bursts are each direction's own. ConfigError if the contact has no
-        such pass.
+        With equal seeds, blackouts and fading are equal in both directions and in all processes.
+        Bit errors, losses and bursts are independent in each direction. Raises ConfigError if the
+        contact has no such pass.
         """
         bursts = more = contact = None
         if self.bursts is not None:
@@ -143,7 +143,7 @@ class RadioProfile:
             for each in self.blackouts
             if each.direction in ("both", direction)
         ]
-        channel = Channel(
+        channel = RadioChannel(
             profile_name=self.name,
             direction=direction,
             delay_ns=self.delay_ms * NS_PER_MS,
@@ -160,18 +160,18 @@ class RadioProfile:
 
     @property
     def longest_delay_ns(self) -> int:
-        """The longest delay one way, for time-outs."""
+        """The longest one-way delay, for timeouts."""
         longest = (self.delay_ms + self.delay_swing_ms) * NS_PER_MS
         if self.contact is not None:
             longest += ContactFading(self.contact, seed=0).longest_delay_ns()
         return round(longest)
 
     def overflight(self) -> Overflight | None:
-        """Range and elevation second by second from acquisition to loss; None without a contact."""
+        """Return range and elevation from acquisition to loss of signal; None without a contact."""
         return ContactFading(self.contact, seed=0).flight if self.contact else None
 
     def contact_windows(self) -> ContactWindows | None:
-        """What the orbit predicts (`ContactFading.windows`), or None without a contact."""
+        """Return what the orbit predicts (`ContactFading.windows`); None without a contact."""
         return ContactFading(self.contact, seed=0).windows() if self.contact else None
 
 
@@ -241,22 +241,22 @@ BUILT_IN = {profile.name: profile for profile in (_CABLE, _CLEAN, _ISS_PASS, _IS
 
 
 def built_in_radio(name: str) -> RadioProfile:
-    """A built-in profile by its name; ConfigError where there is none of that name."""
+    """Return the built-in profile `name`; ConfigError if there is none."""
     if name not in BUILT_IN:
         raise ConfigError(f"unknown radio {name}: take {', '.join(BUILT_IN)}, or a file NAME.toml")
     return BUILT_IN[name]
 
 
 def delayed(profile: RadioProfile, delay_ms: float) -> RadioProfile:
-    """The same profile with a fixed delay one way, in ms, whatever delay it had."""
+    """Return the profile with a fixed one-way delay (ms) instead of its own."""
     contact = profile.contact and replace(profile.contact, light_time=False)
     return replace(profile, delay_ms=float(delay_ms), delay_swing_ms=0.0, contact=contact)
 
 
 def started(profile: RadioProfile, start_s: float) -> RadioProfile:
-    """The same profile, begun `start_s` after its contact's acquisition of signal.
+    """Return the profile, started `start_s` after its contact's acquisition of signal.
 
-    Negative: before it. ConfigError where there is no contact, or where it is over by then.
+    Negative: before it. Raises ConfigError without a contact, or if the contact is over by then.
     """
     flight = profile.overflight()
     if flight is None:

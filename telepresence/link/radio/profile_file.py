@@ -1,6 +1,6 @@
-"""A radio profile by its name, or a user's own from TOML; docs/radio.md has every field. A shell.
+"""Loads a radio profile by name or from a user's TOML file; docs/radio.md has every field. A shell.
 
-What the file gets wrong is a ConfigError that names the field and the mend.
+An error in the file is a ConfigError that names the field and the mend.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ _TABLES = ("bursts", "random_blackouts", "contact")
 
 
 def load_radio(name_or_file: str) -> RadioProfile:
-    """A built-in profile by its name, or a user's own from a TOML file; ConfigError otherwise."""
+    """Return a built-in profile, or the one in a TOML file; ConfigError otherwise."""
     path = Path(name_or_file)
     if path.suffix != ".toml":
         return built_in_radio(name_or_file)
@@ -30,7 +30,7 @@ def load_radio(name_or_file: str) -> RadioProfile:
 
 
 def radio_from_table(table: Mapping[str, Any], folder: Path) -> RadioProfile:
-    """A profile from the table that a TOML file in `folder` holds."""
+    """Return the profile for the table of a TOML file in `folder`; ConfigError."""
     check_known(table, RadioProfile, also=("base",))
     values = dict(table)
     base = replace(BUILT_IN["cable"], description="")
@@ -45,7 +45,7 @@ def radio_from_table(table: Mapping[str, Any], folder: Path) -> RadioProfile:
             values[key] = None
         elif isinstance(values.get(key), Mapping):
             values[key] = {**(inherited[key] or {}), **values[key]}
-    # What the file does not name is inherited, and is text already.
+    # Elements that the file does not name are inherited, and are text already.
     own = table.get("contact")
     if isinstance(own, Mapping) and isinstance(own.get("elements"), str):
         values["contact"]["elements"] = _read_elements(folder / own["elements"])
@@ -53,7 +53,7 @@ def radio_from_table(table: Mapping[str, Any], folder: Path) -> RadioProfile:
 
 
 def _read_elements(path: Path) -> str:
-    """The text of an element set, checked; ConfigError."""
+    """Read an element set and check it; return its text. ConfigError."""
     try:
         text = path.read_text(encoding="utf-8")
         parse_elements(text)
