@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.passivity import Port, PortFigures
+from telepresence.haptics.passivity import Port, PortController
 from telepresence.haptics.sample import Feedback
 
 _CYCLE_S = NS_PER_MS / NS_PER_S
@@ -64,7 +64,7 @@ class JoystickControllerModel:
     return_s: float = 0.5
 
 
-class JoystickController(PortFigures):
+class JoystickController(PortController):
     """Call `step` once a millisecond; it returns the force on the handle until the next step.
 
     passive: if False, the controller only observes.

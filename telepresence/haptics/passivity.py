@@ -144,8 +144,8 @@ class Port:
         self._total_uj = None
 
 
-class PortFigures:
-    """The figures that both controllers report of their port; all energies in µJ."""
+class PortController:
+    """Base of both controllers: a port, and its energies in µJ."""
 
     port: Port
     acted: int

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 from kontur_av.clock import NS_PER_S
-from telepresence.haptics.passivity import Port, PortFigures
+from telepresence.haptics.passivity import Port, PortController
 from telepresence.haptics.sample import STATE_APPLICATION, Command
 
 #: A step that dissipates less counts as no step.
@@ -50,7 +50,7 @@ class RobotControllerModel:
     limit_j: float = 0.1
 
 
-class RobotController(PortFigures):
+class RobotController(PortController):
     """Call `step` once a millisecond; it returns the force on the tip until the next step.
 
     passive: if False, the controller only observes.
