@@ -46,10 +46,10 @@ class SceneVideo:
         return self._take(due_ns)
 
     def skip(self, timeout_ns: int, wanted: Callable[[], bool]) -> CaptureStamp | None:
-        """Wait for the next picture, and go on to the one after it without drawing it.
+        """Wait for the next picture, and skip it without drawing it.
 
-        None when its instant does not come within `timeout_ns`, or when it is `wanted` by then:
-        `read` gives it.
+        Return None if it is not due within `timeout_ns`, or if it is `wanted` by then. In the
+        second case `read` draws it.
         """
         due_ns = self._sleep(timeout_ns)
         return None if due_ns is None or wanted() else self._take(due_ns)

@@ -76,7 +76,7 @@ _HEADER = struct.Struct(f"=qQqQII{_SOURCE_OCTETS}s")
 assert _HEADER.size == ctypes.sizeof(_Header)
 #: By their number: calling the enumeration takes several times as long.
 _QUALITIES = tuple(Quality)
-#: The `rtp_timestamp` of a sample that never travelled.
+#: The `rtp_timestamp` of a sample that was not received by RTP.
 _NO_TIMESTAMP = -1
 
 

@@ -96,7 +96,7 @@ class _Side:
         return acted
 
     def report(self) -> PortFigures:
-        """Energies of the port (µJ), and what the passivity controller did."""
+        """Return the energies of the port (µJ), and the counts of the passivity controller."""
         controller = self.controller
         return PortFigures(
             energy_in_uj=controller.energy_in_uj,

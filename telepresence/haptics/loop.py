@@ -223,7 +223,7 @@ class HapticLink(Generic[Out, In]):
         return taken
 
     def report(self) -> HapticLinkFigures:
-        """The counters."""
+        """Return the counters."""
         return HapticLinkFigures(
             sent=self.sent,
             received=self.received,

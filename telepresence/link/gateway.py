@@ -259,7 +259,7 @@ class Gateway:
         self.supervisor.handle_contexts(self.receiver.context_ids(), now_ns)
 
     def report(self, now_ns: int) -> GatewayFigures:
-        """What this end has counted until `now_ns`."""
+        """Return the counts of this end until `now_ns`."""
         return GatewayFigures(
             transmit=self.sender.report(now_ns),
             receive=self.receiver.report(),

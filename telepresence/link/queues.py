@@ -139,7 +139,7 @@ class PacketQueue:
         return flow, data
 
     def report(self, now_ns: int) -> QueueFigures:
-        """Depth, age and drops, now and at worst."""
+        """Return depth, age and drops: present values and maxima."""
         self.waiting(now_ns)
         oldest_ns = now_ns - self.items[0][0] if self.items else 0
         return QueueFigures(

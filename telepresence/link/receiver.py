@@ -350,7 +350,7 @@ class LinkReceiver:
             self._drop_packet("unapproved")
 
     def report(self) -> ReceiverFigures:
-        """Frames, samples and packets, received, lost and dropped by reason."""
+        """Return frames, samples and packets: received, lost, and dropped by reason."""
         return ReceiverFigures(
             name=self.profile.name,
             frames=self.frames_received,

@@ -326,7 +326,7 @@ class LinkSender:
         }
 
     def report(self, now_ns: int) -> SenderFigures:
-        """Rates, the ledger of octets, and each level's queue."""
+        """Return rates, the octets by what they carried, and each level's queue."""
         return SenderFigures(
             name=self.profile.name,
             capacity_bps=self.profile.capacity_bps,

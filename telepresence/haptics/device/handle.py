@@ -57,7 +57,7 @@ class OperatedHandle:
         self._leds = 0 if lit is None else 1 << lit
 
     def report(self) -> JoystickFigures:
-        """`Operation.report`, and the last 20 transitions."""
+        """Return `Operation.report`, and the last 20 transitions."""
         while (transition := self.operation.next_event()) is not None:
             self._log.append(
                 LoggedTransition(

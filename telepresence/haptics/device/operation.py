@@ -207,7 +207,7 @@ class Operation:
         return self.machine.next_event()
 
     def report(self) -> OperationFigures:
-        """State, reason, temperatures (°C), counters."""
+        """Return state, reason, temperatures (°C) and counters."""
         supervisor, calibration = self.supervisor, self.calibration
         return OperationFigures(
             device=self.facts.name,

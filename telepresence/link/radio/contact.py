@@ -27,8 +27,8 @@ _STEP_NS = 10 * NS_PER_MS
 _USABLE_DEVIATIONS = 2.5
 _MASK = (1 << 64) - 1
 
-#: The International Space Station, NORAD 25544: an authentic two-line element set as published by
-#: the United States' space surveillance, epoch 27 August 2015, 09:49:27 UTC, in the weeks of
+#: The International Space Station, NORAD 25544: an authentic two-line element set, as published by
+#: the United States' space surveillance. Its epoch is 27 August 2015, 09:49:27 UTC, in the weeks of
 #: Kontur-2's first experiments.
 STORED_ELEMENTS = """\
 1 25544U 98067A   15239.40934558  .00012538  00000-0  18683-3 0  9996
@@ -195,7 +195,7 @@ class ContactFading:
         return max(self._light_ns)
 
     def windows(self) -> ContactWindows:
-        """What the orbit predicts."""
+        """Return what the orbit predicts."""
         lowest = [mean - _USABLE_DEVIATIONS * sigma for mean, sigma in self._levels]
         usable = [n for n, margin in enumerate(lowest) if margin >= self._contact.lock_db]
         flight = self.flight

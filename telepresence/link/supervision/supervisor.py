@@ -255,7 +255,7 @@ class Supervisor:
         return self._events.popleft() if self._events else None
 
     def report(self, now_ns: int) -> SupervisionFigures:
-        """State, peer, counts, contact windows and the last transitions with their reasons."""
+        """Return state, peer, counts, contact windows and the last transitions with reasons."""
         peer = self._negotiation.peer
         record = self._record
         return SupervisionFigures(
