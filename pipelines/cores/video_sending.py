@@ -3,6 +3,7 @@
 from kontur_av.codecs.coding import Coding
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.cores.gain import CapGain
+from telepresence.link.backlog import Backlog
 
 
 class LinkedVideoSender:
@@ -19,6 +20,16 @@ class LinkedVideoSender:
         self._cap_bps = sender.cap_bps
         self._channel_bps = sender.channel_bps
         self._freed_bps = 0
+
+    def handle_backlog(self, backlog: Backlog, told_ns: int, now_ns: int) -> None:
+        """What the gateway reported at `told_ns`."""
+        self.handle_freed(backlog.freed_bps, now_ns)
+        self.sender.handle_channel(
+            backlog.waiting_octets,
+            told_ns,
+            contacts=backlog.contacts,
+            way_back=backlog.peer_heard,
+        )
 
     def handle_freed(self, freed_bps: int, now_ns: int) -> None:
         """What slots without a sample have left in the last second (`Gateway.freed_bps`)."""

@@ -93,12 +93,8 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
             told = backlog_reader.latest()
             if told is not None:
                 with told:
-                    waiting_octets, contacts, way_back, freed_bps = Backlog.unpack(told.octets())
-                    told_ns = told.stamp.capture_ns
-                    linked.handle_freed(freed_bps, clock.now_ns())
-                    sender.handle_channel(
-                        waiting_octets, told_ns, contacts=contacts, way_back=way_back
-                    )
+                    backlog = Backlog.unpack(told.octets())
+                    linked.handle_backlog(backlog, told.stamp.capture_ns, clock.now_ns())
             outgoing.handle_time(clock.now_ns())
             while (datagram := context.receive(feedback)) is not None:
                 sender.handle_feedback(datagram, clock.now_ns())

@@ -42,6 +42,7 @@ from pipelines.simulation.studio import (
 from pipelines.simulation.telling import Telling
 from pipelines.simulation.workers import Worker, Workers
 from pipelines.topology import Topology
+from telepresence.link.backlog import Backlog
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 
@@ -78,10 +79,12 @@ class Media:
     on_confirmed: called with the number of a choice that the sender has confirmed, and the instant.
     consumers: by flow, to be called with (datagram, now_ns) that come out of the link.
     handle_choice: to be called with each choice of the camera, and the instant.
+    backlogs: by direction, to be called with (backlog, now_ns) that the gateway reports.
     """
 
     def __init__(self, scene: Scene, on_confirmed: Callable[[int, int], None]) -> None:
         self.consumers: dict[str, Consumer] = {}
+        self.backlogs: dict[str, Callable[[Backlog, int], None]] = {}
         self._scene = scene
         self._on_confirmed = on_confirmed
         self._receivers: list[VideoReceiveProcess | VoiceReceiveProcess] = []
@@ -176,6 +179,7 @@ class Media:
         )
         scene.telling.add(sender.tell)
         self.consumers[scene.topology.video(stream.name).feedback] = sender.handle_feedback
+        self.backlogs[scene.setup.profile_of(stream).name] = sender.handle_backlog
         return sender
 
     def _send_voice(self, stream: VoiceStream, name: str, gateway: Gateway) -> None:

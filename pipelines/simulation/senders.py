@@ -16,7 +16,7 @@ from pipelines.simulation.agenda import Agenda, Timer
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.studio import Picture
 from pipelines.simulation.workers import Job, Worker
-from telepresence.link.flows import Level
+from telepresence.link.backlog import Backlog
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 
@@ -83,6 +83,7 @@ class VideoSendProcess(_Process):
         self.follower: CameraFollower | None = None
         self.on_confirmed: Callable[[int, int], None] | None = None
         self._confirmed: int | None = None
+        self._reported: tuple[Backlog, int] | None = None
         self.handle_feedback = sender.handle_feedback
 
     def tell(self) -> None:
@@ -94,6 +95,10 @@ class VideoSendProcess(_Process):
         self._newest = picture, stamp
         self._core.handle_picture(stamp, now_ns)
         self._wake(now_ns)
+
+    def handle_backlog(self, backlog: Backlog, now_ns: int) -> None:
+        """The gateway's report. It wakes nobody: the process looks at it when it wakes up."""
+        self._reported = backlog, now_ns
 
     def handle_choice(self, choice: Choice, now_ns: int) -> None:
         """The selector says which camera to take."""
@@ -121,22 +126,20 @@ class VideoSendProcess(_Process):
         self._confirm(now_ns)
 
     def _wake(self, now_ns: int) -> None:
-        self._linked.handle_freed(self._gateway.freed_bps, now_ns)
+        self._read_backlog(now_ns)
         self._look(now_ns)
         self._send_due(now_ns)
+
+    def _read_backlog(self, now_ns: int) -> None:
+        if self._reported is not None:
+            (backlog, told_ns), self._reported = self._reported, None
+            self._linked.handle_backlog(backlog, told_ns, now_ns)
 
     def _look(self, now_ns: int) -> None:
         if self._busy or self._newest is None:
             return
         if self.follower is not None and self.follower.leaving:
             return
-        gateway = self._gateway
-        self._core.handle_channel(
-            gateway.sender.waiting_octets(Level.VIDEO),
-            now_ns,
-            contacts=gateway.contacts,
-            way_back=gateway.supervisor.signal,
-        )
         coding = self._linked.poll_encode(now_ns)
         if coding is None:
             return
@@ -147,7 +150,7 @@ class VideoSendProcess(_Process):
 
     def _finish(self, job: Job, stamp: CaptureStamp, now_ns: int) -> None:
         data, keyframe = job.result()
-        self._linked.handle_freed(self._gateway.freed_bps, now_ns)
+        self._read_backlog(now_ns)
         self._core.handle_access_unit(AccessUnit(data, stamp, keyframe), now_ns)
         self._busy = False
         self._send_due(now_ns)

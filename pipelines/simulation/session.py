@@ -31,6 +31,7 @@ from pipelines.simulation.workers import Workers
 from pipelines.topology import TELECOMMAND, TELEMETRY, Segment, topology_of
 from telepresence.link.gateway import Gateway
 from telepresence.link.receiver import HapticReceived, PacketReceived
+from telepresence.link.slots import GatewaySlots
 from telepresence.world import WorldState, scripted_state
 
 #: A decoder's figures are told so much later than they came to be: it need not keep in step.
@@ -85,6 +86,9 @@ class Simulation:
         self._samples_down: list[bytes] = []
         self._ground = self._gateway(Segment.GROUND)
         self._space = self._gateway(Segment.SPACE)
+        self._slots_of = [
+            GatewaySlots(end, first_ns=_START_NS) for end in (self._ground, self._space)
+        ]
         # When the next frame arrives: asked twice a slot, so without a detour.
         self._up_timeout = self._ground.radio.poll_timeout
         self._down_timeout = self._space.radio.poll_timeout
@@ -130,7 +134,9 @@ class Simulation:
         """Go on until `until_ns`, counted from the session's start."""
         # Looked up once: what follows is done a thousand times a simulated second.
         ground, space = self._ground, self._space
-        ground_slot, space_slot = ground.handle_slot, space.handle_slot
+        ground_slots, space_slots = self._slots_of
+        ground_slot, space_slot = ground_slots.handle_slot, space_slots.handle_slot
+        tell_backlogs = self._tell_backlogs
         robot, joystick = self._robot, self._joystick
         to_robot, to_joystick = robot.handle_datagram, joystick.handle_datagram
         robot_cycle, joystick_cycle = robot.handle_cycle, joystick.handle_cycle
@@ -142,8 +148,9 @@ class Simulation:
         slot_ns = self._next_slot_ns
         while slot_ns < until_ns:
             advance(slot_ns)
-            ground_slot(slot_ns)
-            space_slot(slot_ns)
+            ground_slot((), slot_ns)
+            space_slot((), slot_ns)
+            tell_backlogs(slot_ns)
             self._slots += 1
             now_ns = slot_ns + half_ns
             advance(now_ns)
@@ -192,6 +199,18 @@ class Simulation:
             costs=CostsReport(**asdict(self._costs)),
         )
         return msgspec.structs.replace(report, simulation=simulation)
+
+    def _tell_backlogs(self, now_ns: int) -> None:
+        """The gateways' reports to the senders of video, as often as live ones send them."""
+        if self._media is None:
+            return
+        for slots, profile in zip(
+            self._slots_of, (self.setup.uplink, self.setup.downlink), strict=True
+        ):
+            backlog = slots.poll_backlog()
+            take = self._media.backlogs.get(profile.name)
+            if backlog is not None and take is not None:
+                take(backlog, now_ns)
 
     def _advance(self, until_ns: int) -> None:
         """All that happens up to `until_ns` beside the slots and the haptic cycles."""
