@@ -1,1 +1,1 @@
-"""What every process of a live session stands on: launcher, context, sockets, probe."""
+"""The base of every live process: launcher, context, sockets, probe."""

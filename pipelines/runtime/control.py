@@ -1,9 +1,13 @@
-"""The way from another terminal to a running session: lines of JSON.
+"""Requests from another terminal to a running session, as lines of JSON.
 
-A session's console listens on a Unix socket in the session's directory, which only its user may
-enter. Request: `{"select": "static"}`. Answer: `{"ok": true, ...}` or `{"ok": false, "error":
-"...", "mistake": true}`; `mistake` says that the request could not work for anybody. Before the
-answer to a telecommand comes `{"wait_s": 1.5}`: how long the console itself may wait for space.
+The console of a session listens on a Unix socket in the session's directory, which only its user
+may enter.
+
+Request: `{"select": "static"}`.
+Answer: `{"ok": true, ...}` or `{"ok": false, "error": "...", "mistake": true}`. `mistake` means
+that the request itself was wrong.
+
+A telecommand's answer is preceded by `{"wait_s": 1.5}`: how long the console may wait for it.
 """
 
 import os
@@ -15,19 +19,19 @@ import msgspec
 from kontur_av.topics.session_files import choose_session, session_root
 
 _SOCKET = "console"
-#: How long a console may take beside what it says that it has to wait; then nobody is there.
+#: How long a console may take on top of its own `wait_s`.
 _PATIENCE_S = 5.0
 MAX_LINE_OCTETS = 4096
 
 
 class Request(msgspec.Struct, frozen=True):
-    """What a terminal asks. select: the camera; anything, because it comes from outside."""
+    """A terminal's request. select: the camera; of any type, because it is not checked yet."""
 
     select: object = None
 
 
 class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What a console answers; the fields are those of the module's docstring."""
+    """A console's answer; the module's docstring describes its fields."""
 
     ok: bool | None = None
     camera: str = ""
@@ -38,20 +42,21 @@ class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 def console_path(session: str) -> Path:
-    """Where the console of `session` listens."""
+    """Return the path of the Unix socket of `session`'s console."""
     return session_root(session) / _SOCKET
 
 
 def running_sessions() -> list[str]:
-    """The sessions of this user that have a console, oldest first."""
+    """Return the sessions of this user that have a console, oldest first."""
     found = session_root("x").parent.glob(f"*/{_SOCKET}")
     return [path.parent.name for path in sorted(found, key=lambda path: path.stat().st_mtime)]
 
 
 def ask(request: Request, session: str | None = None) -> Answer:
-    """The answer of the session that `session` means (`choose_session`), or of the only one.
+    """Send a request to a session and return its answer.
 
-    ConfigError when there is no such session, or several.
+    session: a name as of `choose_session`; None: the only running session. Raises ConfigError if
+    there is no such session, or several.
     """
     links = {name: link for name in running_sessions() if (link := _connect(console_path(name)))}
     try:

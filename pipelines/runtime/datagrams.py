@@ -1,4 +1,4 @@
-"""A gateway's UDP sockets: which address each listens on, whom it hears, and whom it sends to."""
+"""A gateway's UDP sockets: the address of each, and the peers that it accepts and sends to."""
 
 import socket
 from collections.abc import Callable
@@ -10,17 +10,17 @@ from pipelines.runtime.process import LOOPBACK
 
 Address = tuple[str, int]
 
-#: A connected socket tells of an error once each time that it was refused.
+#: The most errors in a row that are skipped: a connected socket reports each refusal once.
 _MOST_ERRORS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class EndAddresses:
-    """Where one end of the link stands; without arguments: all of it on this machine's loopback.
+    """The addresses of one end of the link. By default all are on loopback.
 
     bind: the local address of the radio port.
-    peer: host and port of the other end's radio port; None: the setup's own, on loopback.
-    apps: the host of the programs that use the channels; nobody else is heard.
+    peer: host and port of the other end's radio port; None: that of the setup, on loopback.
+    apps: the host of the programs that use the channels; datagrams of other hosts are dropped.
     apps_bind: the local address of the channel ports.
     """
 
@@ -31,9 +31,9 @@ class EndAddresses:
 
 
 class Outlet:
-    """Sends datagrams to one address; that nobody listens there is not its concern.
+    """Sends datagrams to one address, whether a program listens there or not.
 
-    send: for a caller that looks it up once. failed: datagrams that the system did not take.
+    failed: datagrams that the system refused.
     """
 
     def __init__(self, udp: socket.socket) -> None:
@@ -44,7 +44,7 @@ class Outlet:
         try:
             self._send(data)
         except OSError:
-            # The answer to an earlier datagram (ICMP): this one has not been sent because of it.
+            # An ICMP error of an earlier datagram, in place of sending this one: try again.
             try:
                 self._send(data)
             except OSError:
@@ -52,52 +52,53 @@ class Outlet:
 
 
 def listen(bind: Address) -> socket.socket:
-    """A UDP socket on `bind` that never blocks."""
+    """Open a UDP socket on `bind` that never blocks."""
     udp = _socket()
     udp.bind(bind)
     return udp
 
 
 def outlet(bind: str, to: Address) -> Outlet:
-    """To the address `to`, from any port of `bind`."""
+    """Open an outlet to the address `to`, from any port of `bind`."""
     udp = _socket()
     udp.bind((bind, 0))
-    # Connected, so that the kernel looks the way up once, not each time.
+    # Connected, so that the kernel looks up the route only once.
     udp.connect(to)
     return Outlet(udp)
 
 
 def open_peer(bind: Address, peer: Address) -> tuple[socket.socket, socket.socket]:
-    """Two sockets on the same port: what comes from `peer`, and what comes from anybody else.
+    """Open two sockets on the same port: one for datagrams of `peer`, one for all others.
 
-    The kernel tells them apart (a connected UDP socket is the better match, udp(7)), and each has
-    a queue of its own: no stranger can push a frame of the peer out.
+    The kernel prefers a connected UDP socket (udp(7)). Each socket has its own queue, so no
+    stranger can push out a frame of the peer.
     """
     strangers, ours = _socket(), _socket()
     for udp in (strangers, ours):
         udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         udp.bind(bind)
     for udp in (strangers, ours):
-        # Nobody else is to share the port.
+        # No other program may share the port.
         udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
     ours.connect(peer)
-    # Until then it took what came from anywhere.
+    # Before connect(2) the socket accepted datagrams of any host: drop them.
     while receive(ours, 1) is not None:
         pass
     return ours, strangers
 
 
 class Inlet:
-    """A port of the link's, and how many datagrams of strangers came to it.
+    """A port of the link that accepts datagrams of one host.
 
-    receive: the next datagram, or None; one of a stranger is None, too, and counted.
+    receive: returns the next datagram, or None. A stranger's datagram gives None, too.
+    strangers: the number of those.
     """
 
     def __init__(self, bind: Address, host: str) -> None:
         self.udp = listen(bind)
         self.strangers = 0
         self._host = host
-        # Nothing but this machine reaches its loopback: to ask who it was would cost a third more.
+        # Only this machine reaches its loopback, and recvfrom(2) costs a third more time.
         local = host == LOOPBACK and is_loopback(bind[0])
         self.receive: Callable[[int], bytes | None] = (
             partial(receive, self.udp) if local else self._known
@@ -115,10 +116,10 @@ class Inlet:
 
 
 def receive(udp: socket.socket, most_octets: int) -> bytes | None:
-    """The next datagram, or None; an ICMP error of an earlier send is nobody's concern.
+    """Return the next datagram, or None. ICMP errors of earlier sends are skipped.
 
-    most_octets: what is longer is cut. One octet more than anything that will be used tells as
-    much as the whole, and spares a buffer of 64 KiB.
+    most_octets: longer datagrams are cut. Pass one octet more than the largest valid datagram: that
+    tells a datagram that is too long, without a buffer of 64 KiB.
     """
     for _ in range(_MOST_ERRORS):
         try:
@@ -131,12 +132,12 @@ def receive(udp: socket.socket, most_octets: int) -> bytes | None:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an IPv4 address is this machine's own and nobody else's (RFC 1122, 3.2.1.3)."""
+    """Return whether an IPv4 address is a loopback address (RFC 1122 section 3.2.1.3)."""
     return host.startswith("127.")
 
 
 def reaches(peer: Address) -> str | None:
-    """This machine's address on the way to `peer`; None if there is no way."""
+    """Return this machine's address on the route to `peer`; None without a route."""
     with _socket() as udp, suppress(OSError):
         udp.connect(peer)
         return str(udp.getsockname()[0])
@@ -144,9 +145,9 @@ def reaches(peer: Address) -> str | None:
 
 
 def obstacle(bind: str, peer: Address) -> str | None:
-    """Why no datagram goes from the local address `bind` to `peer`, in the kernel's words; or None.
+    """Return why no datagram can go from the local address `bind` to `peer`, or None.
 
-    That `bind` is no address of this machine is not found here.
+    The text is the kernel's. It does not check that `bind` is an address of this machine.
     """
     with _socket() as udp:
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""The UDP ports of one end of the link, and what waits in them."""
+"""The UDP ports of one end of the link, and the datagrams that wait in them."""
 
 import select
 from collections.abc import Callable, Iterable, Iterator
@@ -12,7 +12,7 @@ from telepresence.link.gateway import Gateway
 
 
 class GatewayPorts:
-    """The sockets of one end, and what strangers have sent to them."""
+    """The sockets of one end, with counts of strangers' datagrams."""
 
     def __init__(
         self, topology: Topology, segment: Segment, gateway: Gateway, addresses: EndAddresses
@@ -53,12 +53,15 @@ class GatewayPorts:
         flow_ports = select.epoll()
         for fd in (*self._flow_by_fd, self._not_peer.fileno()):
             flow_ports.register(fd, select.EPOLLIN)
-        #: Which of the flows' ports have something: one question for all of them, because an empty
-        #: socket takes longer to say that it is empty.
+        #: Returns the flows' ports with datagrams. One epoll(7) costs less than a read of each
+        #: empty socket.
         self.poll_flows = flow_ports.poll
 
     def datagrams(self, ready: list[tuple[int, int]]) -> Iterator[tuple[str, bytes | None]]:
-        """What waits in the flows' ports, one of each port in turn; `ready`: from `poll_flows`."""
+        """Yield (flow, datagram) of the flows' ports, one of each port in turn.
+
+        ready: from `poll_flows`. A stranger's datagram is None.
+        """
         flow_by_fd, entries = self._flow_by_fd, self._entries
         while ready:
             for fd, _events in ready:
@@ -71,9 +74,9 @@ class GatewayPorts:
             ready = self.poll_flows(0)
 
     def samples(self) -> Iterable[bytes | None]:
-        """What waits in the haptic port; None for a stranger's datagram."""
+        """Return the datagrams of the haptic port; a stranger's is None."""
         sample = self._fetch_haptic(self._haptic_octets)
-        # There is nearly always one, hardly ever a second.
+        # Most slots have exactly one.
         if sample is None:
             return ()
         return self._all_samples(sample) if self._more_haptic(0) else (sample,)
@@ -84,6 +87,6 @@ class GatewayPorts:
             yield self._fetch_haptic(self._haptic_octets)
 
     def strangers(self) -> dict[str, int]:
-        """Datagrams of strangers by port."""
+        """Return the number of strangers' datagrams by port."""
         counts = {"radio": self._radio_strangers, "haptic": self._haptic.strangers}
         return counts | {name: inlet.strangers for name, inlet in self._entries.items()}

@@ -1,8 +1,7 @@
 """Starts the processes of a session, watches them, restarts them, and ends them.
 
-Every process is forked from the launcher, which has loaded the codecs once: a start or a restart
-takes milliseconds. For that the launcher itself must stay single-threaded and out of shared
-memory.
+Every process is forked from the launcher, which has loaded the codecs once. So a start or a restart
+takes milliseconds. Therefore the launcher itself has one thread, and uses no shared memory.
 """
 
 import ctypes
@@ -29,15 +28,15 @@ from pipelines.runtime.process import LOOPBACK, Context, become
 from pipelines.setup.table import Setup
 from pipelines.topology import ProcessRow, Stage, Topology
 
-#: A process that falls again at once is restarted after this, and twice as late each time after.
+#: The pause before a restart. It doubles while a process keeps ending early, up to the longest.
 _FIRST_PAUSE_NS = 50 * NS_PER_MS
 _LONGEST_PAUSE_NS = NS_PER_S
-#: A life this long was a good one: the pauses begin anew.
+#: After a life this long, the pauses begin anew.
 _GOOD_LIFE_NS = 5 * NS_PER_S
-#: A restarted sender knows nothing of what its predecessor sent. Its cap holds over any window of
-#: a second only if none has both in it; the 10 ms are the guard of `Pacer`.
+#: A restarted sender does not know what its predecessor sent. So that the cap holds over any
+#: second, no second may contain both. The 10 ms are the guard of `Pacer`.
 _SENDER_REST_NS = NS_PER_S + 10 * NS_PER_MS
-#: So long a process has to end by itself.
+#: The time that a process has to end by itself.
 _PATIENCE_NS = 3 * NS_PER_S
 _SHOW_NS = NS_PER_S
 _MESSAGE_OCTETS = 1 << 20
@@ -46,7 +45,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
 class Listener(Protocol):
-    """What is told of the processes."""
+    """Receives the processes' figures and their ends."""
 
     def handle_message(self, process: str, message: Message, now_ns: int) -> None:
         """A process has sent figures."""
@@ -54,13 +53,13 @@ class Listener(Protocol):
     def handle_exit(self, process: str, error: str) -> None:
         """A process has ended; its counters begin at 0 in its next life.
 
-        error: why, in one line; "" if none of its lives has ended unasked.
+        error: why the newest life that failed ended, in one line; "" if none has failed.
         """
 
 
 @dataclass
 class Child:
-    """A row of the table, and the process that runs it at present, if one does."""
+    """A row of the topology, and the process that runs it at present, if any."""
 
     row: ProcessRow
     run: Callable[..., None]
@@ -73,11 +72,11 @@ class Child:
     restarts: int = 0
     ended_cpu_s: float = 0.0
     last_error: str = ""
-    #: What the present life has said of its own end.
+    #: The error that the present life has reported before its end.
     told_error: str = ""
 
     def cpu_s(self) -> float:
-        """Seconds of a core that all its lives have taken so far."""
+        """Return the CPU seconds of all its lives so far."""
         if self.pid is None:
             return self.ended_cpu_s
         try:
@@ -91,9 +90,9 @@ class Child:
 class Launcher:
     """Runs `processes` of `topology` until it is told to stop.
 
-    listener: gets what the processes tell.
+    listener: gets the figures and ends of the processes.
     seed: of the radio's random events.
-    show: called about once a second, with this launcher, to tell the user how things are.
+    show: called about once a second, with this launcher, to show figures to the user.
     """
 
     session: str
@@ -117,21 +116,21 @@ class Launcher:
 
     @property
     def setup(self) -> Setup:
-        """What the user chose."""
+        """The setup of the session."""
         return self.topology.setup
 
     @property
     def seconds(self) -> float:
-        """How long the session has run."""
+        """How long the session has run, in s."""
         end_ns = self.ended_ns or self.clock.now_ns()
         return (end_ns - self.started_ns) / NS_PER_S
 
     def run(self, seconds: float | None) -> None:
-        """Start everything, and return when all is ended again: after `seconds`, or on a signal."""
+        """Start all processes, and return when all have ended: after `seconds`, or on a signal."""
         wake_read, wake_write = socket.socketpair()
         wake_read.setblocking(False)
         wake_write.setblocking(False)
-        # Under nohup(1) a closed terminal is to end nothing.
+        # Under nohup(1) a closed terminal must not end the session.
         nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
         previous = {
             number: signal.signal(number, self._handle_signal)
@@ -140,7 +139,7 @@ class Launcher:
         }
         previous_wakeup = signal.set_wakeup_fd(wake_write.fileno())
         self._selector.register(wake_read, selectors.EVENT_READ, wake_read)
-        # What is there now is never freed: no need to walk it, or to copy its pages for that.
+        # Present objects are never freed. Frozen, they are not walked, and their pages not copied.
         gc.collect()
         gc.freeze()
         try:
@@ -160,7 +159,7 @@ class Launcher:
             wake_write.close()
 
     def cpu_s(self) -> dict[str, float]:
-        """Seconds of a core by process."""
+        """Return the CPU seconds of each process."""
         return {child.row.name: child.cpu_s() for child in self.children}
 
     def _handle_signal(self, number: int, frame: FrameType | None) -> None:
@@ -192,9 +191,9 @@ class Launcher:
         try:
             self.show(self)
         except BrokenPipeError:
-            self._stop = True  # whoever has read it, head(1) for one, wants no more
+            self._stop = True  # the reader, such as head(1), has ended
         except OSError:
-            # A closed terminal, whose signal is under way, or a full disk, which ends no session.
+            # A closed terminal, whose signal follows, or a full disk, which must not end a session.
             self.show = None
 
     def _attend(self, timeout_ns: int) -> None:
@@ -231,12 +230,12 @@ class Launcher:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         for end in (ours, theirs):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _MESSAGE_OCTETS)
-        # Until the child has its own way to end, a SIGTERM waits: it would be taken for ours.
+        # Until the child has its own handler, a SIGTERM must wait: ours would handle it.
         signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
         launcher = os.getpid()
         pid = os.fork()
         if pid == 0:
-            # Nothing may get out of here: what stands above would end the siblings.
+            # No exception may leave this block: the callers would end the siblings.
             code = 1
             try:
                 ours.close()
@@ -264,14 +263,14 @@ class Launcher:
         )
         try:
             signal.set_wakeup_fd(-1)
-            # Nobody but the launcher may hold the other ends, or their closing would go unseen.
+            # Only the launcher may hold the other ends; else nobody would notice when they close.
             for key in list(self._selector.get_map().values()):
                 fd = key.fd
                 if fd != link.fileno():
                     os.close(fd)
             become(child.row, context)
             if os.getppid() != launcher:
-                return 1  # it was killed before it could take this process along
+                return 1  # the launcher was killed before PR_SET_PDEATHSIG was set
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
             child.run(context, **child.row.arguments)
             context.flush(self.clock.now_ns())
@@ -280,7 +279,7 @@ class Launcher:
             try:
                 context.flush(self.clock.now_ns())
             except Exception:
-                # The totals may be what has failed.
+                # Filling in the totals may have failed itself.
                 context.probe.flush(self.clock.now_ns())
             return 1
         return 0
@@ -314,7 +313,7 @@ class Launcher:
         child.pause_ns = min(2 * child.pause_ns, _LONGEST_PAUSE_NS)
 
     def _end_all(self) -> None:
-        """Ask, wait, and insist: no process is left behind."""
+        """End all processes by SIGTERM, and those that remain by SIGKILL."""
         self._ending = True
         for number in (signal.SIGTERM, signal.SIGKILL):
             for child in self.children:
@@ -337,15 +336,15 @@ def _one_line(error: BaseException) -> str:
 def _signal_name(number: int) -> str:
     try:
         return signal.Signals(number).name
-    except ValueError:  # the real-time signals between the first and the last have no name
+    except ValueError:  # most real-time signals have no name
         return f"signal {number}"
 
 
 def hold_ports(topology: Topology) -> socket.socket:
-    """ConfigError when a port that the session needs is taken.
+    """Hold the launcher's port and check the others. Raises ConfigError if one is busy.
 
-    The launcher's own port is held as long as the socket is: of two sessions that are started
-    at the same moment, only one gets it.
+    The launcher's own port is held while the returned socket is open. So of two sessions that start
+    at the same moment only one gets it.
     """
     held = hold_port(topology.launcher_port)
     for port in topology.ports:
@@ -355,7 +354,7 @@ def hold_ports(topology: Topology) -> socket.socket:
 
 
 def hold_port(port: int, address: str = LOOPBACK) -> socket.socket:
-    """What has the UDP port as long as it is open; ConfigError when it is taken."""
+    """Return a socket that holds the UDP port while it is open; ConfigError if it is busy."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         udp.bind((address, port))
@@ -373,8 +372,8 @@ def hold_port(port: int, address: str = LOOPBACK) -> socket.socket:
 
 
 def load_libraries() -> None:
-    """Load what the processes need once, before they are forked."""
-    # Python looks for it by writing a file there: a process killed meanwhile would leave it.
+    """Load the libraries of the processes once, before they are forked."""
+    # Python tests the directory with a file, which a process killed meanwhile would leave.
     tempfile.gettempdir()
     import av  # noqa: F401
     import cv2
@@ -389,7 +388,7 @@ def load_libraries() -> None:
 
 
 def keep_memory() -> None:
-    """Have the C library keep what it has: a picture's memory then isn't mapped anew each time."""
+    """Make the C library keep freed memory, so that each picture's memory is not mapped anew."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:  # glibc
         mallopt(_M_MMAP_THRESHOLD, 1 << 25)
@@ -397,6 +396,6 @@ def keep_memory() -> None:
 
 
 def launcher_cpu_s() -> float:
-    """Seconds of a core that the launcher itself has taken, its imports included."""
+    """Return the CPU seconds of the launcher itself, imports included."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
     return usage.ru_utime + usage.ru_stime

@@ -1,7 +1,7 @@
-"""What a process tells the launcher about itself, and how.
+"""The figures of a process, and their way to the launcher.
 
-Figures leave a process a few times a second in one datagram over a socket that it inherited, so
-that nothing but the last fraction of a second is lost with a process that is killed.
+A process sends its figures twice a second, in one datagram over an inherited socket. So a process
+that is killed loses only the figures of its last half second.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ _MAX_SERIES_VALUES = 20_000
 
 @dataclass(slots=True)
 class Message:
-    """One report of one process.
+    """One message of one process.
 
-    totals: counters since the process began. gauges: the newest value of whatever it is.
-    series: rows of equal width, flattened: what a meter wants to see one by one.
+    totals: counters since the process began. gauges: newest values of other figures.
+    series: rows of equal width, flattened: single events, such as packets.
     """
 
     totals: dict[str, int] = field(default_factory=dict)
@@ -36,36 +36,36 @@ class Message:
 
     @classmethod
     def unpack(cls, data: bytes) -> Message:
-        """Of a process of ours only: the socket pair is nobody else's."""
+        """Unpack a message. Unpickling is safe: only our own process writes to the socket."""
         return cls(*pickle.loads(data))
 
 
 class Probe:
-    """A process' end. Collect with `total`, `gauge` and `row`; `flush` when it is time."""
+    """The process's end. Collect with `total`, `gauge` and `row`; `flush` when it is due."""
 
     def __init__(self, link: socket.socket | None) -> None:
         self._link = link
         self._message = Message()
         self._due_ns = 0
-        #: Values of rows that were thrown away because the launcher did not keep up.
+        #: Values of rows that were dropped because the launcher did not keep up.
         self.dropped_values = 0
 
     def total(self, name: str, value: int) -> None:
-        """A counter's present value."""
+        """Set a counter to its present value."""
         self._message.totals[name] = value
 
     def gauge(self, name: str, value: Any) -> None:
-        """The newest value of something; plain types only."""
+        """Set a figure to its newest value, of a plain type."""
         self._message.gauges[name] = value
 
     def row(self, series: str, *values: int) -> None:
-        """One row of `series`; every row of one series has the same width."""
+        """Add a row to `series`; all rows of a series have the same width."""
         self.rows(series).extend(values)
 
     def rows(self, series: str) -> array[int]:
-        """Where the rows of `series` are collected, flattened.
+        """Return the array in which the rows of `series` are collected, flattened.
 
-        The same object as long as the probe lives: a fast loop appends to it by itself.
+        It is the same object during the life of the probe, so a fast loop may append to it.
         """
         rows = self._message.series.get(series)
         if rows is None:
@@ -73,24 +73,24 @@ class Probe:
         return rows
 
     def due(self, now_ns: int) -> bool:
-        """Whether it is time to fill in the totals and to `flush`."""
+        """Return whether to fill in the totals and `flush` now."""
         return now_ns >= self._due_ns
 
     def flush(self, now_ns: int) -> None:
-        """Send what was collected; on a full socket it is kept for the next time."""
+        """Send the present message. If the socket is full, keep it for the next time."""
         self._due_ns = now_ns + FLUSH_NS
         if self._link is None or self._send(self._link):
             self.clear()
             return
         for rows in self._message.series.values():
             if len(rows) > _MAX_SERIES_VALUES:
-                # Whole, because a row that is cut would shift all that follow.
+                # All of them, because a cut row would shift all that follow.
                 self.dropped_values += len(rows)
                 del rows[:]
 
     @property
     def message(self) -> Message:
-        """What was collected, for whoever needs no socket to get it; then `clear`."""
+        """The present message, for a reader in the same process; `clear` it afterwards."""
         return self._message
 
     def clear(self) -> None:

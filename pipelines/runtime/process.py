@@ -1,4 +1,4 @@
-"""What every process of a session has: the topology, a clock, a probe, a way to end."""
+"""The context of every process of a session: topology, clock, probe, and how it ends."""
 
 import ctypes
 import gc
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 MAX_DATAGRAM_OCTETS = 65_535
-#: The longest that a process sleeps before it checks whether it shall end.
+#: The longest sleep of a process before it checks whether to end.
 PATIENCE_NS = 100 * NS_PER_MS
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
@@ -30,11 +30,11 @@ _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
 
 @dataclass
 class Context:
-    """What a process's function is given.
+    """The argument of a process's function.
 
-    It runs until `stopping`; it calls `tick` at least every PATIENCE_NS.
+    The function returns when `stopping` is set, and calls `tick` at least every `PATIENCE_NS`.
 
-    started_ns: when the session began, the same for all lives of the part.
+    started_ns: when the session began, the same for all lives of a process.
     seed: of the radio's random events.
     """
 
@@ -50,36 +50,36 @@ class Context:
 
     @property
     def setup(self) -> Setup:
-        """What the user chose."""
+        """The setup of the session."""
         return self.topology.setup
 
     def first_deadline_ns(self, period_ns: int, phase: float = 0.0) -> int:
-        """The first deadline of a loop in step with all others of its period in the session.
+        """Return the first deadline of a loop, in step with all loops of the same period.
 
-        phase: where in the period, from 0 to 1. Loops that hand samples to each other stand half
-        a period apart: a sample is then half a period old when it is fetched, never one more or
-        less because both woke at the same time.
+        phase: the place in the period, from 0 to 1. Loops that exchange samples run half a period
+        apart, so that a sample is always half a period old when it is fetched.
         """
         now_ns = self.clock.now_ns()
         return (now_ns // period_ns + 2) * period_ns + round(phase * period_ns)
 
     def open_bus(self) -> "TopicBus":
-        """This process's door to shared memory."""
+        """Open this process's access to shared memory."""
         from kontur_av.topics.bus import TopicBus
 
         return TopicBus(self.session)
 
     def listen(self, port: int) -> socket.socket:
-        """A UDP socket on loopback that never blocks."""
+        """Open a UDP socket on loopback that never blocks."""
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         udp.setblocking(False)
         udp.bind((LOOPBACK, port))
         return udp
 
     def sender(self, port: int) -> Callable[[bytes], None]:
-        """What sends one datagram to `port` on loopback; that nobody is there is not its concern.
+        """Return a function that sends one datagram to `port` on loopback.
 
-        It has a connected socket of its own: the kernel looks the way up once, not each time.
+        It ignores a port without a listener. Its socket is connected, so that the kernel looks up
+        the route only once.
         """
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         udp.setblocking(False)
@@ -90,7 +90,7 @@ class Context:
             try:
                 send_now(data)
             except (BlockingIOError, ConnectionError):
-                # The answer to an earlier datagram: this one has not been sent because of it.
+                # An ICMP error of an earlier datagram, in place of sending this one: try again.
                 with suppress(BlockingIOError, ConnectionError):
                     send_now(data)
 
@@ -98,10 +98,10 @@ class Context:
 
     @staticmethod
     def receive(udp: socket.socket, most_octets: int = MAX_DATAGRAM_OCTETS) -> bytes | None:
-        """The next datagram, or None; an ICMP error of an earlier send is nobody's concern.
+        """Return the next datagram, or None. ICMP errors of earlier sends are skipped.
 
-        most_octets: what is longer is cut. One octet more than anything that will be used tells
-        as much as the whole, and spares a buffer of 64 KiB.
+        most_octets: longer datagrams are cut. Pass one octet more than the largest valid datagram:
+        that tells a datagram that is too long, without a buffer of 64 KiB.
         """
         while True:
             try:
@@ -112,11 +112,11 @@ class Context:
                 continue
 
     def on_flush(self, fill: Callable[[], None]) -> None:
-        """Have `fill` put its totals and gauges into the probe before each flush."""
+        """Call `fill` before each flush, to put totals and gauges into the probe."""
         self._fill.append(fill)
 
     def tick(self, now_ns: int) -> None:
-        """Flush the probe when it is time."""
+        """Flush the probe if it is due."""
         if self.probe.due(now_ns):
             self.flush(now_ns)
 
@@ -128,14 +128,14 @@ class Context:
 
 
 def become(row: ProcessRow, context: Context) -> None:
-    """In a fresh child: take the process's name, its priority and its way to end."""
-    # Ctrl-C and the end of the terminal reach every process, but only the launcher acts on them.
+    """Set the name, priority and signal handlers of a freshly forked process."""
+    # Ctrl-C and the end of the terminal reach every process, but only the launcher handles them.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
     libc = ctypes.CDLL(None, use_errno=True)
     prctl = libc.prctl
-    # A launcher that is killed takes its processes along.
+    # When the launcher is killed, its processes end, too.
     prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])
     if row.priority:
@@ -144,16 +144,16 @@ def become(row: ProcessRow, context: Context) -> None:
 
 def _take_realtime(libc: ctypes.CDLL, priority: int) -> str:
     if priority == LOOP_PRIORITY:
-        # No collection in the middle of a slot: these loops make no reference cycles.
+        # No garbage collection during a slot: these loops make no reference cycles.
         gc.collect()
         gc.freeze()
         gc.disable()
-        # What was touched once is never paged out again. Where it is not permitted: no harm.
+        # Touched pages stay in memory. Without permission this has no effect.
         libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError:
-        # Without permission at least no timer is rounded up (the default is 50 µs).
+        # Without permission, at least do not round timers up (by 50 µs by default).
         libc.prctl(_PR_SET_TIMERSLACK, 1)
         return "other"
     return "fifo"

@@ -1,9 +1,8 @@
-"""The sessions of this user on this machine: what they are called, and what the dead ones left.
+"""The sessions of this user on this machine: their names, and the remains of dead ones.
 
-A session lives as long as somebody holds the lock (flock(2)) on the file `launcher` in its
-directory: the launcher, and with it all that it has forked. The kernel takes the lock back from
-who is killed; a process id would not do, which another process, or the same one in another
-container, may have.
+A session is alive while its launcher, or a process forked from it, holds the lock (flock(2)) on the
+file `launcher` in its directory. The kernel releases the lock of a killed process. A process id
+would not do: another process, or one in another container, may have the same.
 """
 
 import fcntl
@@ -20,9 +19,9 @@ _LOCK = "launcher"
 
 
 def new_session_name(setup: str, attempt: int = 0) -> str:
-    """A name for a session of the setup called `setup`; it ends with this launcher's process id.
+    """Return a name for a session of the setup `setup`, which ends with this process id.
 
-    attempt: counts the names that were taken already.
+    attempt: the number of names that were taken already.
     """
     readable = re.sub("[^a-z0-9]+", "-", setup.lower())[:16].strip("-") or "session"
     return f"{readable}{f'-{attempt}' if attempt else ''}-{os.getpid()}"
@@ -30,9 +29,9 @@ def new_session_name(setup: str, attempt: int = 0) -> str:
 
 @contextmanager
 def hold_session(setup: str) -> Iterator[str]:
-    """The name of a new session of the setup called `setup`, which is alive in this context.
+    """Make a session of the setup `setup`, alive within this context, and yield its name.
 
-    Afterwards nothing is left of it. ConfigError when the user's directory cannot be used.
+    It is removed afterwards. Raises ConfigError if the user's directory cannot be used.
     """
     names = (new_session_name(setup, attempt) for attempt in count())
     session, lock = next((name, lock) for name in names if (lock := _lock_new(name)) is not None)
@@ -44,7 +43,7 @@ def hold_session(setup: str) -> Iterator[str]:
 
 
 def clear_dead_sessions() -> list[str]:
-    """Remove what sessions whose launcher was killed have left; their names."""
+    """Remove the files of sessions whose launcher was killed, and return their names."""
     cleared = []
     everywhere = session_root("any").parent
     for directory in everywhere.glob("*-*") if everywhere.is_dir() else ():
@@ -60,7 +59,7 @@ def clear_dead_sessions() -> list[str]:
             continue
         try:
             if _locked(lock):
-                # Held until all is removed, so that nobody begins in what vanishes.
+                # Held until all is removed, so that no session begins in a vanishing directory.
                 remove_session(directory.name)
                 cleared.append(directory.name)
         finally:
@@ -69,7 +68,7 @@ def clear_dead_sessions() -> list[str]:
 
 
 def _lock_new(session: str) -> int | None:
-    """The lock's descriptor; None when somebody else has a session of that name."""
+    """Return the lock's descriptor; None if another launcher has a session of that name."""
     path = session_root(session) / _LOCK
     while True:
         make_session_root(session)
@@ -78,7 +77,7 @@ def _lock_new(session: str) -> int | None:
             if not _locked(lock):
                 os.close(lock)
                 return None
-            # Between the two lines above it may have been cleared away as a dead one's.
+            # Another process may have removed the file before it was locked.
             if _same(lock, path):
                 return lock
             os.close(lock)

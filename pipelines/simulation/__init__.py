@@ -1,1 +1,1 @@
-"""A session on virtual time: the cores of the live one, driven by a simulated clock."""
+"""A session on virtual time: the cores of the live session, driven by a simulated clock."""

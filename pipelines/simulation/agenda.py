@@ -1,18 +1,18 @@
-"""What is to be done when, on virtual time."""
+"""Actions on virtual time, in the order of their instants."""
 
 from collections.abc import Callable
 from heapq import heappop, heappush
 
-#: Done at the instant that it is given.
+#: Called with the instant at which it is due.
 Action = Callable[[int], None]
 
 FAR_NS = 1 << 62
 
 
 class Agenda:
-    """Actions by their instants; those of one instant in the order in which they were entered.
+    """Actions sorted by instant; those of one instant in the order in which they were entered.
 
-    next_ns: the first one's instant, `FAR_NS` when there is none.
+    next_ns: the instant of the first action; `FAR_NS` if there is none.
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class Agenda:
         self.next_ns = FAR_NS
 
     def at(self, instant_ns: int, action: Action) -> None:
-        """Have `action` done at `instant_ns`."""
+        """Enter `action` for `instant_ns`."""
         self._entered += 1
         heappush(self._entries, (instant_ns, self._entered, action))
         self.next_ns = self._entries[0][0]
@@ -34,7 +34,7 @@ class Agenda:
 
 
 class Timer:
-    """Does one action at the instant that a core's `poll_timeout` names at the time."""
+    """Calls one action at the instant that a core's `poll_timeout` named last."""
 
     def __init__(self, agenda: Agenda, action: Action) -> None:
         self._agenda = agenda
@@ -42,7 +42,7 @@ class Timer:
         self._due_ns = FAR_NS
 
     def set(self, due_ns: int | None, now_ns: int) -> None:
-        """Have the action done at `due_ns`, not before the next nanosecond; None: not at all."""
+        """Set the instant, at least the next nanosecond; None: no action."""
         if due_ns is None:
             self._due_ns = FAR_NS
             return
@@ -52,7 +52,7 @@ class Timer:
             self._agenda.at(due_ns, self._expire)
 
     def _expire(self, now_ns: int) -> None:
-        # What was entered for an instant that is due no more does nothing.
+        # An entry for an instant that was changed does nothing.
         if now_ns == self._due_ns:
             self._due_ns = FAR_NS
             self._action(now_ns)

@@ -1,4 +1,4 @@
-"""What each step of coding takes on virtual time."""
+"""The duration of each step of coding on virtual time."""
 
 from dataclasses import asdict, dataclass
 
@@ -8,10 +8,10 @@ from kontur_av.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class CodingCosts:
-    """Fixed durations (ms), all measured in live sessions on two cores (medians).
+    """Fixed durations in ms: medians of live sessions on two cores.
 
-    capture_ms: from a picture's capture to its being there for the encoder: drawing it, the
-        stereo merge, the selector, and three wake-ups.
+    capture_ms: from the capture of a picture to its arrival at the encoder: drawing, the stereo
+        merge, the selector, and three wake-ups.
     encode_ms, decode_ms: of one picture, its wake-up included.
     voice_encode_ms, voice_decode_ms: of one block of sound.
     """
@@ -29,6 +29,6 @@ class CodingCosts:
                 raise ConfigError(f"{option} {value:g}: take 0 to 1000 milliseconds")
 
     def ns(self, name: str) -> int:
-        """The duration `name` in nanoseconds; never nothing, so that an effect has a cause."""
+        """Return the duration `name` in ns, at least 1, so that an effect follows its cause."""
         cost_ms: float = getattr(self, f"{name}_ms")
         return max(1, round(cost_ms * NS_PER_MS))

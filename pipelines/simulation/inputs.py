@@ -1,4 +1,4 @@
-"""The inputs of a simulated session: when each captures, and what there is to see and hear."""
+"""The inputs of a simulated session: when each captures, and what it sees or hears."""
 
 from collections.abc import Callable
 from typing import cast
@@ -17,13 +17,13 @@ from pipelines.simulation.studio import Picture, Shot
 from pipelines.simulation.workers import Job, Worker
 from telepresence.world import WorldState
 
-#: What shows a picture, or blocks of sound, that was captured: (what, stamp, now).
+#: Takes a captured picture: (picture, stamp, now), or a block of sound: (stamp, world, now).
 ShowPicture = Callable[[Picture, CaptureStamp, int], None]
 ShowSound = Callable[[CaptureStamp, WorldState | None, int], None]
 
 
 def check_sources(setup: Setup) -> None:
-    """ConfigError for an input that a simulation cannot have: one that lives in real time."""
+    """Raise ConfigError for an input that exists in real time only: a pipe or a device."""
     for name in setup.inputs:
         kind, colon, _ = setup.source(name).partition(":")
         if colon and kind in ("pipe", "v4l2", "alsa"):
@@ -34,7 +34,7 @@ def check_sources(setup: Setup) -> None:
 
 
 class _Input:
-    """What an input of either kind does: it captures at its instants, whoever looks."""
+    """Base of both kinds of inputs: it captures at its instants, with or without readers."""
 
     def __init__(self, name: str, agenda: Agenda, worker: Worker | None, probe: Probe) -> None:
         self._name = name
@@ -46,7 +46,7 @@ class _Input:
         self.tell = self._capturing.tell
 
     def _ask(self, job: str | None) -> None:
-        """Have the file's next picture or block made ready."""
+        """Begin to prepare the file's next picture or block."""
         if self._film is not None:
             self._coming = self._film.submit(job)
 
@@ -58,9 +58,9 @@ class _Input:
 
 
 class Camera(_Input):
-    """Captures pictures of a scene at its rate, or those of a file at the file's own instants.
+    """Captures pictures of a scene at its rate, or pictures of a file at the file's instants.
 
-    worker: that plays the file; None for a scene. show: called `cost_ns` after each capture.
+    worker: plays the file; None for a scene. show: called `cost_ns` after each capture.
     """
 
     def __init__(
@@ -81,8 +81,8 @@ class Camera(_Input):
         self._cost_ns = cost_ns
         self._show = show
         if worker is None:
-            # All at the same instants: the scenes' phases spread the load of a live machine, and
-            # here it is those who encode at the same time that share the cores.
+            # All cameras capture at the same instants. Live scenes have phases to spread the load
+            # of the machine; here the encoders of the same instant share the cores.
             self._pace = Pace(fps, now_ns)
             agenda.at(self._pace.due_ns(now_ns), self._capture)
         else:
@@ -113,7 +113,7 @@ class Camera(_Input):
 
 
 class Microphone(_Input):
-    """Captures sound, 20 ms at a time. `show` is called when a block is complete."""
+    """Captures sound in blocks of 20 ms. show: called when a block is complete."""
 
     def __init__(
         self,
@@ -154,7 +154,7 @@ class Microphone(_Input):
 
 
 class Stereo:
-    """Joins the two cameras' pictures; nothing is drawn for that."""
+    """Pairs the pictures of the two cameras. Drawing comes later, when a pair is encoded."""
 
     def __init__(self, fps: int, *, agenda: Agenda, probe: Probe, show: ShowPicture) -> None:
         self._pairer = StereoPairer(period_ns=NS_PER_S // fps)
@@ -165,9 +165,9 @@ class Stereo:
     def handle_picture(
         self, picture: Picture, stamp: CaptureStamp, now_ns: int, *, right: bool
     ) -> None:
-        """One of the two has a picture."""
+        """One of the two cameras has a picture."""
         handle = self._pairer.handle_right if right else self._pairer.handle_left
-        # The pairer looks at stamps only: it hands on whatever stands for a picture.
+        # The pairer reads stamps only, so a Shot can stand in for a picture.
         handle(VideoFrame(cast(I420, picture[0]), stamp), now_ns)
         self._give(now_ns)
         due_ns = self._pairer.poll_timeout()

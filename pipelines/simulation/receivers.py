@@ -1,7 +1,7 @@
 """The receiving processes of a simulated session.
 
-Nothing that happens on the link depends on what a decoder makes of it: a decoder may work on
-while virtual time goes on, and is waited for only when its figures are told (`settle`).
+Nothing on the link depends on the output of a decoder. So decoders work while virtual time goes on,
+and the simulation waits for them only when figures are reported (`settle`).
 """
 
 from collections import deque
@@ -26,7 +26,7 @@ from pipelines.simulation.workers import Batch, Worker
 
 
 class VideoReceiveProcess:
-    """Takes RTP and its reports, decodes every unit, and shows the pictures."""
+    """Receives RTP and reports, decodes every access unit, and shows the pictures."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class VideoReceiveProcess:
         self._agenda = agenda
         self._decoder = Batch(decoder)
         self._ask = ask
-        #: Called with (instant, latency) of each picture at the instant at which it is shown.
+        #: Called with (instant, latency) of each picture when it is shown.
         self.on_shown: Callable[[int, int], None] | None = None
         self._cost_ns = costs.ns("decode")
         self._free_ns = 0
@@ -73,7 +73,7 @@ class VideoReceiveProcess:
     def _drain(self, now_ns: int) -> None:
         while (unit := self._receiver.next_event()) is not None:
             note_unit(self._probe, unit)
-            # One after the other, as in the live process.
+            # One at a time, as in the live process.
             self._free_ns = max(now_ns, self._free_ns) + self._cost_ns
             self._decoder.submit((unit.data, unit.timestamp, self._free_ns))
             self._agenda.at(self._free_ns, partial(self._date, unit.timestamp))
@@ -89,7 +89,7 @@ class VideoReceiveProcess:
             self.on_shown(now_ns, now_ns - capture_ns)
 
     def settle(self, until_ns: int) -> None:
-        """Wait for all that was decoded by `until_ns`, and show it at its own instant."""
+        """Wait for pictures decoded by `until_ns`, and show each at its own instant."""
         while self._decoding and self._decoding[0][0] <= until_ns:
             shown_ns, timestamp, dated_ns = self._decoding.popleft()
             pictures, self._counts, lights = self._decoder.next_result()
@@ -111,7 +111,7 @@ class VideoReceiveProcess:
 
 
 class VoiceReceiveProcess:
-    """Takes RTP and its reports, and lets each block of sound be heard at its instant."""
+    """Receives RTP and reports, and plays each block of sound at its instant."""
 
     def __init__(
         self,
@@ -161,7 +161,7 @@ class VoiceReceiveProcess:
         self._timer.set(self._receiver.poll_timeout(), now_ns)
 
     def settle(self, until_ns: int) -> None:
-        """Wait for all that was decoded by `until_ns`, and let it be heard at its own instant."""
+        """Wait for blocks decoded by `until_ns`, and play each at its own instant."""
         while self._decoding and self._decoding[0][0] <= until_ns:
             heard_ns, block, capture_ns = self._decoding.popleft()
             decoded, clicks = self._decoder.next_result()

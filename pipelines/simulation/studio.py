@@ -1,6 +1,6 @@
-"""The coders of a simulation: they draw, encode and decode, and know nothing of time.
+"""The coders of a simulation: they draw, encode and decode, and need no clock.
 
-Each is called with one job after the other, in a process of its own (`simulation.workers`).
+Each coder is called with one job after the other, in a process of its own (`simulation.workers`).
 """
 
 from collections import OrderedDict
@@ -20,17 +20,17 @@ from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.setup.table import VideoStream, VoiceStream
 from telepresence.world import WorldState, audio_scenes, render
 
-#: So many pictures or blocks of a file are kept for whoever encodes them.
+#: The most pictures or blocks of a file that are kept until they are encoded.
 _KEPT = 16
-#: How often a file is asked for what comes next; each time it has ten seconds.
+#: The tries to read the next picture or block of a file, each of at most ten seconds.
 _TRIES = 10
 _PATIENCE_NS = 10 * NS_PER_S
 
 
 class Shot(NamedTuple):
-    """A picture that is not drawn before somebody encodes it.
+    """A captured picture that is drawn only when it is encoded.
 
-    state: what the world was like; None for a picture of a file.
+    state: the state of the world at its capture; None for a picture of a file.
     """
 
     camera: str
@@ -41,16 +41,18 @@ class Shot(NamedTuple):
 #: A picture to encode: one shot, or the two of the stereo pair.
 Picture = tuple[Shot] | tuple[Shot | None, Shot | None]
 
-#: What becomes of an access unit: see `VideoDecoding`.
+#: The result for one access unit: see `VideoDecoding`.
 Decoded = tuple[list[tuple[int, int, int, bool]], tuple[int, int, int], list[Light]]
 
 
 class VideoStudio:
-    """Draws pictures, or plays them from files, and encodes those that are asked for.
+    """Draws pictures or reads them from files, and encodes them.
 
-    cameras: name -> SPEC of each input that the stream may show. Jobs: a `Picture` and how to
-    encode it, which gives (access unit, key picture); or a camera's name, which gives the capture
-    instant of the file's next picture, None where there are no more.
+    cameras: name -> SPEC of each input that the stream may show.
+
+    A job is one of:
+    - a `Picture` and its `Coding`; the result is (access unit, whether it is a key picture);
+    - a camera's name; the result is the capture instant of the file's next picture, or None.
     """
 
     def __init__(self, stream: VideoStream, cameras: dict[str, str], start_ns: int) -> None:
@@ -97,7 +99,7 @@ class VideoStudio:
 
 
 class _Film:
-    """A media file, played ahead on a clock of its own."""
+    """A media file that is read ahead, on a clock of its own."""
 
     def __init__(self, spec: str, name: str, stream: VideoStream, start_ns: int) -> None:
         self._stream = stream
@@ -124,13 +126,14 @@ class _Film:
 
 
 class VideoDecoding:
-    """Decodes every access unit: a list of (Annex B octets, timestamp, instant of showing it).
+    """Decodes access units: a list of (Annex B octets, timestamp, instant of display).
 
-    Gives for each the pictures that come out as (timestamp, width, height, corrupt), the
-    decoder's counters after it: decoded, corrupt, restarts; and the lights that are seen to have
-    come on, each with the timestamps of its picture and of the one before as tags.
+    The result for each unit has:
+    - its pictures as (timestamp, width, height, corrupt);
+    - the decoder's counters after it: decoded, corrupt, restarts;
+    - the lights that came on, whose tags are the timestamps of their picture and the one before.
 
-    watched: (width, height) in which they are shown; None: nobody looks for lights.
+    watched: (width, height) of the display in which to look for lights; None: do not look.
     """
 
     def __init__(self, watched: tuple[int, int] | None = None) -> None:
@@ -154,11 +157,12 @@ class VideoDecoding:
 
 
 class VoiceStudio:
-    """Makes sounds, or plays them from a file, and encodes them.
+    """Makes sounds or reads them from a file, and encodes them.
 
-    Jobs: (sequence, instant at which the block is complete, state of the world), which gives the
-    Opus packet; or None, which gives the capture instant of the file's next block, None where
-    there are no more.
+    A job is one of:
+    - (sequence, instant at which the block is complete, state of the world); the result is the
+      Opus packet;
+    - None; the result is the capture instant of the file's next block, or None at its end.
     """
 
     def __init__(self, stream: VoiceStream, name: str, spec: str, start_ns: int) -> None:
@@ -198,12 +202,12 @@ class VoiceStudio:
 
 
 class VoiceDecoding:
-    """Makes each block of a list of (`PlayoutBlock`, instant of hearing it) sound.
+    """Decodes blocks of sound: a list of (`PlayoutBlock`, instant of playing it).
 
-    Gives for each whether it is what was sent, and the clicks that are heard to have begun, each
-    with its block's timestamp as tag.
+    The result for each is whether it was decoded (not concealed), and the clicks that began in it.
+    The tag of a click is the timestamp of its block.
 
-    watched: somebody listens for clicks.
+    watched: listen for clicks.
     """
 
     def __init__(self, *, watched: bool = False) -> None:

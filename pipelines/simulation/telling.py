@@ -1,4 +1,4 @@
-"""How the simulated processes tell their figures: as the live ones do, twice a second."""
+"""The simulated processes report their figures twice a second, like the live ones."""
 
 from collections.abc import Callable
 
@@ -7,7 +7,7 @@ from pipelines.runtime.probe import Probe
 
 
 class Telling:
-    """Each process's probe, and what fills it before its figures go to the collector."""
+    """The probe of each process, and the functions that fill them before each flush."""
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
@@ -16,7 +16,7 @@ class Telling:
 
     @property
     def processes(self) -> list[str]:
-        """The names of all, in the order in which they were made."""
+        """The names of all processes, in the order in which they were made."""
         return list(self._probes)
 
     def probe(self, process: str) -> Probe:
@@ -25,11 +25,11 @@ class Telling:
         return probe
 
     def add(self, fill: Callable[[], None]) -> None:
-        """Have `fill` put its counters into its probe before each flush."""
+        """Call `fill` before each flush, to put counters into its probe."""
         self._fills.append(fill)
 
     def flush(self, now_ns: int) -> None:
-        """Hand all figures over."""
+        """Pass all figures to the collector."""
         for fill in self._fills:
             fill()
         for name, probe in self._probes.items():

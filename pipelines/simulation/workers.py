@@ -1,7 +1,7 @@
-"""Where pictures and sounds are coded while virtual time goes on: one process a stream's end.
+"""Worker processes that code pictures and sounds while virtual time goes on, one a stream's end.
 
-A coding step takes a fixed virtual time, so its result is needed only when that is over: it is
-begun at once and waited for then. What comes out depends on the jobs and their order alone.
+A coding step takes a fixed virtual time. So it begins at once, and its result is needed only when
+that time is over. Results depend on the jobs and their order alone.
 """
 
 import multiprocessing
@@ -22,12 +22,12 @@ from pipelines.runtime.launcher import keep_memory
 #: Jobs in a batch.
 _BATCH = 8
 
-#: Does one job after the other. Made in the process in which it works.
+#: Does one job after the other. It is made in the worker process.
 Coder = Callable[[Any], Any]
 
 
 class Job:
-    """Something that is being done; `result` waits for it. Results come in the jobs' order."""
+    """A job in a worker. Results come in the order of the jobs."""
 
     def __init__(self, worker: "Worker") -> None:
         self._worker = worker
@@ -35,18 +35,18 @@ class Job:
         self._result: Any = None
 
     def result(self) -> Any:
-        """What the coder gave. RuntimeError with the coder's own words where it failed."""
+        """Return the coder's result. Raises RuntimeError with the coder's message if it failed."""
         while not self._done:
             self._worker.receive()
         return self._result
 
     def set(self, result: Any) -> None:
-        """The coder gave this."""
+        """Store the coder's result."""
         self._result, self._done = result, True
 
 
 class Worker:
-    """A process that does jobs; `submit` them, and ask each for its `result`."""
+    """A process that does jobs: `submit` each, and call its `result`."""
 
     def __init__(self, make: Callable[[], Coder], others: list[Connection]) -> None:
         context = multiprocessing.get_context("fork")
@@ -55,11 +55,11 @@ class Worker:
         self._process = context.Process(
             target=_work, args=(make, theirs, list(others)), daemon=True
         )
-        # OpenCV's threads are not there in the new process, which would wait for them for ever: end
-        # them before. They come back when they are wanted.
+        # A forked process has no threads of OpenCV, but would wait for them: end them before the
+        # fork. OpenCV starts them again when it needs them.
         threads = cv2.getNumThreads()
         cv2.setNumThreads(1)
-        # Amid a fork Python loses an interrupt here, and the new process does not ignore it yet.
+        # An interrupt during the fork would be lost here, or end the new process.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
         try:
             self._process.start()
@@ -77,9 +77,9 @@ class Worker:
         return waiting
 
     def receive(self) -> None:
-        """Take the next result; wait for it if need be."""
+        """Wait for the next result."""
         try:
-            # Of a process of ours only: the pipe is nobody else's.
+            # Unpickling is safe: only our own process writes to this pipe.
             fault, result = pickle.loads(self._link.recv_bytes())
         except (EOFError, ConnectionError):
             fault, result = "its process has ended", None
@@ -96,9 +96,9 @@ class Worker:
 
 
 class Batch:
-    """Hands small jobs on many at a time: for results that nobody is in a hurry for.
+    """Submits small jobs in batches, for results that are needed late.
 
-    The worker's coder gets a list of jobs and gives a list of results.
+    The worker's coder gets a list of jobs and returns a list of results.
     """
 
     def __init__(self, worker: Worker) -> None:
@@ -108,13 +108,13 @@ class Batch:
         self._results: deque[Any] = deque()
 
     def submit(self, job: Any) -> None:
-        """Have `job` done sooner or later."""
+        """Add `job` to the present batch."""
         self._jobs.append(job)
         if len(self._jobs) == _BATCH:
             self._begin()
 
     def next_result(self) -> Any:
-        """The result of the earliest job whose result was not asked for yet; waits for it."""
+        """Wait for the result of the next job, in the order of submission."""
         while not self._results:
             if not self._submitted:
                 self._begin()
@@ -127,14 +127,14 @@ class Batch:
 
 
 class Workers:
-    """All workers of a simulation; a context that ends them."""
+    """All workers of a simulation. A context manager, which ends them."""
 
     def __init__(self) -> None:
         self._workers: list[Worker] = []
         self._links: list[Connection] = []
 
     def start(self, make: Callable[[], Coder]) -> Worker:
-        """A new process with the coder that `make` makes in it."""
+        """Start a process. make: called there to make its coder."""
         worker = Worker(make, self._links)
         self._workers.append(worker)
         return worker
@@ -153,14 +153,15 @@ class Workers:
 
 
 def _work(make: Callable[[], Coder], link: Connection, others: list[Connection]) -> None:
-    # Ctrl-C is the simulation's; its end is seen here once nobody else holds the pipe's other end.
+    # Only the simulation handles Ctrl-C. This process sees its end when the pipe closes, which
+    # needs that no other process holds the pipe's other end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
     for other in others:
         other.close()
     cv2.setNumThreads(1)
     keep_memory()
-    # The simulation closes its end, perhaps with results unread, when it wants no more.
+    # The simulation may close its end with results unread.
     with suppress(EOFError, ConnectionError):
         try:
             coder = make()
