@@ -31,7 +31,7 @@ class Headline:
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class Percentiles:
     """Percentiles by nearest rank, and the maximum; NaN where nothing was measured."""
 
     p50: float
@@ -40,15 +40,15 @@ class Spread:
     max: float
 
 
-def spread(values: Sequence[float], *, per_unit: float = 1.0) -> Spread:
+def spread(values: Sequence[float], *, per_unit: float = 1.0) -> Percentiles:
     """The spread of `values`, each divided by `per_unit` (ns to ms: NS_PER_MS)."""
     ordered = sorted(values)
     if not ordered:
-        return Spread(math.nan, math.nan, math.nan, math.nan)
+        return Percentiles(math.nan, math.nan, math.nan, math.nan)
     p50, p95, p99, largest = (
         ordered[-(-len(ordered) * percent // 100) - 1] / per_unit for percent in (50, 95, 99, 100)
     )
-    return Spread(p50, p95, p99, largest)
+    return Percentiles(p50, p95, p99, largest)
 
 
 def as_json(value: object, *, digits: int | None = None) -> Json:
@@ -92,7 +92,7 @@ def write_result(
     write_report(path, {**body, "headlines": as_json(headlines, digits=6)})
 
 
-class Reading:
+class JsonReader:
     """A JSON value whose parts are read by their keys, with the type checked.
 
     Every method raises ValueError, with the keys, where the value is missing or of another type.
@@ -107,13 +107,13 @@ class Reading:
         """The whole value."""
         return as_json(self.value)
 
-    def at(self, *keys: str) -> "Reading":
+    def at(self, *keys: str) -> "JsonReader":
         """The part under `keys`, one after the other."""
         part = self
         for key in keys:
             if not isinstance(part.value, Mapping) or key not in part.value:
                 raise ValueError(f"{part._where}: it has no {key!r}")
-            part = Reading(part.value[key], f"{part._where}.{key}")
+            part = JsonReader(part.value[key], f"{part._where}.{key}")
         return part
 
     def has(self, *keys: str) -> bool:
@@ -145,18 +145,18 @@ class Reading:
             raise ValueError(f"{self._where}.{'.'.join(keys)}: {value!r} is no text")
         return value
 
-    def items(self, *keys: str) -> Iterator[tuple[str, "Reading"]]:
+    def items(self, *keys: str) -> Iterator[tuple[str, "JsonReader"]]:
         """Names and parts of the object under `keys`."""
         part = self.at(*keys)
         if not isinstance(part.value, Mapping):
             raise ValueError(f"{part._where}: no object")
         for name, value in part.value.items():
-            yield str(name), Reading(value, f"{part._where}.{name}")
+            yield str(name), JsonReader(value, f"{part._where}.{name}")
 
-    def elements(self, *keys: str) -> Iterator["Reading"]:
+    def elements(self, *keys: str) -> Iterator["JsonReader"]:
         """The parts of the list under `keys`."""
         part = self.at(*keys)
         if isinstance(part.value, str) or not isinstance(part.value, Sequence):
             raise ValueError(f"{part._where}: no list")
         for number, value in enumerate(part.value):
-            yield Reading(value, f"{part._where}[{number}]")
+            yield JsonReader(value, f"{part._where}[{number}]")

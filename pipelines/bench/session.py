@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 from kontur_av.errors import ConfigError
 from pipelines.bench.children import end_all, ended_alike
-from pipelines.bench.result import Reading
+from pipelines.bench.result import JsonReader
 
 #: How much longer than the session the command may take to start and to end.
 _PATIENCE_S = 60
@@ -18,7 +18,7 @@ _PATIENCE_S = 60
 _USERS_FAULT = 2
 
 
-def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = None) -> Reading:
+def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = None) -> JsonReader:
     """Run `kontur-av` with `words` for `seconds`; the report that it wrote.
 
     tree: the checkout whose code runs; None: the one that Python finds. ConfigError, in the words
@@ -54,7 +54,7 @@ def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = Non
             raise ConfigError(told.rpartition("\n")[2].removeprefix("kontur-av: "))
         if not report_file.exists():
             raise RuntimeError(f"the live session failed: {told}")
-        return Reading(json.loads(report_file.read_text(encoding="utf-8")))
+        return JsonReader(json.loads(report_file.read_text(encoding="utf-8")))
 
 
 def live_session(
@@ -65,7 +65,7 @@ def live_session(
     radio: str,
     base_port: int,
     deadband: str | None = None,
-) -> Reading:
+) -> JsonReader:
     """The report of a live session of the setup called `setup`; errors as of `live_report`."""
     words = ["stream", "--setup", setup, "--seed", str(seed), "--radio", radio]
     words += ["--base-port", str(base_port)]

@@ -24,7 +24,7 @@ Ioctl = Callable[[int, int, bytearray], object]
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
+class CameraDevice:
     """A V4L2 capture device. formats: FourCCs such as "MJPG"; problem: why it can't be asked."""
 
     path: str
@@ -34,7 +34,7 @@ class Camera:
 
 
 @dataclass(frozen=True, slots=True)
-class Microphone:
+class MicrophoneDevice:
     """An ALSA capture device; `device` is what alsa-lib calls it, such as "plughw:0,0"."""
 
     device: str
@@ -78,21 +78,21 @@ def devices(
     return 0
 
 
-def cameras(dev: Path, ioctl: Ioctl = fcntl.ioctl) -> Sequence[Camera]:
+def cameras(dev: Path, ioctl: Ioctl = fcntl.ioctl) -> Sequence[CameraDevice]:
     """The V4L2 devices in `dev` that capture pictures, by number."""
     nodes = [node for node in dev.glob("video*") if re.fullmatch(r"video\d+", node.name)]
     asked = (_ask(node, ioctl) for node in sorted(nodes, key=lambda node: int(node.name[5:])))
     return [camera for camera in asked if camera is not None]
 
 
-def _ask(node: Path, ioctl: Ioctl) -> Camera | None:
+def _ask(node: Path, ioctl: Ioctl) -> CameraDevice | None:
     try:
         descriptor = os.open(node, os.O_RDWR | os.O_NONBLOCK)
     except PermissionError:
         problem = "not permitted: add yourself to the group video and log in again"
-        return Camera(str(node), "", (), problem)
+        return CameraDevice(str(node), "", (), problem)
     except OSError as error:
-        return Camera(str(node), "", (), f"cannot be opened: {error.strerror}")
+        return CameraDevice(str(node), "", (), f"cannot be opened: {error.strerror}")
     try:
         buffer = bytearray(_CAPABILITY.size)
         ioctl(descriptor, _VIDIOC_QUERYCAP, buffer)
@@ -105,9 +105,9 @@ def _ask(node: Path, ioctl: Ioctl) -> Camera | None:
             kind = _BUF_CAPTURE_MPLANE
         else:
             return None
-        return Camera(str(node), _text(card), tuple(_formats(descriptor, kind, ioctl)))
+        return CameraDevice(str(node), _text(card), tuple(_formats(descriptor, kind, ioctl)))
     except OSError as error:
-        return Camera(str(node), "", (), f"is no V4L2 device: {error.strerror}")
+        return CameraDevice(str(node), "", (), f"is no V4L2 device: {error.strerror}")
     finally:
         os.close(descriptor)
 
@@ -129,7 +129,7 @@ def _text(octets: bytes) -> str:
     return octets.split(b"\0")[0].decode("utf-8", "replace").strip()
 
 
-def microphones(asound: Path) -> Sequence[Microphone]:
+def microphones(asound: Path) -> Sequence[MicrophoneDevice]:
     """The capture devices that ALSA's /proc/asound/pcm lists.
 
     A line reads `00-02: ALC257 Analog : ALC257 Analog : playback 1 : capture 1`.
@@ -144,7 +144,7 @@ def microphones(asound: Path) -> Sequence[Microphone]:
         if match:
             card, device = int(match[1]), int(match[2])
             # plughw converts to 48 kHz mono, which the bare hw device may not offer.
-            found.append(Microphone(f"plughw:{card},{device}", match[3].strip()))
+            found.append(MicrophoneDevice(f"plughw:{card},{device}", match[3].strip()))
     return found
 
 

@@ -34,7 +34,7 @@ _LIMITS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Finding:
     """What a check found. `mend` says what to do; empty when all is well."""
 
     state: Literal["ok", "missing", "advice"]
@@ -42,7 +42,7 @@ class Verdict:
     mend: str = ""
 
 
-Check = tuple[str, Callable[[], Verdict]]
+Check = tuple[str, Callable[[], Finding]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,25 +74,25 @@ def doctor(
     return 1 if missing else 0
 
 
-def _run(check: Callable[[], Verdict]) -> Verdict:
+def _run(check: Callable[[], Finding]) -> Finding:
     # A broken installation may fail in any way at all, and naming that is what a doctor is for.
     try:
         return check()
     except Exception as error:
         text = " ".join(str(error).split()) or "no reason given"
-        return Verdict("missing", f"{type(error).__name__}: {text}", "install kontur-av anew")
+        return Finding("missing", f"{type(error).__name__}: {text}", "install kontur-av anew")
 
 
-def check_python() -> Verdict:
+def check_python() -> Finding:
     # An older Python never comes as far as this: pyproject.toml refuses it.
     found = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
     if platform.system() != "Linux":
         mend = "use Linux, also in a virtual machine, in WSL 2 or in a container"
-        return Verdict("missing", found, mend)
-    return Verdict("ok", found)
+        return Finding("missing", found, mend)
+    return Finding("ok", found)
 
 
-def check_h264() -> Verdict:
+def check_h264() -> Finding:
     """Code one grey picture with libx264 and decode it again."""
     import av
     import numpy as np
@@ -100,7 +100,7 @@ def check_h264() -> Verdict:
     mend = "install PyAV from its wheel (pip install --only-binary av av)"
     for codec, mode in (("libx264", "w"), ("h264", "r")):
         if codec not in av.codecs_available:
-            return Verdict("missing", f"PyAV {av.__version__} without {codec} ({mode})", mend)
+            return Finding("missing", f"PyAV {av.__version__} without {codec} ({mode})", mend)
     encoder = av.codec.CodecContext.create("libx264", "w")
     assert isinstance(encoder, av.VideoCodecContext)
     encoder.width, encoder.height, encoder.pix_fmt = 64, 64, "yuv420p"
@@ -112,56 +112,56 @@ def check_h264() -> Verdict:
     assert isinstance(decoder, av.VideoCodecContext)
     pictures = [p for packet in packets for p in decoder.decode(packet)] + decoder.decode(None)
     if len(pictures) != 1:
-        return Verdict("missing", f"PyAV {av.__version__} codes, but does not decode", mend)
-    return Verdict("ok", f"PyAV {av.__version__}, libx264 and h264, one picture there and back")
+        return Finding("missing", f"PyAV {av.__version__} codes, but does not decode", mend)
+    return Finding("ok", f"PyAV {av.__version__}, libx264 and h264, one picture there and back")
 
 
-def check_opus() -> Verdict:
+def check_opus() -> Finding:
     from kontur_av.codecs import libopus
     from kontur_av.errors import ConfigError
 
     try:
         found = libopus.load()
     except ConfigError as error:
-        return Verdict("missing", "libopus", str(error))
-    return Verdict("ok", f"{found.version}, from {found.origin}: {found.path}")
+        return Finding("missing", "libopus", str(error))
+    return Finding("ok", f"{found.version}, from {found.origin}: {found.path}")
 
 
-def check_opencv() -> Verdict:
+def check_opencv() -> Finding:
     import cv2
 
-    return Verdict("ok", f"OpenCV {cv2.__version__}")
+    return Finding("ok", f"OpenCV {cv2.__version__}")
 
 
-def check_rtp() -> Verdict:
+def check_rtp() -> Finding:
     import aiortc
     import aiortc.rtp
 
-    return Verdict("ok", f"aiortc {aiortc.__version__}, its rtp module")
+    return Finding("ok", f"aiortc {aiortc.__version__}, its rtp module")
 
 
 def check_shared_memory(
     free_octets: Callable[[], int] = lambda: shutil.disk_usage(_SHM).free,
     needed_octets: int = NEEDED_SHM_OCTETS,
-) -> Verdict:
+) -> Finding:
     """Is there room? Where it runs out, whoever writes is killed by SIGBUS, each time anew."""
     if not _SHM.is_dir():
-        return Verdict("missing", f"no {_SHM}", "mount a tmpfs there")
+        return Finding("missing", f"no {_SHM}", "mount a tmpfs there")
     free = free_octets()
     found = f"{free / 1e6:.0f} MB free in {_SHM}"
     if not os.access(_SHM, os.W_OK):
-        return Verdict("missing", f"{_SHM} is not writable", f"chmod 1777 {_SHM}")
+        return Finding("missing", f"{_SHM} is not writable", f"chmod 1777 {_SHM}")
     if free < needed_octets:
         needed_mb = -(-needed_octets // 1_000_000)
-        return Verdict(
+        return Finding(
             "missing",
             found,
             f"free {needed_mb} MB (in a container: --shm-size={max(256, 2 * needed_mb)}m)",
         )
-    return Verdict("ok", found)
+    return Finding("ok", found)
 
 
-def check_topics() -> Verdict:
+def check_topics() -> Finding:
     """Publish samples through iceoryx2, read them back, and be woken by each."""
     from importlib.metadata import version
 
@@ -189,18 +189,18 @@ def check_topics() -> Verdict:
         remove_session(session)
     found = f"iceoryx2 {version('iceoryx2')}"
     if not well:
-        return Verdict("missing", f"{found}: what was published did not arrive", f"check {_SHM}")
+        return Finding("missing", f"{found}: what was published did not arrive", f"check {_SHM}")
     if not woken:
         # See kontur_av/topics/notifier.py.
         kernel = f"Linux {platform.release()}"
-        return Verdict("missing", f"{kernel} wakes no reader twice", "use Linux 5.14 or newer")
-    return Verdict("ok", f"{found}, samples published and read, a reader woken by each")
+        return Finding("missing", f"{kernel} wakes no reader twice", "use Linux 5.14 or newer")
+    return Finding("ok", f"{found}, samples published and read, a reader woken by each")
 
 
-def check_real_time() -> Verdict:
+def check_real_time() -> Finding:
     """Try SCHED_FIFO in a child, so that this process stays what it is."""
     if not hasattr(os, "sched_setscheduler"):
-        return Verdict("advice", "no SCHED_FIFO on this system", "use Linux for a real robot")
+        return Finding("advice", "no SCHED_FIFO on this system", "use Linux for a real robot")
     attempt = subprocess.run(
         [
             sys.executable,
@@ -214,18 +214,18 @@ def check_real_time() -> Verdict:
         check=False,
     )
     if attempt.returncode == 0:
-        return Verdict("ok", f"SCHED_FIFO priority {_RT_PRIORITY} granted")
+        return Finding("ok", f"SCHED_FIFO priority {_RT_PRIORITY} granted")
     import resource
 
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[1]
-    return Verdict(
+    return Finding(
         "advice",
         f"SCHED_FIFO refused (rtprio limit {limit})",
         _LIMITS.format(user=_user(), priority=_RT_PRIORITY),
     )
 
 
-def check_timer(clock: Clock | None = None) -> Verdict:
+def check_timer(clock: Clock | None = None) -> Finding:
     """Keep a 1 kHz schedule for a moment, as the haptic loops do."""
     from telepresence.haptics.schedule import PeriodicSchedule
 
@@ -244,37 +244,37 @@ def check_timer(clock: Clock | None = None) -> Verdict:
         f"{schedule.slips} slips in {_TIMER_CYCLES} cycles"
     )
     if p99 >= NS_PER_MS:
-        return Verdict("advice", found, "close what else is running, or allow SCHED_FIFO")
-    return Verdict("ok", found)
+        return Finding("advice", found, "close what else is running, or allow SCHED_FIFO")
+    return Finding("ok", found)
 
 
-def check_processors() -> Verdict:
+def check_processors() -> Finding:
     affinity = getattr(os, "sched_getaffinity", None)
     count = len(affinity(0)) if affinity else (os.cpu_count() or 1)
     if count < 2:
-        return Verdict("advice", f"{count} processor", "a session is meant for two")
-    return Verdict("ok", f"{count} processors")
+        return Finding("advice", f"{count} processor", "a session is meant for two")
+    return Finding("ok", f"{count} processors")
 
 
-def check_players() -> Verdict:
+def check_players() -> Finding:
     tools = ("ffmpeg", "ffplay", "gst-launch-1.0")
     there = [tool for tool in tools if shutil.which(tool)]
     lacking = [tool for tool in tools if tool not in there]
     if lacking:
-        return Verdict(
+        return Finding(
             "advice",
             f"{', '.join(there) or 'none'} found",
             f"to play a stream elsewhere, install {' and '.join(lacking)} "
             "(Debian: ffmpeg, gstreamer1.0-tools)",
         )
-    return Verdict("ok", ", ".join(there))
+    return Finding("ok", ", ".join(there))
 
 
-def check_sound_capture() -> Verdict:
+def check_sound_capture() -> Finding:
     found = shutil.which("arecord")
     if found is None:
-        return Verdict("advice", "no arecord", "for --source NAME=alsa:DEVICE install alsa-utils")
-    return Verdict("ok", found)
+        return Finding("advice", "no arecord", "for --source NAME=alsa:DEVICE install alsa-utils")
+    return Finding("ok", found)
 
 
 def _user() -> str:

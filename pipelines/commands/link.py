@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.report)
     held = [hold_link_ports(topology, end, addresses) for end in ends]
     collector = Collector(topology)
-    screen = _Screen(LinkView(setup, ends), collector, quiet=args.quiet)
+    screen = _LinkScreen(LinkView(setup, ends), collector, quiet=args.quiet)
     screen.show_lines(port_table(topology, ends, addresses))
     launcher = Launcher(
         session="link",
@@ -187,7 +187,7 @@ def hold_link_ports(topology: Topology, end: Segment, addresses: EndAddresses) -
     return held
 
 
-class _Screen:
+class _LinkScreen:
     """Standard output: on a terminal the lines of figures stay where they are."""
 
     def __init__(self, view: LinkView, collector: Collector, *, quiet: bool) -> None:

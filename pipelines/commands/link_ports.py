@@ -10,7 +10,7 @@ from pipelines.topology.tables import travels
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class ChannelPorts:
     """One channel of the link. Its ports are None where that end is not ours.
 
     name: of the stream. sent_from: the segment whose programs send.
@@ -24,10 +24,10 @@ class Channel:
     travels: str
 
 
-def channels(topology: Topology, ends: Sequence[Segment]) -> list[Channel]:
+def channels(topology: Topology, ends: Sequence[Segment]) -> list[ChannelPorts]:
     """Every channel that has a port at one of `ends`, in order of priority in each direction."""
     return [
-        Channel(
+        ChannelPorts(
             name=row.name,
             sent_from=row.direction.sender,
             in_port=row.entry_port if row.direction.sender in ends else None,

@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
             output = PictureOutput(stream, clock, writer, raw)
         else:
             output = SoundOutput(stream, clock, writer)
-        report = _Shell(stream, output, udp, clock, raw).run(args.seconds)
+        report = _ReceiveShell(stream, output, udp, clock, raw).run(args.seconds)
     if args.save:
         packets = 0 if writer is None else writer.written
         report.saved = SavedReport(file=args.save, packets=packets)
@@ -111,7 +111,7 @@ def _read_text(path: str) -> str:
         raise ConfigError(f"--sdp {path!r} cannot be read: {error.strerror}") from None
 
 
-class _Shell:
+class _ReceiveShell:
     """Drives sockets and receiver in real time."""
 
     def __init__(

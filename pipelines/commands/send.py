@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
             write_text(args.report, "", "--report")
         check_reachable(address)
         with closing(UdpSender(*address)) as udp:
-            report = _Shell(feed, udp, clock).run(args.seconds)
+            report = _SendShell(feed, udp, clock).run(args.seconds)
     if args.report:
         write_text(args.report, to_json(report), "--report")
     for failure in report.failed:
@@ -111,7 +111,7 @@ def run(args: argparse.Namespace) -> int:
     return 1 if report.failed else 0
 
 
-class _Shell:
+class _SendShell:
     """Drives source and sender in real time."""
 
     def __init__(

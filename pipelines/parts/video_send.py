@@ -50,7 +50,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
         # It ends before the bus does: till then it may be reading shared memory.
         EncodingThread(encoder, clock) as encoding,
     ):
-        selection = None if topic is not None else Selection(context, bus)
+        selection = None if topic is not None else SelectionTopics(context, bus)
         reader = None if topic is None else bus.reader(topic)
         backlog_reader = bus.reader(row.backlog_topic)
         sockets = [feedback.fileno(), encoding.fileno()]
@@ -130,7 +130,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
         del waiter
 
 
-class Selection:
+class SelectionTopics:
     """The choice of the camera as the sender sees it, and its confirmation, as topics."""
 
     def __init__(self, context: Context, bus: TopicBus) -> None:
@@ -186,7 +186,7 @@ class Selection:
         self._writer.publish_octets(pack_confirmed(number), CaptureStamp(now_ns, number, "sender"))
 
 
-def _wakers(reader: Reader | None, selection: Selection | None) -> list[Reader]:
+def _wakers(reader: Reader | None, selection: SelectionTopics | None) -> list[Reader]:
     """Whose new samples wake the sender."""
     wakers = [] if reader is None else [reader]
     return wakers if selection is None else [*wakers, selection.reader]

@@ -20,7 +20,7 @@ from kontur_av.meters import Histogram, RateMeter
 from pipelines.report.pauses import Pauses
 from pipelines.report.skew import RECENT_DEPTH, LipSyncShare, Recent, Skew
 from pipelines.report.sync.figures import PERCEIVED, SyncFigures
-from pipelines.report.terms import LONGEST_GAP_NS, Way
+from pipelines.report.terms import LONGEST_GAP_NS, DelaySums
 from pipelines.runtime.probe import FLUSH_NS, Message
 from pipelines.runtime.rows import WIDTHS
 from pipelines.topology import Topology
@@ -84,7 +84,7 @@ class StreamFigures:
         #: How far the capture time that travelled by RTCP lies beside the one that was stamped.
         self.stamp_error = Histogram()
         #: Of pictures: what their time is made of.
-        self.way = Way()
+        self.way = DelaySums()
         self._captured_ns: int | None = None
         self._journeys: OrderedDict[int, _Journey] = OrderedDict()
 

@@ -401,7 +401,7 @@ class SyncReport(Report, frozen=True, kw_only=True):
     listed: list[ListedContact]
 
 
-class LipSync(Report, frozen=True, kw_only=True):
+class LipSyncReport(Report, frozen=True, kw_only=True):
     """Shares of the time, from 0 to 1, by the limits of ITU-R BT.1359."""
 
     within: float
@@ -501,7 +501,7 @@ class SessionReport(Report, frozen=True, kw_only=True):
     #: At the operator, by content; null if nothing was touched.
     sync: SyncReport | None
     #: For how much of the time sound and picture were together; null without both.
-    lip_sync: LipSync | None
+    lip_sync: LipSyncReport | None
     cpu: CpuReport
     processes: dict[str, ProcessReport]
     #: What broke a promise of the project; with any, the exit code is 1. A cap was exceeded, a

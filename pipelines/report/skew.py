@@ -6,7 +6,7 @@ from collections import deque
 from kontur_av.clock import NS_PER_S
 from kontur_av.meters import Histogram
 from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
-from pipelines.report.model import LipSync, SkewReport
+from pipelines.report.model import LipSyncReport, SkewReport
 
 #: So many latencies are remembered to be compared with those of another sense.
 RECENT_DEPTH = 8192
@@ -90,10 +90,10 @@ class LipSyncShare:
                 self._within_ns += shown_ns
         self._last = displayed_ns, skew_ns
 
-    def summary(self) -> LipSync:
+    def summary(self) -> LipSyncReport:
         """Shares of the time, from 0 to 1: together, sound too early, sound too late."""
         total_ns = max(1, self._within_ns + self._early_ns + self._late_ns)
-        return LipSync(
+        return LipSyncReport(
             within=round(self._within_ns / total_ns, 6),
             early=round(self._early_ns / total_ns, 6),
             late=round(self._late_ns / total_ns, 6),

@@ -32,7 +32,7 @@ LONGEST_GAP_NS = NS_PER_S
 _MEASURED = ("camera", "capture", "waiting", "encoding", "network", "decoding", "display", "total")
 
 
-class Way:
+class DelaySums:
     """Sums over the pictures of a stream, each weighted with the time that it stands for."""
 
     def __init__(self) -> None:
@@ -115,7 +115,7 @@ def zone_bps(profile: LinkProfile, link: DirectionReport) -> float:
 
 
 def video_lead(
-    setup: Setup, way: Way, link: DirectionReport, *, force_ns: float, epoch_ns: int
+    setup: Setup, way: DelaySums, link: DirectionReport, *, force_ns: float, epoch_ns: int
 ) -> VideoLead | None:
     """By how much force comes before the uplink's picture of the same event; None without pictures.
 

@@ -5,7 +5,7 @@ import pytest
 
 from pipelines.bench.haptics.cell import Cell
 from pipelines.bench.haptics.claims import claims, needed
-from pipelines.bench.haptics.figures import Figures
+from pipelines.bench.haptics.figures import CellFigures
 from pipelines.bench.haptics.plan import plan
 from pipelines.bench.haptics.run import run_cell
 from telepresence.haptics.joystick_controller import JoystickController
@@ -29,7 +29,7 @@ CELLS = (
 
 
 @pytest.fixture(scope="module", params=CELLS, ids=lambda cell: cell.name)
-def with_controllers(request) -> Figures:
+def with_controllers(request) -> CellFigures:
     return run_cell(request.param, seconds=SECONDS, seed=1, passive=True)[0]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.bench.machine import Machine
-from pipelines.bench.result import Headline, Reading, as_json
+from pipelines.bench.result import Headline, JsonReader, as_json
 from pipelines.report.report_file import write_report
 
 
@@ -44,7 +44,7 @@ def write_record(directory: Path, record: Record) -> None:
 def read_record(path: Path) -> Record:
     """The record of a file. ConfigError if it holds none."""
     try:
-        found = Reading(json.loads(path.read_text(encoding="utf-8")), path.name)
+        found = JsonReader(json.loads(path.read_text(encoding="utf-8")), path.name)
         machine = found.at("machine")
         return Record(
             name=found.text("name"),
@@ -67,7 +67,7 @@ def read_record(path: Path) -> Record:
         raise ConfigError(f"{path}: no record of `bench all` ({error})") from None
 
 
-def read_headlines(report: Reading) -> Iterable[Headline]:
+def read_headlines(report: JsonReader) -> Iterable[Headline]:
     """The headlines in the report of a bench. ValueError if there are none."""
     for found in report.elements("headlines"):
         met = found.at("met").value

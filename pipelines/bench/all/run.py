@@ -11,7 +11,7 @@ from pipelines.bench.all.plan import Measurement
 from pipelines.bench.all.records import Record, read_headlines
 from pipelines.bench.children import end_all, ended_alike
 from pipelines.bench.machine import this_machine
-from pipelines.bench.result import Reading
+from pipelines.bench.result import JsonReader
 
 
 def measure(measurement: Measurement, number: int, code: str) -> Record:
@@ -36,7 +36,7 @@ def measure(measurement: Measurement, number: int, code: str) -> Record:
         words = output.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         last = words[-1].strip() if words else f"ended with {exit_code}"
         try:
-            report = Reading(json.loads(report_file.read_text(encoding="utf-8")))
+            report = JsonReader(json.loads(report_file.read_text(encoding="utf-8")))
             headlines = tuple(read_headlines(report))
         except (OSError, ValueError):
             headlines, exit_code = (), exit_code or 1

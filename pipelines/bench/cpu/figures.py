@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from pipelines.bench.result import Headline, Reading
+from pipelines.bench.result import Headline, JsonReader
 
 VIDEO = "uplink_video"
 
@@ -39,7 +39,7 @@ class CpuResult:
         ]
 
 
-def read_run(report: Reading) -> CpuRun:
+def read_run(report: JsonReader) -> CpuRun:
     """The figures of one session's report. ValueError if it is no report of a session."""
     latency = report.at("streams", VIDEO, "latency_ms")
     came = latency.number("count") > 0

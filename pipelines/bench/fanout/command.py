@@ -24,7 +24,7 @@ from pipelines.bench.console import open_console
 from pipelines.bench.fanout.gstreamer import ShmSinkWay, lacking
 from pipelines.bench.fanout.run import PICTURES_HZ, FanOut, fan_out
 from pipelines.bench.fanout.ways import HEIGHT, WIDTH, QueueWay, TopicWay, Way
-from pipelines.bench.result import Headline, Spread, spread, write_result
+from pipelines.bench.result import Headline, Percentiles, spread, write_result
 from pipelines.report.report_file import check_writable
 
 _READERS = (1, 4, 8, 16)
@@ -38,14 +38,14 @@ class FanOutRow:
 
     way: str
     readers: int
-    publish_us: Spread
-    publish_cpu_us: Spread
-    delivery_us: Spread
+    publish_us: Percentiles
+    publish_cpu_us: Percentiles
+    delivery_us: Percentiles
     missed: int
     torn: int
     publisher_cpu_s: float
     readers_cpu_s: float
-    fast_publish_us: Spread
+    fast_publish_us: Percentiles
     fast_cpu_us: float
     fast_hz: float
 
@@ -175,7 +175,7 @@ def _table(title: str, *headings: str) -> Table:
     return table
 
 
-def _joined(of: Spread) -> str:
+def _joined(of: Percentiles) -> str:
     return "/".join("–" if isnan(value) else f"{value:.0f}" for value in (of.p50, of.p99, of.max))
 
 

@@ -9,7 +9,7 @@ from pipelines.bench.charts import COLOURS, new_figure
 from pipelines.bench.haptics.cell import Cell
 from pipelines.bench.haptics.figures import Trace, Values
 from pipelines.bench.haptics.map import StabilityMap
-from pipelines.bench.haptics.plan import Plan
+from pipelines.bench.haptics.plan import CellPlan
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +22,7 @@ _STABLE, _UNSTABLE = "#A6CEE8", "#F6B26B"
 
 
 def chart(
-    courses: Sequence[tuple[Cell, Plan, Trace, Trace]],
+    courses: Sequence[tuple[Cell, CellPlan, Trace, Trace]],
     maps: Sequence[tuple[str, StabilityMap]],
 ) -> "Figure":
     """A figure of courses and maps.
@@ -42,7 +42,9 @@ def chart(
     return figure
 
 
-def _draw_course(part: "SubFigure", cell: Cell, plan: Plan, without: Trace, with_: Trace) -> None:
+def _draw_course(
+    part: "SubFigure", cell: Cell, plan: CellPlan, without: Trace, with_: Trace
+) -> None:
     part.suptitle(f"round trip {cell.name}{' (grey)' if cell.blackout else ''}", fontweight="bold")
     grid = part.subplots(3, 2, sharex=True, sharey="row")
     dark = sorted({*plan.down_dark, *plan.up_dark})

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipelines.bench.haptics.figures import SWING_N, Figures
+from pipelines.bench.haptics.figures import SWING_N, CellFigures
 
 #: Energy totals are sent in whole µJ, rounded down.
 ROUNDING_UJ = 1.0
@@ -20,7 +20,7 @@ class Claim:
     holds: bool
 
 
-def claims(with_: Sequence[Figures]) -> list[Claim]:
+def claims(with_: Sequence[CellFigures]) -> list[Claim]:
     """The claims about the passivity controllers, each checked on the worst of these runs."""
     least = min(with_, key=_least_uj)
     given = max(with_, key=lambda f: f.given_uj)
@@ -58,7 +58,7 @@ def claims(with_: Sequence[Figures]) -> list[Claim]:
     ]
 
 
-def needed(without: Sequence[Figures]) -> Claim:
+def needed(without: Sequence[CellFigures]) -> Claim:
     """The claim that the controllers are needed, checked on runs without them."""
     swung = sum(f.unstable for f in without)
     made = sum(f.given_uj > ROUNDING_UJ for f in without)
@@ -69,5 +69,5 @@ def needed(without: Sequence[Figures]) -> Claim:
     )
 
 
-def _least_uj(figures: Figures) -> float:
+def _least_uj(figures: CellFigures) -> float:
     return min(figures.least_joystick_uj, figures.least_robot_uj)

@@ -13,7 +13,7 @@ from pipelines.bench.console import open_console
 from pipelines.bench.haptics.cell import Cell, full_grid, read_cell, small_grid
 from pipelines.bench.haptics.charts import chart
 from pipelines.bench.haptics.claims import Claim, claims, needed
-from pipelines.bench.haptics.figures import Figures
+from pipelines.bench.haptics.figures import CellFigures
 from pipelines.bench.haptics.grid import processors, run_grid
 from pipelines.bench.haptics.map import StabilityMap
 from pipelines.bench.haptics.plan import plan
@@ -39,8 +39,8 @@ class HapticsResult:
     seed: int
     cells: int
     claims: Sequence[Claim]
-    without: Sequence[Figures]
-    with_: Sequence[Figures]
+    without: Sequence[CellFigures]
+    with_: Sequence[CellFigures]
 
     @property
     def json(self) -> dict[str, Json]:
@@ -55,7 +55,7 @@ class HapticsResult:
         }
 
 
-def _row(figures: Figures) -> Json:
+def _row(figures: CellFigures) -> Json:
     row = as_json(figures)
     assert isinstance(row, dict)
     return row | {"unstable": figures.unstable}
@@ -129,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _headlines(
-    without: Sequence[Figures], with_: Sequence[Figures], found: Sequence[Claim]
+    without: Sequence[CellFigures], with_: Sequence[CellFigures], found: Sequence[Claim]
 ) -> list[Headline]:
     both = (("without controllers", without), ("with controllers", with_))
     headlines = [Headline(what="cells", who=who, unit="", value=len(of)) for who, of in both]
@@ -157,8 +157,8 @@ def _headlines(
 def _plot(
     args: argparse.Namespace,
     chosen: Sequence[Cell],
-    without: Sequence[Figures],
-    with_: Sequence[Figures],
+    without: Sequence[CellFigures],
+    with_: Sequence[CellFigures],
 ) -> None:
     courses = []
     for cell in chosen or _DRAWN:
@@ -194,7 +194,7 @@ _HEADINGS = (
 )
 
 
-def _channel_table(with_: Sequence[Figures]) -> Table:
+def _channel_table(with_: Sequence[CellFigures]) -> Table:
     """The worst figure of each channel, over all delays and walls."""
     table = _figure_table(f"{_WITH}, by channel: the worst of all delays and walls", "channel")
     for channel in dict.fromkeys(figures.cell.channel for figures in with_):
@@ -214,7 +214,7 @@ def _channel_table(with_: Sequence[Figures]) -> Table:
     return table
 
 
-def _cell_table(without: Sequence[Figures], with_: Sequence[Figures]) -> Table:
+def _cell_table(without: Sequence[CellFigures], with_: Sequence[CellFigures]) -> Table:
     table = _figure_table("each cell without and with the passivity controllers", "cell")
     for pair in zip(without, with_, strict=True):
         for figures in pair:

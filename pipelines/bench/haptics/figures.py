@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipelines.bench.haptics.cell import Cell
-from pipelines.bench.haptics.plan import DEPTH_M, Plan
+from pipelines.bench.haptics.plan import DEPTH_M, CellPlan
 from telepresence.haptics.robot import RobotModel
 from telepresence.haptics.robot_controller import RobotControllerModel
 
@@ -44,7 +44,7 @@ class Trace:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Figures:
+class CellFigures:
     """Energies in µJ, forces in N, force changes in N/ms, positions in mm.
 
     least_joystick_uj, least_robot_uj: least energy by the observers; below 0, the port gave out
@@ -83,8 +83,8 @@ class Figures:
 
 
 def figures(
-    cell: Cell, plan: Plan, trace: Trace, *, passive: bool, acted: tuple[int, int]
-) -> Figures:
+    cell: Cell, plan: CellPlan, trace: Trace, *, passive: bool, acted: tuple[int, int]
+) -> CellFigures:
     """The figures of one run."""
     begin, end = (instant // 1_000_000 for instant in plan.hold_ns)
     third = (end - begin) // 3
@@ -94,7 +94,7 @@ def figures(
     sizes = np.hypot(*trace.displayed.T)
     changes = np.diff(sizes)
     pressed_n = float(trace.contact_n[end - third : end].mean())
-    return Figures(
+    return CellFigures(
         cell=cell,
         passive=passive,
         least_joystick_uj=1e6 * float(trace.joystick_observed_j.min()),

@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
 from pipelines.bench.haptics.cell import Cell
-from pipelines.bench.haptics.figures import Figures
+from pipelines.bench.haptics.figures import CellFigures
 from pipelines.bench.haptics.run import run_cell
 
 
@@ -18,7 +18,7 @@ def processors() -> int:
 
 def run_grid(
     cells: Sequence[Cell], *, seconds: float, seed: int, jobs: int
-) -> Iterator[tuple[Figures, Figures]]:
+) -> Iterator[tuple[CellFigures, CellFigures]]:
     """Figures (without, with) the controllers for each of `cells`, in order, as they are known.
 
     They are the same for every number of `jobs`: the randomness of a cell depends on `seed` and the
@@ -32,7 +32,7 @@ def run_grid(
         yield from pool.map(both, cells)
 
 
-def _both(cell: Cell, *, seconds: float, seed: int) -> tuple[Figures, Figures]:
+def _both(cell: Cell, *, seconds: float, seed: int) -> tuple[CellFigures, CellFigures]:
     without, _ = run_cell(cell, seconds=seconds, seed=seed, passive=False)
     with_, _ = run_cell(cell, seconds=seconds, seed=seed, passive=True)
     return without, with_

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
-from pipelines.bench.haptics.figures import Figures
+from pipelines.bench.haptics.figures import CellFigures
 
 
 class StabilityMap:
     """The cells of a grid by wall (falling) and delay (rising)."""
 
-    def __init__(self, found: Sequence[Figures]) -> None:
+    def __init__(self, found: Sequence[CellFigures]) -> None:
         self.delays = sorted({figures.cell.delay for figures in found})
         self.walls = sorted({figures.cell.wall for figures in found}, reverse=True)
         self.cells = {

@@ -23,7 +23,7 @@ _RECOVERY_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class CellPlan:
     """script: waypoints of the hand. down_dark, up_dark: blackouts of commands and of feedback.
 
     All spans are (begin, end) in ns. hold_ns: in which a stable loop comes to rest. end_ns: of the
@@ -37,7 +37,7 @@ class Plan:
     end_ns: int
 
 
-def plan(cell: Cell, seconds: float) -> Plan:
+def plan(cell: Cell, seconds: float) -> CellPlan:
     """Half of `seconds` for touches and half for the hold; more for delay and blackouts."""
     round_trip_s = (cell.delay + cell.jitter) / 1000.0
     recovery_s = _RECOVERY_S + 2.0 * round_trip_s
@@ -64,7 +64,7 @@ def plan(cell: Cell, seconds: float) -> Plan:
     script.append(_waypoint(0.0, 0.0, 1.0, 10.0 + recovery_s))
     end_s = hold_end_s + 1.0 + recovery_s
     spans = [(_ns(begin), _ns(end)) for begin, end in dark]
-    return Plan(
+    return CellPlan(
         script=tuple(script),
         down_dark=tuple(spans[:2]),
         up_dark=tuple(spans[::2]),

@@ -5,14 +5,14 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS
 from pipelines.bench.haptics.cell import Cell
 from pipelines.bench.haptics.channel import SampleChannel
-from pipelines.bench.haptics.figures import Figures, Trace, figures
-from pipelines.bench.haptics.plan import Plan, plan
+from pipelines.bench.haptics.figures import CellFigures, Trace, figures
+from pipelines.bench.haptics.plan import CellPlan, plan
 from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
 from telepresence.haptics.hand import Hand
 
 
-def run_cell(cell: Cell, *, seconds: float, seed: int, passive: bool) -> tuple[Figures, Trace]:
+def run_cell(cell: Cell, *, seconds: float, seed: int, passive: bool) -> tuple[CellFigures, Trace]:
     """Run hand, joystick, robot and wall as planned for `seconds`.
 
     passive: with the passivity controllers.
@@ -28,7 +28,7 @@ def run_cell(cell: Cell, *, seconds: float, seed: int, passive: bool) -> tuple[F
 
 def _run(
     cell: Cell,
-    planned: Plan,
+    planned: CellPlan,
     seed: int,
     joystick_side: JoystickSide,
     handle: HeldJoystick,

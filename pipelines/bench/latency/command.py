@@ -15,13 +15,13 @@ from pipelines.bench.console import open_console
 from pipelines.bench.latency.charts import lead_chart
 from pipelines.bench.latency.runs import (
     VIRTUAL_CLOCK,
-    Clock,
+    ClockMethod,
     live_clock,
     radio_delay_ms,
     virtual_run,
 )
-from pipelines.bench.latency.targets import MEANT_FOR, Verdict, judge
-from pipelines.bench.result import Headline, Json, Reading, write_result
+from pipelines.bench.latency.targets import MEANT_FOR, LatencyVerdict, judge
+from pipelines.bench.result import Headline, Json, JsonReader, write_result
 from pipelines.bench.session import live_session
 from pipelines.commands.session_options import (
     add_deadband_argument,
@@ -65,8 +65,8 @@ class LatencyResult:
     setup: str
     radio: str
     seed: int
-    clocks: Mapping[str, Clock]
-    targets: Sequence[Verdict]
+    clocks: Mapping[str, ClockMethod]
+    targets: Sequence[LatencyVerdict]
     leads: Mapping[str, Json]
     virtual: Json
     live: Json
@@ -153,7 +153,7 @@ def run(args: argparse.Namespace) -> int:
     return 1 if failures else 0
 
 
-def _live(args: argparse.Namespace) -> Reading:
+def _live(args: argparse.Namespace) -> JsonReader:
     try:
         return live_session(
             args.setup,
@@ -168,7 +168,11 @@ def _live(args: argparse.Namespace) -> Reading:
 
 
 def _headlines(
-    verdicts: Sequence[Verdict], live: Reading | None, runs: Mapping[str, Reading], *, judged: bool
+    verdicts: Sequence[LatencyVerdict],
+    live: JsonReader | None,
+    runs: Mapping[str, JsonReader],
+    *,
+    judged: bool,
 ) -> list[Headline]:
     found = [verdict.headline("virtual time", judged=judged) for verdict in verdicts]
     if live is not None:
@@ -209,7 +213,7 @@ def _heading(args: argparse.Namespace, setup: Setup) -> str:
     )
 
 
-def _latencies(runs: Mapping[str, Reading]) -> Table:
+def _latencies(runs: Mapping[str, JsonReader]) -> Table:
     table = Table(
         title="latency, ms: capture to display, mouth to ear, sample to sample",
         title_justify="left",
@@ -226,7 +230,7 @@ def _latencies(runs: Mapping[str, Reading]) -> Table:
     return table
 
 
-def _clocks(runs: Mapping[str, Reading], clocks: Mapping[str, Clock]) -> str:
+def _clocks(runs: Mapping[str, JsonReader], clocks: Mapping[str, ClockMethod]) -> str:
     lines = [
         f"{name}: {report.number('seconds'):.0f} s; radio {_range(radio_delay_ms(report))} ms "
         f"one way; {clocks[name].method}, error <= {clocks[name].error_us:g} µs"
@@ -235,7 +239,7 @@ def _clocks(runs: Mapping[str, Reading], clocks: Mapping[str, Clock]) -> str:
     return "\n".join([*lines, f"max is exact, percentiles to {_HISTOGRAM_PERCENT} %\n"])
 
 
-def _cells(summary: Reading | None, *, sign: str, counted: str = "count") -> list[str]:
+def _cells(summary: JsonReader | None, *, sign: str, counted: str = "count") -> list[str]:
     if summary is None or summary.value is None:
         return [""] * (1 + len(_PERCENTILES))
     count = summary.number_or_none(counted)
@@ -256,7 +260,7 @@ def _range(limits: tuple[float, float]) -> str:
     return f"{most:.1f}" if most - least < 0.05 else f"{least:.1f} to {most:.1f}"
 
 
-def _rows(runs: Mapping[str, Reading]) -> Iterator[tuple[str, list[list[str]]]]:
+def _rows(runs: Mapping[str, JsonReader]) -> Iterator[tuple[str, list[list[str]]]]:
     """Label, and the cells of each run."""
     first, reports = next(iter(runs.values())), list(runs.values())
     for direction in ("up", "down"):
@@ -284,17 +288,19 @@ def _rows(runs: Mapping[str, Reading]) -> Iterator[tuple[str, list[list[str]]]]:
                 yield label, [_cells(skew, sign="+", counted=counted) for skew in skews]
 
 
-def _part(report: Reading, *keys: str) -> Reading | None:
+def _part(report: JsonReader, *keys: str) -> JsonReader | None:
     return report.at(*keys) if report.has(*keys) else None
 
 
-def _sense_cells(of: Reading | None) -> list[str]:
+def _sense_cells(of: JsonReader | None) -> list[str]:
     if of is None or not of.number("perceived"):
         return [""] * (1 + len(_PERCENTILES))
     return [f"{of.number('perceived'):.0f}", *_cells(of.at("latency_ms"), sign="")[1:]]
 
 
-def _targets(setup: Setup, radio: str, verdicts: Sequence[Verdict], live: Reading | None) -> Table:
+def _targets(
+    setup: Setup, radio: str, verdicts: Sequence[LatencyVerdict], live: JsonReader | None
+) -> Table:
     table = Table(
         title=f"targets of {MEANT_FOR[0]} on {MEANT_FOR[1]}, virtual time",
         title_justify="left",
@@ -314,7 +320,7 @@ def _targets(setup: Setup, radio: str, verdicts: Sequence[Verdict], live: Readin
     return table
 
 
-def _leads(leads: Mapping[str, Reading]) -> Table:
+def _leads(leads: Mapping[str, JsonReader]) -> Table:
     table = Table(
         title="by how much force comes before the picture of the same event: means, ms",
         title_justify="left",

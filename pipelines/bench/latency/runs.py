@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from pipelines.bench.result import Reading, as_json
+from pipelines.bench.result import JsonReader, as_json
 from pipelines.commands.simulate import simulate
 from pipelines.setup.table import Setup
 
@@ -13,7 +13,7 @@ _READINGS = 2000
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class ClockMethod:
     """How instants were compared.
 
     method: in words. error_us: the largest error of a difference of two instants.
@@ -23,15 +23,15 @@ class Clock:
     error_us: float
 
 
-VIRTUAL_CLOCK = Clock("one virtual clock for all", 0.0)
+VIRTUAL_CLOCK = ClockMethod("one virtual clock for all", 0.0)
 
 
-def virtual_run(setup: Setup, *, seconds: float, seed: int) -> Reading:
+def virtual_run(setup: Setup, *, seconds: float, seed: int) -> JsonReader:
     """The report of a session on virtual time."""
-    return Reading(as_json(simulate(setup, seconds=seconds, seed=seed)))
+    return JsonReader(as_json(simulate(setup, seconds=seconds, seed=seed)))
 
 
-def live_clock(report: Reading) -> Clock:
+def live_clock(report: JsonReader) -> ClockMethod:
     """The clock of a live session, and the largest error of a difference of two readings.
 
     The error is the time that a reading takes (p99) or the clock's resolution, whichever is
@@ -43,10 +43,10 @@ def live_clock(report: Reading) -> Clock:
     reading_us = max(resolution_ns, steps[len(steps) * 99 // 100]) / NS_PER_US
     stamps = [of.number("capture_stamp_error_us") for _, of in report.items("streams")]
     error_us = reading_us + max(stamps, default=0.0)
-    return Clock("CLOCK_MONOTONIC, one for all processes of the host", round(error_us, 2))
+    return ClockMethod("CLOCK_MONOTONIC, one for all processes of the host", round(error_us, 2))
 
 
-def radio_delay_ms(report: Reading) -> tuple[float, float]:
+def radio_delay_ms(report: JsonReader) -> tuple[float, float]:
     """The least and the largest delay of the radio, ground to space."""
     if not report.has("gateways", "ground", "radio"):
         return 0.0, 0.0

@@ -6,7 +6,7 @@ The bounds hold for `spacejustin` on the radio `clean`, on virtual time.
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.bench.result import Headline, Reading
+from pipelines.bench.result import Headline, JsonReader
 
 #: In ms. Force: p99.9, above the delay of the radio. Pictures and voice: p99, the delay of the
 #: radio included. Skew: p95.
@@ -16,7 +16,7 @@ MEANT_FOR = ("spacejustin", "clean")
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class LatencyVerdict:
     """One target. bound, found: in words. value: what was found, in `unit`."""
 
     what: str
@@ -38,9 +38,9 @@ class Verdict:
         )
 
 
-def judge(report: Reading) -> list[Verdict]:
+def judge(report: JsonReader) -> list[LatencyVerdict]:
     """A verdict on each target of which the report of a run has a figure."""
-    verdicts: list[Verdict | None] = [_force(report)]
+    verdicts: list[LatencyVerdict | None] = [_force(report)]
     for name, stream in report.items("streams"):
         video = name.endswith("video")
         if stream.number("latency_ms", "count"):
@@ -53,7 +53,7 @@ def judge(report: Reading) -> list[Verdict]:
     if report.has("lip_sync"):
         within = report.number("lip_sync", "within")
         verdicts.append(
-            Verdict(
+            LatencyVerdict(
                 "sound -45 to +125 ms after picture (ITU-R BT.1359)",
                 "always",
                 f"{100 * within:.3f} % of time",
@@ -65,7 +65,7 @@ def judge(report: Reading) -> list[Verdict]:
     return [verdict for verdict in verdicts if verdict is not None]
 
 
-def _force(report: Reading) -> Verdict | None:
+def _force(report: JsonReader) -> LatencyVerdict | None:
     latency = report.at("haptic", "up", "latency_ms")
     if not report.has("gateways", "ground", "radio") or not latency.number("count"):
         return None
@@ -74,6 +74,6 @@ def _force(report: Reading) -> Verdict | None:
     return _at_most("force, one way, above the radio's delay, p99.9", FORCE_MS, above_ms)
 
 
-def _at_most(what: str, bound_ms: float, found_ms: float) -> Verdict:
+def _at_most(what: str, bound_ms: float, found_ms: float) -> LatencyVerdict:
     met = found_ms <= bound_ms
-    return Verdict(what, f"<= {bound_ms:g} ms", f"{found_ms:.1f} ms", met, "ms", found_ms)
+    return LatencyVerdict(what, f"<= {bound_ms:g} ms", f"{found_ms:.1f} ms", met, "ms", found_ms)

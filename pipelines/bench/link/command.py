@@ -11,7 +11,7 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.bench.console import open_console
 from pipelines.bench.link.cost import slot_cost
-from pipelines.bench.link.live import Punctuality, live_punctuality
+from pipelines.bench.link.live import LoopPunctuality, live_punctuality
 from pipelines.bench.link.resume import resumptions
 from pipelines.bench.link.virtual import (
     FILE,
@@ -25,7 +25,7 @@ from pipelines.bench.link.virtual import (
     header_octets,
     voice_waits,
 )
-from pipelines.bench.result import Headline, Json, Spread, as_json, spread, write_result
+from pipelines.bench.result import Headline, Json, Percentiles, as_json, spread, write_result
 from pipelines.report.report_file import check_writable
 from pipelines.setup.setup_file import load_setup
 from telepresence.link.profile import DOWNLINK, UPLINK
@@ -56,7 +56,7 @@ class Delays:
     """voice_wait_ms: of a voice packet until its first slot, by direction."""
 
     haptic_difference: HapticDifference
-    voice_wait_ms: Mapping[str, Spread]
+    voice_wait_ms: Mapping[str, Percentiles]
 
     @property
     def json(self) -> dict[str, Json]:
@@ -93,7 +93,7 @@ class GoodputOf:
 class Resumption:
     """Recovery from blackouts of one length. times_ms: by event; packets, stale: counts."""
 
-    times_ms: Mapping[str, Spread]
+    times_ms: Mapping[str, Percentiles]
     counts: Mapping[str, int]
     packets: int
     stale: int
@@ -112,7 +112,7 @@ class Cost:
     direction: str
     traffic: str
     what: str
-    us: Spread
+    us: Percentiles
 
 
 def run(args: argparse.Namespace) -> int:
@@ -141,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
         "resumption": {name: of.json for name, of in resumption.items()},
         "cost": as_json(costs),
     }
-    live: dict[str, Sequence[Punctuality]] = {}
+    live: dict[str, Sequence[LoopPunctuality]] = {}
     for media in () if args.no_live else (False, True):
         name = "with" if media else "without"
         live[name] = live_punctuality(
@@ -158,7 +158,7 @@ def _headlines(
     headers: Mapping[str, HeaderOctets],
     resumption: Mapping[str, Resumption],
     costs: Sequence[Cost],
-    live: Mapping[str, Sequence[Punctuality]],
+    live: Mapping[str, Sequence[LoopPunctuality]],
 ) -> list[Headline]:
     found = [
         Headline(
@@ -340,7 +340,7 @@ def _cost_table(costs: Sequence[Cost]) -> Table:
     return table
 
 
-def _punctuality_table(found: Sequence[Punctuality], setup: str, *, media: bool) -> Table:
+def _punctuality_table(found: Sequence[LoopPunctuality], setup: str, *, media: bool) -> Table:
     beside = f"the whole session of {setup} beside it" if media else "the link alone"
     table = _table(
         f"live, 1 kHz, {beside}; µs after the deadline",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from kontur_av.clock import NS_PER_MS, NS_PER_US, MonotonicClock
 from kontur_av.meters import Histogram
 from pipelines.bench.link.virtual import FILE, FLOWS, VIDEO, VOICE, Talker
-from pipelines.bench.result import Spread
+from pipelines.bench.result import Percentiles
 from telepresence.link.flows import Level
 from telepresence.link.profile import LinkProfile
 from telepresence.link.receiver import LinkReceiver
@@ -19,8 +19,8 @@ _WARM_UP_SLOTS = 500
 class SlotCost:
     """Time in `LinkSender.poll_transmit` and in `LinkReceiver.handle_frame`, per slot."""
 
-    send_us: Spread
-    receive_us: Spread
+    send_us: Percentiles
+    receive_us: Percentiles
 
 
 def slot_cost(profile: LinkProfile, *, slots: int, busy: bool) -> SlotCost:
@@ -55,6 +55,6 @@ def slot_cost(profile: LinkProfile, *, slots: int, busy: bool) -> SlotCost:
     return SlotCost(_times(send), _times(receive))
 
 
-def _times(histogram: Histogram) -> Spread:
+def _times(histogram: Histogram) -> Percentiles:
     p50, p95, p99 = (round(histogram.percentile(p) / NS_PER_US, 2) for p in (50, 95, 99))
-    return Spread(p50, p95, p99, round(histogram.max / NS_PER_US, 2))
+    return Percentiles(p50, p95, p99, round(histogram.max / NS_PER_US, 2))

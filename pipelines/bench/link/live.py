@@ -5,7 +5,7 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 
-from pipelines.bench.result import Reading
+from pipelines.bench.result import JsonReader
 from pipelines.bench.session import live_report
 
 #: The end of `cyclictest`'s histogram, in µs; it counts later wake-ups apart.
@@ -15,7 +15,7 @@ _PATIENCE_S = 60
 
 
 @dataclass(frozen=True)
-class Punctuality:
+class LoopPunctuality:
     """Of one periodic task of 1 ms, in µs after its deadlines: p50, p99, p99.9 and max.
 
     slips: deadlines that passed unused, of `cycles`; None where nothing counts them.
@@ -29,7 +29,7 @@ class Punctuality:
 
 def live_punctuality(
     seconds: float, setup: str, *, media: bool, base_port: int
-) -> list[Punctuality]:
+) -> list[LoopPunctuality]:
     """Run both gateways for `seconds`, with or without the whole session beside them.
 
     `cyclictest`, if it is installed and permitted, runs at the same time and comes first: with the
@@ -44,14 +44,14 @@ def live_punctuality(
     return [*figures, *_gateways(report)]
 
 
-def _gateways(report: Reading) -> list[Punctuality]:
+def _gateways(report: JsonReader) -> list[LoopPunctuality]:
     found = []
     for end, direction in (("ground", "uplink"), ("space", "downlink")):
         link = report.at("link", direction)
         names = ("p50", "p99", "p99.9", "max")
         lateness_us = {name: link.number("lateness_us", name) for name in names}
         slips, frames = round(link.number("slips")), round(link.number("frames"))
-        found.append(Punctuality(f"{end} gateway", lateness_us, slips, frames))
+        found.append(LoopPunctuality(f"{end} gateway", lateness_us, slips, frames))
     return found
 
 
@@ -70,12 +70,12 @@ def _start_cyclictest(seconds: float) -> "subprocess.Popen[str] | None":
     )
 
 
-def _finish_cyclictest(process: "subprocess.Popen[str]") -> list[Punctuality]:
+def _finish_cyclictest(process: "subprocess.Popen[str]") -> list[LoopPunctuality]:
     output, _ = process.communicate(timeout=_PATIENCE_S)
     return [] if process.returncode else [parse_cyclictest(output)]
 
 
-def parse_cyclictest(output: str) -> Punctuality:
+def parse_cyclictest(output: str) -> LoopPunctuality:
     """The figures of a run with a histogram of one thread; ValueError if there are none."""
     bins = [(int(us), int(count)) for us, count in re.findall(r"^(\d+) (\d+)$", output, re.M)]
     total = sum(count for _, count in bins)
@@ -96,4 +96,4 @@ def parse_cyclictest(output: str) -> Punctuality:
         else:
             figures[name] = float(largest[1])
     figures["max"] = float(largest[1])
-    return Punctuality("cyclictest", figures, None, total + beyond)
+    return LoopPunctuality("cyclictest", figures, None, total + beyond)

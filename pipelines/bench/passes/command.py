@@ -26,7 +26,7 @@ from pipelines.bench.passes.figures import (
     summary,
     table_rows,
 )
-from pipelines.bench.passes.run import Plan, Result, run_sessions
+from pipelines.bench.passes.run import Result, SessionPlan, run_sessions
 from pipelines.bench.result import write_result
 from pipelines.commands.session_options import (
     add_radio_argument,
@@ -74,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run what is missing, and print the table; 1 if a pass was not usable."""
     setup = _checked(args)
-    plan = Plan(
+    plan = SessionPlan(
         setup=args.setup,
         seconds=args.seconds,
         radio=args.radio,
@@ -137,13 +137,13 @@ def _session(result: Result, setup: Setup) -> Session:
     return pass_figures(result.report, start_s=start_s, wall_s=result.wall_s)
 
 
-def _kept(path: Path | None, plan: Plan) -> dict[int, Session]:
+def _kept(path: Path | None, plan: SessionPlan) -> dict[int, Session]:
     """The sessions of an earlier run, without those that crashed."""
     if path is None or not path.is_file() or not path.stat().st_size:
         return {}
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-        before, sessions = Plan(**kept["plan"]), kept["sessions"]
+        before, sessions = SessionPlan(**kept["plan"]), kept["sessions"]
         found = {int(seed): _read(figures) for seed, figures in sessions.items()}
         # A file of another version fails here at the latest.
         list(table_rows(found))
@@ -173,7 +173,7 @@ def _read(figures: object) -> Session:
     return convert(figures, PassFigures)
 
 
-def _keep(path: Path | None, plan: Plan, sessions: dict[int, Session]) -> None:
+def _keep(path: Path | None, plan: SessionPlan, sessions: dict[int, Session]) -> None:
     if path is not None:
         ordered = {str(seed): sessions[seed] for seed in sorted(sessions)}
         write_result(path, {"plan": plan, "sessions": ordered}, headlines(sessions))

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
-from pipelines.bench.result import Headline, Reading
+from pipelines.bench.result import Headline, JsonReader
 
 #: The least share of the usable time that the orbit predicts.
 USABLE_SHARE = 0.99
@@ -35,7 +35,7 @@ class Haptic:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pauses:
+class LongestPauses:
     """The longest pause (s) with a signal: of any stream, and of samples in any direction."""
 
     shown: float
@@ -95,7 +95,7 @@ class PassFigures:
     frames: dict[str, Frames]
     frames_hit: dict[str, int]
     haptic: dict[str, Haptic]
-    longest_pause_s: Pauses
+    longest_pause_s: LongestPauses
     streams: dict[str, Stream]
     skew_ms: dict[str, dict[str, float] | None]
     lip_sync: dict[str, float] | None
@@ -116,7 +116,7 @@ class Crash:
 Session = PassFigures | Crash
 
 
-def pass_figures(report: Reading, *, start_s: float = 0.0, wall_s: float = 0.0) -> PassFigures:
+def pass_figures(report: JsonReader, *, start_s: float = 0.0, wall_s: float = 0.0) -> PassFigures:
     """The figures of a session.
 
     start_s: when the session began, after the acquisition of signal.
@@ -147,7 +147,7 @@ def pass_figures(report: Reading, *, start_s: float = 0.0, wall_s: float = 0.0) 
             )
             for name, of in report.items("haptic")
         },
-        longest_pause_s=Pauses(
+        longest_pause_s=LongestPauses(
             shown=_longest_pause_s(report, "streams", window),
             felt=_longest_pause_s(report, "haptic", window),
         ),
@@ -164,7 +164,7 @@ def pass_figures(report: Reading, *, start_s: float = 0.0, wall_s: float = 0.0) 
     )
 
 
-def _numbers(of: Reading) -> dict[str, float]:
+def _numbers(of: JsonReader) -> dict[str, float]:
     """The numbers of an object, without its other values."""
     return {
         name: value.number()
@@ -173,7 +173,7 @@ def _numbers(of: Reading) -> dict[str, float]:
     }
 
 
-def _stream(stream: Reading) -> Stream:
+def _stream(stream: JsonReader) -> Stream:
     def count(name: str) -> int | None:
         return stream.count(name) if stream.has(name) else None
 
@@ -196,7 +196,7 @@ def _stream(stream: Reading) -> Stream:
     )
 
 
-def _contacts(sync: Reading) -> Contacts:
+def _contacts(sync: JsonReader) -> Contacts:
     return Contacts(
         events=sync.count("events"),
         missed={
@@ -209,7 +209,7 @@ def _contacts(sync: Reading) -> Contacts:
     )
 
 
-def usable_window(report: Reading, start_s: float) -> tuple[float, float] | None:
+def usable_window(report: JsonReader, start_s: float) -> tuple[float, float] | None:
     """Begin and end (s) of the usable contact in the session, as the orbit predicts it.
 
     The whole session where the radio has no orbit; None where the session misses the contact.
@@ -223,7 +223,7 @@ def usable_window(report: Reading, start_s: float) -> tuple[float, float] | None
     return (begin_s, end_s) if end_s > begin_s else None
 
 
-def signal_s(report: Reading, begin_s: float, end_s: float) -> float:
+def signal_s(report: JsonReader, begin_s: float, end_s: float) -> float:
     """The time (s) between two instants in which an end had a signal, at the end that had less."""
     heard = []
     for _, gateway in report.items("gateways"):
@@ -235,14 +235,16 @@ def signal_s(report: Reading, begin_s: float, end_s: float) -> float:
     return min(heard, default=0.0)
 
 
-def _windows_ns(gateway: Reading) -> Iterator[tuple[float, float | None]]:
+def _windows_ns(gateway: JsonReader) -> Iterator[tuple[float, float | None]]:
     """(acquisition, loss) of each contact of one end; None for one that lasts."""
     if gateway.has("supervision", "contacts"):
         for window in gateway.elements("supervision", "contacts"):
             yield window.number("acquired_ns"), window.number_or_none("lost_ns")
 
 
-def _longest_pause_s(report: Reading, channels: str, window: tuple[float, float] | None) -> float:
+def _longest_pause_s(
+    report: JsonReader, channels: str, window: tuple[float, float] | None
+) -> float:
     """The longest part of a pause of one of `channels` with a signal throughout, in the window."""
     if window is None:
         return 0.0
@@ -260,13 +262,13 @@ def _longest_pause_s(report: Reading, channels: str, window: tuple[float, float]
     return round(longest_s, 3)
 
 
-def least_energy_uj(report: Reading) -> float | None:
+def least_energy_uj(report: JsonReader) -> float | None:
     """The least energy (µJ) that a passivity observer has seen; None if there is none."""
     places = (report.at(name) for name in ("haptic", "processes") if report.has(name))
     return min((least for place in places for least in _values("least_uj", place)), default=None)
 
 
-def _values(name: str, table: Reading) -> Iterator[float]:
+def _values(name: str, table: JsonReader) -> Iterator[float]:
     for key, part in table.items():
         if isinstance(part.value, Mapping):
             yield from _values(name, part)

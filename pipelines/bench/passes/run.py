@@ -12,25 +12,25 @@ from tempfile import TemporaryDirectory
 from kontur_av.errors import ConfigError
 from pipelines.bench.children import end_all
 from pipelines.bench.passes.figures import Crash
-from pipelines.bench.result import Reading
+from pipelines.bench.result import JsonReader
 
 _LOOK_EVERY_S = 0.1
 _USERS_FAULT = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class SessionResult:
     """The report of a session. wall_s: how long it ran in real time."""
 
-    report: Reading
+    report: JsonReader
     wall_s: float
 
 
-Result = Report | Crash
+Result = SessionResult | Crash
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class SessionPlan:
     """What all sessions have in common. content: a digest of the values of setup and radio."""
 
     setup: str
@@ -49,7 +49,7 @@ class Plan:
 class _Session:
     """A session that is running."""
 
-    def __init__(self, plan: Plan, seed: int, directory: Path) -> None:
+    def __init__(self, plan: SessionPlan, seed: int, directory: Path) -> None:
         self.seed = seed
         self._seconds = plan.seconds
         self._report = directory / f"{seed}.json"
@@ -75,15 +75,15 @@ class _Session:
             raise ConfigError(line.removeprefix("kontur-av: "))
         if not self._report.exists():
             return Crash(line or f"ended with {self.process.returncode}")
-        report = Reading(json.loads(self._report.read_text(encoding="utf-8")))
+        report = JsonReader(json.loads(self._report.read_text(encoding="utf-8")))
         self._report.unlink()
         if report.number("seconds") < round(self._seconds, 3):
             return Crash(f"ended early, after {report.number('seconds'):g} s")
-        return Report(report, round(time.monotonic() - self._began_s, 1))
+        return SessionResult(report, round(time.monotonic() - self._began_s, 1))
 
 
 def run_sessions(
-    plan: Plan, seeds: Sequence[int], *, jobs: int
+    plan: SessionPlan, seeds: Sequence[int], *, jobs: int
 ) -> Generator[tuple[int, Result], None, None]:
     """(seed, result) of each as soon as it is over, `jobs` at a time.
 

@@ -17,7 +17,7 @@ from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
 from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
-from pipelines.bench.result import Headline, Json, Reading, as_json, write_result
+from pipelines.bench.result import Headline, Json, JsonReader, as_json, write_result
 from pipelines.bench.session import live_session
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
 from pipelines.commands.session_options import radio_change
@@ -122,7 +122,7 @@ def _run_session(args: argparse.Namespace, console: Console) -> int:
         )
     else:
         check_virtual_sources(setup)
-        report = Reading(as_json(simulate(setup, seconds=seconds, seed=args.seed)))
+        report = JsonReader(as_json(simulate(setup, seconds=seconds, seed=args.seed)))
     if not report.has("sync"):
         raise ConfigError(f"--seconds {seconds:g}: no target was touched; give more")
     sync = report.at("sync")
@@ -151,7 +151,7 @@ def _run_session(args: argparse.Namespace, console: Console) -> int:
     return 1 if disagrees or failures else 0
 
 
-def _listed_skews(sync: Reading, first: str, second: str) -> list[float]:
+def _listed_skews(sync: JsonReader, first: str, second: str) -> list[float]:
     """Of the events that both senses perceived, in ms."""
     return [
         event.number(f"{first}_ms") - event.number(f"{second}_ms")
@@ -160,7 +160,7 @@ def _listed_skews(sync: Reading, first: str, second: str) -> list[float]:
     ]
 
 
-def _headlines(sync: Reading) -> list[Headline]:
+def _headlines(sync: JsonReader) -> list[Headline]:
     found = [Headline(what="touches of a target", unit="", value=sync.number("events"))]
     for sense, of in sync.items("senses"):
         if of.value is not None and of.number("perceived"):
@@ -200,7 +200,7 @@ def _run_footage(args: argparse.Namespace, recordings: Mapping[str, Path], conso
     events = joined(found)
     console.print(_events(events))
     skews = as_json({pair: skew_summary(pair, skews_ns(pair, events)) for pair in PAIRS})
-    console.print(_skews(Reading(skews)))
+    console.print(_skews(JsonReader(skews)))
     result = FootageResult(
         recordings=recordings,
         offset_ms={name: ns / NS_PER_MS for name, ns in offsets.items()},
@@ -249,7 +249,7 @@ def _roi(text: str | None) -> Roi | None:
     return Roi(left, top, width, height)
 
 
-def _senses(sync: Reading) -> Table:
+def _senses(sync: JsonReader) -> Table:
     table = Table(
         title="from the contact to the operator, ms",
         title_justify="left",
@@ -282,12 +282,12 @@ def _senses(sync: Reading) -> Table:
     return table
 
 
-def _limits(limits: Reading) -> str:
+def _limits(limits: JsonReader) -> str:
     least, most = (limit.number() for limit in limits.elements())
     return f"{least:+.0f} to {most:+.0f}"
 
 
-def _skews(skews: Reading) -> Table:
+def _skews(skews: JsonReader) -> Table:
     table = Table(title="skew at the operator, ms", title_justify="left", box=SIMPLE_HEAD)
     table.add_column("skew")
     for heading in ("events", "p50", "p95", "p99", "max", "unnoticed", "limits"):

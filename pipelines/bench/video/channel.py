@@ -14,7 +14,7 @@ class Departure(NamedTuple):
     datagram: bytes
 
 
-class Channel:
+class ThinChannel:
     """Passes datagrams on in order, each after the time that its octets take at `rate_bps`.
 
     All octets of a datagram count (RTP with its header, RTCP), but not those of UDP and IP.

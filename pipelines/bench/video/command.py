@@ -25,10 +25,10 @@ from pipelines.bench.console import open_console
 from pipelines.bench.result import Headline, Json, as_json, write_result
 from pipelines.bench.video.clips import FOOTAGE, SCENE, Clip, clips
 from pipelines.bench.video.contenders import CONTENDERS, ContenderError, missing
-from pipelines.bench.video.figures import Figures
+from pipelines.bench.video.figures import ContenderFigures
 from pipelines.bench.video.marks import NUMBERS, check_width
-from pipelines.bench.video.run import Terms, measure
-from pipelines.bench.video.targets import NARROW, WIDE, Verdict, judge
+from pipelines.bench.video.run import TrialTerms, measure
+from pipelines.bench.video.targets import NARROW, WIDE, VideoVerdict, judge
 from pipelines.report.report_file import check_writable
 
 _WIDE_KBPS = (512.0, 530.0)
@@ -41,8 +41,8 @@ class ClipResult:
 
     rate: str
     clip: str
-    measured: Mapping[str, tuple[Figures, list[float]]]
-    verdicts: Sequence[Verdict]
+    measured: Mapping[str, tuple[ContenderFigures, list[float]]]
+    verdicts: Sequence[VideoVerdict]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -160,7 +160,7 @@ def _headlines(results: Sequence[ClipResult]) -> list[Headline]:
     return found
 
 
-def _checked(args: argparse.Namespace) -> tuple[int, int, list[Terms]]:
+def _checked(args: argparse.Namespace) -> tuple[int, int, list[TrialTerms]]:
     width, height = parse_size(args.size)
     if not check_width(width):
         raise ConfigError(f"--size {args.size}: too narrow for the number drawn into each picture")
@@ -182,9 +182,9 @@ def _checked(args: argparse.Namespace) -> tuple[int, int, list[Terms]]:
             raise ConfigError(f"--only {name}: choose of {', '.join(sorted(known))}")
     check_writable(args.report)
     check_plot(args.plot)
-    terms = [Terms(fps=_FPS, cap_kbps=args.cap_kbps, channel_kbps=args.channel_kbps)]
+    terms = [TrialTerms(fps=_FPS, cap_kbps=args.cap_kbps, channel_kbps=args.channel_kbps)]
     if args.wide:
-        terms.append(Terms(fps=_FPS, cap_kbps=_WIDE_KBPS[0], channel_kbps=_WIDE_KBPS[1]))
+        terms.append(TrialTerms(fps=_FPS, cap_kbps=_WIDE_KBPS[0], channel_kbps=_WIDE_KBPS[1]))
     return width, height, terms
 
 
@@ -202,8 +202,8 @@ def _contenders(chosen: set[str], say: Callable[[str], None]) -> list[str]:
 
 
 def _measured(
-    contenders: Sequence[str], clip: Clip, terms: Terms, say: Callable[[str], None]
-) -> dict[str, tuple[Figures, list[float]]]:
+    contenders: Sequence[str], clip: Clip, terms: TrialTerms, say: Callable[[str], None]
+) -> dict[str, tuple[ContenderFigures, list[float]]]:
     """The contenders that could be measured, in turn."""
     found = {}
     for name in contenders:
@@ -215,7 +215,7 @@ def _measured(
 
 
 #: Heading of a row, and its text from the figures.
-_ROWS: tuple[tuple[str, Callable[[Figures], str]], ...] = (
+_ROWS: tuple[tuple[str, Callable[[ContenderFigures], str]], ...] = (
     *(
         (f"capture to displayed, {key}, ms", lambda found, key=key: f"{found.latency_ms[key]:.1f}")
         for key in ("p50", "p95", "p99", "max")
@@ -239,7 +239,7 @@ def _kbps(rate_bps: float) -> str:
     return f"{rate_bps / 1000:.1f}"
 
 
-def _table(title: str, measured: Mapping[str, Figures]) -> Table:
+def _table(title: str, measured: Mapping[str, ContenderFigures]) -> Table:
     table = Table(title=title, title_justify="left")
     table.add_column("")
     for name in measured:
@@ -249,7 +249,7 @@ def _table(title: str, measured: Mapping[str, Figures]) -> Table:
     return table
 
 
-def _notes(name: str, found: Figures) -> list[str]:
+def _notes(name: str, found: ContenderFigures) -> list[str]:
     """What disturbed this run."""
     notes = []
     if found.guessed or found.unreadable:
@@ -276,7 +276,7 @@ def _notes(name: str, found: Figures) -> list[str]:
     return notes
 
 
-def _verdicts(title: str, verdicts: Sequence[Verdict]) -> Table:
+def _verdicts(title: str, verdicts: Sequence[VideoVerdict]) -> Table:
     table = Table(title=title, title_justify="left")
     for heading in ("", "target", "found", "against", ""):
         table.add_column(heading, justify="left" if not heading else "right")

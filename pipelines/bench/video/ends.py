@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.sources.pipe import PIPE_OCTETS
 from kontur_av.sources.y4m import Y4mPicture, Y4mReader
-from pipelines.bench.video.channel import Channel, rtp_payload_octets
+from pipelines.bench.video.channel import ThinChannel, rtp_payload_octets
 from pipelines.bench.video.clips import Clip
 from pipelines.bench.video.marks import SQUARES, draw_number, levels
 
@@ -302,7 +302,7 @@ def carry(ports: _Ports, rate_bps: int) -> End:
         return End(
             "the channel",
             _CHANNEL_PRIORITY,
-            lambda link: _carry(entrances, ports.exit, Channel(rate_bps), link),
+            lambda link: _carry(entrances, ports.exit, ThinChannel(rate_bps), link),
         )
 
 
@@ -316,7 +316,7 @@ def _bound(port: int) -> socket.socket:
 
 
 def _carry(
-    entrances: list[socket.socket], exit_port: int, channel: Channel, link: Connection
+    entrances: list[socket.socket], exit_port: int, channel: ThinChannel, link: Connection
 ) -> Carried:
     carried = Carried([], [], [], 0, 0, [], 0, _is_realtime())
     control_octets = returned = 0

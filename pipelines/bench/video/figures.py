@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import RateMeter
-from pipelines.bench.video.quality import Quality
+from pipelines.bench.video.quality import QualityMeans
 
 _WINDOWS_NS = (NS_PER_S, 100 * NS_PER_MS)
 
@@ -70,7 +70,7 @@ def largest_bps(came_ns: Sequence[int], octets: Sequence[int]) -> tuple[float, f
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Figures:
+class ContenderFigures:
     """Of one contender on one clip. Rates in bit/s, at the entrance of the channel.
 
     payload_*, rtp_*: the largest windows of 1 s and of 100 ms, of RTP payload and with RTP headers.
@@ -83,8 +83,8 @@ class Figures:
     """
 
     latency_ms: dict[str, float]
-    psnr_db: Quality
-    ssim: Quality
+    psnr_db: QualityMeans
+    ssim: QualityMeans
     per_second: float
     longest_gap_ms: float
     payload_1s_bps: float

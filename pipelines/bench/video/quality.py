@@ -45,17 +45,17 @@ def _blurred(plane: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @dataclass(frozen=True, slots=True)
-class Quality:
+class QualityMeans:
     """The mean over all pictures, and the mean of the worst 5 % of them."""
 
     mean: float
     worst: float
 
 
-def summarise(values: list[float]) -> Quality:
+def summarise(values: list[float]) -> QualityMeans:
     """NaN for no values at all."""
     if not values:
-        return Quality(math.nan, math.nan)
+        return QualityMeans(math.nan, math.nan)
     ordered = sorted(values)
     worst = ordered[: max(round(len(ordered) / 20), 1)]
-    return Quality(float(np.mean(ordered)), float(np.mean(worst)))
+    return QualityMeans(float(np.mean(ordered)), float(np.mean(worst)))

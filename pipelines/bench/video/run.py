@@ -19,7 +19,7 @@ from pipelines.bench.video.clips import Clip, shared_array
 from pipelines.bench.video.contenders import Course, started
 from pipelines.bench.video.ends import Carried, Filmed, Watched, carry, film_to, watch
 from pipelines.bench.video.figures import (
-    Figures,
+    ContenderFigures,
     largest_bps,
     percentiles,
     shown,
@@ -33,7 +33,7 @@ _REST_S = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Terms:
+class TrialTerms:
     """The same for all contenders.
 
     settle_s: length of the beginning that counts only against the cap.
@@ -45,7 +45,7 @@ class Terms:
     settle_s: int = 1
 
 
-def measure(name: str, clip: Clip, terms: Terms) -> tuple[Figures, list[float]]:
+def measure(name: str, clip: Clip, terms: TrialTerms) -> tuple[ContenderFigures, list[float]]:
     """The figures of contender `name`, and each latency in ms.
 
     Raises ContenderError when it does not run, EndError when the bench itself fails.
@@ -89,14 +89,14 @@ def measure(name: str, clip: Clip, terms: Terms) -> tuple[Figures, list[float]]:
 
 def _figures(
     clip: Clip,
-    terms: Terms,
+    terms: TrialTerms,
     lumas: NDArray[np.uint8],
     filmed: Filmed,
     watched: Watched,
     carried: Carried,
     cpu_s: tuple[float, float],
     others_cores: float,
-) -> tuple[Figures, list[float]]:
+) -> tuple[ContenderFigures, list[float]]:
     first = terms.settle_s * terms.fps
     numbers = _numbers(filmed, watched)
     shown_ns = {
@@ -113,7 +113,7 @@ def _figures(
     unreadable = sum(number is None for number in numbers)
     payload_1s_bps, payload_100ms_bps = largest_bps(carried.came_ns, carried.payload_octets)
     rtp_1s_bps, rtp_100ms_bps = largest_bps(carried.came_ns, carried.octets)
-    figures = Figures(
+    figures = ContenderFigures(
         latency_ms=percentiles(seen.latency_ms),
         psnr_db=summarise([psnr_db(*pair) for pair in compared]),
         ssim=summarise([ssim(*pair) for pair in compared]),

@@ -4,14 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pipelines.bench.video.contenders import OURS, TUNED
-from pipelines.bench.video.figures import Figures
+from pipelines.bench.video.figures import ContenderFigures
 
 #: From the figures of a contender to the value that counts.
-_Value = Callable[[Figures], float]
+_Value = Callable[[ContenderFigures], float]
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class VideoVerdict:
     """One target. target, found, against: in words; against: what the best peer reached.
 
     value: what was found, in `unit`.
@@ -147,8 +147,8 @@ WIDE = (
 
 
 def judge(
-    measured: Mapping[str, Figures], targets: Sequence[_Target], cap_kbps: float
-) -> list[Verdict]:
+    measured: Mapping[str, ContenderFigures], targets: Sequence[_Target], cap_kbps: float
+) -> list[VideoVerdict]:
     """A verdict on each target that can be judged; a relative target needs a peer."""
     if OURS not in measured:
         return []
@@ -156,7 +156,9 @@ def judge(
     return [verdict for verdict in found if verdict is not None]
 
 
-def _verdict(target: _Target, measured: Mapping[str, Figures], cap_kbps: float) -> Verdict | None:
+def _verdict(
+    target: _Target, measured: Mapping[str, ContenderFigures], cap_kbps: float
+) -> VideoVerdict | None:
     value = target.value(measured[OURS])
     against = ""
     if target.of_cap:
@@ -172,7 +174,7 @@ def _verdict(target: _Target, measured: Mapping[str, Figures], cap_kbps: float) 
         value = value / others[best] if target.ratio else value - others[best]
     met = value <= target.bound if target.most else value >= target.bound
     sign = "≤" if target.most else "≥"
-    return Verdict(
+    return VideoVerdict(
         target.what,
         f"{sign} {target.bound:g} {target.unit}",
         f"{value:.2f} {target.unit}",

@@ -24,7 +24,7 @@ _ONE_IN = 40
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class SyncVerdict:
     """What the clearest say of the stamps.
 
     judged: how many they are. median_ns: of the stamps less the instants of the contacts;
@@ -39,7 +39,7 @@ class Verdict:
     agrees: bool | None
 
 
-def judge(perceived: Sequence[tuple[int, Found]]) -> Verdict:
+def judge(perceived: Sequence[tuple[int, Found]]) -> SyncVerdict:
     """A verdict from (instant of the contact, what was found of it); without stamp: left out."""
     stamped = [
         (found.strength, found.stamp_ns - contact_ns, found.slack_ns)
@@ -52,7 +52,7 @@ def judge(perceived: Sequence[tuple[int, Found]]) -> Verdict:
         # None is clearer, as with steps of the force: half of them would be the earlier half.
         clearest = stamped
     if not clearest:
-        return Verdict(0, None, None, (-TOLERANCE_NS, TOLERANCE_NS), None)
+        return SyncVerdict(0, None, None, (-TOLERANCE_NS, TOLERANCE_NS), None)
     errors = sorted(error_ns for _, error_ns, _ in clearest)
     slack = sorted(slack_ns for _, _, slack_ns in clearest)
     middle = (len(errors) - 1) // 2
@@ -64,7 +64,7 @@ def judge(perceived: Sequence[tuple[int, Found]]) -> Verdict:
             agrees = False
         elif allowed[0] <= errors[middle] <= allowed[1]:
             agrees = True
-    return Verdict(len(errors), errors[middle], between, allowed, agrees)
+    return SyncVerdict(len(errors), errors[middle], between, allowed, agrees)
 
 
 def median_interval(ordered: Sequence[int]) -> tuple[int, int]:

@@ -7,13 +7,13 @@ from places import ROOT
 
 from pipelines.bench.cpu import command
 from pipelines.bench.cpu.figures import CpuResult, CpuRun, headlines, read_run
-from pipelines.bench.result import Reading
+from pipelines.bench.result import JsonReader
 from pipelines.cli import main
 
 
 def report(cpu_s, count=9):
     latency = {"p50": 40.0, "p99": 60.0, "count": count}
-    return Reading(
+    return JsonReader(
         {
             "seconds": 10.0,
             "cpu": {"total_s": cpu_s},
@@ -26,7 +26,7 @@ def test_a_run_is_read_from_the_report_of_its_session():
     assert read_run(report(12.0)) == CpuRun(cpu_s_per_s=1.2, video_p50_ms=40.0, video_p99_ms=60.0)
     assert read_run(report(12.0, count=0)).video_p99_ms is None
     with pytest.raises(ValueError, match="streams"):
-        read_run(Reading({"seconds": 1.0}))
+        read_run(JsonReader({"seconds": 1.0}))
 
 
 def test_ratios_are_those_of_pairs():

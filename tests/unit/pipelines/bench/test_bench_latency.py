@@ -8,7 +8,7 @@ import pytest
 from pipelines.bench.latency import targets
 from pipelines.bench.latency.charts import lead_chart
 from pipelines.bench.latency.targets import judge
-from pipelines.bench.result import Reading
+from pipelines.bench.result import JsonReader
 from pipelines.cli import main
 from pipelines.report.terms import TERMS
 
@@ -31,7 +31,7 @@ def report(force=13.0, video=45.0, voice=60.0, skew=45.0, within=1.0, delay_ns=1
 
 
 def test_all_targets_are_met_at_their_bounds():
-    verdicts = judge(Reading(report()))
+    verdicts = judge(JsonReader(report()))
     assert len(verdicts) == 5
     assert all(verdict.met for verdict in verdicts)
 
@@ -48,7 +48,7 @@ def test_all_targets_are_met_at_their_bounds():
     ],
 )
 def test_a_little_more_misses_one_target(change):
-    assert [verdict.met for verdict in judge(Reading(report(**change)))].count(False) == 1
+    assert [verdict.met for verdict in judge(JsonReader(report(**change)))].count(False) == 1
 
 
 def test_a_setup_without_voice_is_not_judged_by_it():
@@ -56,7 +56,7 @@ def test_a_setup_without_voice_is_not_judged_by_it():
     del found["streams"]["uplink_voice"]
     found["lip_sync"] = None
     found["skew_ms"]["video_haptic"] = None
-    assert [verdict.what.split(",")[0] for verdict in judge(Reading(found))] == [
+    assert [verdict.what.split(",")[0] for verdict in judge(JsonReader(found))] == [
         "force",
         "uplink_video",
     ]

@@ -10,15 +10,15 @@ import pytest
 from pipelines.bench.passes.figures import (
     HEADINGS,
     Crash,
-    Pauses,
+    LongestPauses,
     faults,
     markdown,
     pass_figures,
     signal_s,
     usable_window,
 )
-from pipelines.bench.passes.run import Plan, run_sessions
-from pipelines.bench.result import Reading, as_json
+from pipelines.bench.passes.run import SessionPlan, run_sessions
+from pipelines.bench.result import JsonReader, as_json
 from pipelines.cli import main
 from pipelines.commands.simulate import simulate
 from pipelines.setup.built_in import BUILT_IN
@@ -82,23 +82,23 @@ def video(**changed):
 
 
 def test_the_usable_window_is_that_of_the_orbit_within_the_session():
-    assert usable_window(Reading(report()), 0.0) == (0.0, 100.0)
-    assert usable_window(Reading(report(contact=CONTACT)), 0.0) == (30.0, 100.0)
-    assert usable_window(Reading(report(contact=CONTACT)), 50.0) == (0.0, 100.0)
-    assert usable_window(Reading(report(contact=CONTACT)), 250.0) == (0.0, 50.0)
-    assert usable_window(Reading(report(contact=CONTACT)), 400.0) is None
+    assert usable_window(JsonReader(report()), 0.0) == (0.0, 100.0)
+    assert usable_window(JsonReader(report(contact=CONTACT)), 0.0) == (30.0, 100.0)
+    assert usable_window(JsonReader(report(contact=CONTACT)), 50.0) == (0.0, 100.0)
+    assert usable_window(JsonReader(report(contact=CONTACT)), 250.0) == (0.0, 50.0)
+    assert usable_window(JsonReader(report(contact=CONTACT)), 400.0) is None
 
 
 def test_signal_counts_in_the_window_and_at_the_end_with_less():
     found = report(windows=((10, 40), (50, None)))
-    assert signal_s(Reading(found), 30.0, 100.0) == pytest.approx(60.0)
+    assert signal_s(JsonReader(found), 30.0, 100.0) == pytest.approx(60.0)
     found["gateways"]["space"] = copy.deepcopy(found["gateways"]["space"])
     found["gateways"]["space"]["supervision"]["contacts"].pop()
-    assert signal_s(Reading(found), 30.0, 100.0) == pytest.approx(10.0)
+    assert signal_s(JsonReader(found), 30.0, 100.0) == pytest.approx(10.0)
 
 
 def test_a_pass_that_kept_its_signal_is_usable():
-    figures = pass_figures(Reading(report(windows=((10, 20), (29, None)), contact=CONTACT)))
+    figures = pass_figures(JsonReader(report(windows=((10, 20), (29, None)), contact=CONTACT)))
     assert (figures.predicted_s, figures.usable_s) == (70.0, 70.0)
     assert figures.contacts == {"ground": 2, "space": 2}
     assert faults(figures) == []
@@ -119,9 +119,9 @@ def test_each_fault_has_its_word(change, word):
     found = report(windows=((20, None),), contact=CONTACT)
     found["streams"]["uplink_video"] = video()
     found["haptic"]["down"]["energy"] = {"least_uj": -2}
-    assert faults(pass_figures(Reading(found))) == []
+    assert faults(pass_figures(JsonReader(found))) == []
     change(found)
-    named = faults(pass_figures(Reading(found)))
+    named = faults(pass_figures(JsonReader(found)))
     assert len(named) == 1
     assert word in named[0]
 
@@ -130,13 +130,13 @@ def test_a_pause_counts_only_while_there_is_a_signal_in_the_usable_window():
     found = report(windows=((20, 50), (50.5, None)), contact=CONTACT)
     # Of these 12, 5 and 3 s no more than 2.9 at a time were with a signal from second 30 on.
     found["streams"]["uplink_video"] = video(pauses_s=[[20, 32.9], [47.5, 52.5], [97.1, 100.0]])
-    figures = pass_figures(Reading(found))
-    assert figures.longest_pause_s == Pauses(shown=2.9, felt=0.0)
+    figures = pass_figures(JsonReader(found))
+    assert figures.longest_pause_s == LongestPauses(shown=2.9, felt=0.0)
     assert faults(figures) == []
     found["gateways"]["ground"]["radio"]["contact"] = CONTACT | {"usable_to_s": 99.0}
-    assert pass_figures(Reading(found)).longest_pause_s.shown == 2.9
+    assert pass_figures(JsonReader(found)).longest_pause_s.shown == 2.9
     found["streams"]["uplink_video"]["pauses_s"] = [[95.1, 100.0]]
-    assert pass_figures(Reading(found)).longest_pause_s.shown == 3.9
+    assert pass_figures(JsonReader(found)).longest_pause_s.shown == 3.9
 
 
 @pytest.mark.parametrize("silent", [(-1, 2), (4, 99), (-1, 99)])
@@ -149,7 +149,7 @@ def test_a_force_that_begins_late_or_stops_for_good_is_stuck(silent, monkeypatch
 
     monkeypatch.setattr(HapticLink, "poll_transmit", poll_transmit)
     setup = replace(BUILT_IN["spacejustin"], radio="clean")
-    figures = pass_figures(Reading(as_json(simulate(setup, seconds=6.0, seed=1, media=False))))
+    figures = pass_figures(JsonReader(as_json(simulate(setup, seconds=6.0, seed=1, media=False))))
     assert "stuck" in faults(figures)
     longest_s = min(silent[1], 6) - max(silent[0], 0)
     assert figures.longest_pause_s.felt == pytest.approx(longest_s, abs=0.2)
@@ -157,13 +157,13 @@ def test_a_force_that_begins_late_or_stops_for_good_is_stuck(silent, monkeypatch
 
 def test_a_signal_lost_for_more_than_a_hundredth_of_the_window_is_unusable():
     lost = report(windows=((20, 50), (51, None)), contact=CONTACT)
-    assert faults(pass_figures(Reading(lost))) == ["unusable"]
+    assert faults(pass_figures(JsonReader(lost))) == ["unusable"]
     assert faults(Crash("killed")) == ["crashed"]
 
 
 def test_the_delay_of_a_far_orbit_does_not_count_as_lost_signal():
     setup = replace(BUILT_IN["spacejustin"], radio="geo")
-    figures = pass_figures(Reading(as_json(simulate(setup, seconds=2.0, seed=1, media=False))))
+    figures = pass_figures(JsonReader(as_json(simulate(setup, seconds=2.0, seed=1, media=False))))
     assert figures.usable_s < 1.8
     assert faults(figures) == []
     assert faults(replace(figures, usable_s=figures.usable_s - 0.2)) == ["unusable"]
@@ -172,7 +172,7 @@ def test_the_delay_of_a_far_orbit_does_not_count_as_lost_signal():
 def test_the_table_has_a_cell_for_every_heading():
     whole = report(windows=((20, None),), contact=CONTACT)
     whole["streams"]["uplink_video"] = video(frozen_ms=1500.0, damaged_ms=200.0)
-    sessions = {2: Crash("killed"), 1: pass_figures(Reading(whole))}
+    sessions = {2: Crash("killed"), 1: pass_figures(JsonReader(whole))}
     lines = markdown(sessions, "two").splitlines()
     rows = [line for line in lines if line.startswith("|")]
     assert {row.count("|") for row in rows} == {len(HEADINGS) + 1}
@@ -189,7 +189,7 @@ def test_an_empty_stream_has_no_latencies():
     none = dict.fromkeys(("p50", "p99", "p99.9", "max"), 0.0) | {"count": 0}
     silent["haptic"]["up"]["latency_ms"] = none
     silent["streams"]["uplink_video"] = video(frozen_ms=0.0, damaged_ms=0.0, latency_ms=none)
-    lines = markdown({1: pass_figures(Reading(silent))}, "one").splitlines()
+    lines = markdown({1: pass_figures(JsonReader(silent))}, "one").splitlines()
     assert "| 20.00 / 20.00 |  |  |" in lines[4]
     assert lines[-1] == "1 of 1 sessions usable."
 
@@ -278,13 +278,13 @@ def test_a_report_of_another_shape_is_refused_in_one_line(change, ran, capsys):
 
 
 def test_closing_the_generator_ends_the_sessions():
-    plan = Plan(setup="spacejustin", seconds=4.0, radio="clean", media=False)
-    endless = Plan(setup="spacejustin", seconds=90_000.0, radio="clean", media=False)
+    plan = SessionPlan(setup="spacejustin", seconds=4.0, radio="clean", media=False)
+    endless = SessionPlan(setup="spacejustin", seconds=90_000.0, radio="clean", media=False)
     with closing(run_sessions(plan, [1], jobs=2)) as runs:
         seed, found = next(runs)
     assert (seed, found.report.number("simulation", "seed")) == (1, 1)
 
-    class Mixed(Plan):
+    class Mixed(SessionPlan):
         def command(self, seed, path):
             return (plan if seed == 1 else endless).command(seed, path)
 
@@ -295,11 +295,11 @@ def test_closing_the_generator_ends_the_sessions():
 
 
 def test_a_session_that_ended_early_counts_as_crashed():
-    class Short(Plan):
+    class Short(SessionPlan):
         def command(self, seed, path):
             return replace(plan, seconds=1.0).command(seed, path)
 
-    plan = Plan(setup="spacejustin", seconds=4.0, radio="clean", media=False)
+    plan = SessionPlan(setup="spacejustin", seconds=4.0, radio="clean", media=False)
     with closing(run_sessions(Short(**asdict(plan)), [1], jobs=1)) as runs:
         assert next(runs) == (1, Crash("ended early, after 1 s"))
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from pipelines.bench.result import Headline, Reading, as_json, spread, write_result
+from pipelines.bench.result import Headline, JsonReader, as_json, spread, write_result
 
 
 @dataclass
@@ -46,7 +46,7 @@ def test_a_result_is_written_with_its_headlines(tmp_path):
 
 
 def test_a_report_is_read_by_its_keys_and_what_is_missing_is_named():
-    report = Reading({"a": {"b": 1.5, "c": None, "d": "text", "e": [1, 2]}})
+    report = JsonReader({"a": {"b": 1.5, "c": None, "d": "text", "e": [1, 2]}})
     assert report.number("a", "b") == 1.5
     assert report.number_or_none("a", "c") is None
     assert report.text("a", "d") == "text"

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, planes
-from pipelines.bench.video.channel import Channel, rtp_payload_octets
+from pipelines.bench.video.channel import ThinChannel, rtp_payload_octets
 from pipelines.bench.video.clips import mirrored, scene
 from pipelines.bench.video.contenders import DEFAULT, OURS, TUNED
-from pipelines.bench.video.figures import Figures, largest_bps, percentiles, shown
+from pipelines.bench.video.figures import ContenderFigures, largest_bps, percentiles, shown
 from pipelines.bench.video.marks import (
     NUMBERS,
     SQUARES,
@@ -22,7 +22,7 @@ from pipelines.bench.video.marks import (
     read_all,
     read_number,
 )
-from pipelines.bench.video.quality import BEST_DB, Quality, psnr_db, ssim, summarise
+from pipelines.bench.video.quality import BEST_DB, QualityMeans, psnr_db, ssim, summarise
 from pipelines.bench.video.targets import NARROW, WIDE, judge
 from pipelines.cli import main
 
@@ -110,7 +110,7 @@ def test_a_repeated_picture_gets_no_number():
     st.integers(10_000, 1_000_000),
 )
 def test_the_channel_keeps_order_and_rate_and_is_never_idle_with_a_queue(arrivals, rate_bps):
-    channel = Channel(rate_bps)
+    channel = ThinChannel(rate_bps)
     now_ns, came, left = 0, [], []
     for number, (gap_ns, octets) in enumerate(arrivals):
         now_ns += gap_ns
@@ -184,11 +184,11 @@ def test_quality_of_a_picture():
     assert (values.mean, values.worst) == (19.5, 0.5)
 
 
-def figures(**changes) -> Figures:
+def figures(**changes) -> ContenderFigures:
     base = {
         "latency_ms": {"p50": 30.0, "p95": 35.0, "p99": 40.0, "max": 50.0},
-        "psnr_db": Quality(30.0, 25.0),
-        "ssim": Quality(0.9, 0.8),
+        "psnr_db": QualityMeans(30.0, 25.0),
+        "ssim": QualityMeans(0.9, 0.8),
         "per_second": 29.0,
         "longest_gap_ms": 70.0,
         "payload_1s_bps": 85_000.0,
@@ -208,7 +208,7 @@ def figures(**changes) -> Figures:
         "realtime": True,
         "others_cores": 0.0,
     }
-    return Figures(**(base | changes))
+    return ContenderFigures(**(base | changes))
 
 
 def missed(measured, targets=NARROW) -> list[str]:
@@ -216,17 +216,17 @@ def missed(measured, targets=NARROW) -> list[str]:
 
 
 def test_relative_targets_compare_with_the_better_peer():
-    worse, better = Quality(27.0, 23.9), Quality(28.9, 20.0)
+    worse, better = QualityMeans(27.0, 23.9), QualityMeans(28.9, 20.0)
     peers = {DEFAULT: figures(psnr_db=worse), TUNED: figures(psnr_db=better, sender_cpu_s=0.4)}
     assert missed({OURS: figures(), **peers}) == []
     assert missed({OURS: figures(sender_cpu_s=1.2), **peers}) == [
         "CPU of both ends, of the thriftier peer's"
     ]
-    assert len(missed({OURS: figures(psnr_db=Quality(29.8, 24.8)), **peers})) == 2
+    assert len(missed({OURS: figures(psnr_db=QualityMeans(29.8, 24.8)), **peers})) == 2
     assert missed({OURS: figures(payload_1s_bps=85_001.0), **peers}) == [
         "largest 1 s window of payload"
     ]
-    assert missed({OURS: figures(psnr_db=Quality(28.8, 1.0)), **peers}, WIDE) == [
+    assert missed({OURS: figures(psnr_db=QualityMeans(28.8, 1.0)), **peers}, WIDE) == [
         "PSNR, over the tuned peer"
     ]
 

@@ -9,7 +9,7 @@ from kontur_av.topics.session_files import shared_memory
 from pipelines.commands import doctor as doctor_module
 from pipelines.commands.doctor import (
     CHECKS,
-    Verdict,
+    Finding,
     check_shared_memory,
     check_timer,
     check_topics,
@@ -29,10 +29,10 @@ def test_on_a_machine_that_runs_the_tests_everything_needed_is_there() -> None:
 
 def test_something_missing_gives_1_and_advice_does_not() -> None:
     lines: list[str] = []
-    advice = ("timer", lambda: Verdict("advice", "slow", "close what else is running"))
+    advice = ("timer", lambda: Finding("advice", "slow", "close what else is running"))
     assert doctor(lines.append, [advice]) == 0
 
-    def broken() -> Verdict:
+    def broken() -> Finding:
         raise ImportError("No module named 'av'\nat all")
 
     assert doctor(lines.append, [advice, ("H.264", broken)]) == 1

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.model import Terms
-from pipelines.report.terms import TERMS, Way, video_lead, zone_bps
+from pipelines.report.terms import TERMS, DelaySums, video_lead, zone_bps
 from pipelines.setup.built_in import BUILT_IN
 from telepresence.link.profile import UPLINK
 from telepresence.link.radio import load_radio
@@ -39,7 +39,7 @@ def lead_of(way, link=None, setup=SETUP):
 
 
 def test_each_term_is_what_was_put_in():
-    way = Way()
+    way = DelaySums()
     # 240 octets are 20 slots of 12; of the network's 35 ms the radio takes 10: 5 were waited.
     way.add(instants(4, 1, 6, 35, 3, 0.5), 40 * NS_PER_MS, (240, 1))
     lead = lead_of(way)
@@ -60,7 +60,7 @@ def test_each_term_is_what_was_put_in():
 
 
 def test_a_picture_counts_by_the_time_that_it_stands_for():
-    way = Way()
+    way = DelaySums()
     way.add(instants(0, 0, 0, 50, 0, 0), 30 * NS_PER_MS, (0, 1))
     way.add(instants(0, 0, 0, 80, 0, 0), 60 * NS_PER_MS, (0, 1))
     lead = lead_of(way)
@@ -82,7 +82,7 @@ def test_a_picture_counts_by_the_time_that_it_stands_for():
     st.integers(0, 1000),
 )
 def test_the_terms_add_up_whatever_the_pictures(pictures, samples):
-    way = Way()
+    way = DelaySums()
     for steps_ms, gap_ms, octets, packets in pictures:
         way.add(instants(*steps_ms), round(gap_ms * NS_PER_MS), (octets, packets))
     lead = lead_of(way, uplink(samples=samples, header_octets=3))
@@ -97,7 +97,7 @@ def test_the_terms_add_up_whatever_the_pictures(pictures, samples):
 def test_headers_and_what_samples_leave_decide_how_long_a_picture_is_on_the_channel():
     assert zone_bps(UPLINK, uplink()) == 96_000
     assert zone_bps(UPLINK, uplink(samples=0)) == 192_000
-    way = Way()
+    way = DelaySums()
     way.add(instants(0, 0, 0, 60, 0, 0), 30 * NS_PER_MS, (234, 2))
     assert lead_of(way, uplink(header_octets=9, packets=3)).video_ms.serialisation == 20.0
     assert lead_of(way, uplink(0, header_octets=9, packets=3)).video_ms.serialisation == 10.0
@@ -109,7 +109,7 @@ def test_propagation_is_that_of_the_instants_at_which_pictures_were_sent(tmp_pat
     setup = replace(SETUP, radio=load_radio(str(radio)))
     epoch_ns = 7 * NS_PER_S
     for second, expected_ms in ((10, 150), (30, 50)):
-        way = Way()
+        way = DelaySums()
         begin_ms = (7 + second) * 1000 - 1
         way.add(instants(0, 0, 1, 500, 0, 0, at_ms=begin_ms), 30 * NS_PER_MS, (0, 1))
         found = way.propagation_ns(setup, setup.uplink, epoch_ns)
@@ -117,4 +117,4 @@ def test_propagation_is_that_of_the_instants_at_which_pictures_were_sent(tmp_pat
 
 
 def test_without_pictures_there_is_nothing_to_take_apart():
-    assert lead_of(Way()) is None
+    assert lead_of(DelaySums()) is None
