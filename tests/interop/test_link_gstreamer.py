@@ -107,9 +107,10 @@ def test_the_documents_example_shows_a_picture_to_a_late_receiver(document, tmp_
     )
     raw = tmp_path / "out.i420"
     with RunningLink("--setup", "spacejustin", "--radio", "cable", directory=tmp_path) as link:
-        ports = link.ports
-        send = send.replace("port=27010", f"port={ports.entry('uplink_video')}")
-        receive = receive.replace("port=27012", f"port={ports.exit('uplink_video')}")
+        entry = link.topology.entry_port("uplink_video")
+        out = link.topology.exit_port("uplink_video")
+        send = send.replace("port=27010", f"port={entry}")
+        receive = receive.replace("port=27012", f"port={out}")
         assert receive.endswith("! autovideosink")
         receive = receive.replace(
             "autovideosink", f"filesink buffer-mode=unbuffered location={raw}"

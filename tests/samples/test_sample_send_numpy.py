@@ -86,7 +86,9 @@ def test_both_ends_together(tmp_path):
     assert all(re.match(r"\(288, 384, 3\), -?[\d.]+ ms old, FRESH, mean 6", p) for p in pictures), (
         pictures
     )
-    assert re.search(r"lost=0,.*asked=[1-9]", counts)
+    assert "lost=0," in counts
+    # A refresh wave may end before the first sender report says whom to ask.
+    assert re.search(r"undated=[1-9]|asked=[1-9]", counts)
 
 
 @pytest.mark.parametrize("sample", [SAMPLE, OTHER_END])
