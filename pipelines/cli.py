@@ -11,12 +11,12 @@ from kontur_av import __version__
 from kontur_av.errors import ConfigError
 
 WELL, FAILED, MISTAKE = 0, 1, 2
-#: As shells tell that a signal, the second one, has ended a command.
+#: The exit code with which shells report the end by SIGINT (signal 2).
 INTERRUPTED = 128 + 2
 
 
 class _Parser(argparse.ArgumentParser):
-    """Mistakes in the command line are one line, like all others."""
+    """A parser that reports mistakes as ConfigError, in one line like all others."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
         raise ConfigError(f"{message}; see `{self.prog} --help`")
@@ -49,7 +49,7 @@ def _parser(only: str | None = None) -> argparse.ArgumentParser:
     for name, text in _COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text)
         if only in (None, name):
-            # Codecs take most of a second to load: `select` shall not wait for them.
+            # Codecs take most of a second to load, for which `select` must not wait.
             room = "pipelines" if name == "bench" else "pipelines.commands"
             module = import_module(f"{room}.{name}")
             module.add_arguments(command)

@@ -1,4 +1,4 @@
-"""What the commands of a single stream share: options, addresses, files and signals."""
+"""The common part of commands: options, addresses, files and signals."""
 
 import argparse
 import ipaddress
@@ -15,7 +15,7 @@ from kontur_av.errors import ConfigError
 
 
 def check_options(args: argparse.Namespace) -> None:
-    """Raise ConfigError for numbers that make no sense."""
+    """Raise ConfigError for numbers that are not above 0."""
     for option in ("cap_kbps", "channel_kbps", "seconds"):
         value = getattr(args, option, None)
         if value is not None and not 0 < value < 1e9:
@@ -26,9 +26,9 @@ def check_options(args: argparse.Namespace) -> None:
 def parse_address(
     text: str, option: str = "--to", family: socket.AddressFamily = socket.AF_UNSPEC
 ) -> tuple[str, int]:
-    """The IP address and the port in HOST:PORT or [IPv6]:PORT; ConfigError if there are none.
+    """Return the IP address and the port of HOST:PORT or [IPv6]:PORT.
 
-    option: what the error calls it. family: the version of IP, if not any will do.
+    option: the name of the option in the ConfigError. family: the version of IP; by default any.
     """
     match = re.fullmatch(r"(\[[^\]]+\]|[^:]+):(\d{1,5})", text)
     if match is None or not 1 <= int(match[2]) <= 65534:
@@ -40,7 +40,7 @@ def parse_address(
 def resolve(
     host: str, text: str, option: str, family: socket.AddressFamily = socket.AF_UNSPEC
 ) -> str:
-    """The IP address of `host`; ConfigError, which says `option` and `text`, if it has none."""
+    """Return the IP address of `host`. Raises ConfigError, which names `option` and `text`."""
     try:
         found = socket.getaddrinfo(host, None, family=family, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError):
@@ -52,7 +52,7 @@ def resolve(
 
 
 def check_reachable(address: tuple[str, int]) -> None:
-    """ConfigError if this machine has no way to `address`."""
+    """Raise ConfigError if this machine has no route to `address`."""
     version = ipaddress.ip_address(address[0].partition("%")[0]).version
     family = socket.AF_INET6 if version == 6 else socket.AF_INET
     with socket.socket(family, socket.SOCK_DGRAM) as probe:
@@ -65,7 +65,7 @@ def check_reachable(address: tuple[str, int]) -> None:
 
 
 def write_text(path: str, text: str, option: str) -> None:
-    """Write a file that the user asked for; ConfigError if that cannot be done."""
+    """Write a file that the user asked for; ConfigError if it cannot be written."""
     try:
         Path(path).write_text(text, newline="")
     except OSError as error:
@@ -74,7 +74,7 @@ def write_text(path: str, text: str, option: str) -> None:
 
 @contextmanager
 def output_that_may_fail() -> Iterator[None]:
-    """Within it, a closed terminal or a reader that has gone spoils nothing but the output."""
+    """Within this context, a closed terminal or a reader that has ended loses only the output."""
     try:
         yield
         sys.stdout.flush()
@@ -83,7 +83,7 @@ def output_that_may_fail() -> Iterator[None]:
 
 
 def discard_output() -> None:
-    """Nobody reads it: what is left of it would be tried, and fail, once more at the exit."""
+    """Drop the output that is left, because writing it at the exit would fail again."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.close(nowhere)
@@ -91,7 +91,7 @@ def discard_output() -> None:
 
 @contextmanager
 def stopped_by_signals() -> Iterator[Callable[[], bool]]:
-    """Within it, Ctrl-C and SIGTERM do not interrupt: they make the given function say True."""
+    """Within this context, Ctrl-C and SIGTERM only make the yielded function return True."""
     caught: list[int] = []
     signals = (signal.SIGINT, signal.SIGTERM)
     before = [signal.signal(number, lambda got, _: caught.append(got)) for number in signals]

@@ -1,4 +1,4 @@
-"""`kontur-av devices`: which inputs this machine has, and how to name each in --source."""
+"""`kontur-av devices`: the inputs of this machine, and the name of each in --source."""
 
 import argparse
 import fcntl
@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-# linux/videodev2.h: VIDIOC_QUERYCAP and VIDIOC_ENUM_FMT, with what they fill in.
+# linux/videodev2.h: VIDIOC_QUERYCAP and VIDIOC_ENUM_FMT, with their structures.
 _VIDIOC_QUERYCAP = 0x80685600
 _VIDIOC_ENUM_FMT = 0xC0405602
 _CAPABILITY = struct.Struct("=16s32s32sIII12x")
@@ -25,7 +25,7 @@ Ioctl = Callable[[int, int, bytearray], object]
 
 @dataclass(frozen=True, slots=True)
 class CameraDevice:
-    """A V4L2 capture device. formats: FourCCs such as "MJPG"; problem: why it can't be asked."""
+    """A V4L2 capture device. formats: FourCCs such as "MJPG"; problem: why it cannot be opened."""
 
     path: str
     card: str
@@ -35,7 +35,7 @@ class CameraDevice:
 
 @dataclass(frozen=True, slots=True)
 class MicrophoneDevice:
-    """An ALSA capture device; `device` is what alsa-lib calls it, such as "plughw:0,0"."""
+    """An ALSA capture device. device: its name in alsa-lib, such as "plughw:0,0"."""
 
     device: str
     name: str
@@ -97,7 +97,7 @@ def _ask(node: Path, ioctl: Ioctl) -> CameraDevice | None:
         buffer = bytearray(_CAPABILITY.size)
         ioctl(descriptor, _VIDIOC_QUERYCAP, buffer)
         _, card, _, _, whole, own = _CAPABILITY.unpack(buffer)
-        # One camera has several nodes; only the node's own capabilities tell which gives pictures.
+        # A camera has several nodes. The node's own capabilities tell which one captures.
         capabilities = own if whole & _CAP_DEVICE_CAPS else whole
         if capabilities & _CAP_CAPTURE:
             kind = _BUF_CAPTURE

@@ -1,8 +1,8 @@
-"""`kontur-av doctor`: is everything there that a session needs, and what to do where it isn't.
+"""`kontur-av doctor`: check this machine for all that a session needs, and name the mend.
 
-Every check does the thing that it vouches for: codes a picture, publishes a sample, keeps a
-1 kHz schedule. One line each, three verdicts: `ok`; `missing` (a session cannot run); `advice`
-(a session runs, but something is left to gain).
+Each check tries the thing itself: it codes a picture, publishes a sample, or keeps a 1 kHz
+schedule. Each prints one line: `ok`; `missing` (a session cannot run); or `advice` (a session runs,
+but can be better).
 """
 
 import argparse
@@ -19,12 +19,12 @@ from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, MonotonicClock
 
-#: Shared memory that must be free (octets). iceoryx2 reserves far more, but sparsely: a topic of
-#: 640x480 pictures was seen to touch about 1 MB.
+#: Shared memory that must be free. iceoryx2 reserves far more, but sparsely: measured, a topic of
+#: 640x480 pictures uses about 1 MB.
 NEEDED_SHM_OCTETS = 48_000_000
 
 _SHM = Path("/dev/shm")
-#: That of the 1 kHz loops; not imported, because a doctor loads nothing that may be broken.
+#: The priority of the 1 kHz loops. It is not imported, because that module may be broken.
 _RT_PRIORITY = 10
 _TIMER_CYCLES = 400
 _LIMITS = (
@@ -35,7 +35,7 @@ _LIMITS = (
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check found. `mend` says what to do; empty when all is well."""
+    """The result of a check. mend: what the user can do; empty if nothing is wrong."""
 
     state: Literal["ok", "missing", "advice"]
     found: str
@@ -75,7 +75,7 @@ def doctor(
 
 
 def _run(check: Callable[[], Finding]) -> Finding:
-    # A broken installation may fail in any way at all, and naming that is what a doctor is for.
+    # A broken installation may raise any exception, and the doctor must name it.
     try:
         return check()
     except Exception as error:
@@ -84,7 +84,7 @@ def _run(check: Callable[[], Finding]) -> Finding:
 
 
 def check_python() -> Finding:
-    # An older Python never comes as far as this: pyproject.toml refuses it.
+    # pyproject.toml refuses older versions of Python.
     found = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
     if platform.system() != "Linux":
         mend = "use Linux, also in a virtual machine, in WSL 2 or in a container"
@@ -144,7 +144,7 @@ def check_shared_memory(
     free_octets: Callable[[], int] = lambda: shutil.disk_usage(_SHM).free,
     needed_octets: int = NEEDED_SHM_OCTETS,
 ) -> Finding:
-    """Is there room? Where it runs out, whoever writes is killed by SIGBUS, each time anew."""
+    """Check the free shared memory: without room, writers are killed by SIGBUS again and again."""
     if not _SHM.is_dir():
         return Finding("missing", f"no {_SHM}", "mount a tmpfs there")
     free = free_octets()

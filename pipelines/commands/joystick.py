@@ -1,4 +1,4 @@
-"""`kontur-av joystick`: which joysticks are here, and their functional checks."""
+"""`kontur-av joystick`: list the joysticks of this machine, and run their functional checks."""
 
 import argparse
 from collections.abc import Callable
@@ -29,7 +29,7 @@ from telepresence.haptics.schedule import PeriodicSchedule
 
 _ALL = "all"
 _CYCLE_NS = NS_PER_MS
-#: No check lasts longer, whatever the device and the person do.
+#: The longest time for all checks.
 _LONGEST_NS = 300 * NS_PER_S
 
 

@@ -1,4 +1,4 @@
-"""`kontur-av link`: the radio link alone, for any programs; both ends of it, or one."""
+"""`kontur-av link`: the radio link alone, for any programs; both of its ends, or one."""
 
 import argparse
 import ipaddress
@@ -98,14 +98,14 @@ def run(args: argparse.Namespace) -> int:
 def link_processes(
     topology: Topology, ends: Sequence[Segment], addresses: EndAddresses
 ) -> list[ProcessRow]:
-    """The processes of the link: a gateway an end, and nothing else."""
+    """Return the processes of the link: one gateway for each end."""
     gateways = (topology.gateway(end) for end in ends)
     changes = {"addresses": addresses, "tell_backlog": False}
     return [replace(row, arguments={**row.arguments, **changes}) for row in gateways]
 
 
 def chosen_addresses(args: argparse.Namespace, topology: Topology) -> EndAddresses:
-    """Where the ends stand, as the options say; ConfigError if that cannot work."""
+    """Return the addresses that the options name; ConfigError if they cannot work."""
     apps, apps_bind = _apps(args)
     if args.end is None:
         for option in ("peer", "bind"):
@@ -141,9 +141,9 @@ def _apps(args: argparse.Namespace) -> tuple[str, str]:
 def _bound_address(
     option: str, given: str | None, other: Address, other_option: str, text: str
 ) -> str:
-    """The local address in `option`; where it is missing, loopback if that reaches `other`.
+    """Return the local address in `option`; without it loopback, if `other` is on loopback.
 
-    other, other_option, text: the address to be reached from there, and how the user gave it.
+    other: the address to be reached. other_option, text: the option with which the user gave it.
     """
     host = ipaddress.IPv4Address(other[0])
     if host.is_unspecified or host.is_multicast:
@@ -175,10 +175,10 @@ def _bound_address(
 
 
 def hold_link_ports(topology: Topology, end: Segment, addresses: EndAddresses) -> socket.socket:
-    """ConfigError when a port that the end needs is taken.
+    """Hold one port of an end and check the others. Raises ConfigError if one is busy.
 
-    One port is held as long as the socket is: of two that are started at the same moment, only
-    one gets it.
+    The port is held while the returned socket is open. So of two ends that start at the same moment
+    only one gets it.
     """
     held = hold_port(topology.launcher_port + (end is Segment.SPACE), addresses.bind)
     radio_port = topology.radio_port(end)
@@ -188,7 +188,7 @@ def hold_link_ports(topology: Topology, end: Segment, addresses: EndAddresses) -
 
 
 class _LinkScreen:
-    """Standard output: on a terminal the lines of figures stay where they are."""
+    """Standard output: on a terminal the lines of figures are overwritten in place."""
 
     def __init__(self, view: LinkView, collector: Collector, *, quiet: bool) -> None:
         self._view = view

@@ -1,4 +1,4 @@
-"""The UDP ports of the link, one row a channel: where a program sends, and where it comes out."""
+"""The UDP ports of the link: for each channel, the port to send to and the port of its output."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class ChannelPorts:
 
 
 def channels(topology: Topology, ends: Sequence[Segment]) -> list[ChannelPorts]:
-    """Every channel that has a port at one of `ends`, in order of priority in each direction."""
+    """Return the channels with a port at one of `ends`, by priority in each direction."""
     return [
         ChannelPorts(
             name=row.name,
@@ -39,7 +39,7 @@ def channels(topology: Topology, ends: Sequence[Segment]) -> list[ChannelPorts]:
 
 
 def port_table(topology: Topology, ends: Sequence[Segment], addresses: EndAddresses) -> list[str]:
-    """Lines for people: the radio's ports where they matter, then one line a channel."""
+    """Return the lines to print: for one end the radio's ports, then one line a channel."""
     rows = [("channel", "send to", "comes out at", "what")]
     rows += [
         (

@@ -1,4 +1,4 @@
-"""Received pictures for any other program: YUV4MPEG2 into a file or a FIFO, as they come."""
+"""Received pictures for other programs: YUV4MPEG2 into a file or a FIFO, as they come."""
 
 import errno
 import fcntl
@@ -32,10 +32,10 @@ class RawPictures:
 
     def __init__(self, path: str, size: tuple[int, int] | None = None) -> None:
         self.written = 0
-        #: Pictures that nobody took, or for which the reader was too slow.
+        #: Pictures without a reader, or for which the reader was too slow.
         self.dropped = 0
         self.readers_gone = 0
-        #: Why no more can be written to the file, or nothing.
+        #: Why the file cannot be written any more; empty if it can.
         self.fault = ""
         self._path = path
         self._size = size
@@ -71,7 +71,7 @@ class RawPictures:
         return self._fd if self._rest and self._is_fifo else None
 
     def handle_writable(self) -> None:
-        """The reader takes more of what is begun."""
+        """The reader is ready for more of the present picture."""
         try:
             # A file that has no room takes a part, and says why only when asked for more.
             while self._rest:
@@ -92,12 +92,12 @@ class RawPictures:
             self._begin(waiting)
 
     def close(self) -> None:
-        """Finish: what a reader has not taken by now is lost to it."""
+        """Finish. A reader loses what it has not read yet."""
         self.dropped += bool(self._rest) + (self._waiting is not None)
         self._forget()
 
     def report(self) -> RawReport:
-        """What became of the pictures."""
+        """Return the counts of written and dropped pictures."""
         return RawReport(
             file=self._path,
             pictures=self.written,
@@ -112,7 +112,7 @@ class RawPictures:
         self._fd = -1
 
     def _ready(self) -> bool:
-        """Whether anybody is there to write to."""
+        """Return whether the file or FIFO is open; a FIFO needs a reader."""
         if self._fd < 0:
             # Without a reader the FIFO does not open (fifo(7)).
             with suppress(OSError):

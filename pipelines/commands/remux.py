@@ -20,7 +20,7 @@ _REORDERED_PICTURES = 4
 class MatroskaWriter:
     """One H.264 or Opus stream in a Matroska file.
 
-    Pictures are written from the first one on that has an SPS: before it nobody could play them.
+    Pictures are written from the first one with an SPS on, because no player can show earlier ones.
     Raises ConfigError when the file cannot be written.
     """
 
@@ -40,8 +40,8 @@ class MatroskaWriter:
         """Write an access unit (Annex B), shown at `ticks` of 90 kHz."""
         if self._stream is None and not self._start_video(data):
             return
-        # Display times in order, some pictures late, are decoding times that never run backwards
-        # and never lie behind the display time of the same picture.
+        # Sorted display times, delayed by some pictures, serve as decoding times: they never run
+        # backwards, and never exceed the display time of their picture.
         heappush(self._display_order, ticks)
         if len(self._display_order) > _REORDERED_PICTURES:
             decode_ticks = heappop(self._display_order)
@@ -52,8 +52,8 @@ class MatroskaWriter:
     def _start_video(self, data: bytes) -> bool:
         if not any(nal_type(unit) == NAL_SPS for unit in split_annex_b(data)):
             return False
-        # FFmpeg itself reads size and profile out of the SPS when it opens the access unit as a
-        # file; the Matroska stream is made after that.
+        # FFmpeg reads size and profile from the SPS when it opens the access unit as a file. They
+        # are the template of the Matroska stream.
         try:
             template = av.open(io.BytesIO(data), "r", format="h264")
             stream = template.streams.video[0]

@@ -54,12 +54,12 @@ def add_radio_arguments(parser: argparse.ArgumentParser, *, delay: bool = True) 
 
 
 def radio_change(name_or_file: str) -> dict[str, Any]:
-    """What changes in a setup that shall have another radio."""
+    """Return the fields of a setup that change with another radio."""
     return {"radio": load_radio(name_or_file), "radio_delay_ms": 0.0}
 
 
 def radio_changes(args: argparse.Namespace) -> dict[str, Any]:
-    """What the options change in the setup: they win over its radio, whichever it has."""
+    """Return the fields of a setup that the radio options change."""
     delay_ms = getattr(args, "radio_delay_ms", None)
     if args.radio is not None and delay_ms is not None:
         raise ConfigError("--radio and --radio-delay-ms: give one of them")
@@ -83,10 +83,10 @@ def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def deadband_changes(args: argparse.Namespace) -> dict[str, Any]:
-    """What `--deadband` changes in the setup."""
+    """Return the fields of a setup that `--deadband` changes."""
     return {} if args.deadband is None else {"deadband": args.deadband}
 
 
 def port_changes(args: argparse.Namespace) -> dict[str, Any]:
-    """What `--base-port` changes in the setup."""
+    """Return the fields of a setup that `--base-port` changes."""
     return {} if args.base_port is None else {"base_port": args.base_port}

@@ -27,7 +27,7 @@ from pipelines.simulation.inputs import check_sources as check_virtual_sources
 from pipelines.simulation.session import Selection, Simulation
 from pipelines.simulation.workers import Workers
 
-#: So much virtual time is run between two looks at whether anybody wants it to stop.
+#: The virtual time between two checks whether to stop.
 _STRIDE_NS = 50 * NS_PER_MS
 
 
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the simulation; 1 if its report names a failure.
 
-    Ctrl-C and SIGTERM end it early: the report is that of what was simulated until then.
+    Ctrl-C and SIGTERM end it early; the report then covers the time until that.
     """
     if not 0 < args.seconds < 1e6:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0 and below 1000000")
@@ -114,15 +114,15 @@ def simulate(
     costs: CodingCosts | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> SessionReport:
-    """The report of `seconds` of virtual time. The same arguments give the same report.
+    """Simulate `seconds` of virtual time. The same arguments give the same report.
 
-    stopped: asked all the time; once it says so, the report is that of the time until then.
+    stopped: called again and again; True ends the simulation early.
     """
     with Workers() as workers:
         simulation = Simulation(
             setup, workers, seed=seed, media=media, selections=selections, costs=costs
         )
-        # What is there now is never freed: no need to walk it again and again.
+        # Present objects are not freed; frozen, the garbage collector does not walk them.
         gc.collect()
         gc.freeze()
         try:
@@ -136,8 +136,10 @@ def simulate(
 
 
 def parse_selections(options: Sequence[str], setup: Setup, seconds: float) -> list[Selection]:
-    """T=CAMERA options; ConfigError for an instant that is none of the session's `seconds`, or a
-    camera that there is not."""
+    """Parse T=CAMERA options.
+
+    Raises ConfigError for an instant outside of the session's `seconds`, or an unknown camera.
+    """
     selections = []
     for option in options:
         instant, equals, camera = option.partition("=")

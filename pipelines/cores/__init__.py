@@ -1,4 +1,4 @@
-"""What the processes of a session do, without their sockets, topics and clocks.
+"""The decisions of a session's processes, without sockets, topics and clocks.
 
-The live processes (`pipelines.parts`) and the simulation drive the very same objects.
+The live processes (`pipelines.parts`) and the simulation drive the same objects.
 """

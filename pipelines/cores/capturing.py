@@ -1,11 +1,11 @@
-"""What an input tells of itself."""
+"""The figures of an input."""
 
 from kontur_av.media import CaptureStamp
 from pipelines.runtime.probe import Probe
 
 
 class Capturing:
-    """Counts what a source gives."""
+    """Counts the pictures or blocks of sound of a source."""
 
     def __init__(self, probe: Probe) -> None:
         self._probe = probe
@@ -13,7 +13,7 @@ class Capturing:
         self._last_ns: int | None = None
 
     def handle_captured(self, stamp: CaptureStamp) -> None:
-        """The source gave a picture, or a block of sound."""
+        """The source captured a picture or a block of sound."""
         self._captured += 1
         self._last_ns = stamp.capture_ns
 

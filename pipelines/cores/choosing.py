@@ -1,4 +1,4 @@
-"""Which camera goes up, by telecommand; and the telecommands' other end."""
+"""The choice of the camera by telecommand: the selector on the ground, the console in space."""
 
 from collections import deque
 
@@ -21,23 +21,23 @@ from telepresence.world import WorldState
 #: How often the robot's side reports its state. The link has room for it:
 #: `telepresence.link.arithmetic.RESERVE_BPS`.
 HOUSEKEEPING_INTERVAL_NS = 2 * NS_PER_S
-#: What a telecommand and its answer may take beside the radio's delay.
+#: The time for a telecommand and its answer, without the radio's delay.
 _ANSWER_NS = 500 * NS_PER_MS
 #: The console has one telecommand open at a time; beyond this the oldest is never acknowledged.
 _MOST_OPEN = 16
 
 
 class CameraChoice:
-    """Takes telecommands, and says which camera the sender of the picture is to take.
+    """Receives telecommands, and decides which camera the sender of the picture follows. A core.
 
-    After `handle_packet` publish `choice` for the sender; give what the sender confirms to
-    `handle_confirmed`. After each input send what `poll_transmit` returns until None.
+    After `handle_packet` publish `choice` for the sender; pass its confirmations to
+    `handle_confirmed`. After each input send the packets of `poll_transmit` until None.
 
-    A telecommand is acknowledged when the sender has confirmed the choice that it led to: from then
+    A telecommand is acknowledged when the sender has confirmed the choice that it led to. From then
     on nothing of another camera is coded or sent. Either process may be killed at any time. A new
     selector numbers its choice anew, and the repeated telecommand waits for that number. A new
-    sender confirms what it hears first. Publish the choice, and the confirmation, again and again:
-    who begins late then learns of it.
+    sender confirms the first choice that it hears. Publish choice and confirmation repeatedly, for
+    a process that starts late.
     """
 
     def __init__(self, setup: Setup, probe: Probe, *, now_ns: int, selected: str = "") -> None:
@@ -117,9 +117,9 @@ class CameraChoice:
 
 
 class Console:
-    """The operator's: sends telecommands, takes telemetry.
+    """The operator's console: it sends telecommands and receives telemetry.
 
-    After each input send what `poll_transmit` gives until None and drain `next_event`.
+    After each input send the packets of `poll_transmit` until None, and drain `next_event`.
     """
 
     def __init__(self, setup: Setup, probe: Probe, *, first_token: int) -> None:
@@ -128,7 +128,7 @@ class Console:
         self.sender = telecommand_sender(setup, first_token=first_token)
 
     def select(self, camera: str, now_ns: int) -> int:
-        """Ask for a camera; the token of the request."""
+        """Request a camera, and return the token of the request."""
         return self.sender.select(camera, now_ns)
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
@@ -144,7 +144,7 @@ class Console:
         return self.sender.poll_timeout()
 
     def next_event(self) -> SelectDone | SelectFailed | None:
-        """How a request ended, or None."""
+        """Return the result of a request, or None."""
         while (event := self.sender.next_event()) is not None:
             if not isinstance(event, Housekeeping):
                 return event
@@ -163,6 +163,6 @@ class Console:
 
 
 def telecommand_sender(setup: Setup, *, first_token: int) -> TelecommandSender:
-    """One that repeats no telecommand before its answer can have come."""
+    """Return a sender that repeats a telecommand only after its answer could have come."""
     delay_ns = setup.radio_profile.longest_delay_ns
     return TelecommandSender(first_token=first_token, timeout_ns=_ANSWER_NS + 2 * delay_ns)

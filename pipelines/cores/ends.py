@@ -6,7 +6,7 @@ from pipelines.topology import Segment, Topology
 from telepresence.link.gateway import Gateway
 from telepresence.link.supervision.configuration import SupervisionTiming
 
-#: What an answer takes besides the way there and back.
+#: The time for an answer, without the radio's delay there and back.
 _TURNAROUND_NS = 200 * NS_PER_MS
 
 
@@ -15,8 +15,8 @@ def make_gateway(
 ) -> Gateway:
     """The core of one end, with the radio on its way out.
 
-    life: 1..65535, by which the peer knows that it has another one before it.
-    seed, epoch_ns: what the radio draws by, and when it begins; the same at both ends.
+    life: 1 to 65535; another value tells the peer that this end has restarted.
+    seed, epoch_ns: the seed and the start of the radio; the same at both ends.
     """
     setup = topology.setup
     out, back = segment.transmits, segment.peer.transmits
@@ -35,7 +35,7 @@ def make_gateway(
 
 
 def _timing(setup: Setup) -> SupervisionTiming:
-    """With patience enough for the radio's delay."""
+    """Return a timing that allows for the radio's delay."""
     longest_delay_ns = round(setup.radio_profile.longest_delay_ns)
     default = SupervisionTiming()
     return SupervisionTiming(

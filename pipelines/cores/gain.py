@@ -1,7 +1,7 @@
-"""What a video stream gains where slots leave their samples out: its cap rises, by steps.
+"""The cap of a video stream rises while slots leave haptic samples out, in steps.
 
-A new cap costs a key picture, so it is raised late and in steps; but what is there no more must not
-be spent, so it is lowered at once. docs/experiments/deadband.md has what that is worth.
+A new cap costs a key picture, so the cap rises late and in steps. It falls at once, because the
+room is no longer there. docs/experiments/deadband.md has the measured gain.
 """
 
 from fractions import Fraction
@@ -11,28 +11,28 @@ from kontur_av.codecs.coding import SLOW_REFRESH_S
 from kontur_av.codecs.h264_settings import H264Settings
 from pipelines.setup.table import Setup, VideoStream
 
-#: So long a higher step must have been there, all the time.
+#: The cap rises after the room for a step was there for this time without a break.
 STEADY_NS = 2 * NS_PER_S
-#: After a step that did not last twice as long, up to this.
+#: That time doubles after each step that did not last, up to this.
 MOST_STEADY_NS = 32 * NS_PER_S
-#: A change costs what a step gives in about this time (docs/experiments/deadband.md).
+#: A step must last this long to gain more than its change costs (docs/experiments/deadband.md).
 LASTED_NS = 10 * NS_PER_S
-#: Of what is free so much stays so: it may fall by 96 bits a millisecond, and its gateway tells
-#: every 4 ms.
+#: Free rate that is left unused: it may fall by 96 bits a millisecond, and is reported every 4 ms.
 RESERVE_BPS = 2_000
-#: The raised cap is found to this, in bit/s.
+#: The resolution of the search for steps.
 _GRAIN_BPS = 100
-#: x264 knows its buffer in so many bits.
+#: x264 rounds its buffer to this many bits.
 _KILOBIT = 1000
 
 
 class CapGain:
-    """How much the cap of `stream` may be higher than the setup's. A core: it is told the time.
+    """By how much the cap of `stream` may exceed the setup's. A core.
 
-    Tell it of what slots without a sample leave (`handle_freed`), every few milliseconds; then
-    `bps` is by how much. changes: how often it changed. steps: the gains there are, none first,
-    each with what must be free for it, in bit/s. For a setup whose deadband is there for the
-    latency there is none but the first: the channel is faster, and carries what it did.
+    Call `handle_freed` every few milliseconds.
+
+    bps: the present gain. changes: how often it changed.
+    steps: pairs of a gain and the free rate that it needs, in bit/s; the first is (0, 0). It is the
+        only one if the deadband serves latency: then the channel is faster at the same cap.
     """
 
     def __init__(self, setup: Setup, stream: VideoStream) -> None:
@@ -53,9 +53,9 @@ class CapGain:
         self._told_ns: int | None = None
 
     def handle_freed(self, freed_bps: int, now_ns: int, *, at_once: bool = False) -> bool:
-        """So much was free in the last second; whether `bps` is another one now.
+        """Handle the rate that was free in the last second. Return whether `bps` has changed.
 
-        at_once: a key picture is due anyway, so what was there for `STEADY_NS` is taken.
+        at_once: a key picture is due anyway, so `STEADY_NS` suffices for a rise.
         """
         if self._told_ns is not None and now_ns > self._told_ns:
             self._earned += self.bps * (now_ns - self._told_ns)
@@ -72,7 +72,7 @@ class CapGain:
             return False
         if self._higher is None:
             self._above_since_ns = now_ns
-        # What is free is a mean over a second: until that is over it may still be rising.
+        # The free rate is a mean over a second, so it may still rise for that long.
         rising = now_ns - self._above_since_ns < NS_PER_S
         if self._higher is None or (rising and step > self._higher):
             self._higher, self._higher_since_ns = step, now_ns
@@ -85,7 +85,7 @@ class CapGain:
 
     @property
     def gained_bits(self) -> int:
-        """What the cap was higher by, summed up over the time."""
+        """The gain summed over time, in bits."""
         return self._earned // NS_PER_S
 
     def _take(self, step: int) -> None:
@@ -96,15 +96,17 @@ class CapGain:
 
 
 def gain_of(setup: Setup, stream: VideoStream) -> CapGain | None:
-    """The gain of a stream that has one: the picture that goes where the channel, and nothing
-    else, bounds the cap, of a setup that leaves samples out."""
+    """Return the gain of a stream, or None.
+
+    Only the uplink video has one, in a setup with a deadband: the channel alone bounds its cap.
+    """
     if setup.deadband == "off" or stream != setup.uplink_video:
         return None
     return CapGain(setup, stream)
 
 
 def _worthwhile_bps(setup: Setup, stream: VideoStream) -> list[int]:
-    """The gains, in order: each gives a picture a kilobit more, which is how x264 counts."""
+    """Return the gains in order: each gives a picture one kilobit more, the unit of x264."""
     profile = setup.profile_of(stream)
     most_bps = profile.insert_octets * 8 * NS_PER_S // profile.slot_ns
     gains = []

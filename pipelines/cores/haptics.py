@@ -14,9 +14,9 @@ from telepresence.world import WorldState
 
 Side = TypeVar("Side", bound=JoystickSide | RobotSide)
 
-#: The world is drawn at 30 pictures a second: a state every 10 ms is fresh enough for all.
+#: Scenes are drawn at 30 pictures a second, for which a state every 10 ms suffices.
 _PUBLISH_EVERY = 10
-#: Of a side's report: what adds up over its lives, and what does not.
+#: Figures of a side's report: totals add up over its lives, gauges do not.
 PORT_TOTALS = ("energy_in_uj", "energy_out_uj", "passivity_acted", "totals_refused")
 PORT_GAUGES = ("credit_uj", "least_uj")
 #: Once a millisecond.
@@ -24,7 +24,7 @@ CYCLE_NS = NS_PER_MS
 
 
 class _End(Generic[Side]):
-    """In each cycle: `handle_datagram` for all that has come, `handle_cycle`, `poll_transmit`."""
+    """Each cycle: call `handle_datagram` for each datagram, `handle_cycle` and `poll_transmit`."""
 
     def __init__(self, side: Side, probe: Probe) -> None:
         self.side = side
@@ -54,11 +54,10 @@ class _End(Generic[Side]):
 
 
 class RobotEnd(_End[RobotSide]):
-    """Follows the commands, measures the force, and lets the world see where the tip is.
+    """Follows the commands, measures the force, and returns the state of the robot.
 
-    `next_event` gives a state every 10 cycles, and at once when a contact begins or ends. Each
-    beginning is told as a row of "contact": the instant, and the index of the LED that is touched
-    or -1.
+    `next_event` returns a state every 10 cycles, and at once when a contact begins or ends. Each
+    beginning is a row of the series "contact": the instant, and the index of the touched LED or -1.
     """
 
     def __init__(self, probe: Probe, *, deadband: bool = False) -> None:
@@ -94,7 +93,7 @@ class RobotEnd(_End[RobotSide]):
                 self._contacts.extend((now_ns, -1 if lit is None else lit))
 
     def next_event(self) -> WorldState | None:
-        """A state for the world to see, or None."""
+        """Return the state to publish, or None."""
         state = self._state
         if state is not None:
             self._state = None
@@ -102,10 +101,10 @@ class RobotEnd(_End[RobotSide]):
 
 
 class JoystickEnd(_End[JoystickSide]):
-    """Moves the handle as the simulated hand does, and puts the robot's force on it.
+    """Reads the position of the handle, and applies the robot's force to it.
 
-    handle: instead of the simulated joystick in the simulated hand. Of one in operation the state
-    is told as the gauge "joystick".
+    handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
+        is reported as the gauge "joystick".
     """
 
     def __init__(

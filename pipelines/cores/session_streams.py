@@ -1,4 +1,4 @@
-"""The streams of a setup as cores of `kontur_av.streams`: what the setup says, in their terms."""
+"""Makes the cores of `kontur_av.streams` for the streams of a setup."""
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import BLOCK_NS
@@ -44,8 +44,8 @@ def voice_sender(
 
 
 def video_receiver(stream: VideoStream, *, ssrc: int, wall_offset_ns: int) -> VideoReceiver:
-    """The receiver of a picture. The link tells the sender that there is a way back, so no octet
-    of the channel goes into keeping alive."""
+    """The receiver of a picture. The link tells its sender of the way back, so it sends no signs
+    of life."""
     return VideoReceiver(
         ssrc=ssrc,
         name=stream.name,
@@ -56,7 +56,7 @@ def video_receiver(stream: VideoStream, *, ssrc: int, wall_offset_ns: int) -> Vi
 
 
 def voice_receiver(setup: Setup, stream: VoiceStream, *, wall_offset_ns: int) -> VoiceReceiver:
-    """The receiver of a voice, in step with the picture of the same place."""
+    """The receiver of a voice, in lip-sync with the picture of the same place."""
     picture = setup.picture_of(stream)
     return VoiceReceiver(
         name=stream.name,

@@ -1,4 +1,4 @@
-"""A segment's display and loudspeaker: what was shown, and how old it is all the time."""
+"""A segment's display and loudspeaker: what was shown, and how old it was."""
 
 from collections.abc import Sequence
 
@@ -10,12 +10,12 @@ from pipelines.setup.table import Setup, VideoStream, VoiceStream
 
 
 class Showing:
-    """Counts and times what comes to its end. `streams`: those that do."""
+    """Counts what is shown of `streams`, and follows its age."""
 
     def __init__(
         self, setup: Setup, streams: Sequence[VideoStream | VoiceStream], probe: Probe
     ) -> None:
-        #: Where it tells what was shown.
+        #: The probe for the figures.
         self.probe = self._probe = probe
         self._shown = {stream.name: 0 for stream in streams}
         #: By stream.
@@ -24,7 +24,7 @@ class Showing:
     def handle_shown(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture, or a block of sound, is shown at `now_ns`.
 
-        Concealed sound does not count, and makes nothing younger.
+        Concealed sound does not count, and does not lower the age.
         """
         if stamp.quality is Quality.CONCEALED or stamp.rtp_timestamp is None:
             return
@@ -34,7 +34,7 @@ class Showing:
         self._probe.row(f"shown.{stream}", stamp.rtp_timestamp, stamp.capture_ns, now_ns)
 
     def tell(self, now_ns: int) -> None:
-        """Put the counters into the probe; all that is shown by `now_ns` is known."""
+        """Put the counters into the probe. `handle_shown` was called for all up to `now_ns`."""
         probe = self._probe
         for stream, shown in self._shown.items():
             probe.total(f"{stream}.frames_displayed", shown)

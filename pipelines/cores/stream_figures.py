@@ -1,6 +1,6 @@
-"""What the ends of a stream have counted and noted, as a process tells it to the report.
+"""The figures of a stream's ends, as a process reports them.
 
-The one place that knows both the events of `kontur_av.streams` and the names of the figures.
+Only this module knows both the events of `kontur_av.streams` and the names of the figures.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from pipelines.runtime.probe import Probe
 
 
 class Outgoing:
-    """Sends what may leave, and notes it.
+    """Sends the packets that may leave, and notes them.
 
     to_rtp, to_rtcp: called with each datagram and the instant.
     """
@@ -36,7 +36,7 @@ class Outgoing:
         self._to_rtcp = to_rtcp
 
     def handle_time(self, now_ns: int) -> None:
-        """Send what may leave by now, and a report if one is due."""
+        """Send the packets that may leave now, and a report if one is due."""
         sender = self._sender
         while (packet := sender.poll_transmit(now_ns)) is not None:
             self._out.extend((now_ns, len(packet) - RTP_HEADER_OCTETS, sender.cap_bps))
@@ -52,7 +52,7 @@ class Outgoing:
             self._to_rtcp(report, now_ns)
 
     def close(self, now_ns: int) -> None:
-        """Say goodbye, so that a successor is believed at once."""
+        """Send a goodbye, after which a new sender is accepted at once."""
         goodbye = self._sender.goodbye()
         if goodbye is not None:
             self._to_rtcp(goodbye, now_ns)

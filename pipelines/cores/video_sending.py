@@ -1,4 +1,4 @@
-"""A picture that goes over the radio link: its sender, with what the link tells of itself."""
+"""The sender of a video stream over the radio link, which follows the state of the link."""
 
 from kontur_av.codecs.coding import Coding
 from kontur_av.streams.video_sender import VideoSender

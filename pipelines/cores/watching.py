@@ -1,7 +1,7 @@
-"""The operator's eye and ear: the detectors, fed with what is really shown and played.
+"""The operator's eye and ear: detectors of lights and clicks in what is shown and played.
 
-Rows for the report: "light.STREAM" and "click.STREAM" are (instant, instant of capture by the
-stamps, how much earlier it may have been captured, strength).
+Rows for the report, of "light.STREAM" and "click.STREAM": instant, instant of capture by the
+stamps, how much earlier the capture may have been, strength.
 """
 
 from collections.abc import Mapping
@@ -12,13 +12,13 @@ from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
 from kontur_av.sources.source import BLOCK_NS
 from pipelines.runtime.probe import Probe
 
-#: The streams that show the operator where the contacts are, by what is looked and listened for.
+#: The stream in which to look for lights, and the one in which to listen for clicks.
 WATCHED = {"light": "uplink_video", "click": "uplink_voice"}
 OPERATORS = frozenset(WATCHED.values())
 
 
 class Sample(Protocol):
-    """What lies in shared memory: a picture or a block of sound."""
+    """A sample in shared memory: a picture or a block of sound."""
 
     @property
     def stamp(self) -> CaptureStamp: ...
@@ -29,7 +29,7 @@ class Sample(Protocol):
 
 
 class Watching:
-    """Feed it with every picture and every block of sound of a display."""
+    """Looks for lights and clicks. Pass it every picture and every block of sound of a display."""
 
     def __init__(self, probe: Probe) -> None:
         self._probe = probe
@@ -37,7 +37,7 @@ class Watching:
         self._ears: dict[str, ClickDetector] = {}
 
     def handle_sample(self, stream: str, sample: Sample, now_ns: int) -> None:
-        """Whatever there is of `stream` is shown, or heard, from `now_ns` on."""
+        """A picture or a block of sound of `stream` is shown or heard from `now_ns` on."""
         if stream == WATCHED["light"]:
             self.handle_picture(stream, sample.video().data, sample.stamp, now_ns)
         else:
@@ -78,7 +78,7 @@ def tell_light(probe: Probe, stream: str, light: Light, captured_ns: Mapping[int
         capture_ns = captured_ns[light.tag]
         slack_ns = max(0, capture_ns - captured_ns[light.previous_tag])
     except KeyError:
-        # A picture without a date was not shown.
+        # A picture without a capture time was not shown.
         return
     row = light.instant_ns, capture_ns, slack_ns, round(light.strength)
     probe.row(f"light.{stream}", *row)
@@ -90,7 +90,7 @@ def tell_click(probe: Probe, stream: str, click: Click, captured_ns: Mapping[int
         capture_ns = captured_ns[click.tag]
     except KeyError:
         return
-    # However long the playout let the block sound: it shortens and stretches, in a pause by half.
+    # Scaled to the captured block, because the playout stretches and shortens blocks.
     capture_ns += click.offset_ns * BLOCK_NS // click.length_ns
     probe.row(f"click.{stream}", click.instant_ns, capture_ns, 0, round(click.strength))
 
@@ -103,7 +103,7 @@ class Recall:
         self.captured_ns: dict[int, int] = {}
 
     def add(self, timestamp: int, capture_ns: int) -> None:
-        """One more; the oldest goes."""
+        """Add one; the oldest is dropped."""
         self.captured_ns[timestamp] = capture_ns
         if len(self.captured_ns) > self._depth:
             del self.captured_ns[next(iter(self.captured_ns))]

@@ -1,1 +1,1 @@
-"""The processes of a session, one module each; every one is a thin shell around a core."""
+"""The processes of a session, one module each: thin shells around cores."""

@@ -1,4 +1,4 @@
-"""An input's process: from its source into its topic."""
+"""The process of an input: from its source into its topic."""
 
 from kontur_av.sources import SceneVideo, open_audio, open_video
 from kontur_av.sources.source import BLOCK_SAMPLES
@@ -12,7 +12,7 @@ from telepresence.world import audio_scenes, video_scenes
 def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
     """Capture the pictures of the input `name` in the size and rate of `stream`.
 
-    A built-in scene counts its pictures all the time, and draws them while somebody reads them.
+    A built-in scene always counts its pictures, and draws them only while there is a reader.
     """
     clock = context.clock
     with context.open_bus() as bus:
@@ -30,7 +30,7 @@ def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
         )
         capturing = Capturing(context.probe)
         context.on_flush(lambda: capturing.tell(source.faults, source.last_fault))
-        # Drawing is the larger part of a scene's work, and it can wait for a reader.
+        # Drawing is most of a scene's work, and needless without a reader.
         scene = source if isinstance(source, SceneVideo) else None
         loan = writer.loan_picture(stream.width, stream.height)
         while not context.stopping:

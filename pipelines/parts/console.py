@@ -16,12 +16,12 @@ from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
 from pipelines.topology import TELECOMMAND, TELEMETRY
 from telepresence.tmtc import SelectDone
 
-#: How many terminals may ask at once; a further one is turned away.
+#: The most terminals that may ask at once; others are refused.
 _MOST_CLIENTS = 8
 
 
 class _Client:
-    """A terminal that asks; `token` names the telecommand it waits for."""
+    """A terminal with a request. token: of the telecommand for which it waits."""
 
     def __init__(self, link: socket.socket) -> None:
         self.link = link
@@ -30,7 +30,7 @@ class _Client:
 
 
 def run_console(context: Context) -> None:
-    """Turn requests from the control socket into telecommands, and their ends into answers."""
+    """Turn requests from the control socket into telecommands, and their results into answers."""
     clock, setup, topology = context.clock, context.setup, context.topology
     udp = context.listen(topology.exit_port(TELEMETRY))
     gateway = (LOOPBACK, topology.entry_port(TELECOMMAND))
@@ -105,7 +105,7 @@ def _listen(context: Context) -> socket.socket:
 
 
 def _read(client: _Client) -> Request | None:
-    """The request if its line is complete; a client that sends anything else is let go."""
+    """Return the request if its line is complete. A client that sends anything else is closed."""
     try:
         data = client.link.recv(MAX_LINE_OCTETS)
     except BlockingIOError:
@@ -117,7 +117,7 @@ def _read(client: _Client) -> Request | None:
         return None
     try:
         return msgspec.json.decode(client.line, type=Request)
-    except (msgspec.DecodeError, RecursionError):  # the latter of "[[[[" without end
+    except (msgspec.DecodeError, RecursionError):  # RecursionError: "[[[[" without end
         client.link.close()
         return None
 

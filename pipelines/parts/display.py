@@ -1,8 +1,8 @@
-"""A segment's display and loudspeaker: where pictures and sounds come to their end.
+"""A segment's display and loudspeaker, where pictures and sounds end.
 
-Without a screen or a sound card this is where they would go next; the instant of taking them out
-of shared memory counts as the instant of display. What a screen would show, a picture that is too
-old with a mark on it, is published as a topic.
+There is no screen and no sound card: the instant of reading from shared memory counts as the
+instant of display. The picture that a screen would show, with a mark if it is stale, is published
+as a topic.
 """
 
 from collections.abc import Sequence
@@ -25,9 +25,9 @@ _REDRAW_NS = 100 * NS_PER_MS
 
 
 class _Screen:
-    """What is shown of one video stream, as a topic of its own, while somebody reads it.
+    """The displayed picture of one video stream, published as a topic while there is a reader.
 
-    A reader that joins sees the next picture, or the next mark: there is one every `_REDRAW_NS`.
+    A new reader gets the next picture, or the next mark, which is drawn every `_REDRAW_NS`.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class _Screen:
     ) -> None:
         octets = stream.width * stream.height * 3 // 2
         self._writer = bus.writer(row.displayed_topic, max_octets=octets)
-        # Polled by who keeps the sound in step.
+        # The voice receiver polls it for lip-sync.
         self._lag = bus.writer(row.lag_topic, max_octets=LAG.size, wake=False)
         self._staleness = staleness
         self._lease: Lease | None = None
@@ -51,7 +51,7 @@ class _Screen:
             previous.release()
 
     def due_ns(self) -> int | None:
-        """When the mark has to be drawn (anew); None while there is no picture."""
+        """Return when to draw the mark next; None while there is no picture."""
         stale_ns = self._staleness.stale_from_ns()
         return None if stale_ns is None else max(stale_ns, self._drawn_ns + _REDRAW_NS)
 

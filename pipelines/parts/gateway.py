@@ -1,6 +1,6 @@
 """A segment's gateway process: UDP ports on one side, one transfer frame a slot on the other.
 
-`GatewaySlots` says when what happens; here are its sockets, its clock and its sleep.
+`GatewaySlots` decides what happens when. This module has the sockets, the clock and the sleep.
 """
 
 import secrets
@@ -72,7 +72,7 @@ def run_gateway(
         probe.gauge("link", gateway.report(clock_ns()))
 
     def fetch_radio(now_ns: int) -> None:
-        # One a wake-up: there is hardly ever a second, and asking for it costs a system call.
+        # One frame a wake-up: a second one is rare, and asking for it costs a system call.
         frame = frame_of_peer()
         if frame is not None:
             handle_radio(frame, now_ns)
@@ -121,7 +121,7 @@ def run_gateway(
 def _backlog_publisher(
     context: Context, segment: Segment, stack: ExitStack
 ) -> Callable[[Backlog, int], None]:
-    """What publishes a backlog with its instant, as long as `stack` lives."""
+    """Return a function that publishes a backlog with its instant, while `stack` is open."""
     topic = context.topology.link(segment.transmits).backlog_topic
     bus = stack.enter_context(context.open_bus())
     writer = bus.writer(topic, max_octets=BACKLOG_OCTETS, wake=False)

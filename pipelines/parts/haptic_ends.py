@@ -1,4 +1,4 @@
-"""The two haptic endpoints: robot on the ground, joystick in space, each a 1 kHz loop."""
+"""The processes of robot (ground) and joystick (space), each a 1 kHz loop."""
 
 import select
 from collections.abc import Callable
@@ -16,12 +16,12 @@ from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.world import WorldState
 
-#: The gateways' slots begin at 0: a sample then waits half a millisecond for its slot.
+#: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
 _PHASE = 0.5
 
 
 def run_robot(context: Context) -> None:
-    """Follow the commands, measure the force, and let the world see where the tip is."""
+    """Follow the commands, measure the force, and publish the state of the robot."""
     with context.open_bus() as bus:
         writer = bus.writer(ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
         numbers = count()
@@ -69,7 +69,7 @@ def _run_loop(
         end.handle_cycle,
     )
     poll_transmit, next_event, ask = end.poll_transmit, end.next_event, more.poll
-    # A list, because an array asks of each number what it is.
+    # A list, because an array checks the type of each number.
     lateness: list[int] = []
     lateness_rows, add_lateness = probe.rows("lateness"), lateness.append
 
@@ -92,10 +92,9 @@ def _run_loop(
         try:
             datagram: bytes | None = take(SAMPLE_OCTETS + 1)
         except OSError:
-            # There is none, or this is the answer to an earlier one of ours.
+            # There is no datagram, or this is an ICMP error of an earlier one.
             datagram = receive(udp, SAMPLE_OCTETS + 1)
-        # There is nearly always one sample, hardly ever a second: to ask for that one costs a
-        # third of what it costs to be told by an empty socket that it is empty.
+        # Most cycles have exactly one sample. poll(2) costs a third of reading an empty socket.
         while datagram is not None:
             handle_datagram(datagram, now_ns)
             datagram = receive(udp, SAMPLE_OCTETS + 1) if ask(0) else None

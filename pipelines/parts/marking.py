@@ -1,4 +1,4 @@
-"""The mark on a picture that is too old to be acted upon."""
+"""The mark on a stale picture."""
 
 import cv2
 
@@ -12,7 +12,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def age_words(age_ns: int) -> str:
-    """An age as people read it: 340 ms, 1.3 s, 75 s."""
+    """Return an age as text: 340 ms, 1.3 s, 75 s."""
     if age_ns < NS_PER_S:
         return f"{age_ns / NS_PER_MS:.0f} ms"
     return f"{age_ns / NS_PER_S:.{1 if age_ns < 10 * NS_PER_S else 0}f} s"

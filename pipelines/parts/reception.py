@@ -1,4 +1,4 @@
-"""What every receiving process does alike."""
+"""The common part of receiving processes: sockets and the kept sender report."""
 
 import select
 from pathlib import Path
@@ -11,7 +11,7 @@ from pipelines.setup.table import VideoStream, VoiceStream
 
 
 class Receiving(Protocol):
-    """What takes a stream's datagrams."""
+    """A receiver of a stream's datagrams."""
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None: ...
 
@@ -21,9 +21,8 @@ class Receiving(Protocol):
 class Incoming:
     """A stream's sockets, and its receiver fed from them.
 
-    The newest sender report is kept in the session's directory for a restart of this process:
-    without it, a restarted receiver could not say how old its pictures are until the next report
-    comes, and would show none.
+    The newest sender report is kept in the session's directory. Without it, a restarted receiver
+    could not date its pictures, and would show none until the next report.
     """
 
     def __init__(
@@ -40,13 +39,13 @@ class Incoming:
             receiver.handle_report(self._memory.read_bytes(), self._clock.now_ns())
 
     def wait(self, due_ns: int | None) -> None:
-        """Sleep until something has come, at the longest until `due_ns`; give it the receiver."""
+        """Wait for datagrams, until `due_ns` at the latest, and pass them to the receiver."""
         wait_ns = PATIENCE_NS
         if due_ns is not None:
             wait_ns = min(PATIENCE_NS, max(0, due_ns - self._clock.now_ns()))
         ready = select.select((self._rtp, self._rtcp), (), (), wait_ns / NS_PER_S)[0]
-        # Each has a stamp of its own: one that comes while others are read would else seem to
-        # have come before it was sent. Reports first: the first of them dates the first picture.
+        # Each datagram has its own stamp: one that comes during this loop must not seem to arrive
+        # before it was sent. Reports are first, because the first of them dates the first picture.
         if self._rtcp in ready:
             while (datagram := self._receive(self._rtcp)) is not None:
                 self._handle_report(datagram, self._clock.now_ns())
@@ -60,7 +59,7 @@ class Incoming:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write in one step: a kill in between leaves what was there."""
+    """Replace a file in one step, so that a killed process leaves the old or the new content."""
     partial = path.with_suffix(".new")
     partial.write_bytes(content)
     partial.replace(path)

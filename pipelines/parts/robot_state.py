@@ -1,4 +1,4 @@
-"""The robot's state as it lies in shared memory, for whoever draws or sounds the world."""
+"""The robot's state in shared memory, from which scenes draw pictures and make sounds."""
 
 import struct
 
@@ -9,12 +9,12 @@ from telepresence.world import StateAt, WorldState, scripted_state
 #: Instant, x, y (m), force (N), contact, instants at which this contact and the newest one began.
 _LAYOUT = struct.Struct("=qddd?qq")
 STATE_OCTETS = _LAYOUT.size
-#: There was no contact yet.
+#: No contact yet.
 _NEVER_NS = -(1 << 63)
 
 
 def pack_state(state: WorldState) -> bytes:
-    """A state as octets; a contact without a beginning begins now."""
+    """Pack a state; a contact without a beginning begins now."""
     since_ns = state.time_ns if state.contact_since_ns is None else state.contact_since_ns
     touched_ns = state.touched_ns
     if touched_ns is None:
@@ -25,7 +25,7 @@ def pack_state(state: WorldState) -> bytes:
 
 
 def unpack_state(data: bytes) -> WorldState:
-    """What `pack_state` packed."""
+    """Unpack a state that `pack_state` packed."""
     time_ns, x_m, y_m, force_n, contact, since_ns, touched_ns = _LAYOUT.unpack(data)
     return WorldState(
         time_ns,
@@ -39,7 +39,7 @@ def unpack_state(data: bytes) -> WorldState:
 
 
 def newest_state(bus: TopicBus) -> StateAt:
-    """What the robot's newest state says of an instant; without a robot, the scripted motion."""
+    """Return a function from an instant to the robot's state; without a robot, scripted motion."""
     reader = bus.reader(ROBOT_TOPIC)
     known: WorldState | None = None
 

@@ -1,6 +1,6 @@
-"""The selector's process: takes the telecommands, and tells the sender which camera to follow.
+"""The selector's process: it receives telecommands, and tells the sender which camera to follow.
 
-It touches no picture. A choice is kept in a file, then published, and acknowledged when the sender
+It reads no pictures. A choice is kept in a file, then published, and acknowledged when the sender
 has confirmed it.
 """
 
@@ -19,7 +19,7 @@ from pipelines.topology import FOLLOWED_TOPIC, SELECTED_TOPIC, TELECOMMAND, TELE
 def run_selector(context: Context) -> None:
     """Keep the choice of the camera, and change it by telecommand."""
     clock, topology = context.clock, context.topology
-    # A selector that was killed goes on where it was.
+    # A selector that was killed goes on with its last choice.
     remembered = session_root(context.session) / "selected"
     known = remembered.read_text("ascii") if remembered.exists() else ""
     choice = CameraChoice(context.setup, context.probe, now_ns=clock.now_ns(), selected=known)
@@ -42,7 +42,7 @@ def run_selector(context: Context) -> None:
             if changed:
                 replace_file(remembered, choice.selected.encode("ascii"))
             if changed or now_ns >= publish_ns:
-                # Again and again, for a sender that has begun since.
+                # Published repeatedly, for a sender that has started since.
                 publish_ns = now_ns + PATIENCE_NS
                 stamp = CaptureStamp(now_ns, next(numbers), "selector")
                 writer.publish_octets(choice.choice.pack(), stamp)

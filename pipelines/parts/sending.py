@@ -1,4 +1,4 @@
-"""What every sending process does alike: RTP and its reports to the gateway."""
+"""The common part of sending processes: RTP and reports to the gateway."""
 
 from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_sender import VoiceSender
@@ -10,7 +10,7 @@ from pipelines.setup.table import VideoStream, VoiceStream
 def to_gateway(
     context: Context, stream: VideoStream | VoiceStream, sender: VideoSender | VoiceSender
 ) -> Outgoing:
-    """A stream's way to the gateway."""
+    """Return a stream's output, which sends to the gateway."""
     topology = context.topology
     send_rtp = context.sender(topology.entry_port(stream.name))
     send_rtcp = context.sender(topology.entry_port(topology.media(stream.name).rtcp))

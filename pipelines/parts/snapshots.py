@@ -1,4 +1,4 @@
-"""The process that keeps what each display shows as PNG files, now and then."""
+"""The process that writes snapshots of the displays as PNG files."""
 
 from pathlib import Path
 
@@ -12,14 +12,14 @@ from pipelines.topology import Segment, VideoRow
 
 _FIRST_NS = NS_PER_S
 _SHORTEST_INTERVAL_NS = 3 * NS_PER_S
-#: Of how long the session has run: an hour has some thirty snapshots, a day some forty-five.
+#: The interval is this part of the session's age: thirty snapshots in an hour, 45 in a day.
 _INTERVAL_SHARE = 4
 
 
 def next_snapshot_ns(session_ns: int) -> int:
-    """When the next snapshot is due after `session_ns`, both counted from the session's start.
+    """Return when the next snapshot is due after `session_ns`, both since the session's start.
 
-    The instants are the same for every life of the process: a later one repeats none.
+    The instants are the same for every life of the process, so a restart repeats none.
     """
     due_ns = _FIRST_NS
     while due_ns <= session_ns:
@@ -28,9 +28,9 @@ def next_snapshot_ns(session_ns: int) -> int:
 
 
 def run_snapshots(context: Context) -> None:
-    """A picture of each display, of the stereo merge and of its halves, ever more seldom.
+    """Write a picture of each display, of the stereo merge and of its halves, at growing intervals.
 
-    A file's name ends with the second of the session in which it was due.
+    A file's name ends with the second of the session at which it was due.
     """
     assert context.snapshots is not None
     clock, setup, probe = context.clock, context.setup, context.probe
@@ -62,7 +62,7 @@ def run_snapshots(context: Context) -> None:
             instant = f"{due_ns // NS_PER_S:04d}s"
             due_ns = next_snapshot_ns(now_ns - begun_ns)
             for name, topic in topics.items():
-                # Joined for one picture only, so that nobody publishes for this reader between.
+                # Join for one picture only, so that no writer publishes for this reader meanwhile.
                 reader = bus.reader(topic)
                 reader.wait(NS_PER_S)
                 lease = reader.latest()
@@ -78,7 +78,7 @@ def run_snapshots(context: Context) -> None:
 
 
 def _write(directory: Path, name: str, picture: I420, *, halves: bool) -> list[bool]:
-    """Whether each file could be written: a full disk ends no session."""
+    """Write the files, and return for each whether it was written: a full disk ends no session."""
     image = cv2.cvtColor(picture, cv2.COLOR_YUV2BGR_I420)
     parts = {"": image}
     if halves:

@@ -8,9 +8,9 @@ from pipelines.setup.table import STEREO, STEREO_INPUTS
 
 
 def run_stereo(context: Context) -> None:
-    """Left part of the left camera, right part of the right camera, into one topic.
+    """Publish the left part of the left camera and the right part of the right one as one picture.
 
-    Pairs are counted all the time, and merged while somebody reads the topic.
+    Pairs are always counted, and merged only while the topic has a reader.
     """
     clock, video, topology = context.clock, context.setup.uplink_video, context.topology
     pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
@@ -25,7 +25,7 @@ def run_stereo(context: Context) -> None:
             topology.camera(STEREO).topic, max_octets=video.width * video.height * 3 // 2
         )
         readers = [bus.reader(topology.input(name).topic) for name in STEREO_INPUTS]
-        # The pairer shows a camera's last picture again: its lease is kept until the next one.
+        # The pairer may use a camera's last picture again, so its lease is kept until the next.
         leases: list[Lease | None] = [None, None]
 
         def publish_pairs() -> None:
@@ -53,7 +53,7 @@ def run_stereo(context: Context) -> None:
                     continue
                 handle = pairer.handle_right if side else pairer.handle_left
                 handle(lease.video(), clock.now_ns())
-                # Before the previous picture is given back: a pair may still hold it.
+                # Publish before the release of the previous picture, which a pair may still use.
                 publish_pairs()
                 previous, leases[side] = leases[side], lease
                 if previous is not None:

@@ -11,15 +11,14 @@ from pipelines.setup.table import VideoStream
 
 
 def run_video_receive(context: Context, *, stream: VideoStream) -> None:
-    """Decode every access unit, and publish its picture with the capture time that the sender
-    told."""
+    """Decode every access unit, and publish its picture with the sender's capture time."""
     row = context.topology.video(stream.name)
     clock, probe = context.clock, context.probe
     receiver = video_receiver(
         stream, ssrc=secrets.randbits(32), wall_offset_ns=clock.wall_offset_ns
     )
     decoder = H264Decoder()
-    # Before those of the receiver, so that each picture's decoding is known when it is joined.
+    # Made before the receiver's series, so that the decoding of a picture is reported first.
     decoded = probe.rows("decoded")
 
     def tell() -> None:
@@ -49,7 +48,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                     if stamp is not None:
                         loan = writer.loan_picture(stream.width, stream.height)
                         picture.scale_into(loan.picture)
-                        # Before it is published: the display may be faster than this process.
+                        # Noted before publishing, because the display may be faster.
                         decoded.extend((picture.timestamp, clock.now_ns()))
                         loan.publish(stamp)
             feedback = receiver.poll_feedback(clock.now_ns())

@@ -25,9 +25,9 @@ _SWITCH_NS = NS_PER_MS
 
 
 def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) -> None:
-    """Send the newest picture of `topic` whenever the channel is about to run dry.
+    """Send the newest picture of `topic` whenever the channel is about to become free.
 
-    topic: None for the camera that the selector's choice names.
+    topic: None for the camera that the selector chooses.
     """
     switch_threads_often()
     clock, probe = context.clock, context.probe
@@ -47,7 +47,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
     context.on_flush(lambda: tell_sender(probe, sender, linked.gain))
     with (
         context.open_bus() as bus,
-        # It ends before the bus does: till then it may be reading shared memory.
+        # The thread reads shared memory, so it ends before the bus.
         EncodingThread(encoder, clock) as encoding,
     ):
         selection = None if topic is not None else SelectionTopics(context, bus)
@@ -81,7 +81,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
                 waiter = bus.waiter(_wakers(reader, selection), sockets)
             if reader is not None and reader.has_new():
                 if held is not None:
-                    # First, because a reader holds no more than two and one that it takes.
+                    # Released first, because a reader can hold two samples and the one it takes.
                     held.release()
                 skipped = reader.skipped
                 held = reader.latest()

@@ -146,8 +146,8 @@ class Setup:
     radio: what the radio does to frames: a profile, or a built-in one's name (docs/radio.md).
         `telepresence.link.radio.load_radio` reads one from a file.
     radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
-    deadband: unless `off`, haptic samples are left out while nobody would feel the difference, and
-        the uplink video gets what that saves: as more of it, or sooner (docs/deadband.md).
+    deadband: unless `off`, haptic samples are left out while nobody would feel the difference. The
+        uplink video gets the room: as a higher rate, or a lower delay (docs/deadband.md).
     """
 
     name: str

@@ -49,7 +49,7 @@ from telepresence.world import WorldState
 #: The instants of virtual time are Unix times.
 _WALL_OFFSET_NS = 0
 
-#: What takes the datagrams of a flow where they come out of the link.
+#: Takes the datagrams of a flow that come out of the link, with the instant.
 Consumer = Callable[[bytes, int], object]
 
 
@@ -88,7 +88,7 @@ class Media:
         self._scene = scene
         self._on_confirmed = on_confirmed
         self._receivers: list[VideoReceiveProcess | VoiceReceiveProcess] = []
-        #: All that was shown by then is known.
+        #: Everything shown up to this instant is known.
         self._settled_ns = scene.start_ns
         setup = scene.setup
         space = self._showing("space_display", [setup.uplink_video, setup.uplink_voice])

@@ -22,7 +22,7 @@ from telepresence.world import WorldState
 
 
 class _Process:
-    """Sends what is due, and looks for what to encode."""
+    """Sends packets that are due, and encodes what its sender asks for."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class _Process:
             partial(gateway.handle_datagram, stream),
             partial(gateway.handle_datagram, f"{stream}_rtcp"),
         )
-        #: Whether it is encoding.
+        #: Whether a picture or block is being encoded.
         self._busy = False
         self._timer = Timer(agenda, self._wake)
 
@@ -58,7 +58,7 @@ class _Process:
 class VideoSendProcess(_Process):
     """Encodes the newest picture when the stream's budget has room for one.
 
-    Meanwhile packets leave: the live process encodes in a thread of its own.
+    Packets leave meanwhile: the live process encodes in a thread.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class VideoSendProcess(_Process):
 class VoiceSendProcess(_Process):
     """Encodes every block of sound as it comes.
 
-    Meanwhile nothing leaves: the live process, too, does one after the other.
+    No packet leaves meanwhile, as in the live process.
     """
 
     def __init__(

@@ -1,9 +1,9 @@
-"""A whole session on virtual time: the gateways' slots in lockstep, and all else in between.
+"""A whole session on virtual time: the gateways' slots in lockstep, and all else between them.
 
 A slot begins in both gateways at the same instant; robot and joystick follow half a slot later.
-Datagrams on one machine take no time; frames take what the radio's delay says. Coding takes what
-`CodingCosts` says. Everything happens in the order of its instant, so the same seed gives the same
-session whatever the machine does.
+Datagrams on one machine take no time. Frames take the radio's delay, coding takes `CodingCosts`.
+Everything happens in the order of its instant, so the same seed gives the same session on every
+machine.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ from telepresence.link.receiver import HapticReceived, PacketReceived
 from telepresence.link.slots import GatewaySlots
 from telepresence.world import WorldState, scripted_state
 
-#: A decoder's figures are told so much later than they came to be: it need not keep in step.
+#: The figures of a decoder are reported later by this, so that it need not keep step.
 _SETTLE_NS = 400_000_000
 
 _START_NS = 0

@@ -1,9 +1,9 @@
 """The table of a session: a row for every process, stream and topic.
 
-Launcher, simulation, ports, report and documents derive from it. It says in which segment a process
-runs. Processes of one segment share topics; what crosses to the other segment is a stream of the
-radio link. The one exception is `robot/state`, from which the built-in scenes draw the simulated
-world; without it they show a scripted motion.
+Launcher, simulation, ports, report and documents derive from it. Each process belongs to a segment.
+Processes of one segment share topics; only streams of the radio link cross to the other segment.
+The one exception is `robot/state`, from which the built-in scenes draw the simulated world. Without
+it they show a scripted motion.
 
 `topology_of(setup)` builds it. `streams.py` lists what the link carries, with ports; `processes.py`
 lists the processes with their topics. A new process is a new row there and a module in

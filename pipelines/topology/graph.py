@@ -8,9 +8,9 @@ from pipelines.topology.table import Topology
 
 
 def dot(topology: Topology) -> str:
-    """A digraph: a box for each process, grouped by segment, an edge for what one gives another.
+    """Return a digraph: a box for each process, grouped by segment, an edge for each connection.
 
-    Solid edges are topics, dashed ones datagrams; the bold ones between the gateways are the radio.
+    Solid edges are topics, dashed ones datagrams, and the bold ones between the gateways the radio.
     """
     lines = [f"digraph {_quoted(topology.setup.name)} {{", "  rankdir=LR;", "  node [shape=box];"]
     for segment in (*Segment, None):

@@ -20,7 +20,7 @@ from pipelines.topology.table import Topology
 
 #: The state of the robot, from which the built-in scenes draw.
 ROBOT_TOPIC = "robot/state"
-#: Which camera the sender of the uplink video is to take, and which choice it has confirmed.
+#: The camera that the sender of the uplink video must follow, and the choice that it has confirmed.
 SELECTED_TOPIC = "selected/uplink_video"
 FOLLOWED_TOPIC = "followed/uplink_video"
 
@@ -189,7 +189,7 @@ def _send(media: MediaRow, topic: str | None) -> ProcessRow:
 
 
 def _end(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
-    """Where the pictures and sounds for a segment's people are received and shown."""
+    """The processes that receive and show pictures and sounds in a segment."""
     rows = [row for row in session.media_streams if row.direction.receiver is segment]
     lag_topics = tuple(row.lag_topic for row in rows if isinstance(row, VideoRow))
     shown = tuple(row.displayed_topic for row in rows if isinstance(row, VideoRow))

@@ -1,4 +1,4 @@
-"""The rows of the table: what is known of a process, a stream, a topic."""
+"""The rows of the table: process, stream, topic, input, camera, link."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,14 +9,17 @@ from pipelines.setup.table import VideoStream, VoiceStream
 from telepresence.link.flows import Flow
 from telepresence.link.profile import LinkProfile
 
-#: Real-time priorities. The 1 kHz loops go first. A voice comes next, because one that is late by
-#: milliseconds needs a larger playout buffer.
+#: Real-time priorities. The 1 kHz loops come first, then voices: a late voice needs a larger
+#: playout buffer.
 LOOP_PRIORITY, VOICE_PRIORITY = 10, 5
 
 
 class Stage(IntEnum):
-    """When a process is started. Start consumers before producers, so that no first picture is
-    missed: a decoder without a stream's first picture has to wait for a refresh."""
+    """The order in which processes start.
+
+    Consumers start before producers, so that no decoder misses a stream's first picture and has to
+    wait for a refresh.
+    """
 
     LINK = 0
     SINK = 1
@@ -27,7 +30,7 @@ class Stage(IntEnum):
 
 
 class Kind(Enum):
-    """What a stream carries."""
+    """The kind of data of a stream."""
 
     HAPTIC = "haptic"
     TMTC = "tmtc"
@@ -42,7 +45,7 @@ class Kind(Enum):
 class ProcessRow:
     """A process.
 
-    segment: None for a process that observes what its machine has, whichever segments those are.
+    segment: None for a process that observes all segments of its machine.
     run: "module:function"; the function is called with a `Context` and `arguments`.
     priority: real-time priority where the system permits it; 0 for none.
     reads, writes: topics.
@@ -67,13 +70,13 @@ class ProcessRow:
 
 @dataclass(frozen=True, kw_only=True)
 class StreamRow:
-    """What crosses the radio link under one name.
+    """A stream of the radio link.
 
     flow: how the link queues and compresses it; None for haptic samples, which have the insert
         zone of each frame.
     sender, receiver: processes; None where they are the user's own.
-    entry_port: where the gateway of the sending segment takes its datagrams.
-    exit_port: where its receiver in the other segment listens.
+    entry_port: the port of the sending segment's gateway for its datagrams.
+    exit_port: the port on which its receiver in the other segment listens.
     """
 
     name: str
@@ -102,10 +105,10 @@ class HapticRow(StreamRow):
 class MediaRow(StreamRow):
     """A picture or a voice.
 
-    stream: the setup's figures of it. inputs: what it may show or sound.
+    stream: its row of the setup. inputs: the inputs that it may carry.
     display: the process that shows it. rtcp: the name of the stream with its RTCP.
-    received_topic: what the receiver has decoded. backlog_topic: what its gateway tells of the
-    link.
+    received_topic: its decoded pictures or sounds.
+    backlog_topic: the state of the link, from its gateway.
     """
 
     stream: VideoStream | VoiceStream
@@ -123,8 +126,8 @@ class MediaRow(StreamRow):
 class VideoRow(MediaRow):
     """A picture.
 
-    feedback: the name of the stream by which its receiver asks for whole pictures.
-    displayed_topic: what the display shows. lag_topic: how late it was shown.
+    feedback: the name of the stream with which its receiver asks for key pictures.
+    displayed_topic: the displayed pictures. lag_topic: how late they were shown.
     """
 
     feedback: str
@@ -144,7 +147,7 @@ class InputRow:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraRow:
-    """What can be selected for the uplink video: its topic, and the inputs that are in it."""
+    """A camera that can be selected for the uplink video: its topic, and the inputs in it."""
 
     name: str
     topic: str
@@ -155,8 +158,8 @@ class CameraRow:
 class LinkRow:
     """A direction of the radio link: its profile and the gateways at its ends.
 
-    port: where the receiving gateway takes the frames.
-    backlog_topic: where the sending gateway tells what waits and what the radio does.
+    port: the receiving gateway's port for frames.
+    backlog_topic: the sending gateway's queue and the state of the radio.
     """
 
     direction: Direction
@@ -169,7 +172,7 @@ class LinkRow:
 
 @dataclass(frozen=True, kw_only=True)
 class TopicRow:
-    """A topic in shared memory. sample: what one sample of it is."""
+    """A topic in shared memory. sample: one sample of it, in words."""
 
     name: str
     writer: str

@@ -1,4 +1,4 @@
-"""What the radio link carries, with its ports; and the inputs that it comes from."""
+"""The streams of the radio link with their ports, and the inputs of the streams."""
 
 from collections.abc import Iterable
 
@@ -110,7 +110,7 @@ def input_rows(setup: Setup) -> Iterable[InputRow]:
 
 
 def stream_rows(setup: Setup, direction: Direction) -> Iterable[StreamRow]:
-    """What one direction carries, by priority."""
+    """Return the streams of one direction, by priority."""
     up = direction is Direction.UPLINK
     video, voice = (
         (setup.uplink_video, setup.uplink_voice)

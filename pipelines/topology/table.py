@@ -1,4 +1,4 @@
-"""The whole table, and how to look a row up."""
+"""The whole table, with lookups of rows."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Topology:
         return range(self.setup.base_port, self.setup.base_port + PORTS)
 
     def radio_port(self, segment: Segment) -> int:
-        """Where the gateway of a segment takes the frames of the other one."""
+        """Return the port on which a segment's gateway receives frames."""
         return self.link(segment.peer.transmits).port
 
     def process(self, name: str) -> ProcessRow:
@@ -51,20 +51,20 @@ class Topology:
         return self._processes[name]
 
     def processes_of(self, segments: Iterable[Segment]) -> tuple[ProcessRow, ...]:
-        """What a machine starts on which these segments run."""
+        """Return the processes of a machine on which these segments run."""
         here = {None, *segments}
         return tuple(row for row in self.processes if row.segment in here)
 
     def stream(self, name: str) -> StreamRow:
-        """The stream `name`, of whatever kind."""
+        """The stream `name`, of any kind."""
         return self._streams[name]
 
     def entry_port(self, stream: str) -> int:
-        """Where the gateway of the sending segment takes the datagrams of a stream."""
+        """Return the port of the sending segment's gateway for a stream's datagrams."""
         return self._streams[stream].entry_port
 
     def exit_port(self, stream: str) -> int:
-        """Where the receiver of a stream listens, in the other segment."""
+        """Return the port on which a stream's receiver listens, in the other segment."""
         return self._streams[stream].exit_port
 
     @cached_property
@@ -89,7 +89,7 @@ class Topology:
         return next(row for row in self.haptics if row.key == key)
 
     def flows(self, direction: Direction) -> tuple[Flow, ...]:
-        """What the link carries in a direction; a flow's place is its number on the link."""
+        """Return the flows of a direction; a flow's index is its number on the link."""
         rows = (row for row in self.streams if row.direction is direction)
         return tuple(row.flow for row in rows if row.flow is not None)
 
