@@ -1,7 +1,7 @@
 """The figures of an input."""
 
 from kontur_av.media import CaptureStamp
-from pipelines.runtime.probe import Probe
+from pipelines.cores.probe import Probe
 
 
 class Capturing:

@@ -6,7 +6,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.cores.camera_selector import Selector
 from pipelines.cores.following import Choice
-from pipelines.runtime.probe import Probe
+from pipelines.cores.probe import Probe
 from pipelines.setup.table import Setup
 from telepresence.tmtc import (
     Housekeeping,

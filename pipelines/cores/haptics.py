@@ -1,11 +1,11 @@
 """The two haptic endpoints, one cycle at a time: robot on the ground, joystick in space."""
 
 from dataclasses import asdict
-from itertools import chain
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.runtime.probe import Probe
+from pipelines.cores.probe import Probe
+from pipelines.cores.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.loop import joystick_link, robot_link
@@ -34,7 +34,8 @@ class _End(Generic[Side]):
         self.handle_datagram = side.handle_datagram
         self.poll_transmit = side.poll_transmit
         self._cycle = side.handle_cycle
-        self._sent, self._received = probe.rows("haptic_tx"), probe.rows("haptic_rx")
+        self._sent = probe.series(SampleSentRow)
+        self._received = probe.series(SampleReceivedRow)
 
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
@@ -47,8 +48,8 @@ class _End(Generic[Side]):
             self._probe.total(name, port[name])
         for name in PORT_GAUGES:
             self._probe.gauge(name, port[name])
-        self._sent.extend(chain.from_iterable(link.take_sent_stamps()))
-        self._received.extend(chain.from_iterable(link.take_received_stamps()))
+        self._sent.extend_plain(link.take_sent_stamps())
+        self._received.extend_plain(link.take_received_stamps())
         while link.next_event() is not None:
             pass
 
@@ -57,14 +58,14 @@ class RobotEnd(_End[RobotSide]):
     """Follows the commands, measures the force, and returns the state of the robot.
 
     `next_event` returns a state every 10 cycles, and at once when a contact begins or ends. Each
-    beginning is a row of the series "contact": the instant, and the index of the touched LED or -1.
+    beginning is a `ContactRow`.
     """
 
     def __init__(self, probe: Probe, *, deadband: bool = False) -> None:
         super().__init__(RobotSide(link=robot_link(deadband=deadband)), probe)
         self._contact_since_ns: int | None = None
         self._touched_ns: int | None = None
-        self._contacts = probe.rows("contact")
+        self._contacts = probe.series(ContactRow)
         self._cycles = 0
         self._state: WorldState | None = None
 
@@ -90,7 +91,7 @@ class RobotEnd(_End[RobotSide]):
             )
             if changed and robot.contact:
                 lit = state.lit
-                self._contacts.extend((now_ns, -1 if lit is None else lit))
+                self._contacts.add(ContactRow(now_ns, -1 if lit is None else lit))
 
     def next_event(self) -> WorldState | None:
         """Return the state to publish, or None."""
@@ -118,7 +119,7 @@ class JoystickEnd(_End[JoystickSide]):
         self._operated = handle if isinstance(handle, OperatedHandle) else None
         self._latest = self.side.link.latest
         self._steps = StepDetector()
-        self._feel, self._felt = self._steps.handle_sample, probe.rows("step")
+        self._feel, self._felt = self._steps.handle_sample, probe.series(StepRow)
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """One cycle, which moves the joystick on by `advance_ns`."""
@@ -135,7 +136,7 @@ class JoystickEnd(_End[JoystickSide]):
         if self._operated is not None:
             self._probe.gauge("joystick", self._operated.report())
         while (step := self._steps.next_event()) is not None:
-            self._felt.append(step.instant_ns)
+            self._felt.add(StepRow(step.instant_ns))
 
     def next_event(self) -> WorldState | None:
         """The joystick has nothing to show: always None."""

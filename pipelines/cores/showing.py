@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import BLOCK_NS, CaptureStamp, Quality
 from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
-from pipelines.runtime.probe import Probe
+from pipelines.cores.probe import Probe
+from pipelines.cores.rows import ShownRow
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 
 
@@ -31,7 +32,8 @@ class Showing:
         self._shown[stream] += 1
         damaged = stamp.quality is Quality.DAMAGED
         self.staleness[stream].handle_shown(stamp.capture_ns, now_ns, damaged=damaged)
-        self._probe.row(f"shown.{stream}", stamp.rtp_timestamp, stamp.capture_ns, now_ns)
+        row = ShownRow(stamp.rtp_timestamp, stamp.capture_ns, now_ns)
+        self._probe.series(ShownRow, stream).add(row)
 
     def tell(self, now_ns: int) -> None:
         """Put the counters into the probe. `handle_shown` was called for all up to `now_ns`."""

@@ -13,7 +13,8 @@ from kontur_av.streams.video_sender import PictureCoded, VideoSender
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
 from pipelines.cores.gain import CapGain
-from pipelines.runtime.probe import Probe
+from pipelines.cores.probe import Probe
+from pipelines.cores.rows import CodingRow, OutRow, RxRow, TxRow
 
 
 class Outgoing:
@@ -30,8 +31,8 @@ class Outgoing:
         to_rtcp: Callable[[bytes, int], object],
     ) -> None:
         self._sender = sender
-        self._probe = probe
-        self._out = probe.rows("out")
+        self._out = probe.series(OutRow)
+        self._coding, self._units = probe.series(CodingRow), probe.series(TxRow)
         self._to_rtp = to_rtp
         self._to_rtcp = to_rtcp
 
@@ -39,14 +40,14 @@ class Outgoing:
         """Send the packets that may leave now, and a report if one is due."""
         sender = self._sender
         while (packet := sender.poll_transmit(now_ns)) is not None:
-            self._out.extend((now_ns, len(packet) - RTP_HEADER_OCTETS, sender.cap_bps))
+            self._out.add(OutRow(now_ns, len(packet) - RTP_HEADER_OCTETS, sender.cap_bps))
             self._to_rtp(packet, now_ns)
         while (event := sender.next_event()) is not None:
             if isinstance(event, PictureCoded):
                 timestamp, _, came_ns, begun_ns, _, octets, packets = event
-                self._probe.row("coding", timestamp, came_ns, begun_ns, octets, packets)
+                self._coding.add(CodingRow(timestamp, came_ns, begun_ns, octets, packets))
             else:
-                self._probe.row("tx", *event)
+                self._units.add(TxRow(*event))
         report = sender.poll_report(now_ns)
         if report is not None:
             self._to_rtcp(report, now_ns)
@@ -124,10 +125,9 @@ def _tell_rtp(probe: Probe, rtp: ReceiverCounts, jitter_ns: int, undated: int) -
 
 def note_unit(probe: Probe, unit: ReceivedUnit) -> None:
     """An access unit came out of a `VideoReceiver`."""
-    probe.row("rx", unit.timestamp, unit.received_ns)
+    probe.series(RxRow).add(RxRow(unit.timestamp, unit.received_ns))
 
 
 def note_arrivals(probe: Probe, receiver: VoiceReceiver) -> None:
     """Packets of a voice may have come."""
-    for arrival in receiver.take_arrivals():
-        probe.row("rx", *arrival)
+    probe.series(RxRow).extend_plain(receiver.take_arrivals())

@@ -1,8 +1,4 @@
-"""The operator's eye and ear: detectors of lights and clicks in what is shown and played.
-
-Rows for the report, of "light.STREAM" and "click.STREAM": instant, instant of capture by the
-stamps, how much earlier the capture may have been, strength.
-"""
+"""The operator's eye and ear: detectors of lights and clicks in what is shown and played."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -10,7 +6,8 @@ from typing import Protocol
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
 from kontur_av.sources.source import BLOCK_NS
-from pipelines.runtime.probe import Probe
+from pipelines.cores.probe import Probe
+from pipelines.cores.rows import ClickRow, LightRow
 
 #: The stream in which to look for lights, and the one in which to listen for clicks.
 WATCHED = {"light": "uplink_video", "click": "uplink_voice"}
@@ -80,8 +77,8 @@ def tell_light(probe: Probe, stream: str, light: Light, captured_ns: Mapping[int
     except KeyError:
         # A picture without a capture time was not shown.
         return
-    row = light.instant_ns, capture_ns, slack_ns, round(light.strength)
-    probe.row(f"light.{stream}", *row)
+    row = LightRow(light.instant_ns, capture_ns, slack_ns, round(light.strength))
+    probe.series(LightRow, stream).add(row)
 
 
 def tell_click(probe: Probe, stream: str, click: Click, captured_ns: Mapping[int, int]) -> None:
@@ -92,7 +89,8 @@ def tell_click(probe: Probe, stream: str, click: Click, captured_ns: Mapping[int
         return
     # Scaled to the captured block, because the playout stretches and shortens blocks.
     capture_ns += click.offset_ns * BLOCK_NS // click.length_ns
-    probe.row(f"click.{stream}", click.instant_ns, capture_ns, 0, round(click.strength))
+    row = ClickRow(click.instant_ns, capture_ns, 0, round(click.strength))
+    probe.series(ClickRow, stream).add(row)
 
 
 class Recall:

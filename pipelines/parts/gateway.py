@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
 from pipelines.cores.ends import make_gateway
+from pipelines.cores.rows import LatenessRow, SendingRow
 from pipelines.runtime.datagrams import EndAddresses
 from pipelines.runtime.gateway_ports import GatewayPorts
 from pipelines.runtime.process import Context
@@ -60,9 +61,17 @@ def run_gateway(
     )
     to_listen, poll_flows, samples = [ports.radio], ports.poll_flows, ports.samples
     to_peer, to_haptic_end, exits = ports.to_peer.send, ports.to_haptic_end.send, ports.exits
-    add_lateness, add_sending = probe.rows("lateness").append, probe.rows("sending").append
+    # Lists, because an array checks the type of each number.
+    lateness: list[int] = []
+    sending: list[int] = []
+    add_lateness, add_sending = lateness.append, sending.append
+    lateness_rows, sending_rows = probe.series(LatenessRow), probe.series(SendingRow)
 
     def fill() -> None:
+        lateness_rows.extend_column(lateness)
+        sending_rows.extend_column(sending)
+        lateness.clear()
+        sending.clear()
         probe.total("slips", slots.schedule.slips)
         probe.total("cycles", slots.schedule.cycles)
         probe.total("unsent", ports.to_peer.failed)

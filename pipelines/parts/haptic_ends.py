@@ -6,6 +6,7 @@ from itertools import count
 
 from kontur_av.media import CaptureStamp
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
+from pipelines.cores.rows import LatenessRow
 from pipelines.parts.robot_state import STATE_OCTETS, pack_state
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.topology import ROBOT_TOPIC
@@ -71,11 +72,11 @@ def _run_loop(
     poll_transmit, next_event, ask = end.poll_transmit, end.next_event, more.poll
     # A list, because an array checks the type of each number.
     lateness: list[int] = []
-    lateness_rows, add_lateness = probe.rows("lateness"), lateness.append
+    lateness_rows, add_lateness = probe.series(LatenessRow), lateness.append
 
     def fill() -> None:
         end.tell()
-        lateness_rows.extend(lateness)
+        lateness_rows.extend_column(lateness)
         lateness.clear()
         probe.total("slips", schedule.slips)
         probe.total("cycles", schedule.cycles)

@@ -3,6 +3,7 @@
 import secrets
 
 from kontur_av.codecs.h264 import H264Decoder
+from pipelines.cores.rows import DecodedRow
 from pipelines.cores.session_streams import video_receiver
 from pipelines.cores.stream_figures import note_unit, tell_video_receiver
 from pipelines.parts.reception import Incoming
@@ -19,7 +20,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     )
     decoder = H264Decoder()
     # Made before the receiver's series, so that the decoding of a picture is reported first.
-    decoded = probe.rows("decoded")
+    decoded = probe.series(DecodedRow)
 
     def tell() -> None:
         counts = decoder.decoded, decoder.corrupt_units, decoder.restarts
@@ -49,7 +50,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                         loan = writer.loan_picture(stream.width, stream.height)
                         picture.scale_into(loan.picture)
                         # Noted before publishing, because the display may be faster.
-                        decoded.extend((picture.timestamp, clock.now_ns()))
+                        decoded.add(DecodedRow(picture.timestamp, clock.now_ns()))
                         loan.publish(stamp)
             feedback = receiver.poll_feedback(clock.now_ns())
             if feedback is not None:

@@ -2,8 +2,8 @@
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.streams.staleness import State
+from pipelines.cores.probe import FLUSH_NS
 from pipelines.report.collector import Collector
-from pipelines.runtime.probe import FLUSH_NS
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 
 #: A display that has told nothing for longer shows what it showed last.

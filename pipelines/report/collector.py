@@ -6,7 +6,6 @@ the two ends of a stream are joined by the RTP timestamp, those of the haptics b
 
 from __future__ import annotations
 
-from array import array
 from collections import OrderedDict, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,12 +16,24 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
+from pipelines.cores.probe import FLUSH_NS, Message, Series
+from pipelines.cores.rows import (
+    CodingRow,
+    DecodedRow,
+    LatenessRow,
+    OutRow,
+    Row,
+    RxRow,
+    SampleReceivedRow,
+    SampleSentRow,
+    SendingRow,
+    ShownRow,
+    TxRow,
+)
 from pipelines.report.pauses import Pauses
 from pipelines.report.skew import RECENT_DEPTH, LipSyncShare, Recent, Skew
 from pipelines.report.sync.figures import PERCEIVED, SyncFigures
 from pipelines.report.terms import LONGEST_GAP_NS, DelaySums
-from pipelines.runtime.probe import FLUSH_NS, Message
-from pipelines.runtime.rows import WIDTHS
 from pipelines.topology import Topology
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.sample import SAMPLE_OCTETS
@@ -92,6 +103,22 @@ class StreamFigures:
     def last_shown_ns(self) -> int | None:
         """When a picture or a block of sound was displayed last."""
         return self.pauses.last_ns
+
+    def handle_rows(self, kind: type[Row], rows: NDArray[np.int64], now_ns: int) -> None:
+        """Rows of one `kind`, shape (n, columns), which its sender, receiver or display tells."""
+        if kind is OutRow:
+            self.handle_out(rows)
+        elif kind is TxRow:
+            self.handle_tx(rows, now_ns)
+        elif kind is CodingRow:
+            self.handle_coding(rows, now_ns)
+        elif kind is DecodedRow:
+            self.handle_decoded(rows, now_ns)
+        elif kind is RxRow:
+            self.handle_rx(rows, now_ns)
+        else:
+            assert kind is ShownRow
+            self.handle_shown(rows, now_ns)
 
     def handle_out(self, rows: NDArray[np.int64]) -> None:
         for instant_ns, octets, cap_bps in rows.tolist():
@@ -312,10 +339,6 @@ class ProcessFigures:
             yield self.gauges["link"]
 
 
-#: Which process sends the samples of a haptic direction, and which receives them.
-HAPTIC_ENDS = {"up": ("robot", "joystick"), "down": ("joystick", "robot")}
-
-
 class Collector:
     """Takes the messages of every process of `topology`."""
 
@@ -328,7 +351,10 @@ class Collector:
             for row in topology.media_streams
             for process in (row.sender, row.receiver)
         }
-        self.haptics = {name: HapticFigures() for name in HAPTIC_ENDS}
+        self.haptics = {row.key: HapticFigures() for row in topology.haptics}
+        #: By process: the samples that it sends, and those that it receives.
+        self._sampled = {row.sender: self.haptics[row.key] for row in topology.haptics}
+        self._felt = {row.receiver: self.haptics[row.key] for row in topology.haptics}
         self.processes: dict[str, ProcessFigures] = {}
         self.skews = {name: Skew() for name in ("video_haptic", "audio_haptic", "audio_video")}
         self.lip_sync = LipSyncShare()
@@ -350,8 +376,8 @@ class Collector:
         """A process has told something."""
         figures = self.process(process)
         figures.handle_message(message, now_ns)
-        for series, values in message.series.items():
-            self._handle_series(process, figures, series, values, now_ns)
+        for series in message.series:
+            self._handle_series(process, figures, series, now_ns)
         # By then the other senses' messages about that instant have come.
         self._compare(now_ns - NS_PER_S)
         self.sync.handle_time(now_ns, self.haptics["up"].sent_ns_at)
@@ -373,37 +399,23 @@ class Collector:
         self._compare(None)
 
     def _handle_series(
-        self, process: str, figures: ProcessFigures, series: str, values: array[int], now_ns: int
+        self, process: str, figures: ProcessFigures, series: Series[Any], now_ns: int
     ) -> None:
-        kind, _, stream = series.partition(".")
-        rows = np.frombuffer(values, np.int64).reshape(-1, WIDTHS[kind])
+        kind = series.kind
         if kind in PERCEIVED:
-            self.sync.handle_rows(kind, stream, rows.tolist())
+            self.sync.handle_series(series)
             return
-        if kind == "lateness":
+        rows = np.frombuffer(series.values, np.int64).reshape(-1, series.width)
+        if kind is LatenessRow:
             figures.lateness.add(rows)
-        elif kind == "sending":
+        elif kind is SendingRow:
             figures.sending.add(rows)
-        elif kind in ("haptic_tx", "haptic_rx"):
-            for name, (sender, receiver) in HAPTIC_ENDS.items():
-                if kind == "haptic_tx" and process == sender:
-                    self.haptics[name].handle_sent(rows, now_ns)
-                elif kind == "haptic_rx" and process == receiver:
-                    self.haptics[name].handle_received(rows, now_ns)
-        elif kind == "shown":
-            self.streams[stream].handle_shown(rows, now_ns)
+        elif kind is SampleSentRow:
+            self._sampled[process].handle_sent(rows, now_ns)
+        elif kind is SampleReceivedRow:
+            self._felt[process].handle_received(rows, now_ns)
         else:
-            name = self._ends[process]
-            if kind == "out":
-                self.streams[name].handle_out(rows)
-            elif kind == "tx":
-                self.streams[name].handle_tx(rows, now_ns)
-            elif kind == "coding":
-                self.streams[name].handle_coding(rows, now_ns)
-            elif kind == "decoded":
-                self.streams[name].handle_decoded(rows, now_ns)
-            else:
-                self.streams[name].handle_rx(rows, now_ns)
+            self.streams[series.stream or self._ends[process]].handle_rows(kind, rows, now_ns)
 
     def _compare(self, until_ns: int | None) -> None:
         """The skews at the operator in space: who sees, hears and feels the ground."""

@@ -13,17 +13,17 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
 from kontur_av.streams.staleness import State
+from pipelines.cores.probe import FLUSH_NS
 from pipelines.parts.marking import age_words
 from pipelines.report.ages import shown_now
-from pipelines.report.collector import HAPTIC_ENDS, Collector
+from pipelines.report.collector import Collector
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.session_report import displayed_frames, haptic_cap_bps, latency_ms
 from pipelines.report.silence import silences
 from pipelines.report.summary import NO_SAMPLE
 from pipelines.runtime.launcher import Launcher
-from pipelines.runtime.probe import FLUSH_NS
 from pipelines.setup.table import VideoStream, VoiceStream
-from pipelines.topology import Segment
+from pipelines.topology import HapticRow, Segment
 from telepresence.link.figures import GatewayFigures
 
 #: The columns, with the rank by which they are left out on a narrow terminal.
@@ -119,7 +119,7 @@ def streams_table(launcher: Launcher, collector: Collector, width: int) -> Table
     """A row for each stream and each direction of haptics; columns that fit `width`."""
     rows = [
         *(_stream_row(launcher, collector, stream) for stream in launcher.setup.streams),
-        *(_haptic_row(launcher, collector, name) for name in HAPTIC_ENDS),
+        *(_haptic_row(launcher, collector, row) for row in collector.topology.haptics),
     ]
     columns = []
     for index, (heading, rank) in enumerate(_COLUMNS):
@@ -147,12 +147,12 @@ def _stream_row(
     ]
 
 
-def _haptic_row(launcher: Launcher, collector: Collector, name: str) -> list[str | Text]:
-    figures = collector.haptics[name]
-    receiver = collector.process(HAPTIC_ENDS[name][1])
-    profile = launcher.setup.uplink if name == "up" else launcher.setup.downlink
+def _haptic_row(launcher: Launcher, collector: Collector, row: HapticRow) -> list[str | Text]:
+    figures = collector.haptics[row.key]
+    receiver = collector.process(row.receiver)
+    profile = launcher.setup.profile(row.direction)
     return [
-        f"haptic_{name}",
+        f"haptic_{row.key}",
         f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
         "",
         f"{haptic_cap_bps(profile) / 1000:g}",
@@ -228,11 +228,11 @@ def _line(launcher: Launcher, collector: Collector) -> str:
         state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
         if state is State.STALE:
             parts[-1] += f" STALE {age_words(age_ns)}"
-    for name, (_, receiver) in HAPTIC_ENDS.items():
-        received = collector.process(receiver)
+    for row in collector.topology.haptics:
+        received = collector.process(row.receiver)
         parts.append(
-            f"haptic_{name} {received.total('received')} received {received.total('lost')} lost "
-            f"{collector.haptics[name].latency.percentile(50) / 1e6:.1f} ms"
+            f"haptic_{row.key} {received.total('received')} received {received.total('lost')} lost "
+            f"{collector.haptics[row.key].latency.percentile(50) / 1e6:.1f} ms"
         )
     parts += map(str, silences(launcher.setup, collector, launcher.clock.now_ns()))
     down = [child.row.name for child in launcher.children if child.pid is None]

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
 from pipelines.report.ages import spell_episodes, spell_ms
-from pipelines.report.collector import HAPTIC_ENDS, Collector, StreamFigures
+from pipelines.report.collector import Collector, StreamFigures
 from pipelines.report.link_figures import gateway_figures, link_figures, punctuality_us
 from pipelines.report.model import (
     CpuReport,
@@ -25,7 +25,7 @@ from pipelines.report.sync.section import sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.topology import Segment
+from pipelines.topology import HapticRow, Segment
 from telepresence.link.profile import LinkProfile
 
 
@@ -50,7 +50,9 @@ def build_report(
         setup=setup.name,
         seconds=round(seconds, 3),
         streams={stream.name: _stream(stream, setup, collector, seconds) for stream in streams},
-        haptic={name: _haptic(name, setup, collector, seconds) for name in HAPTIC_ENDS},
+        haptic={
+            row.key: _haptic(row, setup, collector, seconds) for row in collector.topology.haptics
+        },
         joystick=collector.process("joystick").gauges.get("joystick"),
         link={"uplink": uplink, "downlink": link_figures(setup, collector, "downlink")},
         gateways={end: gateway_figures(collector, end) for end in ("ground", "space")},
@@ -174,9 +176,9 @@ def displayed_frames(collector: Collector, stream: str) -> int:
     return collector.total(f"{stream}.frames_displayed")
 
 
-def _haptic(name: str, setup: Setup, collector: Collector, seconds: float) -> HapticReport:
-    sender, receiver = (collector.process(end) for end in HAPTIC_ENDS[name])
-    profile = setup.uplink if name == "up" else setup.downlink
+def _haptic(row: HapticRow, setup: Setup, collector: Collector, seconds: float) -> HapticReport:
+    sender, receiver = collector.process(row.sender), collector.process(row.receiver)
+    profile, figures = setup.profile(row.direction), collector.haptics[row.key]
     left_out = sender.counted("left_out")
     return HapticReport(
         cap_bps=haptic_cap_bps(profile),
@@ -188,8 +190,8 @@ def _haptic(name: str, setup: Setup, collector: Collector, seconds: float) -> Ha
         lost=receiver.total("lost"),
         late=receiver.total("late"),
         garbage=receiver.total("garbage"),
-        latency_ms=spread_ms(collector.haptics[name].latency),
-        pauses_s=_pauses_s(collector.haptics[name].pauses, collector),
+        latency_ms=spread_ms(figures.latency),
+        pauses_s=_pauses_s(figures.pauses, collector),
         lateness_us=punctuality_us(sender.lateness),
         slips=sender.total("slips"),
         port=PortReport(
@@ -261,17 +263,16 @@ def failures(
             )
         for stage, count in figures.negative().items():
             found.append(f"{stream.name}: {count} latencies below 0 ({stage})")
-    for name in HAPTIC_ENDS:
-        receiver = collector.process(HAPTIC_ENDS[name][1])
-        heard_ns = signals_ns["space" if name == "up" else "ground"]
+    for row in collector.topology.haptics:
+        receiver = collector.process(row.receiver)
+        heard_ns = signals_ns[row.direction.receiver.value]
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
         if long_enough and receiver.total("received") == 0:
-            found.append(f"haptic_{name}: no sample was received")
-        end = HAPTIC_ENDS[name][0]
-        least_uj = collector.process(end).gauges.get("least_uj", 0)
+            found.append(f"haptic_{row.key}: no sample was received")
+        least_uj = collector.process(row.sender).gauges.get("least_uj", 0)
         # A count of the energy in a sample is rounding.
         if least_uj < -1:
-            found.append(f"{end}: its port gave out {-least_uj} µJ that nobody had granted")
+            found.append(f"{row.sender}: its port gave out {-least_uj} µJ that nobody had granted")
     joystick = collector.process("joystick").gauges.get("joystick")
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")

@@ -23,7 +23,7 @@ from typing import Protocol
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.runtime.probe import Message, Probe
+from pipelines.cores.probe import Message
 from pipelines.runtime.process import LOOPBACK, Context, become
 from pipelines.setup.table import Setup
 from pipelines.topology import ProcessRow, Stage, Topology
@@ -256,7 +256,7 @@ class Launcher:
             session=self.session,
             topology=self.topology,
             clock=self.clock,
-            probe=Probe(link),
+            link=link,
             snapshots=self.snapshots,
             started_ns=self.started_ns,
             seed=self.seed,
@@ -280,7 +280,7 @@ class Launcher:
                 context.flush(self.clock.now_ns())
             except Exception:
                 # Filling in the totals may have failed itself.
-                context.probe.flush(self.clock.now_ns())
+                context.send_figures(self.clock.now_ns())
             return 1
         return 0
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
-from pipelines.runtime.probe import Probe
+from pipelines.cores.probe import Probe
 from pipelines.setup.table import Setup
 from pipelines.topology import LOOP_PRIORITY, ProcessRow, Topology
 
@@ -34,6 +34,7 @@ class Context:
 
     The function returns when `stopping` is set, and calls `tick` at least every `PATIENCE_NS`.
 
+    link: the socket to the launcher; None: nobody takes the figures.
     started_ns: when the session began, the same for all lives of a process.
     seed: of the radio's random events.
     """
@@ -41,7 +42,8 @@ class Context:
     session: str
     topology: Topology
     clock: MonotonicClock
-    probe: Probe
+    probe: Probe = field(default_factory=Probe)
+    link: socket.socket | None = None
     snapshots: Path | None = None
     started_ns: int = 0
     seed: int = 0
@@ -124,7 +126,17 @@ class Context:
         """Flush the probe now."""
         for fill in self._fill:
             fill()
-        self.probe.flush(now_ns)
+        self.send_figures(now_ns)
+
+    def send_figures(self, now_ns: int) -> None:
+        """Send what the probe has collected; what the launcher cannot take stays there."""
+        told = True
+        if self.link is not None:
+            try:
+                self.link.send(self.probe.message.pack(), socket.MSG_DONTWAIT)
+            except OSError:
+                told = False
+        self.probe.handle_told(now_ns, told=told)
 
 
 def become(row: ProcessRow, context: Context) -> None:

@@ -10,7 +10,7 @@ from kontur_av.sources import BLOCK_NS
 from kontur_av.sources.pace import Pace
 from kontur_av.sources.stereo import StereoPairer
 from pipelines.cores.capturing import Capturing
-from pipelines.runtime.probe import Probe
+from pipelines.cores.probe import Probe
 from pipelines.setup.table import VOICE_PACKETS_PER_S, Setup
 from pipelines.simulation.agenda import Agenda
 from pipelines.simulation.studio import Picture, Shot

@@ -11,6 +11,7 @@ from functools import partial
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
+from pipelines.cores.probe import Probe
 from pipelines.cores.showing import Showing
 from pipelines.cores.stream_figures import (
     note_arrivals,
@@ -19,7 +20,6 @@ from pipelines.cores.stream_figures import (
     tell_voice_receiver,
 )
 from pipelines.cores.watching import Recall, tell_click, tell_light
-from pipelines.runtime.probe import Probe
 from pipelines.simulation.agenda import Agenda, Timer
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.workers import Batch, Worker

@@ -9,9 +9,9 @@ from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_sender import VoiceSender
 from pipelines.cores.following import CameraFollower, Choice
 from pipelines.cores.gain import CapGain
+from pipelines.cores.probe import Probe
 from pipelines.cores.stream_figures import Outgoing, tell_sender
 from pipelines.cores.video_sending import LinkedVideoSender
-from pipelines.runtime.probe import Probe
 from pipelines.simulation.agenda import Agenda, Timer
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.studio import Picture

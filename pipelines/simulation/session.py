@@ -18,10 +18,10 @@ from kontur_av.errors import ConfigError
 from pipelines.cores.choosing import CameraChoice, Console
 from pipelines.cores.ends import make_gateway
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
+from pipelines.cores.probe import FLUSH_NS, Probe
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
-from pipelines.runtime.probe import FLUSH_NS, Probe
 from pipelines.setup.table import Setup
 from pipelines.simulation.agenda import FAR_NS, Agenda, Timer
 from pipelines.simulation.costs import CodingCosts

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
+from pipelines.cores.probe import Probe
 from pipelines.report.collector import Collector
-from pipelines.runtime.probe import Probe
 
 
 class Telling:
@@ -21,7 +21,7 @@ class Telling:
 
     def probe(self, process: str) -> Probe:
         """The probe of a new process."""
-        probe = self._probes[process] = Probe(None)
+        probe = self._probes[process] = Probe()
         return probe
 
     def add(self, fill: Callable[[], None]) -> None:
@@ -34,4 +34,4 @@ class Telling:
             fill()
         for name, probe in self._probes.items():
             self._collector.handle_message(name, probe.message, now_ns)
-            probe.clear()
+            probe.handle_told(now_ns, told=True)

@@ -12,8 +12,9 @@ ORDER = ("kontur_av", "telepresence", "pipelines")
 TIERS = (
     {"setup"},
     {"topology"},
+    {"cores"},
     {"runtime"},
-    {"cores", "parts"},
+    {"parts"},
     {"simulation", "report"},
     {"commands", "bench"},
 )
@@ -76,7 +77,6 @@ SHELLS = {
     "kontur_av/streams/udp.py": "sockets",
     "pipelines/runtime/launcher.py": "processes",
     "pipelines/commands/link.py": "a command",
-    "pipelines/runtime/probe.py": "the socket of a process to its launcher",
     "pipelines/runtime/process.py": "what every process has",
     "pipelines/commands/raw_pictures.py": "a file or a FIFO",
     "pipelines/commands/receive.py": "a command",
@@ -142,6 +142,7 @@ LIBRARIES = {
     "telepresence/toml_file.py": ({"msgspec", "pathlib", "tomllib"}, "a file"),
     "telepresence/world/": ({"cv2"}, "draws"),
     "telepresence/world/speech.py": ({"av", "pathlib"}, "files"),
+    "pipelines/cores/probe.py": ({"pickle"}, "a message as octets"),
     "pipelines/setup/setup_file.py": ({"pathlib"}, "a file"),
     "pipelines/report/": ({"msgspec", "rich"}, "the report as JSON and as text"),
     "pipelines/report/keys.py": ({"inspect"}, "reads docstrings"),

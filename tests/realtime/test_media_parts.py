@@ -4,7 +4,6 @@ import secrets
 import socket
 import threading
 import time
-from array import array
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 
@@ -29,12 +28,13 @@ from kontur_av.rtp.sender import RtpSender
 from kontur_av.streams.lipsync import LAG
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
+from pipelines.cores.probe import Message
+from pipelines.cores.rows import ShownRow
 from pipelines.parts.capture import run_microphone
 from pipelines.parts.display import run_display
 from pipelines.parts.video_receive import run_video_receive
 from pipelines.parts.video_send import run_video_send
 from pipelines.parts.voice_receive import run_voice_receive
-from pipelines.runtime.probe import Message, Probe
 from pipelines.runtime.process import LOOPBACK, Context
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import SELECTED_TOPIC, topology_of
@@ -56,9 +56,7 @@ def session():
 def running(session, part, **arguments):
     """A part that runs in a thread; gives what asks it for all it has told."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    context = Context(
-        session=session, topology=topology_of(SETUP), clock=CLOCK, probe=Probe(theirs)
-    )
+    context = Context(session=session, topology=topology_of(SETUP), clock=CLOCK, link=theirs)
     ours.setblocking(False)
     told = Message()
 
@@ -69,8 +67,7 @@ def running(session, part, **arguments):
                 message = Message.unpack(data)
                 told.totals.update(message.totals)
                 told.gauges.update(message.gauges)
-                for series, rows in message.series.items():
-                    told.series.setdefault(series, array("q")).extend(rows)
+                told.series += message.series
         return told
 
     thread = threading.Thread(target=part, args=(context,), kwargs=arguments)
@@ -134,7 +131,8 @@ def test_a_sound_that_was_made_up_is_not_displayed(session):
         eventually(lambda: listen().totals[counter] == 2 or None)
     told = listen()
     assert told.totals[counter] == 2
-    assert list(told.series[f"shown.{stream.name}"][::3]) == [0, 3]
+    shown = [row for series in told.series if series.kind is ShownRow for row in series.rows()]
+    assert [row.timestamp for row in shown] == [0, 3]
 
 
 def test_a_picture_that_grows_old_is_marked_on_the_display_and_nowhere_else(session):
@@ -287,7 +285,7 @@ def test_an_encoder_that_fails_ends_its_process(session, monkeypatch):
     monkeypatch.setattr(H264Encoder, "encode", fail)
     # Ports of its own: what has failed keeps its sockets.
     setup = replace(SETUP, base_port=29_340)
-    context = Context(session=session, topology=topology_of(setup), clock=CLOCK, probe=Probe(None))
+    context = Context(session=session, topology=topology_of(setup), clock=CLOCK)
     over = threading.Event()
     with TopicBus(session) as bus:
         pictures = bus.writer(SELECTED_TOPIC, max_octets=stream.width * stream.height * 3 // 2)

@@ -5,7 +5,8 @@ import socket
 import pytest
 
 from kontur_av.clock import MonotonicClock
-from pipelines.runtime.probe import Message, Probe
+from pipelines.cores.probe import FLUSH_NS, Message
+from pipelines.cores.rows import LatenessRow, RxRow
 from pipelines.runtime.process import LOOPBACK, Context
 
 
@@ -17,50 +18,81 @@ def link():
         yield ours, theirs
 
 
-def test_rows_go_once_and_are_collected_into_the_same_object(link):
+def context_of(link):
+    return Context("test", None, MonotonicClock(), link=link)
+
+
+def received(link):
+    return Message.unpack(link.recv(1 << 22))
+
+
+def test_figures_are_filled_in_and_sent_when_they_are_due(link):
     ours, theirs = link
-    probe = Probe(theirs)
-    rows = probe.rows("lateness")
-    rows.append(7)
-    probe.row("rx", 1, 2)
-    probe.total("cycles", 1)
-    probe.gauge("state", "well")
-    probe.flush(0)
-    first = Message.unpack(ours.recv(1 << 20))
-    assert {name: list(values) for name, values in first.series.items()} == {
-        "lateness": [7],
-        "rx": [1, 2],
-    }
-    rows.append(8)
-    probe.flush(1)
-    second = Message.unpack(ours.recv(1 << 20))
-    assert {name: list(values) for name, values in second.series.items()} == {"lateness": [8]}
-    assert second.totals == {"cycles": 1}
-    assert second.gauges == {}
+    context = context_of(theirs)
+    context.on_flush(lambda: context.probe.series(LatenessRow).add(LatenessRow(7)))
+    context.tick(0)
+    context.tick(FLUSH_NS - 1)
+    (series,) = received(ours).series
+    assert series.rows() == [LatenessRow(7)]
+    with pytest.raises(BlockingIOError):
+        received(ours)
+    context.tick(FLUSH_NS)
+    assert received(ours).series[0].rows() == [LatenessRow(7)]
 
 
 def test_what_a_full_link_refuses_is_kept_for_the_next_time(link):
     ours, theirs = link
-    probe = Probe(theirs)
+    context = context_of(theirs)
     theirs.setblocking(False)
     with pytest.raises(BlockingIOError):
         while True:
             theirs.send(b"full")
-    probe.rows("lateness").append(7)
-    probe.gauge("state", "well")
-    probe.flush(0)
+    lateness = context.probe.series(LatenessRow)
+    lateness.add(LatenessRow(7))
+    context.probe.gauge("state", "well")
+    context.send_figures(0)
     with pytest.raises(BlockingIOError):
         while True:
             ours.recv(1 << 20)
-    probe.rows("lateness").append(8)
-    probe.flush(1)
-    message = Message.unpack(ours.recv(1 << 20))
-    assert list(message.series["lateness"]) == [7, 8]
+    lateness.add(LatenessRow(8))
+    context.send_figures(1)
+    message = received(ours)
+    assert message.series[0].rows() == [LatenessRow(7), LatenessRow(8)]
     assert message.gauges == {"state": "well"}
 
 
+def test_a_launcher_that_does_not_read_holds_up_nobody_and_loses_whole_rows(link):
+    ours, theirs = link
+    theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 17)
+    context = context_of(theirs)
+    arrivals = context.probe.series(RxRow)
+    for number in range(60_000):
+        arrivals.add(RxRow(number, -number))
+        if number % 500 == 499:
+            context.probe.total("rows", number + 1)
+            context.send_figures(number)
+    seen = []
+    with pytest.raises(BlockingIOError):
+        while True:
+            seen += [row for series in received(ours).series for row in series.rows()]
+    context.send_figures(60_000)
+    message = received(ours)
+    seen += [row for series in message.series for row in series.rows()]
+    assert message.totals["rows"] == 60_000
+    # A row is there whole, or not at all; and what is missing is counted.
+    assert all(row.received_ns == -row.timestamp for row in seen)
+    assert 0 < message.totals["probe_values_dropped"] == 2 * (60_000 - len(seen))
+
+
+def test_a_launcher_that_has_gone_is_no_error(link):
+    ours, theirs = link
+    ours.close()
+    for end in (theirs, None):
+        context_of(end).send_figures(0)
+
+
 def test_a_sender_outlives_its_receiver_and_reaches_the_next_one():
-    context = Context("test", None, MonotonicClock(), Probe(None))
+    context = context_of(None)
     first = context.listen(0)
     port = first.getsockname()[1]
     send = context.sender(port)

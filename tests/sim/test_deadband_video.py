@@ -12,10 +12,11 @@ from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from pipelines.commands.simulate import simulate
 from pipelines.cores.gain import STEADY_NS, gain_of
+from pipelines.cores.probe import Probe
+from pipelines.cores.rows import OutRow
 from pipelines.cores.session_streams import video_sender
 from pipelines.cores.stream_figures import Outgoing
 from pipelines.cores.video_sending import LinkedVideoSender
-from pipelines.runtime.probe import Probe
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import Direction, topology_of
 from telepresence.link.flows import Level
@@ -53,7 +54,7 @@ class Ground:
         )
         # Simulates a peer that is heard; no real one is needed.
         self.gateway.sender.set_patience(None)
-        self.probe = Probe(None)
+        self.probe = Probe()
         self.use(gain_of(SETUP, STREAM))
         self.random = Random(1)
 
@@ -99,7 +100,7 @@ class Ground:
                 nal = b"\0\0\0\1\x41" + bytes(0x55 for _ in range(octets))
                 sender.handle_access_unit(AccessUnit(nal, stamp, False), now_ns)
             self.outgoing.handle_time(now_ns)
-            self.caps.append(self.probe.rows("out")[-1] if self.left else STREAM.cap_bps)
+            self.caps.append(self.probe.series(OutRow).values[-1] if self.left else STREAM.cap_bps)
         return self
 
     def octets_in(self, begin_s, end_s):

@@ -10,7 +10,7 @@ from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.video_sender import VideoSender
-from pipelines.runtime.probe import Probe
+from pipelines.cores.probe import Probe
 from pipelines.setup.table import VIDEO_PAYLOAD_OCTETS, VideoStream
 from pipelines.simulation.agenda import Agenda
 from pipelines.simulation.costs import CodingCosts
@@ -78,7 +78,7 @@ def test_coding_and_sending_overlap(pictures, coding_ms):
     sender = VideoSendProcess(
         STREAM.name,
         core,
-        Probe(None),
+        Probe(),
         agenda=agenda,
         gateway=channel,
         studio=studio,

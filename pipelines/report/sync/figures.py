@@ -4,8 +4,11 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
+from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.probe import Series
+from pipelines.cores.rows import ClickRow, ContactRow, LightRow, StepRow
 from pipelines.cores.watching import WATCHED
 from pipelines.report.model import ContentSkew, ListedContact, Ranks, SenseReport, SyncReport
 from pipelines.report.sync.limits import LIMITS
@@ -15,7 +18,8 @@ from pipelines.report.sync.verdict import judge
 #: The senses, and what carries them to the operator.
 SENSES = {**WATCHED, "force": "haptic_up"}
 #: The rows that processes tell of contacts and of what they perceived.
-PERCEIVED = frozenset({"contact", "light", "click", "step"})
+PERCEIVED = frozenset({ContactRow, LightRow, ClickRow, StepRow})
+_SENSE_OF = {LightRow: "light", ClickRow: "click"}
 #: The pairs of the report: how much later the first comes than the second.
 PAIRS = {
     "video_haptic": ("light", "force"),
@@ -58,21 +62,16 @@ class SyncFigures:
         #: Until when everything is known.
         self._now_ns = -(1 << 62)
 
-    def handle_rows(self, kind: str, stream: str, rows: Sequence[Sequence[int]]) -> None:
-        """Rows of one of `PERCEIVED`, as a process tells them.
-
-        contact: (instant, index of the LED or -1). step: (instant). light and click, of `stream`:
-        see `pipelines.cores.watching`.
-        """
-        if kind == "contact":
-            self._contacts.extend((instant_ns, led) for instant_ns, led in rows)
-        elif kind == "step":
-            self._steps.extend(instant_ns for (instant_ns,) in rows)
-        elif SENSES[kind] == stream:
-            self._found[kind].extend(
-                Found(instant_ns, float(strength), stamp_ns, slack_ns)
-                for instant_ns, stamp_ns, slack_ns, strength in rows
-            )
+    def handle_series(self, series: Series[Any]) -> None:
+        """Rows of one of `PERCEIVED`, as a process tells them."""
+        for row in series.rows():
+            if isinstance(row, ContactRow):
+                self._contacts.append((row.instant_ns, row.led))
+            elif isinstance(row, StepRow):
+                self._steps.append(row.instant_ns)
+            elif series.stream == WATCHED[_SENSE_OF[series.kind]]:
+                found = Found(row.instant_ns, float(row.strength), row.capture_ns, row.slack_ns)
+                self._found[_SENSE_OF[series.kind]].append(found)
 
     def handle_time(self, now_ns: int, sent_ns_at: Callable[[int], int | None]) -> None:
         """It is `now_ns`. sent_ns_at: when the force that was felt at an instant was sent."""

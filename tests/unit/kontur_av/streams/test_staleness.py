@@ -8,9 +8,9 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp, Quality, empty_picture, planes
 from kontur_av.streams.staleness import Staleness, State
+from pipelines.cores.probe import Probe
 from pipelines.cores.showing import Showing
 from pipelines.parts.marking import age_words, mark_stale
-from pipelines.runtime.probe import Probe
 from pipelines.setup.built_in import BUILT_IN
 
 MS = NS_PER_MS
@@ -99,7 +99,7 @@ def test_sound_heard_too_late_is_stale_from_its_start():
 
 def test_concealed_sound_does_not_reduce_the_age_and_is_counted():
     setup = BUILT_IN["spacejustin"]
-    probe = Probe(None)
+    probe = Probe()
     streams = [setup.uplink_video, setup.uplink_voice]
     showing = Showing(setup, streams, probe)
     showing.tell(0)

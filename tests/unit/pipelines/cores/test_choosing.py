@@ -9,7 +9,7 @@ from pipelines.cores.following import (
     pack_confirmed,
     unpack_confirmed,
 )
-from pipelines.runtime.probe import Probe
+from pipelines.cores.probe import Probe
 from pipelines.setup.built_in import BUILT_IN
 from telepresence.tmtc import SelectAck, SelectCamera, pack_packet, parse_packet
 
@@ -17,7 +17,7 @@ SETUP = BUILT_IN["spacejustin"]
 
 
 def choice_at(now_ns, selected=""):
-    return CameraChoice(SETUP, Probe(None), now_ns=now_ns, selected=selected)
+    return CameraChoice(SETUP, Probe(), now_ns=now_ns, selected=selected)
 
 
 def acknowledged(choice, now_ns):

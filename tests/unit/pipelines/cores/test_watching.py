@@ -5,14 +5,15 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS
 from kontur_av.detect import Click, Light
 from kontur_av.media import CaptureStamp, empty_picture
+from pipelines.cores.probe import Probe
+from pipelines.cores.rows import ClickRow, LightRow
 from pipelines.cores.watching import Recall, Watching, tell_click, tell_light
-from pipelines.runtime.probe import Probe
 
 LATE_NS = 60 * NS_PER_MS
 
 
 def test_a_light_is_told_with_the_capture_of_its_picture_and_of_the_one_before():
-    probe = Probe(None)
+    probe = Probe()
     watching = Watching(probe)
     for number in range(8):
         picture = empty_picture(320, 240)
@@ -22,14 +23,14 @@ def test_a_light_is_told_with_the_capture_of_its_picture_and_of_the_one_before()
         capture_ns = 40 * number * NS_PER_MS
         stamp = CaptureStamp(capture_ns, number, "uplink_video")
         watching.handle_picture("uplink_video", picture, stamp, capture_ns + LATE_NS)
-    instant_ns, capture_ns, slack_ns, strength = probe.rows("light.uplink_video")
+    instant_ns, capture_ns, slack_ns, strength = probe.series(LightRow, "uplink_video").values
     assert (instant_ns, capture_ns) == (160 * NS_PER_MS + LATE_NS, 160 * NS_PER_MS)
     assert slack_ns == 40 * NS_PER_MS
     assert strength > 0
 
 
 def test_a_click_is_told_with_the_capture_of_its_own_sample():
-    probe = Probe(None)
+    probe = Probe()
     watching = Watching(probe)
     heard = np.zeros(48_000)
     k = np.arange(900) / 48_000
@@ -38,37 +39,37 @@ def test_a_click_is_told_with_the_capture_of_its_own_sample():
         capture_ns = 20 * number * NS_PER_MS
         stamp = CaptureStamp(capture_ns, number, "uplink_voice")
         watching.handle_sound("uplink_voice", block, stamp, capture_ns + LATE_NS)
-    instant_ns, capture_ns, slack_ns, _ = probe.rows("click.uplink_voice")
+    instant_ns, capture_ns, slack_ns, _ = probe.series(ClickRow, "uplink_voice").values
     assert abs(capture_ns - 510 * NS_PER_MS) < NS_PER_MS
     assert (instant_ns - capture_ns, slack_ns) == (LATE_NS, 0)
 
 
 def test_a_light_in_a_picture_without_a_date_is_not_told():
-    probe = Probe(None)
+    probe = Probe()
     recall = Recall(depth=2)
     for timestamp in (1, 2, 3):
         recall.add(timestamp, timestamp * NS_PER_MS)
     tell_light(probe, "uplink_video", Light(9, 2, 1, 0.5, 0.5, 100.0), recall.captured_ns)
-    assert not probe.rows("light.uplink_video")
+    assert not probe.series(LightRow, "uplink_video").values
     tell_light(probe, "uplink_video", Light(9, 3, 2, 0.5, 0.5, 100.0), recall.captured_ns)
-    assert list(probe.rows("light.uplink_video")) == [9, 3 * NS_PER_MS, NS_PER_MS, 100]
+    assert list(probe.series(LightRow, "uplink_video").values) == [9, 3 * NS_PER_MS, NS_PER_MS, 100]
 
 
 def test_a_click_in_a_shortened_block_was_captured_where_it_lies_in_the_whole_one():
-    rows = Probe(None)
+    rows = Probe()
     captured_ns = 100 * NS_PER_MS
     click = Click(
         500 * NS_PER_MS, 7, offset_ns=5 * NS_PER_MS, strength=900.0, length_ns=10 * NS_PER_MS
     )
     tell_click(rows, "uplink_voice", click, {7: captured_ns})
-    assert list(rows.rows("click.uplink_voice")) == [
+    assert list(rows.series(ClickRow, "uplink_voice").values) == [
         500 * NS_PER_MS, captured_ns + 10 * NS_PER_MS, 0, 900,
     ]  # fmt: skip
 
 
 def test_a_shortened_voice_does_not_date_its_clicks_late():
     """Blocks played in 1/40 less of their time: at their ends half a millisecond is gone."""
-    probe = Probe(None)
+    probe = Probe()
     watching = Watching(probe)
     player_line = np.zeros(48_000)
     k = np.arange(900) / 48_000
@@ -79,5 +80,5 @@ def test_a_shortened_voice_does_not_date_its_clicks_late():
         block = player_line[number * 936 : (number + 1) * 936].astype(np.int16)
         stamp = CaptureStamp(20 * number * NS_PER_MS, number, "uplink_voice")
         watching.handle_sound("uplink_voice", block, stamp, round(19.5 * number * NS_PER_MS))
-    _, capture_ns, _, _ = probe.rows("click.uplink_voice")
+    _, capture_ns, _, _ = probe.series(ClickRow, "uplink_voice").values
     assert abs(capture_ns - (25 * 20 + 18) * NS_PER_MS) < 0.25 * NS_PER_MS

@@ -1,18 +1,26 @@
 """What the processes tell, put together: joined, compared, and added up over their lives."""
 
-from array import array
-from itertools import permutations
+from itertools import permutations, starmap
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.probe import Message
+from pipelines.cores.rows import (
+    OutRow,
+    RxRow,
+    SampleReceivedRow,
+    SampleSentRow,
+    ShownRow,
+    TxRow,
+)
 from pipelines.report.collector import STAGES, Collector
 from pipelines.report.skew import Skew
-from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import topology_of
 
@@ -20,11 +28,8 @@ SESSION = topology_of(BUILT_IN["spacejustin"])
 START_NS = 1_000 * NS_PER_S
 
 
-def tell(collector, process, now_ns, *, totals=None, gauges=None, **series):
-    message = Message(totals or {}, gauges or {})
-    for name, rows in series.items():
-        flat = [value for row in rows for value in row]
-        message.series[name.replace("__", ".")] = array("q", flat)
+def tell(collector, process, now_ns, *rows, stream="", totals=None, gauges=None):
+    message = Message(totals or {}, gauges or {}, [series(rows, stream)] if rows else [])
     collector.handle_message(process, Message.unpack(message.pack()), now_ns)
 
 
@@ -37,13 +42,13 @@ def test_stages_are_joined_by_timestamp_in_whichever_order_they_are_told(order):
     collector = Collector(SESSION)
     captured, encoded, sent, received, displayed = ms(0, 5, 12, 30, 47)
     messages = [
-        ("uplink_video_send", {"tx": [(77, captured, encoded, sent)]}),
-        ("uplink_video_receive", {"rx": [(77, received)]}),
-        ("space_display", {"shown__uplink_video": [(77, captured, displayed)]}),
+        ("uplink_video_send", TxRow(77, captured, encoded, sent), ""),
+        ("uplink_video_receive", RxRow(77, received), ""),
+        ("space_display", ShownRow(77, captured, displayed), "uplink_video"),
     ]
     for index in order:
-        process, series = messages[index]
-        tell(collector, process, displayed, **series)
+        process, row, stream = messages[index]
+        tell(collector, process, displayed, row, stream=stream)
     figures = collector.streams["uplink_video"]
     stages = [figures.stages[stage] for stage in STAGES]
     assert [stage.max for stage in stages] == [value * NS_PER_MS for value in (5, 7, 18, 17)]
@@ -55,8 +60,14 @@ def test_stages_are_joined_by_timestamp_in_whichever_order_they_are_told(order):
 def test_a_picture_of_which_one_end_is_unknown_has_a_latency_but_no_stages():
     collector = Collector(SESSION)
     captured, displayed = ms(0, 20)
-    tell(collector, "space_display", displayed, shown__uplink_video=[(1, captured, displayed)])
-    tell(collector, "uplink_video_receive", displayed, rx=[(2, displayed)])
+    tell(
+        collector,
+        "space_display",
+        displayed,
+        ShownRow(1, captured, displayed),
+        stream="uplink_video",
+    )
+    tell(collector, "uplink_video_receive", displayed, RxRow(2, displayed))
     figures = collector.streams["uplink_video"]
     assert figures.latency.count == 1
     assert all(stage.count == 0 for stage in figures.stages.values())
@@ -65,10 +76,10 @@ def test_a_picture_of_which_one_end_is_unknown_has_a_latency_but_no_stages():
 def test_what_waits_for_its_other_end_is_forgotten_in_time():
     collector = Collector(SESSION)
     (sent,) = ms(0)
-    tell(collector, "uplink_video_send", sent, tx=[(5, sent, sent, sent)])
+    tell(collector, "uplink_video_send", sent, TxRow(5, sent, sent, sent))
     late = sent + 60 * NS_PER_S
-    tell(collector, "uplink_video_receive", late, rx=[(6, late), (5, late)])
-    tell(collector, "space_display", late, shown__uplink_video=[(5, sent, late)])
+    tell(collector, "uplink_video_receive", late, RxRow(6, late), RxRow(5, late))
+    tell(collector, "space_display", late, ShownRow(5, sent, late), stream="uplink_video")
     stages = collector.streams["uplink_video"].stages
     assert all(stage.count == 0 for stage in stages.values())
 
@@ -76,9 +87,9 @@ def test_what_waits_for_its_other_end_is_forgotten_in_time():
 def test_the_capture_time_that_travelled_is_held_against_the_one_stamped():
     collector = Collector(SESSION)
     captured, displayed = ms(0, 20)
-    tell(collector, "uplink_video_send", displayed, tx=[(9, captured, captured, captured)])
-    row = (9, captured + 40_000, displayed)
-    tell(collector, "space_display", displayed, shown__uplink_video=[row])
+    tell(collector, "uplink_video_send", displayed, TxRow(9, captured, captured, captured))
+    row = ShownRow(9, captured + 40_000, displayed)
+    tell(collector, "space_display", displayed, row, stream="uplink_video")
     assert collector.streams["uplink_video"].stamp_error.max == 40_000
 
 
@@ -86,14 +97,14 @@ def feel(collector, at_ms, latency_ms):
     """A force that was measured `latency_ms` before the hand had it."""
     (received,) = ms(at_ms)
     sent = received - latency_ms * NS_PER_MS
-    tell(collector, "robot", received, haptic_tx=[(at_ms, sent)])
-    tell(collector, "joystick", received, haptic_rx=[(at_ms, received)])
+    tell(collector, "robot", received, SampleSentRow(at_ms, sent))
+    tell(collector, "joystick", received, SampleReceivedRow(at_ms, received))
 
 
 def show(collector, stream, at_ms, latency_ms):
     (displayed,) = ms(at_ms)
-    row = (at_ms, displayed - latency_ms * NS_PER_MS, displayed)
-    tell(collector, "space_display", displayed, **{f"shown__{stream}": [row]})
+    row = ShownRow(at_ms, displayed - latency_ms * NS_PER_MS, displayed)
+    tell(collector, "space_display", displayed, row, stream=stream)
 
 
 def test_a_sense_that_is_late_is_positive():
@@ -159,10 +170,11 @@ def test_the_rate_of_two_lives_of_a_sender_is_one_rate():
         collector,
         "uplink_video_send",
         second,
-        out=[(first, 1000, CAP_BPS), (second, 1000, CAP_BPS)],
+        OutRow(first, 1000, CAP_BPS),
+        OutRow(second, 1000, CAP_BPS),
     )
     collector.process("uplink_video_send").handle_end()
-    tell(collector, "uplink_video_send", second, out=[(overtaken, 1000, CAP_BPS)])
+    tell(collector, "uplink_video_send", second, OutRow(overtaken, 1000, CAP_BPS))
     assert collector.streams["uplink_video"].rate.max_bps() == 24_000
 
 
@@ -171,8 +183,8 @@ def test_a_picture_is_compared_with_the_force_of_its_own_instant():
     # Half a second of force, told at once, as a process tells it: it comes ever later.
     instants = [(k, START_NS + k * NS_PER_MS) for k in range(500)]
     felt = [(k, sent_ns + (2 + k // 10) * NS_PER_MS) for k, sent_ns in instants]
-    tell(collector, "joystick", START_NS + NS_PER_S, haptic_rx=felt)
-    tell(collector, "robot", START_NS + NS_PER_S, haptic_tx=instants)
+    tell(collector, "joystick", START_NS + NS_PER_S, *starmap(SampleReceivedRow, felt))
+    tell(collector, "robot", START_NS + NS_PER_S, *starmap(SampleSentRow, instants))
     show(collector, "uplink_video", 132, 50)
     show(collector, "uplink_video", 462, 50)
     collector.handle_end()
@@ -195,8 +207,8 @@ def test_a_robot_that_was_started_again_has_no_latencies_of_its_life_before():
         # Of the first life every tenth is lost. What was received is told first.
         felt = [(k, at + 3 * NS_PER_MS) for k, at in sent if begun_ms or k % 10]
         (now_ns,) = ms(told_ms + 100)
-        tell(collector, "joystick", now_ns, haptic_rx=felt)
-        tell(collector, "robot", now_ns, haptic_tx=sent)
+        tell(collector, "joystick", now_ns, *starmap(SampleReceivedRow, felt))
+        tell(collector, "robot", now_ns, *starmap(SampleSentRow, sent))
         show(collector, "uplink_video", told_ms - 10, 40)
     # With the next message the stamps that waited are matched.
     feel(collector, 5600, 3)
@@ -211,7 +223,7 @@ def test_force_of_which_the_sender_never_told_is_passed_over():
     collector = Collector(SESSION)
     feel(collector, 100, 2)
     (lost_ns,) = ms(200)
-    tell(collector, "joystick", lost_ns, haptic_rx=[(200, lost_ns)])
+    tell(collector, "joystick", lost_ns, SampleReceivedRow(200, lost_ns))
     feel(collector, 300, 4)
     show(collector, "uplink_video", 310, 50)
     collector.handle_end()

@@ -1,13 +1,21 @@
 """What the collector keeps of pictures' ways and of pauses, out of messages in whichever order."""
 
-from array import array
 from itertools import permutations
 
 import pytest
+from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.probe import Message
+from pipelines.cores.rows import (
+    CodingRow,
+    DecodedRow,
+    RxRow,
+    SampleReceivedRow,
+    ShownRow,
+    TxRow,
+)
 from pipelines.report.collector import Collector
-from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import topology_of
 
@@ -15,13 +23,11 @@ SESSION = topology_of(BUILT_IN["spacejustin"])
 PERIOD_MS = 40
 
 
-def tell(collector, process, **series):
-    """A message with (ms, …) rows: what is no timestamp or count is told in ns."""
-    flat = {
-        name.replace("__", "."): array("q", [value for row in rows for value in row])
-        for name, rows in series.items()
-    }
-    collector.handle_message(process, Message({}, {}, flat), 10 * NS_PER_S)
+def tell(collector, process, *rows, stream=""):
+    """A message with rows of one type or of several; what a row has in ms is told in ns."""
+    kinds = dict.fromkeys(map(type, rows))
+    told = [series([row for row in rows if type(row) is kind], stream) for kind in kinds]
+    collector.handle_message(process, Message({}, {}, told), 10 * NS_PER_S)
 
 
 def ns(*values_ms):
@@ -35,19 +41,19 @@ def test_the_way_of_a_picture_is_joined_in_whichever_order_it_is_told(order):
     for number in range(3):
         captured = 1000 + PERIOD_MS * number
         at = [captured + step for step in (0, 4, 5, 11, 12, 46, 49, 50)]
-        coding.append((number, *ns(at[1], at[2]), 240, 2))
-        sent.append((number, *ns(at[0], at[3], at[4])))
-        received.append((number, *ns(at[5])))
-        decoded.append((number, *ns(at[6])))
-        shown.append((number, *ns(at[0], at[7])))
+        coding.append(CodingRow(number, *ns(at[1], at[2]), 240, 2))
+        sent.append(TxRow(number, *ns(at[0], at[3], at[4])))
+        received.append(RxRow(number, *ns(at[5])))
+        decoded.append(DecodedRow(number, *ns(at[6])))
+        shown.append(ShownRow(number, *ns(at[0], at[7])))
     messages = [
-        ("uplink_video_send", {"coding": coding, "tx": sent}),
-        ("uplink_video_receive", {"decoded": decoded, "rx": received}),
-        ("space_display", {"shown__uplink_video": shown}),
+        ("uplink_video_send", [*coding, *sent], ""),
+        ("uplink_video_receive", [*decoded, *received], ""),
+        ("space_display", shown, "uplink_video"),
     ]
     for index in order:
-        process, series = messages[index]
-        tell(collector, process, **series)
+        process, rows, stream = messages[index]
+        tell(collector, process, *rows, stream=stream)
     way = collector.streams["uplink_video"].way
     # Nobody knows since when the first one stood for what happened.
     assert way.pictures == 2
@@ -60,22 +66,32 @@ def test_the_way_of_a_picture_is_joined_in_whichever_order_it_is_told(order):
 def test_a_pause_of_the_camera_is_no_period():
     collector = Collector(SESSION)
     tell(
-        collector, "uplink_video_send", coding=[(2, *ns(5000, 5000), 9, 1)], tx=[(2, *ns(5000) * 3)]
+        collector, "uplink_video_send", CodingRow(2, *ns(5000, 5000), 9, 1), TxRow(2, *ns(5000) * 3)
     )
-    tell(collector, "uplink_video_receive", rx=[(2, *ns(5010))])
-    tell(collector, "space_display", shown__uplink_video=[(1, *ns(10, 20)), (2, *ns(5000, 5020))])
+    tell(collector, "uplink_video_receive", RxRow(2, *ns(5010)))
+    tell(
+        collector,
+        "space_display",
+        ShownRow(1, *ns(10, 20)),
+        ShownRow(2, *ns(5000, 5020)),
+        stream="uplink_video",
+    )
     assert collector.streams["uplink_video"].way.pictures == 0
 
 
 def test_pauses_are_kept_with_their_ends():
     collector = Collector(SESSION)
-    shown = [(number, *ns(at - 40, at)) for number, at in enumerate((100, 1100, 2101, 2140))]
-    tell(collector, "space_display", shown__uplink_video=shown[:2])
-    tell(collector, "space_display", shown__uplink_video=shown[2:])
+    shown = [
+        ShownRow(number, *ns(at - 40, at)) for number, at in enumerate((100, 1100, 2101, 2140))
+    ]
+    tell(collector, "space_display", *shown[:2], stream="uplink_video")
+    tell(collector, "space_display", *shown[2:], stream="uplink_video")
     assert list(collector.streams["uplink_video"].pauses.ended_ns) == [tuple(ns(1100, 2101))]
-    felt = [(number, *ns(at)) for number, at in enumerate((1, 2, 202, 403, 404, 900))]
-    tell(collector, "joystick", haptic_rx=felt[:3])
-    tell(collector, "joystick", haptic_rx=felt[3:])
+    felt = [
+        SampleReceivedRow(number, *ns(at)) for number, at in enumerate((1, 2, 202, 403, 404, 900))
+    ]
+    tell(collector, "joystick", *felt[:3])
+    tell(collector, "joystick", *felt[3:])
     pauses = [tuple(ns(202, 403)), tuple(ns(404, 900))]
     assert list(collector.haptics["up"].pauses.ended_ns) == pauses
     assert not collector.haptics["down"].pauses.ended_ns

@@ -3,10 +3,10 @@
 import re
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.probe import Message
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.model import GatewayReport, LinkReport, from_json, to_json
-from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import Direction, Segment, topology_of
 from telepresence.link.gateway import Gateway
@@ -50,7 +50,7 @@ class Link:
                     pass
             self.now_ns += NS_PER_MS
         for end, core in self.ends.items():
-            message = Message({"slips": 2}, {"link": core.report(self.now_ns)}, {})
+            message = Message({"slips": 2}, {"link": core.report(self.now_ns)})
             self.collector.handle_message(f"{end.value}_gateway", message, self.now_ns)
 
     def report(self, ends=ENDS, restarts=0):

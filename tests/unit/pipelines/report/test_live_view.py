@@ -1,15 +1,16 @@
 """What a running session shows, on a terminal and elsewhere."""
 
-from array import array
 from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
+from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.probe import Message
+from pipelines.cores.rows import OutRow, SampleReceivedRow
 from pipelines.report.collector import Collector
 from pipelines.report.live import _age, _inputs, _line, first_line, streams_table
-from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import topology_of
 
@@ -38,12 +39,11 @@ def table_of(launcher):
 
 def test_the_rate_shown_is_that_of_the_last_second(launcher):
     # 80 kbit/s in seconds 0 to 2 and 40 kbit/s ever after, told up to half a second ago.
-    rows = [(k * 10 * NS_PER_MS, 100 if k < 200 else 50, 90_000) for k in range(951)]
-    out = array("q", [value for row in rows for value in row])
-    message = Message({}, {}, {"out": out})
+    rows = [OutRow(k * 10 * NS_PER_MS, 100 if k < 200 else 50, 90_000) for k in range(951)]
+    message = Message({}, {}, [series(rows)])
     launcher.collector.handle_message("uplink_video_send", message, 9 * NS_PER_S)
-    felt = [(k % 65536, k * NS_PER_MS) for k in range(8501, 9501)]
-    message = Message({}, {}, {"haptic_rx": array("q", [value for row in felt for value in row])})
+    felt = [SampleReceivedRow(k % 65536, k * NS_PER_MS) for k in range(8501, 9501)]
+    message = Message({}, {}, [series(felt)])
     launcher.collector.handle_message("joystick", message, 9 * NS_PER_S)
     assert "uplink_video 40.0/90 kbit/s" in _line(launcher, launcher.collector)
     table = table_of(launcher)

@@ -1,19 +1,20 @@
 """The report that is built from what a collector knows."""
 
-from array import array
 from dataclasses import replace
 from types import SimpleNamespace
 
 from hypothesis import given
 from hypothesis import strategies as st
+from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.probe import Message
+from pipelines.cores.rows import OutRow, ShownRow
 from pipelines.report.collector import Collector
 from pipelines.report.link_figures import ledger_percent, link_figures
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report, failures
 from pipelines.report.silence import silences
-from pipelines.runtime.probe import Message
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import Direction, topology_of
 from telepresence.link.figures import ContactFigures
@@ -27,7 +28,7 @@ def told(octets_a_packet=300, displayed=30, received=1000):
     """A collector after a second of 30 packets."""
     collector = Collector(topology_of(SETUP))
     cap_bps = SETUP.uplink_video.cap_bps
-    out = [value for k in range(30) for value in (k * 33 * NS_PER_MS, octets_a_packet, cap_bps)]
+    out = [OutRow(k * 33 * NS_PER_MS, octets_a_packet, cap_bps) for k in range(30)]
     totals = {
         "uplink_video_send": {"frames_captured": 31, "frames_encoded": 30, "frames_sent": 30},
         "uplink_video_receive": {"rtp_packets": 30, "rtp_lost": 0, "garbage": 2},
@@ -36,8 +37,8 @@ def told(octets_a_packet=300, displayed=30, received=1000):
         "joystick": {"sent": 1000, "received": received, "lost": 1},
     }
     for process, values in totals.items():
-        series = {"out": array("q", out)} if process == "uplink_video_send" else {}
-        collector.handle_message(process, Message(values, {}, series), NS_PER_S)
+        rows = [series(out)] if process == "uplink_video_send" else []
+        collector.handle_message(process, Message(values, {}, rows), NS_PER_S)
     return collector
 
 
@@ -94,7 +95,7 @@ def hearing(collector, since_ns, *, signal=True):
             supervision=supervision, receive=SimpleNamespace(frames=0, frames_lost=0)
         )
     }
-    collector.handle_message("space_gateway", Message({}, link, {}), 9 * NS_PER_S)
+    collector.handle_message("space_gateway", Message({}, link), 9 * NS_PER_S)
     return collector
 
 
@@ -177,7 +178,7 @@ def test_a_report_that_lacks_values_is_a_failure():
 
 def test_a_latency_below_nothing_is_a_failure():
     collector = told()
-    shown = {"shown.uplink_video": array("q", (1, 2 * NS_PER_S, NS_PER_S))}
+    shown = [series([ShownRow(1, 2 * NS_PER_S, NS_PER_S)], "uplink_video")]
     collector.handle_message("space_display", Message({}, {}, shown), NS_PER_S)
     (failure,) = failures(SETUP, collector, 5.0)
     assert failure == "uplink_video: 1 latencies below 0 (capture_to_displayed)"
@@ -191,7 +192,7 @@ def run_on(collector, *, shown_until_s, captured_until_s, seconds=8, camera="lef
         gauges = {"captured_ns": captured_ns}
         collector.handle_message(f"camera_{camera}", Message({}, gauges), now_ns)
         if now_ns <= shown_until_s * NS_PER_S:
-            shown = {"shown.uplink_video": array("q", (half, now_ns - NS_PER_MS, now_ns))}
+            shown = [series([ShownRow(half, now_ns - NS_PER_MS, now_ns)], "uplink_video")]
             totals = {"uplink_video.frames_displayed": half}
             collector.handle_message("space_display", Message(totals, {}, shown), now_ns)
     return collector

@@ -5,8 +5,10 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.rows import ClickRow, ContactRow, LightRow, StepRow
 from pipelines.report.sync.figures import SyncFigures, disagreements, rank, skew_summary
 from pipelines.report.sync.limits import LIMITS
 from pipelines.report.sync.matching import Found, match
@@ -72,12 +74,13 @@ def figures(stamp_off_ms=0.0, contacts=10, slack_ms=33):
     for number in range(contacts):
         at_ns = number * 2030 * MS
         off_ns = round(stamp_off_ms * MS)
-        sync.handle_rows("contact", "", [(at_ns, 1)])
-        light = at_ns + 70 * MS, at_ns + off_ns + 10 * MS, slack_ms * MS, 500
-        sync.handle_rows("light", "uplink_video", [light])
-        sync.handle_rows("light", "downlink_video", [light])
-        sync.handle_rows("click", "uplink_voice", [(at_ns + 50 * MS, at_ns + off_ns, 0, 5000)])
-        sync.handle_rows("step", "", [(at_ns + 3 * MS,)])
+        sync.handle_series(series([ContactRow(at_ns, 1)]))
+        light = LightRow(at_ns + 70 * MS, at_ns + off_ns + 10 * MS, slack_ms * MS, 500)
+        sync.handle_series(series([light], "uplink_video"))
+        sync.handle_series(series([light], "downlink_video"))
+        click = ClickRow(at_ns + 50 * MS, at_ns + off_ns, 0, 5000)
+        sync.handle_series(series([click], "uplink_voice"))
+        sync.handle_series(series([StepRow(at_ns + 3 * MS)]))
     sync.handle_time(100 * NS_PER_S, lambda instant_ns: instant_ns - 3 * MS)
     return sync
 
@@ -116,7 +119,7 @@ def test_two_contacts_make_no_verdict():
 
 def test_bounces_and_touches_beside_a_target_are_told_apart():
     sync = figures()
-    sync.handle_rows("contact", "", [(50 * MS, 1), (1000 * MS, -1)])
+    sync.handle_series(series([ContactRow(50 * MS, 1), ContactRow(1000 * MS, -1)]))
     report = sync.report(["light", "click", "force"])
     assert (report.events, report.bounces, report.touches_beside_targets) == (10, 1, 1)
 
@@ -127,8 +130,8 @@ def test_the_last_contact_is_not_missed_because_its_force_has_no_stamp_yet(late_
     for before_end_ms in range(900, 1300, 10):
         sync = SyncFigures()
         for at_ns in (9 * NS_PER_S, end_ns - before_end_ms * MS):
-            sync.handle_rows("contact", "", [(at_ns, 0)])
-            sync.handle_rows("step", "", [(at_ns + late_ms * MS,)])
+            sync.handle_series(series([ContactRow(at_ns, 0)]))
+            sync.handle_series(series([StepRow(at_ns + late_ms * MS)]))
         sync.handle_time(end_ns, lambda instant_ns: instant_ns)
         assert sync.report(["force"], soonest_ns=soonest_ns).senses["force"].missed == 0
 

@@ -1,4 +1,7 @@
-"""The rows that processes report, by series: what each value of a row is. Instants are in ns."""
+"""The rows that processes report: single events, such as packets. Instants are in ns.
+
+A row's type names its series, so two series with the same columns have a type each.
+"""
 
 from typing import NamedTuple
 
@@ -52,15 +55,28 @@ class ShownRow(NamedTuple):
     displayed_ns: int
 
 
-class SampleRow(NamedTuple):
-    """A haptic sample was sent or received."""
+class SampleSentRow(NamedTuple):
+    """A haptic sample was sent."""
 
     sequence: int
-    instant_ns: int
+    sent_ns: int
 
 
-class DurationRow(NamedTuple):
-    """How late a cycle began, or how long a slot took."""
+class SampleReceivedRow(NamedTuple):
+    """A haptic sample was received."""
+
+    sequence: int
+    received_ns: int
+
+
+class LatenessRow(NamedTuple):
+    """How late a cycle began."""
+
+    lateness_ns: int
+
+
+class SendingRow(NamedTuple):
+    """From a slot's deadline to the instant at which its frame had been sent."""
 
     duration_ns: int
 
@@ -72,8 +88,17 @@ class ContactRow(NamedTuple):
     led: int
 
 
-class PerceivedRow(NamedTuple):
-    """A light or a click was found. slack_ns: how much earlier it may have been captured."""
+class LightRow(NamedTuple):
+    """A light was found. slack_ns: how much earlier it may have been captured."""
+
+    instant_ns: int
+    capture_ns: int
+    slack_ns: int
+    strength: int
+
+
+class ClickRow(NamedTuple):
+    """A click was found. slack_ns: how much earlier it may have been captured."""
 
     instant_ns: int
     capture_ns: int
@@ -87,22 +112,20 @@ class StepRow(NamedTuple):
     instant_ns: int
 
 
-#: By series; of a series "shown.STREAM" the word before the point.
-ROWS: dict[str, type[tuple[int, ...]]] = {
-    "out": OutRow,
-    "tx": TxRow,
-    "coding": CodingRow,
-    "rx": RxRow,
-    "decoded": DecodedRow,
-    "shown": ShownRow,
-    "haptic_tx": SampleRow,
-    "haptic_rx": SampleRow,
-    "lateness": DurationRow,
-    "sending": DurationRow,
-    "contact": ContactRow,
-    "light": PerceivedRow,
-    "click": PerceivedRow,
-    "step": StepRow,
-}
-#: Values in a row, by series.
-WIDTHS = {series: len(row.__annotations__) for series, row in ROWS.items()}
+#: Any of them.
+Row = (
+    OutRow
+    | TxRow
+    | CodingRow
+    | RxRow
+    | DecodedRow
+    | ShownRow
+    | SampleSentRow
+    | SampleReceivedRow
+    | LatenessRow
+    | SendingRow
+    | ContactRow
+    | LightRow
+    | ClickRow
+    | StepRow
+)

@@ -1,0 +1,148 @@
+"""What a process collects of its figures, and the message in which they go to the launcher. A core.
+
+A process sends its figures twice a second, in one datagram. So a process that is killed loses only
+the figures of its last half second.
+"""
+
+from __future__ import annotations
+
+import pickle
+from array import array
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import Any, Generic, TypeVar, cast
+
+from kontur_av.clock import NS_PER_MS
+from pipelines.cores.rows import Row
+
+FLUSH_NS = 500 * NS_PER_MS
+_MAX_SERIES_VALUES = 20_000
+
+RowT = TypeVar("RowT", bound=Row)
+
+
+class Series(Generic[RowT]):
+    """The rows of one type that a process collects, flattened to 64-bit integers.
+
+    kind: the type of the rows. stream: the stream that they are about; "" if the process alone
+    says that. values: all rows, one value after the other.
+    """
+
+    __slots__ = ("kind", "stream", "values", "width")
+
+    def __init__(self, kind: type[RowT], stream: str = "", values: array[int] | None = None):
+        self.kind = kind
+        self.stream = stream
+        self.values = array("q") if values is None else values
+        self.width = len(kind._fields)
+
+    def add(self, row: RowT) -> None:
+        """Add a row."""
+        self.values.extend(row)
+
+    def extend(self, rows: Iterable[RowT]) -> None:
+        """Add rows."""
+        self.values.extend(chain.from_iterable(rows))
+
+    def extend_plain(self, rows: Iterable[tuple[int, ...]]) -> None:
+        """Add rows that are plain tuples with the columns of `kind`.
+
+        For a 1 kHz loop, where making named tuples would cost more than all the rest.
+        """
+        self.extend(cast("Iterable[RowT]", rows))
+
+    def extend_column(self, values: Iterable[int]) -> None:
+        """Add rows of a single value each. Raises ValueError if `kind` has more columns."""
+        if self.width != 1:
+            raise ValueError(f"a {self.kind.__name__} has {self.width} values, not one")
+        self.values.extend(values)
+
+    def rows(self) -> list[RowT]:
+        """Return all rows."""
+        columns = [iter(self.values)] * self.width
+        return [self.kind(*row) for row in zip(*columns, strict=True)]
+
+
+@dataclass(slots=True)
+class Message:
+    """One message of one process.
+
+    totals: counters since the process began. gauges: newest values of other figures.
+    series: single events, such as packets, in the order in which their series were begun.
+    """
+
+    totals: dict[str, int] = field(default_factory=dict)
+    gauges: dict[str, Any] = field(default_factory=dict)
+    series: list[Series[Any]] = field(default_factory=list)
+
+    def pack(self) -> bytes:
+        """Return the message as octets, without its empty series."""
+        series = [(one.kind, one.stream, one.values) for one in self.series if one.values]
+        return pickle.dumps((self.totals, self.gauges, series), pickle.HIGHEST_PROTOCOL)
+
+    @classmethod
+    def unpack(cls, data: bytes) -> Message:
+        """Unpack a message. Unpickling is safe: only our own process writes to the socket."""
+        totals, gauges, series = pickle.loads(data)
+        return cls(totals, gauges, [Series(*one) for one in series])
+
+
+class Probe:
+    """Collects the figures of a process: `total`, `gauge`, and rows of a `series`.
+
+    When it is `due`, send `message`, and say with `handle_told` whether that worked.
+    """
+
+    def __init__(self) -> None:
+        self._message = Message()
+        self._series: dict[tuple[object, str], Series[Any]] = {}
+        self._due_ns = 0
+        #: Values of rows that were dropped because the launcher did not keep up.
+        self.dropped_values = 0
+
+    def total(self, name: str, value: int) -> None:
+        """Set a counter to its present value."""
+        self._message.totals[name] = value
+
+    def gauge(self, name: str, value: Any) -> None:
+        """Set a figure to its newest value, of a plain type."""
+        self._message.gauges[name] = value
+
+    def series(self, kind: type[RowT], stream: str = "") -> Series[RowT]:
+        """Return the series of rows of `kind`, of `stream` if the process has several.
+
+        It is the same object during the life of the probe, so a fast loop may keep it.
+        """
+        found = self._series.get((kind, stream))
+        if found is None:
+            found = self._series[kind, stream] = Series(kind, stream)
+            self._message.series.append(found)
+        return found
+
+    def due(self, now_ns: int) -> bool:
+        """Return whether to fill in the totals and send `message` now."""
+        return now_ns >= self._due_ns
+
+    @property
+    def message(self) -> Message:
+        """The present message."""
+        return self._message
+
+    def handle_told(self, now_ns: int, *, told: bool) -> None:
+        """Begin the next message if the present one was taken; else keep it for the next time."""
+        self._due_ns = now_ns + FLUSH_NS
+        if told:
+            self._clear()
+            return
+        for series in self._message.series:
+            if len(series.values) > _MAX_SERIES_VALUES:
+                # All of them, because a cut row would shift all that follow.
+                self.dropped_values += len(series.values)
+                self._message.totals["probe_values_dropped"] = self.dropped_values
+                del series.values[:]
+
+    def _clear(self) -> None:
+        for series in self._message.series:
+            del series.values[:]
+        self._message.gauges.clear()

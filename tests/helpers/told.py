@@ -1,0 +1,10 @@
+"""Figures as a process tells them, for tests of what takes them."""
+
+from pipelines.cores.probe import Series
+
+
+def series(rows, stream=""):
+    """A series of rows of one type."""
+    told = Series(type(rows[0]), stream)
+    told.extend(rows)
+    return told

@@ -1,0 +1,69 @@
+"""What a process collects of its figures: whole rows or none, told once, and counted if lost."""
+
+import pytest
+
+from pipelines.cores.probe import FLUSH_NS, Message, Probe, Series
+from pipelines.cores.rows import LatenessRow, RxRow, ShownRow
+
+
+def told(probe, now_ns):
+    """The message that is told now, with the rows of each series."""
+    message = Message.unpack(probe.message.pack())
+    probe.handle_told(now_ns, told=True)
+    return message, [(one.kind, one.stream, one.rows()) for one in message.series]
+
+
+def test_totals_stay_and_rows_are_told_once():
+    probe = Probe()
+    probe.total("sent", 4)
+    probe.gauge("state", "well")
+    arrivals, shown = probe.series(RxRow), probe.series(ShownRow, "uplink_video")
+    arrivals.add(RxRow(1, -3))
+    shown.add(ShownRow(7, 8, 9))
+    message, rows = told(probe, 0)
+    assert (message.totals, message.gauges) == ({"sent": 4}, {"state": "well"})
+    assert rows == [
+        (RxRow, "", [RxRow(1, -3)]),
+        (ShownRow, "uplink_video", [ShownRow(7, 8, 9)]),
+    ]
+    arrivals.extend([RxRow(2, 4), RxRow(3, 5)])
+    message, rows = told(probe, 1)
+    assert message.totals == {"sent": 4}
+    assert rows == [(RxRow, "", [RxRow(2, 4), RxRow(3, 5)])]
+
+
+def test_a_series_is_one_object_for_each_kind_and_stream():
+    probe = Probe()
+    assert probe.series(ShownRow, "uplink_video") is probe.series(ShownRow, "uplink_video")
+    assert probe.series(ShownRow, "uplink_video") is not probe.series(ShownRow, "downlink_video")
+
+
+def test_a_column_has_one_value_a_row():
+    lateness = Series(LatenessRow)
+    lateness.extend_column([3, 4])
+    assert lateness.rows() == [LatenessRow(3), LatenessRow(4)]
+    with pytest.raises(ValueError, match="2 values"):
+        Series(RxRow).extend_column([3])
+
+
+def test_it_is_due_twice_a_second():
+    probe = Probe()
+    assert probe.due(0)
+    probe.handle_told(0, told=True)
+    assert not probe.due(FLUSH_NS - 1)
+    assert probe.due(FLUSH_NS)
+
+
+def test_rows_that_nobody_takes_are_kept_for_a_while_and_lost_whole():
+    probe = Probe()
+    arrivals = probe.series(RxRow)
+    arrivals.add(RxRow(1, 1))
+    probe.handle_told(0, told=False)
+    assert told(probe, 0)[1] == [(RxRow, "", [RxRow(1, 1)])]
+    for number in range(10_001):
+        arrivals.add(RxRow(number, -number))
+    probe.handle_told(1, told=False)
+    arrivals.add(RxRow(5, -5))
+    message, rows = told(probe, 2)
+    assert rows == [(RxRow, "", [RxRow(5, -5)])]
+    assert message.totals["probe_values_dropped"] == 20_002
