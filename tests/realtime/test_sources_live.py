@@ -17,6 +17,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import empty_picture, planes
 from kontur_av.sources import check_spec, open_audio, open_video
 from kontur_av.sources.camera import CameraVideo
+from pipelines.cli import main
 
 pytestmark = pytest.mark.realtime
 
@@ -238,3 +239,12 @@ def test_a_microphone_that_disappears_is_opened_again(alsa_file):
 def test_a_missing_microphone_is_refused():
     with pytest.raises(ConfigError, match="nosuchcard"):
         open_audio("alsa:nosuchcard", name="ground_mic", clock=CLOCK)
+    with pytest.raises(ConfigError, match=r"nosuchcard.*(kontur-av devices|alsa-utils)") as refusal:
+        check_spec("alsa:nosuchcard", "audio", [])
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_session_with_a_missing_microphone_is_refused_before_it_starts(capsys):
+    assert main(["stream", "--setup", "spacejustin", "--source", "iss_mic=alsa:nosuchcard"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "nosuchcard" in line

@@ -1,8 +1,5 @@
 """Packets of constant size, restored sound, and a libopus from the system or from PyAV."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -112,42 +109,6 @@ def test_an_accepted_cap_can_be_coded(cap_bps):
 def test_invalid_opus_settings_are_refused(wrong):
     with pytest.raises(ConfigError):
         OpusEncoder(**{"bitrate_bps": 8_000, **wrong})
-
-
-ROUND_TRIP = """
-import ctypes.util, warnings
-warnings.simplefilter("error")
-find = ctypes.util.find_library
-ctypes.util.find_library = lambda name: {found} if name == "opus" else find(name)
-import numpy as np
-from kontur_av.codecs import libopus
-from kontur_av.codecs.opus import OpusDecoder, OpusEncoder
-encoder, decoder = OpusEncoder(bitrate_bps=8000), OpusDecoder()
-packet = encoder.encode(np.zeros(960, np.int16))
-assert len(packet) == 20 and decoder.decode(packet).shape == decoder.conceal().shape == (960,)
-print(libopus.load().origin, libopus.load().version)
-"""
-
-
-def run(found):
-    code = ROUND_TRIP.format(found=found)
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-
-
-def test_the_libopus_in_pyavs_wheel_does_where_the_system_has_none():
-    if libopus.carried_by_pyav() is None:
-        pytest.skip("this PyAV carries no libopus")
-    done = run("None")
-    assert done.stdout.startswith("PyAV libopus "), done.stderr
-    assert done.stderr == ""
-
-
-def test_the_systems_libopus_comes_first():
-    if libopus.load().origin != "system":
-        pytest.skip("this system has no libopus")
-    done = run("find(name)")
-    assert done.stdout.startswith("system libopus "), done.stderr
-    assert done.stderr == ""
 
 
 def test_no_libopus_at_all_names_the_mend(monkeypatch):

@@ -1,13 +1,10 @@
 """`kontur-av bench haptics`: cells, channel, schedule and the command."""
 
-import json
 from itertools import pairwise
 
-import cv2
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.haptics import claims as haptics_claims
 from pipelines.bench.haptics.cell import Cell, full_grid, read_cell, small_grid
 from pipelines.bench.haptics.channel import SampleChannel
 from pipelines.bench.haptics.plan import plan
@@ -90,27 +87,6 @@ def test_the_hold_comes_after_all_blackouts_and_is_long_enough_for_an_oscillatio
         assert all(until + cell.delay * MS < begin for _, until in found.down_dark + found.up_dark)
         script_ns = sum(point.move_ns + point.stay_ns for point in found.script)
         assert end < found.end_ns < script_ns
-
-
-CELL = ["--cell", "delay=100", "--seconds", "4", "--jobs", "1"]
-
-
-def test_the_command_writes_its_figures(tmp_path, capsys):
-    report, picture = tmp_path / "h.json", tmp_path / "h.png"
-    assert main(["bench", "haptics", *CELL, "--report", str(report), "--plot", str(picture)]) == 0
-    found = json.loads(report.read_text())
-    assert found["cells"] == 1
-    assert all(claim["holds"] for claim in found["claims"])
-    assert found["without"][0]["unstable"]
-    assert not found["with"][0]["unstable"]
-    assert cv2.imread(str(picture)).shape[2] == 3
-    assert "UNSTABLE" in capsys.readouterr().out
-
-
-def test_a_claim_that_does_not_hold_exits_with_1(monkeypatch, capsys):
-    monkeypatch.setattr(haptics_claims, "RISE_N_MS", 1e-6)
-    assert main(["bench", "haptics", *CELL]) == 1
-    assert "NO" in capsys.readouterr().out
 
 
 def test_a_wrong_option_is_refused_in_one_line(capsys):

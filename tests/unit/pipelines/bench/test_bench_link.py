@@ -1,7 +1,5 @@
 """`kontur-av bench link`: its figures, on short runs."""
 
-import json
-
 import pytest
 
 from pipelines.bench.link.live import parse_cyclictest
@@ -85,16 +83,6 @@ def test_the_output_of_cyclictest_is_parsed():
     }
     with pytest.raises(ValueError, match="no histogram"):
         parse_cyclictest("permission denied")
-
-
-def test_the_command_prints_tables_and_writes_figures(tmp_path, capsys):
-    report = tmp_path / "figures.json"
-    command = ["bench", "link", "--no-live", "--seconds", "1", "--blackouts", "1"]
-    assert main([*command, "--report", str(report)]) == 0
-    printed = capsys.readouterr().out
-    assert "haptic sample" in printed
-    figures = json.loads(report.read_text())
-    assert set(figures) == {"delays", "headers", "goodput", "resumption", "cost", "headlines"}
 
 
 @pytest.mark.parametrize(

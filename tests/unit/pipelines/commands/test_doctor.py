@@ -8,7 +8,6 @@ from kontur_av.clock import ManualClock
 from kontur_av.topics.session_files import shared_memory
 from pipelines.commands import doctor as doctor_module
 from pipelines.commands.doctor import (
-    CHECKS,
     Finding,
     check_shared_memory,
     check_timer,
@@ -16,15 +15,6 @@ from pipelines.commands.doctor import (
     doctor,
 )
 from pipelines.topology import LOOP_PRIORITY
-
-
-def test_on_a_machine_that_runs_the_tests_everything_needed_is_there() -> None:
-    lines: list[str] = []
-    assert doctor(lines.append) == 0
-    assert len(lines) == len(CHECKS) + 1
-    assert all("\n" not in line for line in lines)
-    assert lines[-1] == "a session can run"
-    assert any("libx264" in line and line.startswith("ok") for line in lines)
 
 
 def test_something_missing_gives_1_and_advice_does_not() -> None:
@@ -82,14 +72,6 @@ def test_the_timer_check_says_how_late() -> None:
 
 def test_it_asks_for_the_priority_that_the_loops_take() -> None:
     assert doctor_module._RT_PRIORITY == LOOP_PRIORITY
-
-
-def test_refused_real_time_names_the_limits_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_module, "_RT_PRIORITY", 1000)
-    verdict = doctor_module.check_real_time()
-    assert verdict.state == "advice"
-    assert "rtprio 1000" in verdict.mend
-    assert "/etc/security/limits.d" in verdict.mend
 
 
 def test_a_system_that_wakes_a_reader_but_once_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

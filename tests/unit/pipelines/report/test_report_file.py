@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
 import threading
 from pathlib import Path
 
@@ -53,14 +51,6 @@ def test_an_interrupt_leaves_what_was_there_and_nothing_else(name, tmp_path, mon
         write_report(tmp_path / name, {"a": 1})
     assert (tmp_path / "plain").read_text() == "old"
     assert {path.name for path in tmp_path.iterdir()} == {"plain", "link"}
-
-
-def test_what_is_printed_goes_on_behind_a_report_on_stdout(tmp_path):
-    script = "from pathlib import Path; from pipelines.report.report_file import write_report\n"
-    script += "write_report(Path('/dev/stdout'), {'a': 1}); print(7, flush=True)"
-    with (tmp_path / "out").open("a") as out:
-        subprocess.run([sys.executable, "-c", script], stdout=out, check=True)
-    assert (tmp_path / "out").read_text().endswith("}\n7\n")
 
 
 def test_a_device_is_writable_though_its_directory_is_not(tmp_path, monkeypatch):

@@ -1,8 +1,6 @@
 """Geometry of a pass: the sidereal angle, the station, checksums, and a pass that took place."""
 
 import itertools
-import subprocess
-import sys
 from math import degrees
 
 import pytest
@@ -109,15 +107,3 @@ def test_both_ends_see_the_same_fading_at_different_instants():
         assert (one.signal, one.bit_error_rate) == (other.signal, other.bit_error_rate)
         rates.add(one.bit_error_rate)
     assert len(rates) > 100
-
-
-def test_sgp4_is_imported_for_a_pass_only():
-    code = (
-        "import sys\n"
-        "from telepresence.link.radio import load_radio\n"
-        "load_radio('geo').path('uplink', seed=1, epoch_ns=0)\n"
-        "assert 'sgp4' not in sys.modules\n"
-        "load_radio('iss-pass').path('uplink', seed=1, epoch_ns=0)\n"
-        "assert 'sgp4' in sys.modules\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -1,0 +1,43 @@
+"""What a unit test may not do: start a process, or run a session."""
+
+import multiprocessing.process
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from unittest.mock import patch
+
+from pipelines.simulation.session import Simulation
+
+_DOORS = (
+    (subprocess.Popen, "__init__"),
+    (multiprocessing.process.BaseProcess, "start"),
+    (os, "fork"),
+    (os, "posix_spawn"),
+    (Simulation, "__init__"),
+)
+
+
+@contextmanager
+def closed_doors() -> Iterator[None]:
+    """As long as this lasts, an AssertionError comes instead of a process or a simulation."""
+    with ExitStack() as stack:
+        for owner, name in _DOORS:
+            stack.enter_context(patch.object(owner, name, _closed(owner, name)))
+        yield
+
+
+def _closed(owner, name):
+    opened = getattr(owner, name)
+
+    def door(*args, **options):
+        # To find a library, Python asks the system's linker.
+        if sys._getframe(1).f_globals.get("__name__") == "ctypes.util":
+            return opened(*args, **options)
+        raise AssertionError(
+            f"{owner.__name__}.{name} in a unit test: "
+            "move it to tests/realtime (processes) or tests/sim (simulated sessions)"
+        )
+
+    return door
