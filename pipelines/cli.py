@@ -29,7 +29,7 @@ _COMMANDS = {
     "topology": "list the processes, streams and topics of a session",
     "simulate": "run a session on virtual time: the same seed, the same report",
     "joystick": "list joysticks, and check one: friction, workspace, spring, buttons",
-    "bench": "measure figures that anybody can measure again",
+    "bench": "measure latency, quality, stability and cost",
     "send": "send one stream as plain RTP, under a hard cap",
     "receive": "receive one stream of plain RTP",
     "select": "switch the camera of a running session",

@@ -1,4 +1,4 @@
-"""`kontur-av bench`: figures that anybody can measure again, beside a peer where there is one.
+"""`kontur-av bench`: reproducible figures, compared with a peer's where there is one.
 
 A bench is a folder of its name whose `command.py` has `add_arguments(parser)` and `run(args)`.
 A bench that ran exits with 0, also if a target of latency or quality is missed: it shows the miss.

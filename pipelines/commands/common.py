@@ -74,7 +74,7 @@ def write_text(path: str, text: str, option: str) -> None:
 
 @contextmanager
 def output_that_may_fail() -> Iterator[None]:
-    """Within this context, a closed terminal or a reader that has ended loses only the output."""
+    """Within this context, a closed terminal or pipe loses only the output."""
     try:
         yield
         sys.stdout.flush()
@@ -83,7 +83,7 @@ def output_that_may_fail() -> Iterator[None]:
 
 
 def discard_output() -> None:
-    """Drop the output that is left, because writing it at the exit would fail again."""
+    """Drop the rest of the output, because writing it at the exit would fail again."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.close(nowhere)

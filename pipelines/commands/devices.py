@@ -42,7 +42,7 @@ class MicrophoneDevice:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """No options; a text that says what is listed."""
+    """There are no options; the description says what is listed."""
     parser.description = (
         "List cameras (V4L2), microphones (ALSA) and built-in scenes, each as "
         "`kontur-av stream --source NAME=SPEC` takes it."

@@ -1,4 +1,4 @@
-"""`kontur-av doctor`: check this machine for all that a session needs, and name the mend.
+"""`kontur-av doctor`: check that this machine has what a session needs, and name the mend.
 
 Each check tries the thing itself: it codes a picture, publishes a sample, or keeps a 1 kHz
 schedule. Each prints one line: `ok`; `missing` (a session cannot run); or `advice` (a session runs,
@@ -46,7 +46,7 @@ Check = tuple[str, Callable[[], Finding]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """No options; a text that says what the verdicts mean."""
+    """There are no options; the description says what the verdicts mean."""
     parser.description = (
         "Try what a session needs: code a picture, publish through shared memory, keep a 1 kHz "
         "schedule. One line a check: ok; missing (a session cannot run); advice (it runs, and "

@@ -11,10 +11,10 @@ from pipelines.topology.tables import travels
 
 @dataclass(frozen=True, slots=True)
 class ChannelPorts:
-    """One channel of the link. Its ports are None where that end is not ours.
+    """One channel of the link. A port is None if the other end of the link has it.
 
     name: of the stream. sent_from: the segment whose programs send.
-    in_port: of the gateway that takes the datagrams. out_port: of the program that gets them.
+    in_port: of the gateway that receives the datagrams. out_port: of the program that gets them.
     """
 
     name: str

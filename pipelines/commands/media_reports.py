@@ -21,7 +21,7 @@ def latency_ms(histogram: Histogram) -> Latency:
 
 
 class SentStages(Report, frozen=True, kw_only=True):
-    """Since the capture, and for sound the codec's look-ahead."""
+    """Latencies since the capture; of sound, without the codec's look-ahead."""
 
     capture_to_encoded: Latency
     capture_to_sent: Latency
@@ -34,7 +34,7 @@ class SentLatency(Report, frozen=True, kw_only=True):
 
 
 class SourceReport(Report, frozen=True, kw_only=True):
-    """What the source had to say; `last_fault` is empty if there was none."""
+    """The faults of the source; `last_fault` is empty if there was none."""
 
     faults: int
     last_fault: str
@@ -65,7 +65,7 @@ class SendReport(Report, frozen=True, kw_only=True):
 
 
 class PicturesReport(Report, frozen=True, kw_only=True):
-    """What came of pictures; `size` is null before the first one."""
+    """The received pictures; `size` is null before the first one."""
 
     size: tuple[int, int] | None
     frames_received: int
@@ -77,7 +77,7 @@ class PicturesReport(Report, frozen=True, kw_only=True):
 
 
 class SoundReport(Report, frozen=True, kw_only=True):
-    """What came of sound."""
+    """The received sound."""
 
     frames_received: int
     frames_decoded: int
@@ -90,13 +90,13 @@ class SoundReport(Report, frozen=True, kw_only=True):
 
 
 class ReceivedStages(Report, frozen=True, kw_only=True):
-    """Since the capture."""
+    """Latencies since the capture."""
 
     capture_to_received: Latency
 
 
 class ReceivedLatency(Latency, frozen=True, kw_only=True):
-    """From the capture to the decoded picture or sound; `clock` says by which clocks."""
+    """From the capture to the decoded picture or sound; `clock` says which clocks were compared."""
 
     stages: ReceivedStages
     clock: str
@@ -110,7 +110,7 @@ class SavedReport(Report, frozen=True, kw_only=True):
 
 
 class RawReport(Report, frozen=True, kw_only=True):
-    """What became of the pictures of `--raw`."""
+    """The pictures that `--raw` wrote or dropped."""
 
     file: str
     pictures: int
@@ -119,7 +119,7 @@ class RawReport(Report, frozen=True, kw_only=True):
 
 
 class RtpReport(Report, frozen=True, kw_only=True):
-    """What `receive` counted of packets."""
+    """The packets that `receive` counted, and their rates."""
 
     stream: str
     seconds: float

@@ -19,12 +19,12 @@ _FRAME_LINE = FRAME + b"\n"
 
 
 class RawPictures:
-    """Writes each picture as soon as it is decoded; a FIFO's reader never holds anything up.
+    """Writes each picture as soon as it is decoded; a slow reader of a FIFO delays nothing else.
 
-    path: a file, which is begun anew, or a FIFO. A FIFO may be without a reader and get one
-        at any time: each reader begins with a header and a whole picture. While one picture is
-        still being taken the newest one waits, and replaces what waited before.
-    size: width and height of what is written; the first picture's where it is None. Pictures
+    path: a file, which is overwritten, or a FIFO. A FIFO may get a reader at any time: each reader
+        begins with a header and a whole picture. While the reader takes one picture the newest one
+        waits, and replaces an older one that waits.
+    size: width and height of what is written; None: those of the first picture. Pictures
         that were coded in another size are scaled to it.
 
     Raises ConfigError when the file cannot be written.
@@ -32,7 +32,7 @@ class RawPictures:
 
     def __init__(self, path: str, size: tuple[int, int] | None = None) -> None:
         self.written = 0
-        #: Pictures without a reader, or for which the reader was too slow.
+        #: Pictures that had no reader, or whose reader was too slow.
         self.dropped = 0
         self.readers_gone = 0
         #: Why the file cannot be written any more; empty if it can.
@@ -67,13 +67,13 @@ class RawPictures:
             self._begin(octets)
 
     def pending(self) -> int | None:
-        """The file descriptor that `handle_writable` waits for, None while nothing is begun."""
+        """The file descriptor to wait for before `handle_writable`, or None."""
         return self._fd if self._rest and self._is_fifo else None
 
     def handle_writable(self) -> None:
         """The reader is ready for more of the present picture."""
         try:
-            # A file that has no room takes a part, and says why only when asked for more.
+            # A file without room takes a part, and reports the reason only on the next write.
             while self._rest:
                 self._rest = self._rest[os.write(self._fd, self._rest) :]
         except BlockingIOError:

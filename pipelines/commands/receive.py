@@ -1,4 +1,4 @@
-"""`kontur-av receive`: take one stream that an SDP describes, decode it, count, perhaps save."""
+"""`kontur-av receive`: receive the stream that an SDP describes, decode it, count, save it."""
 
 import argparse
 import contextlib
@@ -163,7 +163,7 @@ class _ReceiveShell:
         return self._report(start_ns)
 
     def _watch(self, selector: selectors.BaseSelector, wanted: int | None) -> None:
-        """Wake when the reader of raw pictures takes more of one that it has in part."""
+        """Wake when the reader of raw pictures can take the rest of a picture."""
         if self._watched is not None:
             # The descriptor may have been closed, or another one of its number opened.
             with contextlib.suppress(KeyError, ValueError):
@@ -180,7 +180,7 @@ class _ReceiveShell:
         return now_ns - self._last_packet_ns > patience_ns
 
     def _note(self, now_ns: int) -> None:
-        """Packets of the stream may have come; a sender report may speak for earlier ones."""
+        """Count the payload that has come since the last call."""
         octets = self._receiver.counts.rtp.payload_octets
         if octets > self._payload_octets:
             self._last_packet_ns = now_ns

@@ -1,4 +1,4 @@
-"""What becomes of a received stream: pictures or sound, figures, and perhaps a file."""
+"""The output of a received stream: pictures or sound, figures, and perhaps a file."""
 
 import secrets
 
@@ -17,7 +17,7 @@ from pipelines.commands.remux import MatroskaWriter
 
 
 class _TimeLine:
-    """RTP timestamps as ticks since the first one; a restarted sender's go on where they were."""
+    """RTP timestamps as ticks since the first one; they continue when the sender restarts."""
 
     def __init__(self, rate_hz: int) -> None:
         self._rate_hz = rate_hz
@@ -38,7 +38,7 @@ class _TimeLine:
 
 
 class PictureOutput:
-    """Decodes what its receiver gives out. received_ns, decoded_ns: since the capture."""
+    """Decodes the pictures of its receiver. received_ns, decoded_ns: since the capture."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class PictureOutput:
         return self._decoder.decoded
 
     def drain(self) -> None:
-        """Take what the receiver has."""
+        """Decode, count and write what the receiver has ready."""
         receiver = self.receiver
         while (unit := receiver.next_event()) is not None:
             capture_ns = receiver.capture_ns(unit.timestamp)
@@ -99,7 +99,7 @@ class PictureOutput:
 
 
 class SoundOutput:
-    """Plays what its receiver gives out. received_ns, decoded_ns: since the capture."""
+    """Plays the sound of its receiver. received_ns, decoded_ns: since the capture."""
 
     def __init__(
         self, stream: StreamDescription, clock: MonotonicClock, writer: MatroskaWriter | None
@@ -116,7 +116,7 @@ class SoundOutput:
         self._writer = writer
 
     def drain(self) -> None:
-        """Take what the receiver has."""
+        """Decode, count and write what the receiver has ready."""
         receiver = self.receiver
         for timestamp, received_ns in receiver.take_arrivals():
             capture_ns = receiver.capture_ns(timestamp)
@@ -127,7 +127,7 @@ class SoundOutput:
             capture_ns = receiver.capture_ns(block.timestamp)
             stamp = receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
             if not decoded:
-                # Before the first packet there is nothing to make up anything from.
+                # Before the first packet the decoder has nothing to conceal with.
                 self._concealed += block.payload is None and self.decoded > 0
                 continue
             self.decoded += 1

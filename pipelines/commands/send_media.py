@@ -1,4 +1,4 @@
-"""What `kontur-av send` does with its source: pictures or sound to the sender of the stream."""
+"""The source of `kontur-av send`, with its encoder and the sender of its stream."""
 
 import argparse
 import secrets
@@ -40,12 +40,12 @@ def _parameter_sets(encoder: H264Encoder) -> tuple[bytes, ...]:
 class PictureFeed:
     """Pictures from their source to the sender.
 
-    A picture is encoded in a thread of its own: the packets of the one before leave meanwhile.
+    A picture is encoded in a thread of its own, while the packets of the picture before leave.
     """
 
     kind: Literal["video", "audio"] = "video"
     payload_type = VIDEO_PAYLOAD_TYPE
-    #: The sender's events date the sound of a packet so much before its block.
+    #: The sender's events stamp the sound of a packet this much earlier than its block.
     lookahead_ns = 0
 
     def __init__(self, args: argparse.Namespace, clock: MonotonicClock) -> None:
@@ -76,8 +76,8 @@ class PictureFeed:
             wall_offset_ns=clock.wall_offset_ns,
             adapt_refresh=args.refresh_s is None,
         )
-        # The SDP has to be there before the first packet is. A second encoder that is set up alike
-        # writes the same SPS and PPS, and the real one still begins with the first real picture.
+        # The SDP must exist before the first packet. A second encoder of the same settings has the
+        # same SPS and PPS, and the real one still begins with the first real picture.
         self.parameter_sets = _parameter_sets(twin)
         self._clock = clock
         #: What the source writes to, and the newest whole picture.
@@ -100,7 +100,7 @@ class PictureFeed:
         """Take a picture or an access unit; return within `timeout_ns`, or as soon as there is
         anything to do."""
         if self._encoding.busy:
-            # A picture that comes meanwhile can wait: it would not be encoded sooner.
+            # A picture that comes in the meantime can wait, because it would not be encoded sooner.
             self._wait_set.wait(timeout_ns)
             done = self._encoding.poll()
             if done is not None:
@@ -116,11 +116,11 @@ class PictureFeed:
             self._encoding.submit(VideoFrame(self._newest, self._stamp), coding)
 
     def finish(self) -> None:
-        """No more pictures are encoded."""
+        """Encode no more pictures."""
         self.sender.finish()
 
     def close(self) -> None:
-        """End the thread, and give the source back."""
+        """End the thread, and close the source."""
         self._encoding.close()
         self.source.close()
 
@@ -159,10 +159,10 @@ class SoundFeed:
         self.sender.handle_packet(opus, block.stamp, self._clock.now_ns())
 
     def finish(self) -> None:
-        """No more sound is encoded."""
+        """Encode no more sound."""
 
     def close(self) -> None:
-        """Give the source back."""
+        """Close the source."""
         self.source.close()
 
 

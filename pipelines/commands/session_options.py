@@ -49,7 +49,7 @@ def add_radio_arguments(parser: argparse.ArgumentParser, *, delay: bool = True) 
             "--radio-delay-ms", type=float, metavar="D", help="a cable with a delay one way"
         )
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="what the radio's chances derive from"
+        "--seed", type=int, default=0, metavar="N", help="seed of the radio's random losses"
     )
 
 
@@ -77,8 +77,8 @@ def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const="picture",
         choices=DEADBANDS,
-        help="leave out haptic samples of which nobody would feel the difference; the uplink "
-        "video gets what that saves: more of it (picture; if nothing is said) or sooner (latency)",
+        help="leave out haptic samples while nobody would feel the difference; the uplink video "
+        "gets their room, as a higher rate (picture, the default) or a lower delay (latency)",
     )
 
 

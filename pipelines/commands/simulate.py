@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the simulation; 1 if its report names a failure.
 
-    Ctrl-C and SIGTERM end it early; the report then covers the time until that.
+    Ctrl-C and SIGTERM end it early; the report then covers the time until then.
     """
     if not 0 < args.seconds < 1e6:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0 and below 1000000")
@@ -122,7 +122,7 @@ def simulate(
         simulation = Simulation(
             setup, workers, seed=seed, media=media, selections=selections, costs=costs
         )
-        # Present objects are not freed; frozen, the garbage collector does not walk them.
+        # The present objects stay until the end, so the garbage collector need not visit them.
         gc.collect()
         gc.freeze()
         try:

@@ -118,7 +118,7 @@ def _live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[
     try:
         yield view
     finally:
-        # A terminal that was closed takes no last picture; the report is still to be written.
+        # A closed terminal cannot take a last table, but the report must still be written.
         with suppress(OSError):
             view.__exit__(None, None, None)
 
@@ -135,7 +135,7 @@ def chosen_setup(args: argparse.Namespace) -> Setup:
 
 
 def parse_sources(options: Sequence[str]) -> Mapping[str, str]:
-    """NAME=SPEC options as a table; the last of a name wins."""
+    """NAME=SPEC options as a table; the last one of each name counts."""
     sources = {}
     for option in options:
         name, equals, spec = option.partition("=")
@@ -158,7 +158,7 @@ def check_sources(setup: Setup) -> None:
 
 
 def _check_shared(setup: Setup) -> None:
-    # A camera serves one program only, and two readers of one FIFO tear its pictures apart.
+    # A camera serves one program only, and two readers of one FIFO each get torn pictures.
     taken: dict[Path, str] = {}
     for name in setup.inputs:
         family, _, place = setup.source(name).partition(":")
@@ -174,11 +174,11 @@ def _check_shared(setup: Setup) -> None:
 def check_room(setup: Setup) -> None:
     """ConfigError when shared memory has no room for the session's pictures.
 
-    A topic of pictures was seen to hold two or three; five leave room for the successor of a
-    process that was killed.
+    Measured: a topic of pictures holds two or three. Five leave room for the successor of a killed
+    process.
     """
     cameras = [setup.stream_of(name) for name in setup.inputs if setup.kind_of(name) == "video"]
-    # The stereo merge is of the uplink's size. What is received is also displayed.
+    # The stereo merge has the uplink's size. Received pictures count twice: they are also shown.
     relays = [setup.uplink_video] * (STEREO in setup.cameras)
     received = [stream for stream in setup.streams if isinstance(stream, VideoStream)]
     pictures = sum(
@@ -192,7 +192,7 @@ def check_room(setup: Setup) -> None:
 
 
 def draw_backgrounds(setup: Setup, clock: MonotonicClock) -> None:
-    """Make ready what the built-in scenes share, so that every fork of a camera has it."""
+    """Draw what the built-in scenes share before the fork, so that no camera draws it again."""
     pictures, sounds = video_scenes(), audio_scenes()
     for name in setup.inputs:
         kind, _, scene = setup.source(name).partition(":")

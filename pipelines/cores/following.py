@@ -1,4 +1,4 @@
-"""How the sender of a picture follows the camera that is selected."""
+"""How the sender of the uplink video follows the selected camera."""
 
 import struct
 from dataclasses import replace
@@ -25,7 +25,7 @@ class Choice(NamedTuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> "Choice":
-        """What `pack` packed."""
+        """The choice that `pack` packed."""
         number: int = _NUMBER.unpack_from(data)[0]
         return cls(number, data[_NUMBER.size :].decode("ascii"))
 
@@ -36,20 +36,20 @@ def pack_confirmed(number: int) -> bytes:
 
 
 def unpack_confirmed(data: bytes) -> int:
-    """What `pack_confirmed` packed."""
+    """The number that `pack_confirmed` packed."""
     number: int = _NUMBER.unpack(data)[0]
     return number
 
 
 class CameraFollower:
-    """The sender's side of a choice: which camera it takes, and when it has done with another one.
+    """The sender's side of a selection: which camera it reads, and when the previous one is done.
 
-    When `handle_choice` returns True, take pictures of `camera` alone, and drop a picture that
-    waits to be coded. Code no picture while `leaving`. Tell with `handle_sender` when nothing of
-    the camera before is being coded or waits to be sent. Then `confirmed` is the choice's number.
+    When `handle_choice` returns True, read pictures of `camera` only, and drop a picture that waits
+    to be coded. Code no picture while `leaving`. Report with `handle_sender` when no picture of the
+    previous camera is being coded or waits to be sent. Then `confirmed` is the choice's number.
 
-    A sender that was killed begins without a camera: nothing of it can follow, so it confirms the
-    first choice that it hears of.
+    A restarted sender begins without a camera and can send nothing of an earlier one. So it
+    confirms the first choice that it receives.
     """
 
     def __init__(self) -> None:
@@ -59,7 +59,7 @@ class CameraFollower:
         self._pictures = count()
 
     def handle_choice(self, choice: Choice) -> bool:
-        """The selector says what is selected; whether that is another camera than before."""
+        """The selector has reported the selected camera; True if it is another one than before."""
         if choice.number == self._number:
             return False
         self._number = choice.number
@@ -70,7 +70,10 @@ class CameraFollower:
         return True
 
     def handle_sender(self, *, idle: bool) -> bool:
-        """idle: nothing is being coded, nothing waits to be sent. True if that ends `leaving`."""
+        """The sender's state; True if it ends `leaving`.
+
+        idle: nothing is being coded, and nothing waits to be sent.
+        """
         ends = self.leaving and idle
         if ends:
             self.leaving = False
@@ -78,9 +81,9 @@ class CameraFollower:
 
     @property
     def confirmed(self) -> int | None:
-        """The number of the choice since which nothing of another camera is coded or sent."""
+        """The last choice's number; None until nothing is left of the previous camera."""
         return None if self.leaving else self._number
 
     def restamp(self, stamp: CaptureStamp) -> CaptureStamp:
-        """The stamp of a picture that is taken: its sequence counts those of all cameras."""
+        """`stamp` with a sequence number that counts the pictures of all cameras."""
         return replace(stamp, sequence=next(self._pictures))

@@ -1,4 +1,4 @@
-"""How old what the displays show is, as they have told."""
+"""The age and the state of what the displays show, as they report it."""
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.streams.staleness import State
@@ -6,17 +6,17 @@ from pipelines.cores.probe import FLUSH_NS
 from pipelines.report.collector import Collector
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 
-#: A display that has told nothing for longer shows what it showed last.
+#: A display that has reported nothing for longer is assumed to show its last picture.
 _TOLD_AFTER_NS = 2 * FLUSH_NS
 
 
 def spell_ms(stream: str, spell: str, collector: Collector) -> float:
-    """For how long what was shown of `stream` was `stale`, `frozen` or `damaged`."""
+    """The time (ms) for which `stream` was shown `stale`, `frozen` or `damaged`."""
     return round(collector.total(f"{stream}.{spell}_ns") / NS_PER_MS, 3)
 
 
 def spell_episodes(stream: str, spell: str, collector: Collector) -> int:
-    """How often it became so."""
+    """How many times `stream` began to be shown `stale`, `frozen` or `damaged`."""
     return collector.total(f"{stream}.{spell}_episodes")
 
 

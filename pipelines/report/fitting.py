@@ -25,7 +25,7 @@ class Column:
 
 
 def fitted_table(columns: Sequence[Column], width: int) -> Table:
-    """A table of as many columns as `width` characters have room for; the first one stays."""
+    """A table of the columns that fit into `width` characters; the first column always stays."""
     kept = list(columns)
     while len(kept) > 1 and _table_width(kept) > width:
         kept.remove(max(kept[1:], key=lambda column: column.rank))
@@ -43,7 +43,7 @@ def fitted_table(columns: Sequence[Column], width: int) -> Table:
 
 
 def fitted_line(parts: Sequence[str], width: int | None, *, gap: str = _GAP) -> str:
-    """The parts with `gap` between them; from the last one on, those without room are left out.
+    """The parts with `gap` between them; parts without room are left out, from the last one on.
 
     The first part stays. width: in characters; None leaves nothing out.
     """

@@ -78,7 +78,7 @@ def _fields(kind: type) -> Iterator[tuple[str, str, bool]]:
 
 
 def _unit(name: str) -> str:
-    """The unit that the name ends with; a rate may have a word behind it."""
+    """The unit at the end of a name; the name of a rate may have one more word after it."""
     if name == "seconds":
         return "s"
     words = name.split("_")

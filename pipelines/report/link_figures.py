@@ -1,4 +1,4 @@
-"""The link in a report: each direction with its ledger, and what its two ends have noticed."""
+"""The link in a report: each direction with its ledger, and what its two ends observed."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,7 +21,7 @@ from telepresence.link.profile import LinkProfile
 
 
 def link_figures(setup: Setup, collector: Collector, direction: str) -> DirectionReport:
-    """One direction of the link, as far as its two gateways have told of it."""
+    """One direction of the link, from what its two gateways have reported."""
     up = direction == "uplink"
     link = collector.topology.link(Direction(direction))
     near, far = collector.process(link.sender), collector.process(link.receiver)
@@ -62,7 +62,7 @@ def link_figures(setup: Setup, collector: Collector, direction: str) -> Directio
 
 
 def _freed_bps(profile: LinkProfile, frames: int, octets: Mapping[str, int]) -> int:
-    """What the slots without a sample have left to the levels below haptics."""
+    """The rate (bit/s) that slots without a sample left to the levels below haptics."""
     freed_octets = frames * profile.insert_octets - octets.get("haptic", 0)
     return round(freed_octets * 8 * NS_PER_S / max(frames * profile.slot_ns, 1))
 
@@ -76,7 +76,7 @@ def _sum_tables(tables: list[dict[str, int]]) -> dict[str, int]:
 
 
 def _merged_queues(lives: list[dict[str, QueueFigures]]) -> dict[str, QueueFigures]:
-    """Each level's queue: as the last life left it, with what all lives counted."""
+    """The queue of each level: its state in the last life, and the counts of all lives."""
     merged: dict[str, QueueFigures] = {}
     for life in lives:
         for level, queue in life.items():
@@ -101,7 +101,7 @@ def _merged_headers(lives: list[dict[str, dict[str, int]]]) -> dict[str, dict[st
 def ledger_percent(octets: Mapping[str, int]) -> dict[str, float]:
     """The shares of all octets in percent, to two digits; they sum to 100.00 exactly.
 
-    What rounding down leaves goes, a hundredth each, to those that lost most by it.
+    All shares are rounded down. The missing hundredths go to those that lost most by it.
     """
     total = sum(octets.values())
     if not total:
@@ -113,7 +113,7 @@ def ledger_percent(octets: Mapping[str, int]) -> dict[str, float]:
 
 
 def gateway_figures(collector: Collector, end: str) -> GatewayReport:
-    """What only this end knows: its supervision and its radio of the last life, and strangers."""
+    """What only this end knows: supervision and radio of its last life, and unknown senders."""
     segment = Segment(end)
     figures = collector.process(collector.topology.gateway(segment).name)
     last = next(reversed(list(figures.links())), None)
@@ -126,9 +126,9 @@ def gateway_figures(collector: Collector, end: str) -> GatewayReport:
 
 
 def stranger_counts(collector: Collector, segment: Segment) -> dict[str, int]:
-    """By port of a gateway: the datagrams that came to it from anybody else, where there were any.
+    """By port of a gateway: the datagrams of unknown senders, if there were any.
 
-    A port is named by what it takes: "radio", "haptic", or the name of a flow.
+    A port is named by what it receives: "radio", "haptic", or the name of a flow.
     """
     topology = collector.topology
     figures = collector.process(topology.gateway(segment).name)

@@ -1,4 +1,4 @@
-"""What `kontur-av link` tells of its link: the report, a line a second, and the summary."""
+"""What `kontur-av link` shows of its link: the report, a line a second, and the summary."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ from pipelines.topology import Segment
 from telepresence.link.figures import GatewayFigures, SenderFigures, SupervisionFigures
 from telepresence.link.profile import LinkProfile
 
-#: Of the ledger's keys those whose rate is worth a place in a line.
+#: The keys of the ledger whose rates stand in a line.
 _LEVELS = ("haptic", "tmtc", "voice", "video", "maintenance")
 
 
@@ -66,7 +66,7 @@ def build_link_report(
 def _failures(
     collector: Collector, ends: Sequence[Segment], restarts: Mapping[str, int]
 ) -> list[str]:
-    """What went wrong by the link's own measure: that nobody was heard is the radio's affair."""
+    """What failed in the link itself. That nobody was heard is no failure: the radio decides it."""
     found = []
     for end in ends:
         name = collector.topology.gateway(end).name
@@ -78,14 +78,14 @@ def _failures(
 
 @dataclass
 class _Seen:
-    """What an end's last line was made of."""
+    """The figures of an end's last line."""
 
     frames: int = 0
     octets: dict[str, int] = field(default_factory=dict)
 
 
 class LinkView:
-    """The figures of now: for each end its state, what it sends by level, and what it lost."""
+    """The present figures: for each end its state, what it sends by level, and what it lost."""
 
     def __init__(self, setup: Setup, ends: Sequence[Segment]) -> None:
         self._setup = setup
@@ -129,8 +129,8 @@ class LinkView:
 
 
 def _rates_kbps(sent: SenderFigures, seen: _Seen, profile: LinkProfile) -> dict[str, float]:
-    # By the link's own time, in slots: exact, however late the figures came. A gateway that was
-    # started again counts from 0.
+    # Time is counted in slots of the link, so the rate is exact even if the figures come late. A
+    # restarted gateway counts from 0.
     begun_anew = sent.frames < seen.frames
     frames = sent.frames - (0 if begun_anew else seen.frames)
     seconds = max(1, frames) * profile.slot_ns / NS_PER_S
@@ -185,13 +185,13 @@ def _direction(direction: str, link: DirectionReport) -> list[str]:
 
 
 def _state(supervision: SupervisionFigures) -> str:
-    """The state of now; of one that somebody has to mend the reason, too."""
+    """The present state; with its reason if somebody has to mend it."""
     state = supervision.state
     return f"{state} ({supervision.why})" if state in ("check", "refused") else state
 
 
 def ledger_line(link: DirectionReport) -> str:
-    """Where a direction's octets went; 100 % in all."""
+    """The uses of a direction's octets; 100 % in all."""
     shares = link.octets_percent.items()
     used = ", ".join(f"{kind} {share:.2f}" for kind, share in shares)
     return f"of {sum(link.octets.values())} octets, in %: {used}"

@@ -38,7 +38,7 @@ _COLUMNS = (
     ("p99 ms", 7),
     ("age", 2),
 )
-#: Figures are at most this old: a process tells twice a second, and may be late.
+#: Figures are at most this old: a process reports twice a second, and may be late.
 _TOLD_AFTER_NS = 2 * FLUSH_NS
 
 _COLOURS = {
@@ -50,7 +50,7 @@ _COLOURS = {
 
 
 class LiveView:
-    """Shows a launcher's session, whose figures `collector` gets.
+    """Shows a launcher's session, whose figures `collector` collects.
 
     Use it as a context around the run, and pass its `show` to the launcher.
     """
@@ -98,7 +98,7 @@ class LiveView:
 
 
 def first_line(launcher: Launcher, collector: Collector, width: int) -> str:
-    """The session's name and time, the link's state, radio and camera, as far as there is room."""
+    """The session's name and time, the link's state, radio and camera, as many of them as fit."""
     link: GatewayFigures | None = collector.process(
         collector.topology.gateway(Segment.GROUND).name
     ).gauges.get("link")
@@ -180,7 +180,7 @@ def _age(launcher: Launcher, collector: Collector, stream: VideoStream | VoiceSt
 
 
 def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
-    """The inputs that give nothing, and those with a fault that they have survived."""
+    """The inputs that deliver nothing, and those that had a fault and deliver again."""
     setup = launcher.setup
     silent = silences(setup, collector, launcher.clock.now_ns())
     lines = [Text(str(silence), "bold red") for silence in silent]
@@ -193,7 +193,7 @@ def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
 
 
 def _last_bps(launcher: Launcher, rate: RateMeter) -> float:
-    """The rate of the last second that the processes have told of."""
+    """The rate of the last second that the processes have reported."""
     return rate.last_bps(launcher.clock.now_ns() - _TOLD_AFTER_NS)
 
 

@@ -1,20 +1,20 @@
-"""From when to when nothing was shown or felt. A core."""
+"""The times during which nothing was shown or felt. A core."""
 
 from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
 
-#: So many pauses are remembered.
+#: At most this many pauses are remembered.
 _DEPTH = 1000
 
 
 class Pauses:
-    """The pauses of what should go on, longer than `least_ns` each."""
+    """The pauses of a display or of a haptic channel, each longer than `least_ns`."""
 
     def __init__(self, least_ns: int) -> None:
         self.least_ns = least_ns
-        #: Those that have ended: the instants before and after. Beyond 1000 the oldest go.
+        #: Ended pauses: the instants before and after. Beyond 1000 the oldest are dropped.
         self.ended_ns: deque[tuple[int, int]] = deque(maxlen=_DEPTH)
         self.first_ns: int | None = None
         self.last_ns: int | None = None

@@ -1,4 +1,4 @@
-"""Where a run's report goes."""
+"""Writes the report of a run."""
 
 import os
 import secrets
@@ -7,12 +7,12 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.report.model import to_json
 
-#: As many as Linux follows.
+#: Linux follows as many links.
 _LINKS = 40
 
 
 def check_writable(path: Path | None, option: str = "--report") -> None:
-    """ConfigError when `path` cannot be written: after the run it would be too late."""
+    """ConfigError if `path` cannot be written; checked before the run."""
     if path is None:
         return
     whole = _file(path)
@@ -31,9 +31,9 @@ def write_report(path: Path, report: object) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write `text` whole or not at all; into a device or a FIFO as it is.
+    """Write `text` whole or not at all. Into a device or a FIFO it is written directly.
 
-    A device is never replaced by a file: every program of the machine would lose `/dev/null`.
+    A device is never replaced by a file: all programs of the machine would lose `/dev/null`.
     """
     whole = _file(path)
     if whole is None:
@@ -49,10 +49,10 @@ def write_text(path: Path, text: str) -> None:
 
 
 def _file(path: Path) -> Path | None:
-    """The file that `path` leads to through its links; None if it must be written as it is."""
+    """The file that `path` leads to through its links; None if `path` must be written directly."""
     if path.exists() and not path.is_file() and not path.is_dir():
         return None
-    # /dev/stdout leads to what this process has open, though that may be a file: it goes on there.
+    # /dev/stdout leads to an open file of this process; writing continues there.
     for _ in range(_LINKS):
         if not path.is_symlink():
             break

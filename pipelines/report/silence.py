@@ -1,4 +1,4 @@
-"""Inputs that give nothing, and streams that show nothing though their input does."""
+"""Inputs that deliver nothing, and streams that show nothing although their input delivers."""
 
 from dataclasses import dataclass
 
@@ -13,17 +13,17 @@ from pipelines.setup.table import (
 from pipelines.topology import Segment
 from telepresence.link.figures import GatewayFigures
 
-#: A picture or a sound that stays out for this long, and for this many periods, is missed.
+#: A picture or a sound is missed if it does not come for this long and this many periods.
 MISSED_NS = 2 * NS_PER_S
 _MISSED_PERIODS = 4
 _FOR_EVER_NS = 1 << 62
-#: A radio that loses more of the frames than this lets hardly a picture through whole.
+#: If the radio loses a larger share of the frames, hardly a picture comes whole.
 _SPOILED = 0.05
 
 
 @dataclass(frozen=True)
 class Silence:
-    """An input that gives nothing. process: that of the input. fault: its source's last one."""
+    """An input that delivers nothing. process: of the input. fault: the last one of its source."""
 
     process: str
     sense: str
@@ -36,7 +36,7 @@ class Silence:
 
 
 def silences(setup: Setup, collector: Collector, now_ns: int | None = None) -> list[Silence]:
-    """The inputs that have given nothing for too long by `now_ns`, or by what they told last."""
+    """The inputs that have delivered nothing for too long by `now_ns`, or by their last report."""
     found = []
     for name in setup.inputs:
         process = collector.topology.input(name).process
@@ -50,7 +50,7 @@ def silences(setup: Setup, collector: Collector, now_ns: int | None = None) -> l
 
 
 def missed_ns(stream: VideoStream | VoiceStream) -> int:
-    """When a picture or a sound of `stream` that stays out is missed."""
+    """The time (ns) after which a picture or a sound of `stream` is missed."""
     return _missed_ns(stream.fps if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S)
 
 
@@ -59,10 +59,10 @@ def _missed_ns(fps: int) -> int:
 
 
 def signal_ns(segment: str, collector: Collector) -> int:
-    """How long the gateway of `segment` had heard the other one without a pause when it told last.
+    """How long the gateway of `segment` had heard the other one without a pause at its last report.
 
-    Without end where no gateway has told of its contacts; 0 where the radio has lost so many frames
-    that hardly a picture can have come whole.
+    Very large if no gateway has reported its contacts; 0 if the radio has lost so many frames that
+    hardly a picture can have come whole.
     """
     figures = collector.process(collector.topology.gateway(Segment(segment)).name)
     link: GatewayFigures | None = figures.gauges.get("link")
@@ -77,7 +77,7 @@ def signal_ns(segment: str, collector: Collector) -> int:
 
 
 def stopped_ns(stream: VideoStream | VoiceStream, setup: Setup, collector: Collector) -> int:
-    """How long a stream has shown nothing while its input gave, in ns; 0 if it never showed."""
+    """How long (ns) a stream has shown nothing while its input delivered; 0 if it never showed."""
     shown_ns = collector.streams[stream.name].last_shown_ns
     if shown_ns is None:
         return 0

@@ -1,4 +1,4 @@
-"""How far the senses lie apart: the latencies of each, compared at one instant."""
+"""The skew between the senses: their latencies, compared at one instant."""
 
 from bisect import bisect_right
 from collections import deque
@@ -8,12 +8,12 @@ from kontur_av.meters import Histogram
 from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
 from pipelines.report.model import LipSyncReport, SkewReport
 
-#: So many latencies are remembered to be compared with those of another sense.
+#: This many latencies of a sense are remembered, to be compared with those of another one.
 RECENT_DEPTH = 8192
 
 
 class Recent:
-    """The latencies (ns) of a sense over the last while, by the instant at which it came."""
+    """The recent latencies (ns) of a sense, by the instant at which it was perceived."""
 
     def __init__(self) -> None:
         self._instants_ns: deque[int] = deque(maxlen=RECENT_DEPTH)
@@ -24,7 +24,7 @@ class Recent:
         self._latencies_ns.append(latency_ns)
 
     def at(self, instant_ns: int) -> int | None:
-        """The latency of what was felt (seen, heard) at `instant_ns`; None if that is unknown."""
+        """The latency of what was perceived at `instant_ns`; None if that is unknown."""
         index = bisect_right(self._instants_ns, instant_ns) - 1
         if index < 0 or instant_ns - self._instants_ns[index] > NS_PER_S // 2:
             return None
@@ -68,7 +68,7 @@ class Skew:
 
 
 class LipSyncShare:
-    """For how much of the time sound and picture were together as ITU-R BT.1359 asks for it.
+    """The share of the time in which sound and picture were in sync after ITU-R BT.1359.
 
     Each picture counts for as long as it is shown, at most half a second.
     """
@@ -78,7 +78,7 @@ class LipSyncShare:
         self._last: tuple[int, int] | None = None
 
     def add(self, displayed_ns: int, skew_ns: int) -> None:
-        """A picture was displayed, and the sound at that instant came later by `skew_ns`."""
+        """A picture was displayed, and the sound at that instant was later by `skew_ns`."""
         if self._last is not None:
             before_ns, skew_before_ns = self._last
             shown_ns = min(max(0, displayed_ns - before_ns), NS_PER_S // 2)
@@ -91,7 +91,7 @@ class LipSyncShare:
         self._last = displayed_ns, skew_ns
 
     def summary(self) -> LipSyncReport:
-        """Shares of the time, from 0 to 1: together, sound too early, sound too late."""
+        """Shares of the time, from 0 to 1: in sync, sound too early, sound too late."""
         total_ns = max(1, self._within_ns + self._early_ns + self._late_ns)
         return LipSyncReport(
             within=round(self._within_ns / total_ns, 6),
@@ -101,5 +101,5 @@ class LipSyncShare:
 
     @property
     def counted_ns(self) -> int:
-        """The time that was looked at."""
+        """The duration (ns) of all counted pictures."""
         return self._within_ns + self._early_ns + self._late_ns

@@ -1,8 +1,8 @@
-"""What the time from an event to its picture is made of, and by how much the hand is ahead of it.
+"""The parts of the time from an event to its picture, and the lead of force over that picture.
 
-An event happens at any instant; the first picture that can show it is the next one that is captured
-and comes through. So each picture stands for the events since the one before, and counts by the
-time between the two: the means below are those of an event, not of a picture. Only means add up.
+An event happens at any instant. The first picture that can show it is the next one that is captured
+and arrives. So each picture stands for the events since the one before, and is weighted with the
+time between the two. The means below are those of an event, not of a picture. Only means add up.
 """
 
 from collections import Counter
@@ -28,7 +28,7 @@ TERMS = {
 #: Captures that lie farther apart are those of a pause, not of a camera.
 LONGEST_GAP_NS = NS_PER_S
 
-#: Parts of a way that are measured; queueing, serialisation and propagation come out of two.
+#: The measured parts; queueing, serialisation and propagation follow from `waiting` and `network`.
 _MEASURED = ("camera", "capture", "waiting", "encoding", "network", "decoding", "display", "total")
 
 
@@ -40,7 +40,7 @@ class DelaySums:
         self._weight = 0
         self._sums = dict.fromkeys(_MEASURED, 0)
         self._octets = self._packets = 0
-        #: By the second in which pictures were sent: the weight of those.
+        #: The weight of the pictures that were sent in each second.
         self._seconds: Counter[int] = Counter()
 
     def add(
@@ -49,7 +49,7 @@ class DelaySums:
         gap_ns: int,
         size: tuple[int, int],
     ) -> None:
-        """A picture has come to its end.
+        """A picture was displayed.
 
         instants_ns: captured, at the encoder, encoding begun, encoded, received, decoded, shown.
         gap_ns: since the capture of the one before. size: octets of RTP payload, and packets.
@@ -74,12 +74,12 @@ class DelaySums:
         self.pictures += 1
 
     def mean_ns(self, part: str) -> float:
-        """The mean of one part of the way, one of the measured ones; 0 without pictures."""
+        """The mean of one of the measured parts; 0 without pictures."""
         return self._sums[part] / self._weight if self._weight else 0.0
 
     @property
     def octets_mean(self) -> float:
-        """RTP payload of a picture."""
+        """The mean RTP payload of a picture."""
         return self._octets / self._weight if self._weight else 0.0
 
     @property
@@ -93,7 +93,7 @@ class DelaySums:
         """
         if not self._weight:
             return 0.0
-        # Of the path's chances none is asked: the frames are empty and the delay is no chance.
+        # The seed has no effect: the frames are empty, and the delay is not random.
         path = setup.radio_path(profile, seed=0, epoch_ns=epoch_ns)
         total = 0
         for second in sorted(self._seconds):
@@ -106,7 +106,7 @@ class DelaySums:
 
 
 def zone_bps(profile: LinkProfile, link: DirectionReport) -> float:
-    """What haptic samples left of the direction whose figures are `link`, in bit/s."""
+    """The rate (bit/s) that haptic samples left in the direction whose figures are `link`."""
     frames = link.frames
     if not frames:
         return float(profile.media_bps)
@@ -117,7 +117,7 @@ def zone_bps(profile: LinkProfile, link: DirectionReport) -> float:
 def video_lead(
     setup: Setup, way: DelaySums, link: DirectionReport, *, force_ns: float, epoch_ns: int
 ) -> VideoLead | None:
-    """By how much force comes before the uplink's picture of the same event; None without pictures.
+    """The lead of force over the uplink's picture of the same event; None without pictures.
 
     link: the uplink's figures in the report. force_ns: mean latency of the force.
     """
@@ -138,7 +138,7 @@ def video_lead(
         "propagation": propagation_ns,
         "total": way.mean_ns("total"),
     }
-    # A sample has its place in a frame: it waits for its slot and its cycle, and for no other.
+    # A sample has a reserved place in its frame, so it waits only for its slot and its cycle.
     force = dict.fromkeys((*TERMS, "total"), 0.0)
     force |= {
         "queueing": force_ns - propagation_ns,

@@ -1,7 +1,7 @@
-"""What made a session worse than it has to be, and what mends it. A core.
+"""What made a session worse than necessary, and its mend. A core.
 
-A failure is a broken promise of the project. A warning is about the machine: the session did what
-it could, and a person can change something.
+A failure is a broken promise of the project. A warning is about the machine: a person can change
+something.
 """
 
 from collections.abc import Mapping
@@ -108,8 +108,8 @@ def picture_warnings(
 ) -> list[Warning]:
     """Whether too few pictures were captured or shown over a free channel.
 
-    captured: at the input; 0 if it gave nothing, which is told elsewhere. refused: pictures that
-    the cap had no room for. displayed: pictures that were shown.
+    captured: at the input; 0 if it delivered none, which another warning reports. refused: pictures
+    that the cap had no room for. displayed: pictures that were shown.
     """
     seconds = max(seconds, 1e-9)
     if not captured:
@@ -134,7 +134,7 @@ def _captured(stream: str, topology: Topology, collector: Collector) -> int:
 
 
 def _free_channel(collector: Collector, seconds: float) -> bool:
-    """Whether the radio let nearly everything through, both ways, nearly all the time."""
+    """Whether the radio let nearly everything through in both directions, nearly all the time."""
     if seconds * NS_PER_S < _LEAST_NS:
         return False
     for segment in Segment:

@@ -22,7 +22,7 @@ class Segment(Enum):
 
     @property
     def peer(self) -> "Segment":
-        """The other one."""
+        """The other segment."""
         return Segment.SPACE if self is Segment.GROUND else Segment.GROUND
 
 
@@ -44,5 +44,5 @@ class Direction(Enum):
 
     @property
     def opposite(self) -> "Direction":
-        """The other one."""
+        """The other direction."""
         return Direction.DOWNLINK if self is Direction.UPLINK else Direction.UPLINK

@@ -1,6 +1,6 @@
 """A setup by its name, or a user's own from TOML; docs/setups.md has an annotated file. A shell.
 
-What the file gets wrong is a ConfigError that names the field and the mend.
+A mistake in the file is a ConfigError that names the field and the mend.
 """
 
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ class _Link:
 
 @dataclass(frozen=True, kw_only=True)
 class _File:
-    """What may stand in a file; its fields are those of `Setup`."""
+    """The fields of a setup file; their names are those of `Setup`."""
 
     name: str
     uplink_video: _Video
@@ -74,11 +74,12 @@ def load_setup(
 ) -> Setup:
     """A built-in setup by its name, or a user's own from a TOML file; ConfigError otherwise.
 
-    sources: by input, instead of the setup's own. changes: other fields of `Setup`, likewise.
-    radio_start_s: begin so long after the acquisition of signal of the radio's pass.
+    sources: the source of each input named; it replaces the setup's own. changes: other fields of
+    `Setup` to replace. radio_start_s: begin the session this long after the acquisition of signal
+    of the radio's pass.
     """
     values = _values_of(name)
-    # Before the setup is built: an input may have its source from the command line only.
+    # Put them in before the setup is built: an input may have its only source on the command line.
     values |= {"sources": {**values["sources"], **sources}, **changes}
     radio = values["radio"]
     if isinstance(radio, str) and (radio_start_s is not None or radio not in RADIOS):
@@ -109,7 +110,7 @@ def setup_from_table(table: Mapping[str, Any]) -> Setup:
 
 
 def _values(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of `Setup`, but the radio by its name."""
+    """The fields of `Setup`; the radio is still a name."""
     told = typed(table, _File, "a setup")
     values = {each.name: getattr(told, each.name) for each in fields(told)}
     for name in ("uplink_video", "downlink_video"):

@@ -1,4 +1,4 @@
-"""The typed table that describes a setup. What cannot work is refused when it is built.
+"""The typed table that describes a setup. A setup that cannot work is refused when it is built.
 
 A user's own setup is a TOML file with the same fields: `pipelines.setup.setup_file`.
 """
@@ -44,10 +44,11 @@ VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
 VIDEO_PAYLOAD_OCTETS = 1000
 #: The radio that does nothing to frames.
 NO_RADIO = "cable"
-#: What is older than the radio's delay, this and so many periods is stale, if a setup says nothing.
+#: Unless a setup says otherwise, what is shown is stale when it is older than the radio's delay,
+#: this time and this many periods together.
 _STALE_NS = 100 * NS_PER_MS
 _STALE_PERIODS = 4
-#: How many ports a session takes, from its base port on.
+#: A session takes this many ports, from its base port on.
 PORTS = 40
 
 
@@ -55,9 +56,9 @@ PORTS = 40
 class VideoStream:
     """An H.264 stream: its hard cap of RTP payload in bit/s, picture size and rate.
 
-    stale_after_ms: what is shown is marked when it is older; None: `Setup.stale_after_ns`.
-    coded: (width, height) in which pictures are coded; None: as large as there are bits for
-        (`coded_size`). They are shown in the stream's size.
+    stale_after_ms: older pictures are marked as stale; None: the default of `Setup.stale_after_ns`.
+    coded: (width, height) in which pictures are coded; None: the largest size that the cap has
+        bits for (`coded_size`). They are shown in the stream's size.
     """
 
     name: str
@@ -87,17 +88,17 @@ class VideoStream:
 
     @property
     def coded_size(self) -> tuple[int, int]:
-        """In which pictures are coded."""
+        """The width and height in which pictures are coded."""
         return self.coded or coded_size_for(self.width, self.height, self.fps, self.cap_bps)
 
     @property
     def payload_octets(self) -> int:
-        """The largest RTP payload: also one that the cap lets through at once."""
+        """The largest RTP payload in octets; a low cap lets only smaller ones through at once."""
         return min(VIDEO_PAYLOAD_OCTETS, Pacer(cap_bps=self.cap_bps).max_payload_octets)
 
     @property
     def packets_per_s(self) -> int:
-        """Of pictures of equal size that fill the cap."""
+        """The packets a second if pictures of equal size fill the cap."""
         return self.fps * ceil(self.cap_bps / (8 * self.fps * self.payload_octets))
 
 
@@ -105,7 +106,7 @@ class VideoStream:
 class VoiceStream:
     """An Opus stream in voice mode, mono 48 kHz, constant bit rate: RTP payload in bit/s.
 
-    stale_after_ms: what is heard is stale when it is older; None: `Setup.stale_after_ns`.
+    stale_after_ms: older sound is stale; None: the default of `Setup.stale_after_ns`.
     """
 
     name: str
@@ -130,21 +131,22 @@ def _check_stale_after(stream: VideoStream | VoiceStream) -> None:
         raise ConfigError(f"{stream.name}: stale after {after_ms:g} ms; take 10 to 600000")
 
 
-#: Whether haptic samples that nobody would feel are left out, and what for: more picture through
-#: a higher cap, or the same picture sooner.
+#: What happens to the room of haptic samples that nobody would feel. `off`: no sample is left out.
+#: `picture`: the video's cap rises. `latency`: the same pictures are sent sooner.
 Deadband = Literal["off", "picture", "latency"]
 DEADBANDS: tuple[Deadband, ...] = get_args(Deadband)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """A telepresence session: who sees, hears and feels what, at which rates, through what.
+    """A telepresence session: its cameras, its streams and their caps, its link and its radio.
 
-    cameras: what can be selected for the uplink video; the first is on at the start. `stereo` is
-        merged from the inputs `left` and `right`; any other is the input of the same name.
+    cameras: the cameras that can be selected for the uplink video; the first is selected at the
+        start. `stereo` is merged from the inputs `left` and `right`; any other is the input of the
+        same name.
     sources: for each input its source, as on the command line (`--source NAME=SPEC`).
-    radio: what the radio does to frames: a profile, or a built-in one's name (docs/radio.md).
-        `telepresence.link.radio.load_radio` reads one from a file.
+    radio: how the radio delays and loses frames: a profile, or a built-in one's name
+        (docs/radio.md). `telepresence.link.radio.load_radio` reads one from a file.
     radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
     deadband: unless `off`, haptic samples are left out while nobody would feel the difference. The
         uplink video gets the room: as a higher rate, or a lower delay (docs/deadband.md).
@@ -162,7 +164,7 @@ class Setup:
     radio: RadioProfile | str = NO_RADIO
     radio_delay_ms: float = 0.0
     deadband: Deadband = "off"
-    #: Below the ports that Linux gives to whoever names none (32768 on), ours included.
+    #: Below 32768, where Linux takes the ports of sockets that ask for any port.
     base_port: int = 27_000
 
     def __post_init__(self) -> None:
@@ -209,7 +211,7 @@ class Setup:
 
     @cached_property
     def radio_profile(self) -> RadioProfile:
-        """What the radio does to frames."""
+        """The profile of the radio, with the setup's own delay."""
         profile = self._named_radio
         return delayed(profile, self.radio_delay_ms) if self.radio_delay_ms else profile
 
@@ -241,7 +243,7 @@ class Setup:
         )
 
     def kind_of(self, name: str) -> Literal["audio", "video"]:
-        """What the input `name` gives; ConfigError when the setup has no such input."""
+        """Whether the input `name` is of sound or of pictures; ConfigError if it is unknown."""
         if name not in self.inputs:
             raise ConfigError(f"setup {self.name} has no input {name}")
         return "audio" if name in (GROUND_MIC, ISS_MIC) else "video"
@@ -277,9 +279,9 @@ class Setup:
         return Direction.UPLINK if stream.name in names else Direction.DOWNLINK
 
     def stale_after_ns(self, stream: VideoStream | VoiceStream) -> int:
-        """What is shown of `stream` is stale when it is older than this.
+        """The age (ns) above which what is shown or heard of `stream` is stale.
 
-        Without a figure of the stream's own: the radio's longest delay, 100 ms and four periods.
+        A stream without its own value takes the radio's longest delay, 100 ms and four periods.
         """
         if stream.stale_after_ms is not None:
             return round(stream.stale_after_ms * NS_PER_MS)
@@ -298,15 +300,15 @@ class Setup:
         return tuple(stream for stream in every if stream is not None)
 
     def need_up(self) -> ChannelNeed:
-        """What the uplink carries at the caps; ConfigError when it does not fit."""
+        """What the uplink carries with all streams at their caps; ConfigError if too much."""
         return check_fit(self.uplink, _needs(self.uplink_voice, self.uplink_video))
 
     def need_down(self) -> ChannelNeed:
-        """What the downlink carries at the caps; ConfigError when it does not fit."""
+        """What the downlink carries with all streams at their caps; ConfigError if too much."""
         return check_fit(self.downlink, _needs(self.downlink_voice, self.downlink_video))
 
     def freed_need_bps(self, stream: VideoStream, gain_bps: int) -> int:
-        """What slots without a sample must leave for the cap of `stream` to rise by `gain_bps`."""
+        """The rate that left-out samples must free before `stream`'s cap can rise by `gain_bps`."""
         grown = replace(stream, cap_bps=stream.cap_bps + gain_bps)
         voice = self.uplink_voice if stream == self.uplink_video else self.downlink_voice
         return max(gain_bps, freed_need_bps(self.profile_of(stream), _needs(voice, grown)))

@@ -95,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, and print the page; 1 if a session failed. A missed target is shown, no failure."""
+    """Measure and print the page; 1 if a session failed. A missed target is no failure."""
     for name in ("seconds", "live_seconds"):
         if not 1 <= getattr(args, name) <= 3600:
             option = f"--{name.replace('_', '-')}"

@@ -8,8 +8,8 @@ from pipelines.bench.result import Headline, JsonReader
 
 #: The least share of the usable time that the orbit predicts.
 USABLE_SHARE = 0.99
-#: A stream that shows nothing, or a channel that moves no sample, for longer is stuck: while there
-#: is a signal and the orbit predicts one.
+#: A stream that shows nothing, or a channel that moves no sample, is stuck after this time with a
+#: signal in the predicted window.
 LONGEST_PAUSE_S = {"shown": 3.0, "felt": 1.0}
 #: Rounding down at both ports makes the observed energy too small by this at most (µJ).
 ROUNDING_UJ = 2

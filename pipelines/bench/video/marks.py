@@ -72,13 +72,12 @@ def read_number(squares: Levels) -> int | None:
 
 
 def read_all(squares: Sequence[Levels], captured: Sequence[Sequence[int]]) -> list[int | None]:
-    """The number of each of the pictures, which came in their order.
+    """The number of each picture, in the order of arrival; None if there are fewer numbers.
 
     captured: for each picture the numbers that it may have, ascending: those captured before it
-    came. A picture's number can be read in most of them. A coder that has no bits left, as after
-    a cut, may leave a square half as it was; between two that can be read, those that cannot get
-    ascending numbers, the ones that fit what is seen of the squares best. None where there are
-    fewer numbers left than pictures.
+    came. Most numbers can be read. A coder without bits, as after a cut, may leave a square half
+    as it was. Pictures between two that can be read get ascending numbers: those that fit the
+    visible squares best.
     """
     clear = [read_number(found) for found in squares]
     numbers = _ascending(clear, captured)

@@ -57,7 +57,7 @@ def speak(
             continue
         encoded_ns = complete_ns + costs.ns("voice_encode")
         sender.handle_packet(encoder.encode(samples), stamp, encoded_ns)
-        # The pacer of a voice holds nothing back that comes in step.
+        # The pacer of a voice stream delays no packet that comes at its regular rate.
         while (packet := sender.poll_transmit(encoded_ns)) is not None:
             sent.append((encoded_ns, packet, sender.poll_report(encoded_ns)))
     return sent

@@ -17,7 +17,7 @@ from pipelines.report.sync.verdict import judge
 
 #: The senses, and what carries them to the operator.
 SENSES = {**WATCHED, "force": "haptic_up"}
-#: The rows that processes tell of contacts and of what they perceived.
+#: The rows that processes report of contacts and of what was perceived.
 PERCEIVED = frozenset({ContactRow, LightRow, ClickRow, StepRow})
 _SENSE_OF = {LightRow: "light", ClickRow: "click"}
 #: The pairs of the report: how much later the first comes than the second.
@@ -27,13 +27,13 @@ PAIRS = {
     "audio_video": ("click", "light"),
 }
 
-#: A contact so soon after another is a bounce of it.
+#: A contact sooner than this after another one is a bounce.
 _BOUNCE_NS = 300 * NS_PER_MS
-#: So long before the end of what is known a contact may not have been perceived yet.
+#: A contact in this last part of the known time may not have been perceived yet.
 _PATIENCE_NS = NS_PER_S
-#: Hours of contacts and clicks; then the oldest go.
+#: Enough for hours of contacts and clicks; then the oldest are dropped.
 _DEPTH = 65_536
-#: So many contacts are listed one by one.
+#: At most this many contacts are listed one by one.
 _LISTED = 1000
 
 
@@ -59,11 +59,11 @@ class SyncFigures:
         self._found: dict[str, deque[Found]] = {sense: deque(maxlen=_DEPTH) for sense in SENSES}
         #: Steps of the force whose samples' stamps are not known yet.
         self._steps: deque[int] = deque(maxlen=_DEPTH)
-        #: Until when everything is known.
+        #: Everything up to this instant is known.
         self._now_ns = -(1 << 62)
 
     def handle_series(self, series: Series[Any]) -> None:
-        """Rows of one of `PERCEIVED`, as a process tells them."""
+        """Rows of one of `PERCEIVED`, as a process reports them."""
         for row in series.rows():
             if isinstance(row, ContactRow):
                 self._contacts.append((row.instant_ns, row.led))
@@ -74,16 +74,16 @@ class SyncFigures:
                 self._found[_SENSE_OF[series.kind]].append(found)
 
     def handle_time(self, now_ns: int, sent_ns_at: Callable[[int], int | None]) -> None:
-        """It is `now_ns`. sent_ns_at: when the force that was felt at an instant was sent."""
+        """The time is `now_ns`. sent_ns_at: when the force that was felt at an instant was sent."""
         self._now_ns = max(self._now_ns, now_ns)
         steps = self._steps
-        # By then both ends of the samples have told their stamps.
+        # By then both ends of the samples have reported their stamps.
         while steps and steps[0] <= now_ns - _PATIENCE_NS:
             instant_ns = steps.popleft()
             self._found["force"].append(Found(instant_ns, stamp_ns=sent_ns_at(instant_ns)))
 
     def _events(self, senses: Sequence[str], soonest_ns: int) -> list[Event]:
-        """Every contact with a target, by its instant; bounces are none of their own."""
+        """Every contact with a target, by its instant, without bounces."""
         contacts, _ = self._apart()
         instants = [instant_ns for instant_ns, _ in contacts]
         nothing: list[Found | None] = [None] * len(instants)
@@ -102,8 +102,8 @@ class SyncFigures:
     def report(self, senses: Sequence[str], *, soonest_ns: int = 0) -> SyncReport | None:
         """The section `sync` of a report; None if nothing was touched.
 
-        senses: those that contacts reach; what was found for another one is left out.
-        soonest_ns: the radio's delay at least.
+        senses: those that contacts reach; findings of other senses are left out.
+        soonest_ns: the least delay of the radio.
         """
         events = self._events(senses, soonest_ns)
         if not events:
@@ -135,7 +135,7 @@ class SyncFigures:
     def _sorted(self, sense: str) -> list[Found]:
         found = list(self._found[sense])
         if sense == "force":
-            # They were felt, whatever their samples' stamps will be.
+            # These steps were felt, although the stamps of their samples are not known yet.
             found += map(Found, self._steps)
         return sorted(found, key=lambda one: one.instant_ns)
 
@@ -170,7 +170,7 @@ class SyncFigures:
 
 
 def disagreements(report: SyncReport | None) -> list[str]:
-    """A line for each sense whose stamps say something else than what it shows."""
+    """A line for each sense whose stamps contradict its content."""
     lines = []
     for sense, figures in ({} if report is None else report.senses).items():
         if figures is not None and figures.agrees is False:
@@ -187,7 +187,7 @@ def disagreements(report: SyncReport | None) -> list[str]:
 
 
 def skews_ns(pair: str, events: Sequence[Event]) -> list[int]:
-    """By how much the pair's first sense came later than its second, of events that have both."""
+    """How much later (ns) the pair's first sense came than its second, if both came."""
     first, second = PAIRS[pair]
     both = ((event.latency_ns(first), event.latency_ns(second)) for event in events)
     return [a - b for a, b in both if a is not None and b is not None]

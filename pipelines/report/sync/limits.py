@@ -1,4 +1,4 @@
-"""How far apart two senses may be before people notice, and who says so."""
+"""How far apart two senses may be before people notice, with the sources."""
 
 from dataclasses import dataclass
 

@@ -1,8 +1,8 @@
-"""Which of the lights, clicks and steps that were found belongs to which contact.
+"""Assigns the lights, clicks and steps that were found to their contacts.
 
-A sense is late by nearly the same time at every contact, whatever that time is: what was found is
-put to the vote. So a plosive of a voice or an arm that came into view, now and then taken for the
-click or the light, does not take their place. Stamps have no say in it.
+A sense has nearly the same delay at every contact. So the findings vote on that delay. A plosive of
+a voice, or an arm that comes into view, may be mistaken for a click or a light; it loses the vote,
+because its delay is another one each time. Stamps are not used.
 """
 
 from collections.abc import Sequence
@@ -13,14 +13,14 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS
 
-#: No later than this after a contact it is seen, heard or felt.
+#: A contact is seen, heard or felt within this time.
 LATEST_NS = 1500 * NS_PER_MS
-#: Votes are counted in boxes of this width, and so many neighbours on either side.
+#: Votes are counted in boxes of this width; this many neighbours on either side count as well.
 _BOX_NS = 10 * NS_PER_MS
 _NEIGHBOURS = 7
-#: What lies farther than this from what most say is believed only if it is strong.
+#: A finding farther than this from the usual delay is believed only if it is strong.
 _NEAR_NS = 120 * NS_PER_MS
-#: Of the median strength of those that are near: what the near ones and the far ones must have.
+#: The least strength of a near and of a far finding, relative to the median of the near ones.
 _LEAST_NEAR, _LEAST_FAR = 0.2, 0.6
 
 
@@ -29,8 +29,8 @@ class Found:
     """Something that a detector found.
 
     instant_ns: when it was shown, heard or felt. strength: the detector's own measure. stamp_ns:
-    when it happened by the stamps that travelled with it, None if they don't tell. slack_ns: how
-    much earlier it may have happened: a camera sees a light at its next picture only.
+    when it happened by the stamps that travelled with it; None if unknown. slack_ns: how much
+    earlier it may have happened: a camera sees a light only in its next picture.
     """
 
     instant_ns: int
@@ -42,10 +42,10 @@ class Found:
 def match(
     contacts: Sequence[int], found: Sequence[Found], *, soonest_ns: int = 0
 ) -> list[Found | None]:
-    """For each contact (instants in ns, ascending) what was found of it, or None.
+    """What was found of each contact (instants in ns, ascending), or None.
 
-    found: ascending by instant. soonest_ns: it takes at least so long. Nothing is used twice: what
-    comes when the next contact may be perceived already belongs to that one.
+    found: ascending by instant. soonest_ns: the least delay. Each finding is used once. If it comes
+    when the next contact may already be perceived, it belongs to that one.
     """
     begins = [contact_ns + soonest_ns for contact_ns in contacts]
     ends = [begin_ns + LATEST_NS for begin_ns in begins]
@@ -57,9 +57,9 @@ def match(
 def match_around(
     contacts: Sequence[int], found: Sequence[Found], *, around_ns: int
 ) -> list[Found | None]:
-    """As `match`, of what may as well come before the contact: by no more than `around_ns`.
+    """As `match`, but a finding may also come before its contact, by at most `around_ns`.
 
-    Nothing is used twice: what lies between two contacts belongs to the nearer one.
+    Each finding is used once. Between two contacts it belongs to the nearer one.
     """
     begins = [contact_ns - around_ns for contact_ns in contacts]
     ends = [contact_ns + around_ns for contact_ns in contacts]
@@ -73,7 +73,7 @@ def match_around(
 def _chosen(
     contacts: Sequence[int], found: Sequence[Found], begins: Sequence[int], ends: Sequence[int]
 ) -> list[Found | None]:
-    """Of what was found from each contact's begin to before its end the one that belongs to it."""
+    """The finding of each contact, out of those from its begin to before its end."""
     instants = np.array([one.instant_ns for one in found], np.int64)
     candidates = [
         found[first:last]
@@ -106,7 +106,7 @@ def _chosen(
 
 
 def _usual(contacts: Sequence[int], candidates: Sequence[Sequence[Found]]) -> int:
-    """How late most of them say that the sense is (ns)."""
+    """The delay (ns) for which most of the findings vote."""
     delays, votes = [], []
     for contact_ns, some in zip(contacts, candidates, strict=True):
         strongest = max((one.strength for one in some), default=1.0)

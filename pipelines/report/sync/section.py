@@ -10,7 +10,7 @@ from telepresence.world import CONTACT_SCENES
 def sync_section(setup: Setup, figures: SyncFigures, *, media: bool) -> SyncReport | None:
     """Contacts, and when they were seen, heard and felt; None if nothing was touched.
 
-    media: without, the session had no streams, whatever its setup says.
+    media: False if the session had no streams, whatever its setup says.
     """
     carried = {"haptic_up", *(stream.name for stream in setup.streams if media)}
     senses = [
@@ -23,9 +23,9 @@ def sync_section(setup: Setup, figures: SyncFigures, *, media: bool) -> SyncRepo
 
 
 def _touch_reaches(setup: Setup, sense: str) -> bool:
-    """Whether what the operator sees or hears is the place where the simulated stylus touches.
+    """Whether the operator sees or hears the place where the simulated stylus touches.
 
-    What flashes in a film, or clicks before a microphone of the user's own, is no contact.
+    A flash in a film, or a click at the user's own microphone, is no contact.
     """
     inputs = {"light": setup.camera_inputs, "click": (GROUND_MIC,)}.get(sense, ())
     return all(setup.source(name) in CONTACT_SCENES for name in inputs)

@@ -1,9 +1,9 @@
-"""Whether stamps and content agree, from few instants of which some are smeared.
+"""Whether stamps and content agree, judged from few instants of which some are inexact.
 
-A click in a loud vowel, a light half behind the arm: what is left of them may be dated wrongly by
-several milliseconds, or a whole picture. So the clearest are judged, and by the interval in which
-their median lies with 95 % confidence (order statistics: David and Nagaraja, Order Statistics, 3rd
-edition, 7.1): the fewer there are the wider it is.
+A click in a loud vowel, or a light half behind the arm, may be dated wrongly by several
+milliseconds or by a whole picture. So only the clearest findings are judged, by the interval in
+which their median lies with 95 % confidence (order statistics: David and Nagaraja, Order
+Statistics, 3rd edition, 7.1). The fewer they are, the wider is that interval.
 """
 
 from collections.abc import Sequence
@@ -12,24 +12,24 @@ from dataclasses import dataclass
 from kontur_av.clock import NS_PER_MS
 from pipelines.report.sync.matching import Found
 
-#: How far the stamps may lie beside what is shown, in the median: sound and touch. A picture may
-#: be dated later by up to the time since the one before, and this.
+#: The largest median error of stamps of sound and touch. A picture may also be dated later, by up
+#: to the time since the picture before.
 TOLERANCE_NS = 2 * NS_PER_MS
-#: From so many on there is a verdict.
+#: A verdict needs at least this many findings.
 LEAST_VERDICT = 4
-#: The stronger half is judged, but so many if there are; all, if none is stronger.
+#: The stronger half is judged, but at least this many; all of them, if none is stronger.
 _LEAST_CLEAR = 6
-#: One in so many: how unlikely it is that the median lies below the interval, or above.
+#: The median lies below the interval with a probability of one in this many; also above it.
 _ONE_IN = 40
 
 
 @dataclass(frozen=True, slots=True)
 class SyncVerdict:
-    """What the clearest say of the stamps.
+    """What the clearest findings say of the stamps.
 
-    judged: how many they are. median_ns: of the stamps less the instants of the contacts;
-    between_ns: where it lies with 95 % confidence; allowed_ns: where it is explained. agrees: None
-    if they are too few, or say neither.
+    judged: their number. median_ns: the median of stamp minus instant of the contact. between_ns:
+    where that median lies with 95 % confidence. allowed_ns: where it may lie. agrees: None if the
+    findings are too few, or allow both answers.
     """
 
     judged: int
@@ -40,7 +40,7 @@ class SyncVerdict:
 
 
 def judge(perceived: Sequence[tuple[int, Found]]) -> SyncVerdict:
-    """A verdict from (instant of the contact, what was found of it); without stamp: left out."""
+    """The verdict on pairs of a contact's instant and its finding; without a stamp: left out."""
     stamped = [
         (found.strength, found.stamp_ns - contact_ns, found.slack_ns)
         for contact_ns, found in perceived
@@ -49,7 +49,7 @@ def judge(perceived: Sequence[tuple[int, Found]]) -> SyncVerdict:
     stamped.sort(key=lambda one: -one[0])
     clearest = stamped[: max(_LEAST_CLEAR, (len(stamped) + 1) // 2)]
     if stamped and stamped[0][0] == stamped[-1][0]:
-        # None is clearer, as with steps of the force: half of them would be the earlier half.
+        # None is clearer, as with steps of the force. Half of them would just be the earlier half.
         clearest = stamped
     if not clearest:
         return SyncVerdict(0, None, None, (-TOLERANCE_NS, TOLERANCE_NS), None)
@@ -68,13 +68,14 @@ def judge(perceived: Sequence[tuple[int, Found]]) -> SyncVerdict:
 
 
 def median_interval(ordered: Sequence[int]) -> tuple[int, int]:
-    """Where the median lies of what ascending values were drawn from, with 95 % confidence.
+    """The interval in which the median of the distribution lies with 95 % confidence.
 
-    Of fewer than nine it is all that they span; of fewer than six that is less certain.
+    ordered: ascending values drawn from it. With fewer than nine the interval is all that they
+    span; with fewer than six its confidence is lower.
     """
     count = len(ordered)
     left_out, ways, below, every = 0, 1, 1, 2**count
-    # So many are left out at either end as are unlikely to lie all on one side of the median.
+    # Leave out values at both ends while it is unlikely that all of them lie on one side.
     while _ONE_IN * below <= every:
         ways = ways * (count - left_out) // (left_out + 1)
         below += ways
