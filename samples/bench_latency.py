@@ -34,7 +34,7 @@ STAGES = ("encode", "cap and channel", "network", "decode")
 
 
 def receive(udp: socket.socket, results: Connection) -> None:
-    """Until an empty datagram: (RTP timestamp, received, decoded) of each picture."""
+    """Send (RTP timestamp, received, decoded) of each picture, until an empty datagram comes."""
     clock = MonotonicClock()
     receiver, decoder = VideoReceiver(ssrc=secrets.randbits(32)), H264Decoder()
     received_ns: dict[int, int] = {}

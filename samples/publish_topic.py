@@ -4,8 +4,8 @@
     python samples/publish_topic.py publish    one end, until Ctrl-C ...
     python samples/publish_topic.py read       ... and the other, in another terminal
 
-A picture is drawn into shared memory and read from there: nobody copies it. Start several
-readers, kill the publisher and start it anew: the readers just see pictures again.
+A picture is drawn into shared memory and read from there without a copy. Start several
+readers, kill the publisher and start it again: the readers then see pictures again.
 """
 
 import multiprocessing

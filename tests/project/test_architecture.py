@@ -5,7 +5,7 @@ import ast
 import pytest
 from places import ROOT
 
-#: Each may import itself and what stands before it.
+#: A package may import itself and those before it.
 ORDER = ("kontur_av", "telepresence", "pipelines")
 
 #: The rooms of `pipelines`: a module may import its own tier and those before it.
@@ -18,10 +18,10 @@ TIERS = (
     {"simulation", "report"},
     {"commands", "bench"},
 )
-#: What stands in the root of `pipelines`.
+#: The number of modules allowed in the root of `pipelines`.
 MOST_IN_THE_ROOT = 6
 
-#: Doors to the world outside: a core is handed the time, the octets and the random numbers.
+#: Modules with I/O, time or randomness. A core gets these as arguments.
 DOORS = {
     "asyncio",
     "concurrent",
@@ -39,10 +39,10 @@ DOORS = {
     "time",
 }
 
-#: Every module in here is a process of its own, and as thin as a shell can be.
+#: Every module in this folder is the shell of a process.
 PROCESSES = "pipelines/parts/"
 
-#: Other modules that are allowed a door, and why. Everything else is a core.
+#: Other modules that may import one of DOORS, with the reason. All others are cores.
 SHELLS = {
     "kontur_av/topics/notifier.py": "FIFOs, and sleep",
     "kontur_av/clock.py": "the one place that asks for the time",
@@ -94,7 +94,7 @@ SHELLS = {
 #: Folders whose every module is a shell.
 SHELL_FOLDERS = (PROCESSES, "pipelines/bench/", "pipelines/commands/", "pipelines/runtime/")
 
-#: What a core may import: it computes, and reaches nothing outside.
+#: Modules that a core may import: they compute, and do no I/O.
 PURE = {
     "__future__",
     "array",
@@ -128,7 +128,7 @@ PURE = {
     "weakref",
 }
 
-#: Libraries that modules which are no shells use beside that, and why.
+#: Further libraries that cores use, with the reason.
 LIBRARIES = {
     "kontur_av/codecs/": ({"av", "cv2"}, "FFmpeg's coders, and scaling of pictures"),
     "kontur_av/codecs/libopus.py": ({"ctypes", "pathlib", "sys", "warnings"}, "finds libopus"),
@@ -231,7 +231,7 @@ def test_cores_import_only_what_is_allowed():
     assert not wrong, "a core is given the time and the octets; a new shell is named in SHELLS"
 
 
-def test_libraries_that_left_a_module_leave_the_list():
+def test_the_list_of_libraries_has_no_unused_entry():
     used = {place: set() for place in LIBRARIES}
     for module in modules():
         for place in LIBRARIES:
@@ -240,5 +240,5 @@ def test_libraries_that_left_a_module_leave_the_list():
     assert {place for place, (names, _) in LIBRARIES.items() if not names <= used[place]} == set()
 
 
-def test_shells_that_became_cores_leave_the_list():
+def test_the_list_of_shells_has_no_core():
     assert {module for module in SHELLS if not imported(module) & DOORS} == set()

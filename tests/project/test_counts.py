@@ -10,7 +10,7 @@ PACKAGES = ("kontur_av", "telepresence", "pipelines")
 
 
 def untyped_tables() -> int:
-    """How often `dict[str, Any]` stands in the three packages."""
+    """The number of `dict[str, Any]` in the three packages."""
     files = (file for package in PACKAGES for file in (ROOT / package).rglob("*.py"))
     return sum(file.read_text(encoding="utf-8").count("dict[str, Any]") for file in files)
 
@@ -30,7 +30,7 @@ def words(name: str) -> int:
     return len(re.findall(r"\S+", (ROOT / name).read_text(encoding="utf-8")))
 
 
-#: What is counted, the count, and the largest that it may be.
+#: What is counted, how, and the largest allowed count.
 COUNTS = (
     ("`dict[str, Any]` in the packages", untyped_tables, 14),
     ("modules in the root of pipelines", modules_in_the_root, 6),

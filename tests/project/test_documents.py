@@ -1,4 +1,4 @@
-"""The documents stay short, lead to each other, and name files that exist."""
+"""The documents are short, link to each other, and name existing files."""
 
 import re
 
@@ -7,7 +7,7 @@ from places import ROOT
 
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
-#: Written by a command, so as long as what they list.
+#: Pages that a command writes, so their length is not limited.
 WRITTEN = {"measurements.md", "python.md"}
 MOST_WORDS = 1000
 README_WORDS, README_LINES = 1500, 200
@@ -22,7 +22,7 @@ def words(text: str) -> int:
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if page.name not in WRITTEN], ids=lambda page: page.name
 )
-def test_a_page_that_explains_is_short(page):
+def test_a_page_has_at_most_1000_words(page):
     assert words(page.read_text(encoding="utf-8")) <= MOST_WORDS
 
 
@@ -65,7 +65,7 @@ def test_each_walk_has_few_steps_and_names_files_that_exist():
         files = re.findall(r"`([a-z_]+/[\w./]+\.py)`", steps)
         assert len(files) >= len(numbers) - 2, title
         assert [file for file in files if not (ROOT / file).exists()] == []
-        # A class that a step names stands in one of the three packages.
+        # A class that a step names is defined in one of the three packages.
         for name in re.findall(r"`([A-Z]\w+)`", steps):
             assert _defined(name), f"{title}: {name}"
 

@@ -1,4 +1,4 @@
-"""What documents take from the code is up to date; the links of docs/python.md lead somewhere."""
+"""The generated parts of documents are up to date, and the links of docs/python.md work."""
 
 import importlib
 import importlib.util
@@ -17,7 +17,7 @@ def generate():
     return module
 
 
-def test_the_page_is_what_the_docstrings_say():
+def test_the_page_is_up_to_date():
     page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     assert page == generate().python_page(), "run: python docs/generate.py"
 

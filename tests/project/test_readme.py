@@ -1,4 +1,4 @@
-"""The documents keep up with the code: commands, options, links, setups and the CI's command."""
+"""The documents match the code: commands, options, links, setups and the CI's command."""
 
 import argparse
 import re
@@ -48,7 +48,7 @@ def subcommands() -> dict[str, argparse.ArgumentParser]:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_every_command_is_one_that_the_cli_takes(document):
+def test_the_cli_accepts_every_documented_command(document):
     for arguments in commands_in(document.read_text(encoding="utf-8")):
         _parser().parse_args(arguments)
 
@@ -72,7 +72,7 @@ def test_every_link_leads_to_a_file(document):
     text = document.read_text(encoding="utf-8")
     links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", text) if "://" not in link]
     missing = [link for link in links if not (document.parent / link).exists()]
-    # Paths in code quotes are promises too: kontur_av/clock.py, tests/sim/test_caps.py, ...
+    # Paths in code quotes must exist, too: kontur_av/clock.py, tests/sim/test_caps.py, ...
     paths = re.findall(r"`((?:kontur_av|telepresence|pipelines|samples|tests|docs)/[\w./]+)`", text)
     missing += [path for path in paths if not (ROOT / path).exists()]
     assert not missing
@@ -93,13 +93,13 @@ def test_the_ci_runs_the_test_command_of_the_readme():
     assert ".venv/bin/pytest" not in ci
 
 
-def test_the_annotated_setup_is_one_and_has_every_field():
+def test_the_annotated_setup_is_valid_and_has_every_field():
     (text,) = blocks((ROOT / "docs" / "setups.md").read_text(encoding="utf-8"), "toml")
     table = tomllib.loads(text)
     assert {field.name for field in fields(Setup)} == set(table)
     setup = setup_from_table(table)
     assert setup.inputs[:4] == ("left", "right", "static", "wrist")
-    # What is called the default there is it.
+    # The values that the document calls defaults are the defaults.
     plain = setup_from_table({"name": "x", "cameras": ["static"], "uplink_video": {"cap_kbps": 85}})
     assert plain.uplink_video == setup.uplink_video
     assert (plain.uplink, plain.downlink) == (setup.uplink, setup.downlink)

@@ -32,7 +32,7 @@ def bench(tmp_path, monkeypatch):
     return lambda: len(counter.read_text()) if counter.exists() else 0
 
 
-def test_runs_that_are_there_are_kept_and_others_are_made(bench, tmp_path, capsys, monkeypatch):
+def test_existing_runs_are_kept_and_missing_ones_are_made(bench, tmp_path, capsys, monkeypatch):
     write = tmp_path / "page.md"
     words = ["bench", "all", "--only", "cpu,haptics", "--write", str(write)]
     assert main(words) == 0

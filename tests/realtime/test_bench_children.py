@@ -1,4 +1,4 @@
-"""What a bench has started ends with it, however it is ended."""
+"""The children of a bench end with it, whatever ends the bench."""
 
 import os
 import signal
@@ -44,7 +44,7 @@ def test_a_live_session_ends_with_the_bench_that_is_terminated(tmp_path, monkeyp
             time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGTERM)
 
-    # Where nothing takes the signal, the session goes on, and the tests do, too.
+    # If no handler takes the signal the session runs on, and the tests must survive it.
     before = signal.signal(signal.SIGTERM, lambda _number, _frame: None)
     try:
         threading.Thread(target=terminate).start()

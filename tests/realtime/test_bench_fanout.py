@@ -1,4 +1,4 @@
-"""The fan-out's bench: every way brings its pictures whole, and leaves nothing behind."""
+"""`kontur-av bench fanout`: every way delivers whole pictures, and leaves nothing behind."""
 
 import json
 import multiprocessing
@@ -61,13 +61,13 @@ def test_the_command_prints_tables_and_writes_figures(nothing_left, tmp_path, ca
         assert one["way"] in printed
         assert one["readers"] == 2
         assert one["torn"] == 0
-        # Six pictures for two; a slow machine may lose some, no more.
+        # Six pictures for each of two readers; a slow machine may lose some of them.
         assert 0 <= one["missed"] < 12
         for what in ("publish_us", "publish_cpu_us", "delivery_us", "fast_publish_us"):
             assert 0 < one[what]["p50"] <= one[what]["p99"] <= one[what]["max"]
 
 
-def test_a_machine_without_gstreamer_says_so_and_goes_on(nothing_left, monkeypatch, capsys):
+def test_without_gstreamer_the_other_ways_are_measured(nothing_left, monkeypatch, capsys):
     monkeypatch.setattr(fanout, "lacking", lambda: "no shmsink here")
     found = fan_out(TopicWay(in_place=True), 1, seconds=0.1, fast_s=0.05)
     monkeypatch.setattr(fanout, "fan_out", lambda *_, **__: found)

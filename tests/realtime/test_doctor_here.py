@@ -9,7 +9,7 @@ from pipelines.commands.doctor import (
 )
 
 
-def test_on_a_machine_that_runs_the_tests_everything_needed_is_there() -> None:
+def test_a_machine_that_runs_the_tests_has_all_that_is_needed() -> None:
     lines: list[str] = []
     assert doctor(lines.append) == 0
     assert len(lines) == len(CHECKS) + 1

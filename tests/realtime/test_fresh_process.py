@@ -9,7 +9,7 @@ import pytest
 from kontur_av.codecs import libopus
 
 
-def test_the_installed_command_says_the_same_as_a_process(tmp_path):
+def test_the_installed_command_gives_the_same_message(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "pipelines.cli", "stream", "--setup", "nosuch"],
         capture_output=True,
@@ -22,7 +22,7 @@ def test_the_installed_command_says_the_same_as_a_process(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_printed_goes_on_behind_a_report_on_stdout(tmp_path):
+def test_later_output_follows_a_report_on_stdout(tmp_path):
     script = "from pathlib import Path; from pipelines.report.report_file import write_report\n"
     script += "write_report(Path('/dev/stdout'), {'a': 1}); print(7, flush=True)"
     with (tmp_path / "out").open("a") as out:
@@ -62,7 +62,7 @@ def run(found):
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
 
 
-def test_the_libopus_in_pyavs_wheel_does_where_the_system_has_none():
+def test_the_libopus_in_pyavs_wheel_is_used_if_the_system_has_none():
     if libopus.carried_by_pyav() is None:
         pytest.skip("this PyAV carries no libopus")
     done = run("None")

@@ -1,4 +1,4 @@
-"""The link alone carries any program's datagrams, and nothing from strangers."""
+"""`kontur-av link` carries the datagrams of programs, and none from strangers."""
 
 import contextlib
 import os
@@ -58,7 +58,7 @@ def test_programs_talk_through_it_and_strangers_do_not(start, program):
     link = start("--setup", "spacejustin")
     session = link.topology
     anyone = program(0)
-    # In any order: packets of all kinds, both ways, and samples.
+    # Packets of all kinds in both directions, and samples.
     exits = {flow.name: program(session.exit_port(flow.name)) for flow in FLOWS}
     for name in ("uplink_maintenance", "downlink_maintenance"):
         until_through(anyone, ("127.0.0.1", session.entry_port(name)), exits[name], name.encode())

@@ -1,4 +1,4 @@
-"""What inputs, receivers and displays count: real sockets and topics, the parts in a thread."""
+"""The counts of inputs, receivers and displays: real sockets and topics, parts in a thread."""
 
 import secrets
 import socket
@@ -54,14 +54,14 @@ def session():
 
 @contextmanager
 def running(session, part, **arguments):
-    """A part that runs in a thread; gives what asks it for all it has told."""
+    """Run a part in a thread; yields a function that returns all its figures so far."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     context = Context(session=session, topology=topology_of(SETUP), clock=CLOCK, link=theirs)
     ours.setblocking(False)
     told = Message()
 
     def listen():
-        # With the other end closed nothing more comes.
+        # After the other end has closed nothing more comes.
         with suppress(BlockingIOError):
             while data := ours.recv(1 << 20):
                 message = Message.unpack(data)
@@ -73,7 +73,7 @@ def running(session, part, **arguments):
     thread = threading.Thread(target=part, args=(context,), kwargs=arguments)
     thread.start()
     try:
-        # It tells for the first time when its sockets and topics are open.
+        # The first report comes when its sockets and topics are open.
         eventually(lambda: listen().totals or None)
         yield listen
     finally:
@@ -107,7 +107,7 @@ def rtp_sender(payload_type, clock_rate_hz):
     )
 
 
-def test_an_input_tells_when_it_captured_last(session):
+def test_an_input_reports_its_last_capture(session):
     begin_ns = CLOCK.now_ns()
     with running(session, run_microphone, name="ground_mic") as listen:
         eventually(lambda: listen().totals["captured"] or None)
@@ -116,7 +116,7 @@ def test_an_input_tells_when_it_captured_last(session):
     assert told.totals["source_faults"] == 0
 
 
-def test_a_sound_that_was_made_up_is_not_displayed(session):
+def test_concealed_sound_is_not_displayed(session):
     stream = SETUP.uplink_voice
     with (
         running(session, run_display, streams=[stream]) as listen,
@@ -135,7 +135,7 @@ def test_a_sound_that_was_made_up_is_not_displayed(session):
     assert [row.timestamp for row in shown] == [0, 3]
 
 
-def test_a_picture_that_grows_old_is_marked_on_the_display_and_nowhere_else(session):
+def test_a_stale_picture_is_marked_on_the_display_and_nowhere_else(session):
     stream = SETUP.uplink_video
     limit_ns = SETUP.stale_after_ns(stream)
     picture = empty_picture(stream.width, stream.height)
@@ -150,7 +150,7 @@ def test_a_picture_that_grows_old_is_marked_on_the_display_and_nowhere_else(sess
         lag = bus.reader(f"lag/{stream.name}")
 
         def shown(is_marked):
-            """What is on display, once it is marked or not; marked anew it is older."""
+            """Wait for a displayed picture that is marked, or is not."""
 
             def look():
                 lease = screen.latest()
@@ -170,7 +170,7 @@ def test_a_picture_that_grows_old_is_marked_on_the_display_and_nowhere_else(sess
         assert CLOCK.now_ns() >= captured_ns + limit_ns
         shown(True)
         with received.latest() as lease:
-            assert (lease.video().data == 128).all(), "the source stays as it is"
+            assert (lease.video().data == 128).all(), "the source is not marked"
         with lag.latest() as lease:
             displayed_ns, latency_ns = LAG.unpack(lease.octets())
         assert displayed_ns - latency_ns == captured_ns
@@ -186,11 +186,11 @@ def test_a_picture_that_grows_old_is_marked_on_the_display_and_nowhere_else(sess
     assert told.gauges[f"{stream.name}.age_ns"] > 0
 
 
-def test_a_gap_in_a_voice_is_made_up_and_marked(session):
-    """Of ten packets the fourth is lost and the fifth is no Opus, as often as it takes.
+def test_a_gap_in_a_voice_is_concealed_and_marked(session):
+    """Of ten packets the fourth is lost and the fifth is no Opus; repeated until both are seen.
 
-    A machine that stands still makes others late, and leaves some out: never do they make a sound
-    of what was none, and once it goes well all are told apart.
+    A slow machine makes other packets late or leaves some out, so a round is repeated until all
+    ten have the right quality.
     """
     stream = SETUP.uplink_voice
     rtp, encoder = rtp_sender(VOICE_PAYLOAD_TYPE, AUDIO_CLOCK_HZ), OpusEncoder(bitrate_bps=8000)
@@ -241,7 +241,7 @@ def test_a_gap_in_a_voice_is_made_up_and_marked(session):
 
 
 @pytest.mark.parametrize("size", [(2560, 1440), (2560, 1444)])
-def test_pictures_of_the_setups_own_size_are_shown_and_larger_ones_counted(session, size):
+def test_pictures_of_the_setups_size_are_shown_and_larger_ones_counted(session, size):
     stream = replace(SETUP.uplink_video, width=2560, height=1440)
     width, height = size
     rtp = rtp_sender(VIDEO_PAYLOAD_TYPE, VIDEO_CLOCK_HZ)

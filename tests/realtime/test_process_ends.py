@@ -1,4 +1,4 @@
-"""What each process of a session stands on: figures that are not lost, datagrams that go out."""
+"""The ends of a process: no figures are lost, and datagrams go out."""
 
 import socket
 
@@ -40,7 +40,7 @@ def test_figures_are_filled_in_and_sent_when_they_are_due(link):
     assert received(ours).series[0].rows() == [LatenessRow(7)]
 
 
-def test_what_a_full_link_refuses_is_kept_for_the_next_time(link):
+def test_rows_that_a_full_socket_refuses_are_sent_later(link):
     ours, theirs = link
     context = context_of(theirs)
     theirs.setblocking(False)
@@ -61,7 +61,7 @@ def test_what_a_full_link_refuses_is_kept_for_the_next_time(link):
     assert message.gauges == {"state": "well"}
 
 
-def test_a_launcher_that_does_not_read_holds_up_nobody_and_loses_whole_rows(link):
+def test_a_launcher_that_does_not_read_delays_nothing_and_loses_whole_rows(link):
     ours, theirs = link
     theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 17)
     context = context_of(theirs)
@@ -84,14 +84,14 @@ def test_a_launcher_that_does_not_read_holds_up_nobody_and_loses_whole_rows(link
     assert 0 < message.totals["probe_values_dropped"] == 2 * (60_000 - len(seen))
 
 
-def test_a_launcher_that_has_gone_is_no_error(link):
+def test_a_closed_launcher_is_no_error(link):
     ours, theirs = link
     ours.close()
     for end in (theirs, None):
         context_of(end).send_figures(0)
 
 
-def test_a_sender_outlives_its_receiver_and_reaches_the_next_one():
+def test_a_sender_survives_its_receiver_and_reaches_the_next_one():
     context = context_of(None)
     first = context.listen(0)
     port = first.getsockname()[1]

@@ -1,7 +1,6 @@
 """The whole SpaceJustin session: on its built-in world, and on real footage and speech.
 
-How fast and how late things are is the machine's affair and asserted nowhere; what is asserted
-must hold on the slowest one.
+No rate and no latency is asserted, because they depend on the machine.
 """
 
 import cv2
@@ -45,9 +44,10 @@ def assert_has_every_key(report):
 
 
 def assert_nothing_lost_in_contact(report):
-    """A host that stands still for 50 ms is a loss of signal: what waits then is dropped on
-    purpose, what is under way is lost in part, or whole where one frame holds it. Nothing else is
-    lost."""
+    """Nothing is lost but in a loss of signal, which a host causes that stops for 50 ms.
+
+    Waiting packets are then dropped on purpose, and packets on the link lose some or all parts.
+    """
     gateways = report["gateways"].values()
     contacts_lost = sum(end["supervision"]["counts"]["signals_lost"] for end in gateways)
     for direction, link in report["link"].items():
@@ -75,7 +75,7 @@ def assert_all_six_flowed(report):
         assert 0 < latency["p50"] <= latency["p95"] <= latency["p99"] * 1.01, name
         stages = sum(stage["p50"] for stage in latency["stages"].values())
         assert stages > 0, name
-        # Each end stamps on its own; the one's stamp comes to the other by RTP and RTCP.
+        # Each end stamps by itself; RTP and RTCP carry the sender's stamp to the receiver.
         assert stream["capture_stamp_error_us"] < 1000, name
     for name, haptic in report["haptic"].items():
         assert 0 < haptic["received"] <= haptic["sent"], name
@@ -137,7 +137,7 @@ def assert_snapshots(shots):
         of_kind = [picture for name, picture in pictures.items() if name.startswith(kind)]
         assert of_kind, kind
         for picture in of_kind:
-            # Neither one colour nor the grey that a decoder draws when it knows nothing.
+            # Neither one colour, nor the grey of a decoder without a reference picture.
             assert picture.std() > 15, kind
             assert len(np.unique(picture)) > 100, kind
     halves = [name for name in pictures if name.endswith("-left-half.png")]
@@ -161,18 +161,18 @@ def test_real_footage_and_real_speech(start, footage, speech, tmp_path):
     session.pids()
     session.wait_for_flow()
     assert session.select("head").returncode == 0
-    # A film's cuts come into the encoder; its picture goes on through all of them. One picture may
-    # be marked as stale, or be of another film yet.
+    # The film has cuts, and pictures continue through all of them. A single picture may still be
+    # marked as stale, or be of the other film.
     session.wait_for_flow()
     film, looked_at = thumbnails(footage("bikes.mp4")), set()
 
     def shown():
-        # The last one may not be written to its end.
+        # The last file may be incomplete.
         new = sorted(set(tmp_path.glob("space-uplink_video-*.png")) - looked_at)[:-1]
         looked_at.update(new)
         return any(looks_like(path, film) for path in new)
 
-    eventually(shown, "a picture like one of the film")
+    eventually(shown, "a picture that resembles the film")
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     session.assert_nothing_left()
@@ -181,13 +181,13 @@ def test_real_footage_and_real_speech(start, footage, speech, tmp_path):
 
 
 def looks_like(path, film):
-    """Whether the picture of a file is much like one of `film`."""
+    """Whether the picture in a file resembles one of `film`."""
     seen = cv2.resize(cv2.imread(str(path)), (64, 48), interpolation=cv2.INTER_AREA).astype(float)
     return max(np.corrcoef(seen.ravel(), picture.ravel())[0, 1] for picture in film) > 0.9
 
 
 def thumbnails(clip):
-    """The pictures of a clip in 64x48, fitted as the source fits them."""
+    """The pictures of a clip in 64x48, scaled as the source scales them."""
     film, pictures = cv2.VideoCapture(str(clip)), []
     while True:
         more, frame = film.read()

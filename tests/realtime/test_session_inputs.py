@@ -1,4 +1,4 @@
-"""Input of a session from outside: garbage on its ports, and sources that misbehave."""
+"""Input of a session from outside: garbage on its ports, and faulty sources."""
 
 import os
 import random
@@ -48,7 +48,7 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
         for index, datagram in enumerate(datagrams):
             for port in range(session.base_port, session.base_port + PORTS):
                 udp.sendto(datagram, ("127.0.0.1", port))
-            # Not a flood, which a socket's buffer would drop unseen.
+            # No flood, because a full socket drops datagrams without a count.
             if index % 4 == 0:
                 time.sleep(0.02)
     session.wait_for_flow()
@@ -60,7 +60,7 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
     for direction, link in report["link"].items():
         assert all(count > 0 for count in link["refused"].values()), (direction, link["refused"])
     for end, gateway in report["gateways"].items():
-        # Datagrams of anybody but the other gateway are not even parsed.
+        # Only datagrams of the other gateway are parsed.
         assert gateway["strangers"]["radio"] > len(datagrams) // 4, end
     for name, stream in report["streams"].items():
         assert stream["garbage"] > 0, name

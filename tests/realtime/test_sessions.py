@@ -43,7 +43,7 @@ def test_only_remains_of_ended_sessions_are_removed():
     assert dead not in clear_dead_sessions()
 
 
-def test_whose_process_id_a_session_has_does_not_matter(monkeypatch):
+def test_the_process_id_does_not_decide_whether_a_session_lives(monkeypatch):
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     with monkeypatch.context() as another_container:

@@ -32,7 +32,7 @@ def y4m_header(width, height, colour="420jpeg", rate="30:1"):
 
 
 def y4m_picture(width, height, level, chroma=2):
-    """chroma: how many chroma samples there are for each four of luma."""
+    """chroma: the chroma samples for each four samples of luma."""
     return (
         b"FRAME\n"
         + bytes([level]) * (width * height)
@@ -82,7 +82,7 @@ def test_no_writer_means_no_picture_and_no_busy_loop(fifo):
     source.close()
 
 
-def test_pictures_are_captured_when_they_arrive(fifo):
+def test_a_picture_is_stamped_when_it_arrives(fifo):
     source = opened(fifo)
     before_ns = CLOCK.now_ns()
     writer = write_later(fifo, [y4m_header(*SIZE), *(y4m_picture(*SIZE, k) for k in (50, 90, 130))])

@@ -30,7 +30,7 @@ def stamp(sequence):
     return CaptureStamp(1_000 + sequence, sequence, "left")
 
 
-def test_latest_gives_the_newest_and_next_gives_each_in_turn(session):
+def test_latest_returns_the_newest_and_next_each_in_turn(session):
     with TopicBus(session) as bus:
         writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
         newest, each = bus.reader("pictures"), bus.reader("pictures", depth=4)
@@ -51,7 +51,7 @@ def test_latest_gives_the_newest_and_next_gives_each_in_turn(session):
         assert seen == [(0, 0), (1, 1), (2, 2)]
 
 
-def test_a_guest_joins_what_is_there_and_leaves_nothing_where_nothing_is(session):
+def test_a_guest_joins_existing_topics_and_creates_none(session):
     with TopicBus(session) as bus:
         writer = bus.writer("pictures", max_octets=16)
         setup = session.rpartition("-")[0]
@@ -126,7 +126,7 @@ def test_a_reader_that_joins_late_sees_the_last_sample(session):
             assert lease.payload.tobytes() == b"87654321"
 
 
-def test_a_reader_of_a_topic_that_rested_begins_with_a_fresh_sample(session):
+def test_a_reader_of_a_resumed_topic_begins_with_a_fresh_sample(session):
     """A camera that is drawn only while somebody reads it is such a topic."""
     with TopicBus(session) as bus:
         writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
@@ -202,7 +202,7 @@ def test_a_killed_writer_and_a_killed_reader_leave_the_others_running(session):
             running += [start(_hold_for_ever), start(_publish_for_ever)]
             seen = []
             while len(seen) < 20:
-                assert told.poll(20), "nothing comes through any more"
+                assert told.poll(20), "no more samples arrive"
                 seen.append(told.recv())
             assert seen[-1] > seen[-10]
             for _ in range(2):
@@ -217,7 +217,7 @@ def test_a_killed_writer_and_a_killed_reader_leave_the_others_running(session):
             process.join()
 
 
-def test_an_unfit_session_name_or_size_is_refused(session):
+def test_an_invalid_session_name_or_size_is_refused(session):
     with pytest.raises(ConfigError, match="session name"):
         TopicBus("../etc")
     with TopicBus(session) as bus, pytest.raises(ConfigError, match="size 63x48"):
@@ -226,7 +226,7 @@ def test_an_unfit_session_name_or_size_is_refused(session):
 
 @pytest.mark.parametrize("octets", [1, 12, 90])
 def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, tmp_path, octets):
-    # Its path has at most 107 octets, and a user's number may be long as well.
+    # A socket's path has at most 107 octets, and the user's number in it may be long, too.
     directory = tmp_path / ("d" * octets)
     directory.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(directory))

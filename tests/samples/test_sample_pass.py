@@ -1,4 +1,4 @@
-"""The sample runs, and shows what it promises."""
+"""samples/plot_pass.py runs, prints its table and draws its chart."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The sample runs, and shows what it promises."""
+"""samples/slots_virtual_time.py runs and prints each flow."""
 
 import subprocess
 import sys

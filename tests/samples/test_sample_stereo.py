@@ -1,4 +1,4 @@
-"""samples/merge_stereo.py runs and writes what it says."""
+"""samples/merge_stereo.py writes the pair and the merged picture."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Samples run as a user runs them, and no sample without a test."""
+"""Samples run as a user runs them, and every sample has a test."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""The sample reads what the operator's display shows, from the only session that runs."""
+"""samples/watch_operator.py reads the operator's display of the only running session."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""The summary of a session: what fits, and where the picture's time went."""
+"""The summary of a session: it fits the terminal, and shows the stages of the picture."""
 
 from dataclasses import replace
 

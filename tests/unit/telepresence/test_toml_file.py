@@ -34,7 +34,7 @@ class Cart:
 WHOLE = {"name": "x", "front": {"radius_m": 1}}
 
 
-def test_what_fits_arrives_with_its_types():
+def test_valid_values_have_their_types():
     cart = typed(
         {**WHOLE, "spares": [{"radius_m": 0.5, "spokes": 3}], "names": ["a"], "notes": {"b": "c"}},
         Cart,
@@ -84,19 +84,19 @@ def test_what_fits_arrives_with_its_types():
         ({"front": {"radius_m": -1}}, "radius_m is -1: take more than 0"),
     ],
 )
-def test_what_does_not_fit_is_told(changes, told):
+def test_each_mistake_is_named(changes, told):
     with pytest.raises(ConfigError, match=re.escape(told)) as caught:
         typed({**WHOLE, **changes}, Cart, "a cart")
     assert "\n" not in str(caught.value)
     assert "msgspec" not in str(caught.value)
 
 
-def test_all_that_is_missing_is_named_at_once():
+def test_all_missing_fields_are_named_at_once():
     with pytest.raises(ConfigError, match=r"^a cart needs name and front$"):
         typed({}, Cart, "a cart")
 
 
-def test_fields_that_the_caller_takes_out_are_known():
+def test_fields_that_the_caller_removes_are_known():
     check_known({"base": 1, **WHOLE}, Cart, also=("base",))
     with pytest.raises(ConfigError, match="nearest one is base"):
         check_known({"bases": 1}, Cart, also=("base",))

@@ -1,4 +1,4 @@
-"""`kontur-av bench all`: its plan, what it keeps, the page, and going on where it ended."""
+"""`kontur-av bench all`: its plan, its records, its page, and resuming a measurement."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def test_every_bench_is_in_the_plan_and_every_command_is_one(length):
         _parser("bench").parse_args(one.command.split()[1:])
 
 
-def test_what_is_live_runs_at_least_three_times():
+def test_live_benches_run_at_least_three_times():
     for one in measurements("quick"):
         virtual = one.name in ("haptics", "sync", "passes")
         assert one.runs == (1 if virtual else LIVE_RUNS)
@@ -63,7 +63,7 @@ def test_the_page_shows_median_spread_command_machine_and_a_miss():
     assert row in text
 
 
-def test_each_group_has_a_table_and_what_was_not_measured_has_a_dash():
+def test_each_group_has_a_table_and_a_missing_figure_has_a_dash():
     headlines = (
         Headline(group="a|b", what="one", unit="", value=3.0),
         Headline(group="other", what="two", unit="µs", value=None),

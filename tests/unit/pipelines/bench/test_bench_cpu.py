@@ -1,4 +1,4 @@
-"""The bench of CPU time: its figures, pairs of runs, and its mistakes."""
+"""`kontur-av bench cpu`: figures, pairs of runs, and refused options."""
 
 import json
 
@@ -29,7 +29,7 @@ def test_a_run_is_read_from_the_report_of_its_session():
         read_run(JsonReader({"seconds": 1.0}))
 
 
-def test_ratios_are_those_of_pairs():
+def test_ratios_are_computed_for_each_pair():
     def runs(*values):
         return tuple(read_run(report(10 * value)) for value in values)
 

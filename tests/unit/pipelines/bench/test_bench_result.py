@@ -1,4 +1,4 @@
-"""What all benches share: percentiles, JSON, and reading a report by its keys."""
+"""The common parts of benches: percentiles, JSON, and reading a report by its keys."""
 
 import json
 import math
@@ -27,7 +27,7 @@ def test_a_spread_is_by_nearest_rank():
     assert math.isnan(spread([]).p50)
 
 
-def test_a_dataclass_becomes_an_object_and_what_is_no_number_null():
+def test_a_dataclass_becomes_an_object_and_nan_becomes_null():
     inner = Inner(math.nan, ("a", "b"))
     body = {"ratio": None, "names": ["a", "b"]}
     assert as_json(Outer(inner, {"x": inner})) == {"inner": body, "by_name": {"x": body}}
@@ -45,7 +45,7 @@ def test_a_result_is_written_with_its_headlines(tmp_path):
     write_result(None, Inner(1.5, ()), [])
 
 
-def test_a_report_is_read_by_its_keys_and_what_is_missing_is_named():
+def test_a_report_is_read_by_its_keys_and_missing_ones_are_named():
     report = JsonReader({"a": {"b": 1.5, "c": None, "d": "text", "e": [1, 2]}})
     assert report.number("a", "b") == 1.5
     assert report.number_or_none("a", "c") is None

@@ -33,14 +33,14 @@ def track():
 def test_a_lag_is_found_although_the_speakers_repeat_themselves():
     track = speech_track(40)
     for late in (-700, 0, 9_000):
-        # The second of the two rounds is the louder one.
+        # The second round is the louder one.
         heard = np.roll(track.samples, late) // 2
         heard[len(heard) // 2 :] *= 2
         assert set(lags(track, heard)[2:-2]) == {late}
 
 
 def test_the_sound_of_a_peer_is_laid_out_as_a_sound_card_plays_it():
-    """Packets follow each other although their timestamps wobble; a hole of more than 40 ms is one.
+    """Packets follow each other despite jitter of timestamps, but a gap above 40 ms stays.
 
     GstAudioBaseSink, `alignment-threshold`: 40 ms.
     """

@@ -32,7 +32,7 @@ def test_something_missing_gives_1_and_advice_does_not() -> None:
     assert lines[-1] == "a session cannot run: 1 missing"
 
 
-def test_too_little_shared_memory_is_missing_and_says_what_to_do() -> None:
+def test_too_little_shared_memory_is_missing_with_its_mend() -> None:
     verdict = check_shared_memory(lambda: 10_000_000)
     assert verdict.state == "missing"
     assert "--shm-size" in verdict.mend
@@ -61,7 +61,7 @@ class LateClock(ManualClock):
         super().sleep_until_ns(deadline_ns + self.late_ns)
 
 
-def test_the_timer_check_says_how_late() -> None:
+def test_the_timer_check_gives_the_lateness() -> None:
     good = check_timer(LateClock(70_000))
     assert good.state == "ok"
     assert "70 µs (p50), 70 µs (p99), 0 slips" in good.found
@@ -70,11 +70,11 @@ def test_the_timer_check_says_how_late() -> None:
     assert "2300 µs" in bad.found
 
 
-def test_it_asks_for_the_priority_that_the_loops_take() -> None:
+def test_it_tries_the_priority_of_the_loops() -> None:
     assert doctor_module._RT_PRIORITY == LOOP_PRIORITY
 
 
-def test_a_system_that_wakes_a_reader_but_once_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kernel_that_wakes_a_reader_only_once_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     """As Linux 5.5 to 5.9 does, whose pipes make no edge while they hold something."""
     register = "kontur_av.topics.notifier.WaitSet._notified"
     monkeypatch.setattr(register, lambda self, timeout_ns: timeout_ns == 0)

@@ -1,4 +1,4 @@
-"""What `kontur-av devices` lists, on a made-up /dev and /proc/asound."""
+"""The list of `kontur-av devices`, from a simulated /dev and /proc/asound."""
 
 import errno
 from pathlib import Path
@@ -14,7 +14,7 @@ SCENES = {"left": "scene:left", "ground_mic": "scene:ground_voice"}
 
 
 def driver(capabilities: dict[str, tuple[int, int]], formats: list[bytes]):
-    """An ioctl as a V4L2 driver answers it; capabilities: node's text -> (whole, own)."""
+    """The ioctl of a V4L2 driver; capabilities: node's text -> (whole, own)."""
 
     def ioctl(descriptor: int, request: int, buffer: bytearray) -> int:
         node = Path(f"/proc/self/fd/{descriptor}").resolve().read_text()
@@ -33,7 +33,7 @@ def driver(capabilities: dict[str, tuple[int, int]], formats: list[bytes]):
     return ioctl
 
 
-def test_a_machine_without_devices_says_what_works_nevertheless(tmp_path: Path) -> None:
+def test_without_devices_the_other_sources_are_named(tmp_path: Path) -> None:
     lines: list[str] = []
     assert devices(lines.append, dev=tmp_path, asound=tmp_path, scenes=SCENES) == 0
     assert lines[0] == (
@@ -42,7 +42,9 @@ def test_a_machine_without_devices_says_what_works_nevertheless(tmp_path: Path) 
     assert any("scene:ground_voice" in line and "ground_mic" in line for line in lines)
 
 
-def test_cameras_with_their_formats_by_number_and_without_metadata_nodes(tmp_path: Path) -> None:
+def test_cameras_are_listed_by_number_and_with_formats(
+    tmp_path: Path,
+) -> None:
     for name, content in (("video10", "old"), ("video0", "own"), ("video1", "meta")):
         (tmp_path / name).write_text(content)
     (tmp_path / "videoish").write_text("")
@@ -67,7 +69,7 @@ def test_a_node_that_is_no_camera_is_named_with_its_reason(tmp_path: Path) -> No
     assert "is no V4L2 device" in lines[0]
 
 
-def test_microphones_are_the_lines_that_capture(tmp_path: Path) -> None:
+def test_only_capture_lines_are_microphones(tmp_path: Path) -> None:
     (tmp_path / "pcm").write_text(PCM)
     assert [(m.device, m.name) for m in microphones(tmp_path)] == [
         ("plughw:0,0", "ALC257 Analog"),

@@ -1,4 +1,4 @@
-"""`kontur-av joystick` and `kontur-av stream --joystick`: what they print, write and refuse."""
+"""`kontur-av joystick` and `kontur-av stream --joystick`: output, report and refusals."""
 
 import json
 

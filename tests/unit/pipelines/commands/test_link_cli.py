@@ -1,4 +1,4 @@
-"""`kontur-av link`: a mistake is one line that names the mend; every channel has its ports."""
+"""`kontur-av link`: mistakes are one line that names the mend; every channel has its ports."""
 
 import pytest
 from places import ROOT
@@ -56,7 +56,7 @@ def nothing_starts(monkeypatch):
         (["--setup", "taskboard", "--apps", "0.0.0.0"], "--apps 0.0.0.0: give the address of one"),
     ],
 )
-def test_options_that_cannot_work(capsys, tmp_path, monkeypatch, options, says):
+def test_impossible_options_are_refused(capsys, tmp_path, monkeypatch, options, says):
     monkeypatch.chdir(tmp_path)
     assert main(["link", *options]) == 2
     out, error = capsys.readouterr()
@@ -79,14 +79,14 @@ def test_another_machine_needs_an_address_of_this_one(capsys, monkeypatch, way, 
 
 
 @pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
-def test_every_channel_of_a_setup_has_its_line(setup):
+def test_every_channel_of_a_setup_has_a_line_with_its_ports(setup):
     session = topology_of(setup)
     lines = port_table(session, list(Segment), EndAddresses())
     rows = {line.split()[0]: line.split() for line in lines[1:]}
     for row in session.streams:
         places = [f"127.0.0.1:{port}" for port in (row.entry_port, row.exit_port)]
         assert rows[row.name][1:3] == places
-    # What the robot says goes up, what the joystick says goes down.
+    # The robot is on the ground and the joystick in space.
     assert session.haptic("up").sender == "robot"
     assert session.haptic("down").sender == "joystick"
 

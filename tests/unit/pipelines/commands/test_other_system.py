@@ -1,4 +1,4 @@
-"""On another system than Linux a command says so in one line; only `doctor` goes on."""
+"""On another system than Linux a command is refused in one line; only `doctor` runs."""
 
 import platform
 

@@ -1,4 +1,4 @@
-"""Received pictures for other programs: a file, a FIFO, and readers that come, go and dawdle."""
+"""Received pictures for other programs: a file, a FIFO, and slow or changing readers."""
 
 import os
 import resource
@@ -49,7 +49,7 @@ def read(octets: bytes) -> list[np.ndarray]:
 
 
 def brightness(pictures: list[np.ndarray]) -> list[int]:
-    """Which of the fixture's pictures they are."""
+    """The number of each picture in the fixture."""
     return [
         round((float(picture[: len(picture) * 2 // 3].mean()) - 40) / 30) for picture in pictures
     ]
@@ -78,7 +78,7 @@ def opened(path) -> int:
     return os.open(path, os.O_RDONLY | os.O_NONBLOCK)
 
 
-def test_a_file_gets_every_picture_as_it_was_decoded(decoded, tmp_path):
+def test_a_file_gets_every_picture_unchanged(decoded, tmp_path):
     path = tmp_path / "out.y4m"
     raw = RawPictures(str(path))
     for picture in decoded:
@@ -90,7 +90,7 @@ def test_a_file_gets_every_picture_as_it_was_decoded(decoded, tmp_path):
     assert (raw.written, raw.dropped) == (6, 0)
 
 
-def test_a_picture_of_another_size_is_scaled_to_the_one_asked_for(decoded, tmp_path):
+def test_a_picture_of_another_size_is_scaled_to_the_chosen_one(decoded, tmp_path):
     path = tmp_path / "out.y4m"
     raw = RawPictures(str(path), (640, 480))
     raw.handle_picture(decoded[2])
@@ -100,7 +100,7 @@ def test_a_picture_of_another_size_is_scaled_to_the_one_asked_for(decoded, tmp_p
     assert brightness([picture]) == [2]
 
 
-def test_a_reader_that_comes_later_begins_with_a_whole_picture(decoded, fifo):
+def test_a_late_reader_begins_with_a_whole_picture(decoded, fifo):
     raw = RawPictures(str(fifo))
     raw.handle_picture(decoded[0])
     fd = opened(fifo)
@@ -117,7 +117,7 @@ def test_a_reader_that_comes_later_begins_with_a_whole_picture(decoded, fifo):
     assert (raw.written, raw.dropped, raw.readers_gone) == (3, 2, 1)
 
 
-def test_a_reader_that_dawdles_holds_nothing_up_and_gets_whole_pictures(decoded, fifo):
+def test_a_slow_reader_delays_nothing_and_gets_whole_pictures(decoded, fifo):
     fd = opened(fifo)
     raw = RawPictures(str(fifo), (1280, 960))  # 1.8 MB: more than the pipe holds
     for picture in decoded:
@@ -133,7 +133,7 @@ def test_a_reader_that_dawdles_holds_nothing_up_and_gets_whole_pictures(decoded,
     raw.close()
 
 
-def test_a_file_that_takes_no_more_is_told_and_ends_nothing(decoded, tmp_path):
+def test_a_full_file_is_reported_and_ends_nothing(decoded, tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     raw = RawPictures(str(tmp_path / "out.y4m"))
     try:
@@ -148,6 +148,6 @@ def test_a_file_that_takes_no_more_is_told_and_ends_nothing(decoded, tmp_path):
 
 
 @pytest.mark.parametrize("path", ["/nowhere/x.y4m", "/"])
-def test_what_cannot_be_written_is_refused(path):
+def test_an_unwritable_path_is_refused(path):
     with pytest.raises(ConfigError, match="--raw"):
         RawPictures(path)

@@ -1,4 +1,4 @@
-"""`send` and `receive` refuse the user's mistakes in one line, with nothing started."""
+"""`send` and `receive` refuse the user's mistakes in one line, before anything starts."""
 
 import argparse
 import socket

@@ -1,4 +1,4 @@
-"""The mistakes of a user: each is one line that names the mend, exit 2, and nothing is started."""
+"""Mistakes of a user: each gives one line that names the mend and exit 2, and starts nothing."""
 
 import shutil
 import socket
@@ -28,7 +28,7 @@ def nothing_starts(monkeypatch):
 
 
 def refusal(capsys, *arguments):
-    """The one line that a command which cannot work leaves."""
+    """The one line that a refused command prints."""
     assert main(list(arguments)) == 2
     out, error = capsys.readouterr()
     assert out == ""
@@ -108,7 +108,7 @@ def write(path, text):
         ([], "--setup"),
     ],
 )
-def test_options_that_cannot_work(capsys, monkeypatch, tmp_path, options, says):
+def test_impossible_options_are_refused(capsys, monkeypatch, tmp_path, options, says):
     monkeypatch.chdir(tmp_path)
     assert says in refusal(capsys, "stream", *options)
     assert list(tmp_path.iterdir()) == []
@@ -142,12 +142,12 @@ def test_options_that_cannot_work(capsys, monkeypatch, tmp_path, options, says):
         ("downlink = {frame_octets = 100000}\n" + TOML, "frame"),
     ],
 )
-def test_setups_that_cannot_work(capsys, tmp_path, text, says):
+def test_impossible_setups_are_refused(capsys, tmp_path, text, says):
     path = write(tmp_path / "mine.toml", text)
     assert says in refusal(capsys, "stream", "--setup", path)
 
 
-def test_the_mends_of_a_missing_source_work(capsys, tmp_path):
+def test_the_suggested_mends_for_a_missing_source_work(capsys, tmp_path):
     wrist = 'cameras = ["wrist"]\nuplink_video = {cap_kbps = 85}\n'
     path = write(tmp_path / "mine.toml", wrist)
     line = refusal(capsys, "stream", "--setup", path)
@@ -169,7 +169,7 @@ def test_every_session_can_begin_in_the_middle_of_a_pass(command):
 
 
 @pytest.mark.usefixtures("nothing_starts")
-def test_a_cap_that_does_not_fit_is_answered_with_one_that_does(capsys, tmp_path):
+def test_a_cap_that_does_not_fit_is_refused_with_one_that_does(capsys, tmp_path):
     voice = "uplink_voice = {cap_kbps = 8}\n"
     path = write(tmp_path / "mine.toml", voice + TOML.replace("85", "95"))
     line = refusal(capsys, "stream", "--setup", path)
@@ -193,7 +193,7 @@ def test_a_cap_that_does_not_fit_is_answered_with_one_that_does(capsys, tmp_path
 
 
 @pytest.mark.usefixtures("nothing_starts")
-def test_files_that_are_no_media(capsys, tmp_path):
+def test_files_without_media_are_refused(capsys, tmp_path):
     text = write(tmp_path / "notes.txt", "no film at all")
     assert "notes.txt" in refusal(
         capsys, "stream", "--setup", "taskboard", "--source", f"left={text}"
@@ -204,7 +204,7 @@ def test_files_that_are_no_media(capsys, tmp_path):
 
 
 @pytest.mark.usefixtures("nothing_starts")
-def test_an_input_is_what_the_setup_says_whatever_it_is_called(capsys, tmp_path):
+def test_the_setup_decides_the_kind_of_an_input_not_its_name(capsys, tmp_path):
     path = write(
         tmp_path / "mine.toml",
         TOML.replace('"static"', '"a_mic"') + "[sources]\na_mic = 'scene:static'\n",
@@ -221,7 +221,9 @@ def test_an_input_is_what_the_setup_says_whatever_it_is_called(capsys, tmp_path)
     ("size", "free_mb", "needed_mb"),
     [("640x480", 40, 48), ("640x480", 64, None), ("2560x1440", 64, 190)],
 )
-def test_no_room_for_the_pictures(capsys, monkeypatch, tmp_path, size, free_mb, needed_mb):
+def test_too_little_shared_memory_is_refused(
+    capsys, monkeypatch, tmp_path, size, free_mb, needed_mb
+):
     usage = shutil.disk_usage(tmp_path)._replace(free=free_mb * 1_000_000)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
     path = write(tmp_path / "mine.toml", TOML + f'size = "{size}"\n')
@@ -234,7 +236,7 @@ def test_no_room_for_the_pictures(capsys, monkeypatch, tmp_path, size, free_mb, 
 
 
 @pytest.mark.usefixtures("nothing_starts")
-def test_places_that_cannot_be_written(capsys, tmp_path):
+def test_unwritable_places_are_refused(capsys, tmp_path):
     notes = write(tmp_path / "notes.txt", "")
     for option in ("--report", "--snapshots"):
         inside = f"{notes}/inside"
@@ -264,14 +266,14 @@ def test_a_busy_port_is_named(capsys):
         (["select", "static", "--session", "../../etc"], "session"),
     ],
 )
-def test_commands_that_cannot_work(capsys, monkeypatch, arguments, says):
-    # Not tmp_path, which is too deep for sockets: sessions would be looked for in /tmp.
+def test_impossible_commands_are_refused(capsys, monkeypatch, arguments, says):
+    # Not tmp_path, because a socket's path must be short. Sessions are looked for in there.
     with tempfile.TemporaryDirectory(prefix="kav") as directory:
         monkeypatch.setattr(tempfile, "tempdir", directory)
         assert says in refusal(capsys, *arguments)
 
 
-def test_version_is_said(capsys):
+def test_version_is_printed(capsys):
     with pytest.raises(SystemExit) as end:
         main(["--version"])
     assert end.value.code == 0

@@ -1,4 +1,4 @@
-"""How a cap follows what left-out samples leave: late upwards, at once downwards, never too far."""
+"""The cap follows the freed capacity: upwards late, downwards at once, and never above it."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ SECOND_BPS, SECOND_FREED_BPS = CapGain(SETUP, STREAM).steps[2]
 
 
 def told(gain, freed_bps, from_ns, for_ns):
-    """Tell it the same every 4 ms; the instants at which it changed."""
+    """Report the same capacity every 4 ms; return the instants at which the cap changed."""
     return [
         now_ns
         for now_ns in range(from_ns, from_ns + for_ns, 4 * NS_PER_MS)
@@ -45,7 +45,7 @@ def test_it_rises_after_two_steady_seconds():
     assert gain.bps == FIRST_BPS
 
 
-def test_what_was_not_there_all_the_time_is_not_taken():
+def test_capacity_that_was_not_steady_is_not_used():
     gain = CapGain(SETUP, STREAM)
     told(gain, SECOND_FREED_BPS, 0, NS_PER_S)
     gain.handle_freed(FIRST_FREED_BPS, NS_PER_S)
@@ -57,7 +57,7 @@ def test_what_was_not_there_all_the_time_is_not_taken():
     assert told(gain, SECOND_FREED_BPS, NS_PER_S, STEADY_NS) == []
 
 
-def test_what_rises_over_a_second_is_taken_once():
+def test_capacity_that_rises_over_a_second_is_used_in_one_step():
     gain = CapGain(SETUP, STREAM)
     changes = [
         now_ns
@@ -68,7 +68,7 @@ def test_what_rises_over_a_second_is_taken_once():
     assert gain.bps == SECOND_BPS
 
 
-def test_it_falls_at_once_and_rises_more_slowly_after_a_gain_that_did_not_last():
+def test_it_falls_at_once_and_rises_later_after_a_short_gain():
     gain = CapGain(SETUP, STREAM)
     now_ns = 0
     waits_ns = []
@@ -79,7 +79,7 @@ def test_it_falls_at_once_and_rises_more_slowly_after_a_gain_that_did_not_last()
         assert gain.handle_freed(FIRST_FREED_BPS - 1, now_ns)
         assert gain.bps == 0
     assert waits_ns == [STEADY_NS, 2 * STEADY_NS, 4 * STEADY_NS]
-    # One that lasts makes up for it.
+    # A gain that lasts resets the wait.
     (risen_ns,) = told(gain, FIRST_FREED_BPS, now_ns, 17 * NS_PER_S)
     now_ns = risen_ns + LASTED_NS
     gain.handle_freed(0, now_ns)
@@ -87,7 +87,7 @@ def test_it_falls_at_once_and_rises_more_slowly_after_a_gain_that_did_not_last()
     assert risen_ns == now_ns + STEADY_NS
 
 
-def test_a_key_picture_that_is_due_anyway_spares_the_longer_wait():
+def test_a_key_picture_that_is_due_anyway_needs_no_longer_wait():
     gain = CapGain(SETUP, STREAM)
     told(gain, FIRST_FREED_BPS, 0, 3 * NS_PER_S)
     gain.handle_freed(0, 3 * NS_PER_S)
@@ -97,7 +97,7 @@ def test_a_key_picture_that_is_due_anyway_spares_the_longer_wait():
     assert gain.bps == FIRST_BPS
 
 
-def test_what_was_gained_is_summed_up_over_the_time():
+def test_the_gain_is_summed_over_time():
     gain = CapGain(SETUP, STREAM)
     told(gain, FIRST_FREED_BPS, 0, STEADY_NS + 4 * NS_PER_MS)
     gain.handle_freed(0, STEADY_NS + NS_PER_S)
@@ -107,7 +107,7 @@ def test_what_was_gained_is_summed_up_over_the_time():
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
-def test_every_step_fits_into_what_is_freed_for_it(name):
+def test_every_step_fits_into_its_freed_capacity(name):
     setup = replace(BUILT_IN[name], deadband="picture")
     stream = setup.uplink_video
     steps = CapGain(setup, stream).steps

@@ -1,4 +1,4 @@
-"""A choice is acknowledged when nothing of another camera is coded or sent any more."""
+"""A selection is acknowledged when no picture of another camera is coded or sent any more."""
 
 from kontur_av.media import CaptureStamp
 from pipelines.cores.choosing import CameraChoice
@@ -21,7 +21,7 @@ def choice_at(now_ns, selected=""):
 
 
 def acknowledged(choice, now_ns):
-    """The tokens that are acknowledged, and whether well."""
+    """The acknowledged tokens, each with its success."""
     found = {}
     while (packet := choice.poll_transmit(now_ns)) is not None:
         message = parse_packet(packet).message
@@ -44,13 +44,13 @@ def test_the_acknowledgement_waits_until_the_sender_has_left_the_camera():
     assert follower.camera == "static"
     assert follower.leaving and follower.confirmed is None
     assert not follower.handle_sender(idle=False)
-    # The telecommand is repeated meanwhile: still no acknowledgement.
+    # A repeated telecommand is not acknowledged earlier.
     assert not ask(choice, "static", 1, 20)
     assert acknowledged(choice, 20) == {}
     assert follower.handle_sender(idle=True)
     choice.handle_confirmed(follower.confirmed, 30)
     assert acknowledged(choice, 30) == {1: True}
-    # Selected already: nothing to wait for.
+    # The camera is already selected.
     assert not ask(choice, "static", 2, 40)
     assert acknowledged(choice, 40) == {2: True}
     assert not ask(choice, "nowhere", 3, 50)
@@ -74,7 +74,7 @@ def test_a_restarted_selector_waits_for_its_own_number():
     before, follower = choice_at(0), CameraFollower()
     follower.handle_choice(before.choice)
     old = follower.confirmed
-    # It was killed between keeping the choice and publishing it.
+    # It was killed after it kept the choice and before it published it.
     after = choice_at(1000, "static")
     after.handle_confirmed(old, 1001)
     ask(after, "static", 5, 1002)
@@ -86,7 +86,7 @@ def test_a_restarted_selector_waits_for_its_own_number():
     assert acknowledged(after, 1003) == {5: True}
 
 
-def test_a_restarted_sender_confirms_the_first_choice_that_it_hears():
+def test_a_restarted_sender_confirms_the_first_choice_that_it_receives():
     choice = choice_at(0)
     ask(choice, "static", 1, 10)
     successor = CameraFollower()
@@ -105,7 +105,7 @@ def test_pictures_of_all_cameras_are_numbered_without_a_gap():
     assert numbers == list(range(6))
 
 
-def test_choices_and_confirmations_come_out_as_they_went_in():
+def test_choices_and_confirmations_survive_packing():
     choice = Choice(1 << 60, "c" * 64)
     assert Choice.unpack(choice.pack()) == choice
     assert len(choice.pack()) <= CHOICE_OCTETS

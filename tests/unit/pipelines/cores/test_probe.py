@@ -13,7 +13,7 @@ def told(probe, now_ns):
     return message, [(one.kind, one.stream, one.rows()) for one in message.series]
 
 
-def test_totals_stay_and_rows_are_told_once():
+def test_totals_are_repeated_and_rows_are_sent_once():
     probe = Probe()
     probe.total("sent", 4)
     probe.gauge("state", "well")

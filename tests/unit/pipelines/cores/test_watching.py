@@ -1,4 +1,4 @@
-"""The operator's eye and ear put rows into the probe that say what was found, and its stamps."""
+"""The detectors at the operator report what they found, with its stamps."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from pipelines.cores.watching import Recall, Watching, tell_click, tell_light
 LATE_NS = 60 * NS_PER_MS
 
 
-def test_a_light_is_told_with_the_capture_of_its_picture_and_of_the_one_before():
+def test_a_light_has_the_capture_times_of_its_picture_and_of_the_one_before():
     probe = Probe()
     watching = Watching(probe)
     for number in range(8):
@@ -29,7 +29,7 @@ def test_a_light_is_told_with_the_capture_of_its_picture_and_of_the_one_before()
     assert strength > 0
 
 
-def test_a_click_is_told_with_the_capture_of_its_own_sample():
+def test_a_click_has_the_capture_time_of_its_own_sample():
     probe = Probe()
     watching = Watching(probe)
     heard = np.zeros(48_000)
@@ -44,7 +44,7 @@ def test_a_click_is_told_with_the_capture_of_its_own_sample():
     assert (instant_ns - capture_ns, slack_ns) == (LATE_NS, 0)
 
 
-def test_a_light_in_a_picture_without_a_date_is_not_told():
+def test_a_light_in_an_undated_picture_is_not_reported():
     probe = Probe()
     recall = Recall(depth=2)
     for timestamp in (1, 2, 3):
@@ -55,7 +55,7 @@ def test_a_light_in_a_picture_without_a_date_is_not_told():
     assert list(probe.series(LightRow, "uplink_video").values) == [9, 3 * NS_PER_MS, NS_PER_MS, 100]
 
 
-def test_a_click_in_a_shortened_block_was_captured_where_it_lies_in_the_whole_one():
+def test_a_click_in_a_shortened_block_is_dated_by_its_place_in_the_whole_one():
     rows = Probe()
     captured_ns = 100 * NS_PER_MS
     click = Click(
@@ -73,7 +73,7 @@ def test_a_shortened_voice_does_not_date_its_clicks_late():
     watching = Watching(probe)
     player_line = np.zeros(48_000)
     k = np.arange(900) / 48_000
-    # In each block 936 samples are heard of 960; the click begins 18 ms into its block's capture.
+    # 936 of 960 samples of a block are heard. The click begins 18 ms into the captured block.
     at = 25 * 936 + round(0.018 * 48_000 * 936 / 960)
     player_line[at : at + 900] = 9000 * np.exp(-k / 0.004) * np.sin(2 * np.pi * 2500 * k)
     for number in range(50):

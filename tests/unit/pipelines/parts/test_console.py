@@ -1,4 +1,4 @@
-"""The operator's console: how long it waits for space, and what terminals may send it."""
+"""The operator's console: how long it waits for space, and which requests it accepts."""
 
 import socket
 from dataclasses import replace
@@ -14,7 +14,7 @@ MS = 1_000_000
 
 
 @pytest.mark.parametrize("radio_delay_ms", [0.0, 750.0, 10_000.0])
-def test_a_telecommand_needs_one_try_whatever_the_radio_delay(radio_delay_ms):
+def test_a_telecommand_needs_one_try_at_any_radio_delay(radio_delay_ms):
     setup = replace(BUILT_IN["taskboard"], radio_delay_ms=radio_delay_ms)
     sender, receiver = telecommand_sender(setup, first_token=5), TelecommandReceiver()
     sender.select("static", 0)
@@ -27,7 +27,7 @@ def test_a_telecommand_needs_one_try_whatever_the_radio_delay(radio_delay_ms):
 
 
 @pytest.mark.parametrize("line", [b"[" * 4096, b"\xff\n", b"7\n", b""])
-def test_a_terminal_that_sends_no_request_is_let_go(line):
+def test_a_terminal_without_a_valid_request_is_disconnected(line):
     terminal, link = socket.socketpair()
     with terminal:
         terminal.sendall(line)

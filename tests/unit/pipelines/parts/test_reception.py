@@ -1,4 +1,4 @@
-"""What a receiving process leaves for its successor."""
+"""A restarted receiving process continues with what its predecessor has kept."""
 
 import socket
 from types import SimpleNamespace
@@ -46,7 +46,7 @@ def context(tmp_path, monkeypatch):
         udp.close()
 
 
-def test_a_restarted_receiver_knows_the_last_report_whatever_came_after_it(context):
+def test_a_restarted_receiver_knows_the_last_sender_report(context):
     def receiver():
         return RtpReceiver(payload_type=96, clock_rate_hz=90_000)
 

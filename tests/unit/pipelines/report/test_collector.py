@@ -1,4 +1,4 @@
-"""What the processes tell, put together: joined, compared, and added up over their lives."""
+"""The collector joins and compares the reports of processes, and adds them over restarts."""
 
 from itertools import permutations, starmap
 from types import SimpleNamespace
@@ -38,7 +38,7 @@ def ms(*values):
 
 
 @pytest.mark.parametrize("order", list(permutations(range(3))))
-def test_stages_are_joined_by_timestamp_in_whichever_order_they_are_told(order):
+def test_stages_are_joined_by_timestamp_in_any_order_of_messages(order):
     collector = Collector(SESSION)
     captured, encoded, sent, received, displayed = ms(0, 5, 12, 30, 47)
     messages = [
@@ -57,7 +57,7 @@ def test_stages_are_joined_by_timestamp_in_whichever_order_they_are_told(order):
     assert collector.streams["uplink_voice"].latency.count == 0
 
 
-def test_a_picture_of_which_one_end_is_unknown_has_a_latency_but_no_stages():
+def test_a_picture_with_a_missing_stage_has_a_latency_but_no_stages():
     collector = Collector(SESSION)
     captured, displayed = ms(0, 20)
     tell(
@@ -73,7 +73,7 @@ def test_a_picture_of_which_one_end_is_unknown_has_a_latency_but_no_stages():
     assert all(stage.count == 0 for stage in figures.stages.values())
 
 
-def test_what_waits_for_its_other_end_is_forgotten_in_time():
+def test_unmatched_stamps_are_forgotten_after_a_while():
     collector = Collector(SESSION)
     (sent,) = ms(0)
     tell(collector, "uplink_video_send", sent, TxRow(5, sent, sent, sent))
@@ -84,7 +84,7 @@ def test_what_waits_for_its_other_end_is_forgotten_in_time():
     assert all(stage.count == 0 for stage in stages.values())
 
 
-def test_the_capture_time_that_travelled_is_held_against_the_one_stamped():
+def test_the_transmitted_capture_time_is_compared_with_the_original_stamp():
     collector = Collector(SESSION)
     captured, displayed = ms(0, 20)
     tell(collector, "uplink_video_send", displayed, TxRow(9, captured, captured, captured))
@@ -94,7 +94,7 @@ def test_the_capture_time_that_travelled_is_held_against_the_one_stamped():
 
 
 def feel(collector, at_ms, latency_ms):
-    """A force that was measured `latency_ms` before the hand had it."""
+    """A force that was measured `latency_ms` before it was displayed to the hand."""
     (received,) = ms(at_ms)
     sent = received - latency_ms * NS_PER_MS
     tell(collector, "robot", received, SampleSentRow(at_ms, sent))
@@ -107,7 +107,7 @@ def show(collector, stream, at_ms, latency_ms):
     tell(collector, "space_display", displayed, row, stream=stream)
 
 
-def test_a_sense_that_is_late_is_positive():
+def test_the_skew_of_a_late_sense_is_positive():
     collector = Collector(SESSION)
     feel(collector, 100, 2)
     show(collector, "uplink_voice", 110, 30)
@@ -120,7 +120,7 @@ def test_a_sense_that_is_late_is_positive():
     assert skews["audio_video"] == pytest.approx(-22, rel=0.01)
 
 
-def test_senses_that_were_silent_are_not_compared():
+def test_silent_senses_are_not_compared():
     collector = Collector(SESSION)
     feel(collector, 100, 2)
     show(collector, "uplink_video", 1200, 52)
@@ -129,7 +129,7 @@ def test_senses_that_were_silent_are_not_compared():
 
 
 @given(st.lists(st.integers(-(10**9), 10**9), min_size=1, max_size=60))
-def test_percentiles_of_a_signed_skew_are_those_of_its_values(values):
+def test_percentiles_of_a_signed_skew_equal_those_of_its_values(values):
     skew = Skew()
     for value in values:
         skew.add(value)
@@ -144,7 +144,7 @@ def test_percentiles_of_a_signed_skew_are_those_of_its_values(values):
     assert abs(summary.max) == max(abs(value) for value in values) / 1e6
 
 
-def test_a_process_life_adds_to_its_last():
+def test_the_counts_of_a_restarted_process_are_added():
     collector = Collector(SESSION)
     link = SimpleNamespace(transmit=SimpleNamespace(frames=10))
     tell(collector, "ground_gateway", START_NS, totals={"slips": 5}, gauges={"link": link})
@@ -163,7 +163,7 @@ def test_a_process_life_adds_to_its_last():
 CAP_BPS = 90_000
 
 
-def test_the_rate_of_two_lives_of_a_sender_is_one_rate():
+def test_a_restarted_sender_has_one_rate_over_both_lives():
     collector = Collector(SESSION)
     first, second, overtaken = ms(0, 500, 400)
     tell(
@@ -180,7 +180,7 @@ def test_the_rate_of_two_lives_of_a_sender_is_one_rate():
 
 def test_a_picture_is_compared_with_the_force_of_its_own_instant():
     collector = Collector(SESSION)
-    # Half a second of force, told at once, as a process tells it: it comes ever later.
+    # Half a second of force in one report, with a growing latency.
     instants = [(k, START_NS + k * NS_PER_MS) for k in range(500)]
     felt = [(k, sent_ns + (2 + k // 10) * NS_PER_MS) for k, sent_ns in instants]
     tell(collector, "joystick", START_NS + NS_PER_S, *starmap(SampleReceivedRow, felt))
@@ -196,21 +196,21 @@ def test_a_picture_is_compared_with_the_force_of_its_own_instant():
     assert summary.p50 == pytest.approx(50 - 43, abs=2.5)
     rate = collector.haptics["up"].rate
     assert rate.octets == 500 * 12
-    # One value each 20 ms, not each millisecond: the launcher has more to do.
+    # One value in 20 ms, not in each millisecond, to spare the launcher.
     assert rate.events < 35
 
 
-def test_a_robot_that_was_started_again_has_no_latencies_of_its_life_before():
+def test_a_restarted_robot_has_no_latencies_of_its_previous_life():
     collector = Collector(SESSION)
     for begun_ms, told_ms in ((0, 3000), (5000, 5500)):
         sent = [(k, at) for k, at in enumerate(ms(*range(begun_ms, told_ms)))]
-        # Of the first life every tenth is lost. What was received is told first.
+        # Every tenth sample of the first life is lost. The receiver reports first.
         felt = [(k, at + 3 * NS_PER_MS) for k, at in sent if begun_ms or k % 10]
         (now_ns,) = ms(told_ms + 100)
         tell(collector, "joystick", now_ns, *starmap(SampleReceivedRow, felt))
         tell(collector, "robot", now_ns, *starmap(SampleSentRow, sent))
         show(collector, "uplink_video", told_ms - 10, 40)
-    # With the next message the stamps that waited are matched.
+    # The next message matches the waiting stamps.
     feel(collector, 5600, 3)
     collector.handle_end()
     force = collector.haptics["up"].latency
@@ -219,7 +219,7 @@ def test_a_robot_that_was_started_again_has_no_latencies_of_its_life_before():
     assert [skew.p50, skew.max] == pytest.approx([37, 37], rel=0.01)
 
 
-def test_force_of_which_the_sender_never_told_is_passed_over():
+def test_force_without_a_stamp_of_its_sender_is_ignored():
     collector = Collector(SESSION)
     feel(collector, 100, 2)
     (lost_ns,) = ms(200)

@@ -1,4 +1,4 @@
-"""Tables and lines that fit a terminal leave things out, and cut nothing."""
+"""Tables and lines leave out columns and parts to fit a terminal, and cut nothing."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -31,7 +31,7 @@ def test_no_table_is_wider_than_its_width_or_cuts_a_cell(columns, width):
     assert kept.count("x") == sum(len(next(iter(column.cells))) for column in table.columns)
 
 
-def test_parts_without_room_are_left_out_and_later_ones_may_fit():
+def test_parts_without_room_are_left_out_and_shorter_later_ones_stay():
     assert fitted_line(["first", "a long part", "end"], 12) == "first   end"
     assert fitted_line(["first", "second"], None, gap=", ") == "first, second"
     assert fitted_line(["first"], 1) == "first"

@@ -1,4 +1,4 @@
-"""What the collector keeps of pictures' ways and of pauses, out of messages in whichever order."""
+"""The stages of pictures, and pauses, collected from messages in any order."""
 
 from itertools import permutations
 
@@ -35,7 +35,7 @@ def ns(*values_ms):
 
 
 @pytest.mark.parametrize("order", list(permutations(range(3))))
-def test_the_way_of_a_picture_is_joined_in_whichever_order_it_is_told(order):
+def test_the_stages_of_a_picture_are_joined_in_any_order_of_messages(order):
     collector = Collector(SESSION)
     coding, sent, received, decoded, shown = [], [], [], [], []
     for number in range(3):
@@ -55,7 +55,7 @@ def test_the_way_of_a_picture_is_joined_in_whichever_order_it_is_told(order):
         process, rows, stream = messages[index]
         tell(collector, process, *rows, stream=stream)
     way = collector.streams["uplink_video"].way
-    # Nobody knows since when the first one stood for what happened.
+    # The first picture has no weight, because no picture came before it.
     assert way.pictures == 2
     parts = ("camera", "capture", "waiting", "encoding", "network", "decoding", "display", "total")
     found = [way.mean_ns(part) / NS_PER_MS for part in parts]
@@ -63,7 +63,7 @@ def test_the_way_of_a_picture_is_joined_in_whichever_order_it_is_told(order):
     assert (way.octets_mean, way.packets_mean) == (240, 2)
 
 
-def test_a_pause_of_the_camera_is_no_period():
+def test_a_pause_of_the_camera_is_not_counted_as_a_period():
     collector = Collector(SESSION)
     tell(
         collector, "uplink_video_send", CodingRow(2, *ns(5000, 5000), 9, 1), TxRow(2, *ns(5000) * 3)
@@ -79,7 +79,7 @@ def test_a_pause_of_the_camera_is_no_period():
     assert collector.streams["uplink_video"].way.pictures == 0
 
 
-def test_pauses_are_kept_with_their_ends():
+def test_pauses_are_kept_with_begin_and_end():
     collector = Collector(SESSION)
     shown = [
         ShownRow(number, *ns(at - 40, at)) for number, at in enumerate((100, 1100, 2101, 2140))

@@ -38,7 +38,7 @@ def test_each_type_has_a_table_with_units_and_comments():
     assert "| `count` | integer, optional |  |  |" in part
 
 
-def test_comments_of_a_base_are_those_of_its_heirs():
+def test_a_subclass_inherits_the_comments_of_its_base():
     assert comments(Heir) == {"late_ms": "How late, at most.", "count": "", "other": "Another one."}
 
 

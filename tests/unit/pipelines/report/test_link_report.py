@@ -1,4 +1,4 @@
-"""What `kontur-av link` tells: rates by the link's own time, and books that are whole."""
+"""What `kontur-av link` shows: rates by the link's own time, and a count of every octet."""
 
 import re
 
@@ -31,7 +31,7 @@ def gateway(end, now_ns=0, setup=SETUP):
 
 
 class Link:
-    """Two gateways on virtual time, and a collector that they tell."""
+    """Two gateways on virtual time, and the collector that they report to."""
 
     def __init__(self):
         self.collector = Collector(topology_of(SETUP))
@@ -71,24 +71,24 @@ def haptics(ground, space, now_ns):
     ground.handle_haptic(bytes(12), now_ns)
 
 
-def test_rates_are_those_since_the_line_before():
+def test_rates_cover_the_time_since_the_previous_line():
     link, view = Link(), LinkView(SETUP, ENDS)
     assert view.lines(link.collector, 0.0)[0].endswith("ground: starting")
     link.run(300)
     assert "haptic 0.0" in view.lines(link.collector, 0.3)[0]
     link.run(250, haptics)
     ground, space = view.lines(link.collector, 0.55)
-    # 12 octets a millisecond, less what went to supervision's slots: none of them.
+    # 12 octets a millisecond; supervision took no slot.
     assert re.search(r"haptic 96\.0 tmtc 0\.0", ground)
     assert "haptic 0.0" in space
     assert "heard 550 frames, 0 lost, 2 slips" in space
-    # A gateway that was started again counts from 0.
+    # A restarted gateway counts from 0.
     link.ends[Segment.GROUND] = gateway(Segment.GROUND, link.now_ns)
     link.run(100, haptics)
     assert "haptic 96.0" in view.lines(link.collector, 0.65)[0]
 
 
-def test_the_summary_says_what_the_report_holds():
+def test_the_summary_shows_the_figures_of_the_report():
     link = Link()
     link.run(400, haptics)
     link.collector.process("ground_gateway").totals["strangers_radio"] = 4
@@ -110,7 +110,7 @@ def test_the_summary_says_what_the_report_holds():
     assert "from strangers: radio 4" in text
 
 
-def test_a_refusal_is_told_with_its_reason():
+def test_a_refusal_is_shown_with_its_reason():
     link, view = Link(), LinkView(SETUP, ENDS)
     link.ends[Segment.SPACE] = gateway(Segment.SPACE, setup=BUILT_IN["spacejustin"])
     link.run(100)
@@ -120,7 +120,7 @@ def test_a_refusal_is_told_with_its_reason():
         assert all("give both ends the same setup" in line for line in told)
 
 
-def test_one_end_alone_tells_its_own_half():
+def test_one_end_alone_reports_its_own_half():
     link = Link()
     link.run(100)
     del link.collector.processes["space_gateway"]

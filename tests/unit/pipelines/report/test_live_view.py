@@ -19,7 +19,7 @@ SETUP = BUILT_IN["taskboard"]
 
 @pytest.fixture
 def launcher():
-    """A session of ten seconds, as far as a view looks at it."""
+    """The parts of a session of ten seconds that a view reads."""
     return SimpleNamespace(
         setup=SETUP,
         session="taskboard-7",
@@ -37,7 +37,7 @@ def table_of(launcher):
     return capture.get()
 
 
-def test_the_rate_shown_is_that_of_the_last_second(launcher):
+def test_the_shown_rate_is_that_of_the_last_second(launcher):
     # 80 kbit/s in seconds 0 to 2 and 40 kbit/s ever after, told up to half a second ago.
     rows = [OutRow(k * 10 * NS_PER_MS, 100 if k < 200 else 50, 90_000) for k in range(951)]
     message = Message({}, {}, [series(rows)])
@@ -56,7 +56,7 @@ def test_the_rate_shown_is_that_of_the_last_second(launcher):
     assert "uplink_video 0.0/90 kbit/s" in _line(launcher, launcher.collector)
 
 
-def test_what_is_shown_has_its_age_and_a_word_that_grows_worse(launcher):
+def test_each_stream_is_shown_with_its_age_and_state(launcher):
     (stream,) = SETUP.streams
 
     def shown(state, age_ms, told_s):
@@ -76,11 +76,11 @@ def test_what_is_shown_has_its_age_and_a_word_that_grows_worse(launcher):
     stale = shown("stale", 1300, 9.8)
     assert (stale.plain, str(stale.style)) == ("1.3 s stale", "bold white on red")
     assert "STALE 1.3 s" in _line(launcher, launcher.collector)
-    # A display that tells nothing any more shows what it showed last.
+    # A display that reports nothing any more still shows its last picture.
     assert shown("fresh", 45, 6.0).plain == "3.0 s stale"
 
 
-def test_an_input_that_gives_nothing_is_shown_with_its_fault(launcher):
+def test_an_input_without_pictures_is_shown_with_its_fault(launcher):
     told = {
         "camera_left": {"captured_ns": 7 * NS_PER_S, "source_fault": "the writer has gone"},
         "camera_right": {"captured_ns": 9 * NS_PER_S, "source_fault": "garbage in the pipe"},
@@ -122,6 +122,6 @@ def test_the_first_line_names_session_link_radio_and_camera(launcher):
     assert first_line(launcher, launcher.collector, 35) == "taskboard-7   10 s   link starting"
 
 
-def test_where_there_is_no_sample_yet_stands_a_dash(launcher):
+def test_a_dash_is_shown_before_the_first_sample(launcher):
     (video,) = [line for line in table_of(launcher).splitlines() if "uplink_video" in line]
     assert video.count("–") == 3

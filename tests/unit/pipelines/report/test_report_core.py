@@ -1,4 +1,4 @@
-"""The report that is built from what a collector knows."""
+"""The report that is built from the figures of a collector."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -53,7 +53,7 @@ def report_of(collector, seconds=5.0):
     )
 
 
-def test_the_report_says_what_was_counted():
+def test_the_report_contains_the_counts():
     report = from_json(to_json(report_of(told())), SessionReport)
     assert report == report_of(told())
     stream = report.streams["uplink_video"]
@@ -76,15 +76,15 @@ def test_a_broken_cap_is_a_failure():
     assert failures(SETUP, told(octets_a_packet=375), 5.0) == []
 
 
-def test_a_stream_that_nobody_saw_is_a_failure():
+def test_a_stream_that_was_never_displayed_is_a_failure():
     (failure,) = failures(SETUP, told(displayed=0), 5.0)
     assert failure == "uplink_video: nothing was displayed"
-    # Too short to say anything.
+    # The session is too short for a verdict.
     assert failures(SETUP, told(displayed=0), 1.0) == []
 
 
 def hearing(collector, since_ns, *, signal=True):
-    """The same collector, whose gateway in space has heard the ground since then, as of 9 s."""
+    """The same collector; its gateway in space has heard the ground from `since_ns` to 9 s."""
     contacts = [
         ContactFigures(acquired_ns=0, connected_ns=None, lost_ns=5),
         ContactFigures(acquired_ns=since_ns - 1000, connected_ns=None, lost_ns=None),
@@ -99,7 +99,7 @@ def hearing(collector, since_ns, *, signal=True):
     return collector
 
 
-def test_what_the_radio_keeps_back_is_no_failure():
+def test_a_stream_without_a_radio_signal_is_no_failure():
     unseen = told(displayed=0, received=0)
     in_space = ["uplink_video: nothing was displayed", "haptic_up: no sample was received"]
     down = ["haptic_down: no sample was received"]
@@ -108,7 +108,7 @@ def test_what_the_radio_keeps_back_is_no_failure():
     assert failures(SETUP, hearing(unseen, 2 * NS_PER_S, signal=False), 9.0) == down
 
 
-def test_a_hand_that_felt_nothing_is_a_failure():
+def test_a_session_without_haptic_samples_is_a_failure():
     assert len(failures(SETUP, told(received=0), 5.0)) == 2
 
 
@@ -119,13 +119,13 @@ def test_a_session_that_ended_at_once_still_has_a_report():
     assert report.link["uplink"].frames == 0
 
 
-def test_the_mean_rate_is_that_of_the_whole_session():
-    # 30 packets of 300 octets came in its first second; then the sender fell silent.
+def test_the_mean_rate_covers_the_whole_session():
+    # 30 packets of 300 octets came in the first second, and none later.
     stream = report_of(told(), seconds=4.0).streams["uplink_video"]
     assert stream.payload_bps_mean == 30 * 300 * 8 / 4
 
 
-def test_whatever_a_process_counted_is_told():
+def test_every_count_of_a_process_is_reported():
     collector = told()
     totals = {"captured": 100, "source_faults": 2}
     collector.handle_message("robot", Message(totals, {"jitter_ns": 7}), NS_PER_S)
@@ -137,7 +137,7 @@ def test_whatever_a_process_counted_is_told():
     assert entry.jitter_ns == 7
 
 
-def test_a_gateway_that_was_killed_keeps_what_it_had_counted():
+def test_the_counts_of_a_killed_gateway_are_kept():
     collector = told()
     now_ns = 5 * NS_PER_S
     for packets in (3, 4):
@@ -151,7 +151,7 @@ def test_a_gateway_that_was_killed_keeps_what_it_had_counted():
             now_ns=now_ns,
         )
         for k in range(packets):
-            # RTP that is not worth a context, and after it none at all.
+            # RTP that gets no context, and after it none at all.
             packet = b"\x80\x60" + k.to_bytes(2, "big") + bytes(20)
             gateway.handle_datagram("uplink_video", packet, now_ns)
         gateway.handle_slot(now_ns)  # supervision's
@@ -176,7 +176,7 @@ def test_a_report_that_lacks_values_is_a_failure():
     assert failure == "space_display: 60 values for this report were lost"
 
 
-def test_a_latency_below_nothing_is_a_failure():
+def test_a_negative_latency_is_a_failure():
     collector = told()
     shown = [series([ShownRow(1, 2 * NS_PER_S, NS_PER_S)], "uplink_video")]
     collector.handle_message("space_display", Message({}, {}, shown), NS_PER_S)
@@ -185,7 +185,7 @@ def test_a_latency_below_nothing_is_a_failure():
 
 
 def run_on(collector, *, shown_until_s, captured_until_s, seconds=8, camera="left"):
-    """What is told twice a second while a camera gives pictures and the display shows them."""
+    """The reports, twice a second, of a camera with pictures and of the display that shows them."""
     for half in range(1, 2 * seconds + 1):
         now_ns = half * NS_PER_S // 2
         captured_ns = min(now_ns, round(captured_until_s * NS_PER_S))
@@ -198,12 +198,12 @@ def run_on(collector, *, shown_until_s, captured_until_s, seconds=8, camera="lef
     return collector
 
 
-def test_a_stream_that_died_in_the_middle_is_a_failure():
+def test_a_stream_that_stopped_in_the_middle_is_a_failure():
     (failure,) = failures(SETUP, run_on(told(), shown_until_s=3, captured_until_s=8), 8.0)
     assert failure.startswith("uplink_video: nothing was displayed in the last 5.0 s")
-    # It may be about to come back.
+    # A short gap is no failure yet.
     assert failures(SETUP, run_on(told(), shown_until_s=6.5, captured_until_s=8), 8.0) == []
-    # What is under way is not missed yet.
+    # Pictures on a slow radio are not missed yet.
     slow = replace(SETUP, radio_delay_ms=4000)
     assert failures(slow, run_on(told(), shown_until_s=3, captured_until_s=8), 8.0) == []
 
@@ -211,7 +211,7 @@ def test_a_stream_that_died_in_the_middle_is_a_failure():
 def test_a_stream_whose_input_stopped_is_no_failure():
     collector = run_on(told(), shown_until_s=3, captured_until_s=3)
     assert failures(SETUP, collector, 8.0) == []
-    # Nor is one whose input has only just come back.
+    # It is no failure either if the input has just returned.
     gauges = {"captured_ns": 8 * NS_PER_S}
     collector.handle_message("camera_left", Message({}, gauges), 8 * NS_PER_S)
     assert failures(SETUP, collector, 8.0) == []
@@ -228,17 +228,17 @@ def test_a_stream_is_judged_by_the_camera_that_is_selected():
     select(collector, "head", 3)
     run_on(collector, shown_until_s=3, captured_until_s=8, camera="static")
     found = [failure for failure in failures(setup, collector, 8.0) if "uplink_video" in failure]
-    assert found == [], "the camera that is shown gives nothing"
+    assert found == [], "the selected camera has no pictures"
     select(collector, "static", 7.5)
     found = [failure for failure in failures(setup, collector, 8.0) if "uplink_video" in failure]
-    assert found == [], "half a second after the switch nothing need be there"
+    assert found == [], "half a second after the switch no picture is due yet"
     select(collector, "head", 3)
     select(collector, "static", 5)
     (found,) = [failure for failure in failures(setup, collector, 8.0) if "uplink_video" in failure]
     assert "in the last 3.0 s" in found
 
 
-def test_an_input_that_gives_nothing_is_named():
+def test_an_input_that_stopped_is_named():
     collector = run_on(told(), shown_until_s=3, captured_until_s=3)
     fault = {"source_fault": "the writer has gone"}
     collector.handle_message("camera_left", Message({}, fault), 8 * NS_PER_S)
@@ -255,11 +255,11 @@ def test_an_input_that_gives_nothing_is_named():
         launcher_cpu_s=0.1,
     )
     assert report.processes["camera_left"].silent_s == 5.0
-    # As long as it gives, there is nothing to say.
+    # While pictures come there is no silence.
     assert silences(SETUP, run_on(told(), shown_until_s=8, captured_until_s=8)) == []
 
 
-def test_an_input_that_never_gave_anything_is_named():
+def test_an_input_that_never_delivered_is_named():
     collector = told()
     for now_ns in (NS_PER_S, 4 * NS_PER_S):
         collector.handle_message("camera_left", Message({"captured": 0}), now_ns)
@@ -268,7 +268,7 @@ def test_an_input_that_never_gave_anything_is_named():
 
 
 @given(st.dictionaries(st.text(min_size=1, max_size=8), st.integers(0, 10**12), max_size=12))
-def test_the_ledger_in_percent_is_a_hundred_exactly(octets):
+def test_the_shares_of_the_ledger_add_up_to_exactly_100_percent(octets):
     shares = ledger_percent(octets)
     if sum(octets.values()):
         assert sum(round(100 * share) for share in shares.values()) == 10_000
@@ -278,7 +278,7 @@ def test_the_ledger_in_percent_is_a_hundred_exactly(octets):
         assert shares == {}
 
 
-def test_the_arithmetic_of_a_direction_adds_up_to_what_it_has():
+def test_the_arithmetic_of_a_direction_adds_up_to_its_capacity():
     for name in ("spacejustin", "taskboard"):
         setup = BUILT_IN[name]
         for direction, profile in (("uplink", setup.uplink), ("downlink", setup.downlink)):

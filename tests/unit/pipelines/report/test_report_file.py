@@ -1,4 +1,4 @@
-"""Where a report goes: whole into a file, and into a device without taking its place."""
+"""A report replaces a file as a whole, and is written into a device without replacing it."""
 
 import json
 import os
@@ -19,7 +19,7 @@ def test_a_file_is_replaced_as_a_whole(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_fifo_and_a_link_stay_what_they_are(tmp_path):
+def test_a_fifo_and_a_link_are_not_replaced(tmp_path):
     fifo, link, target = tmp_path / "fifo", tmp_path / "link", tmp_path / "target"
     os.mkfifo(fifo)
     got = []
@@ -53,7 +53,7 @@ def test_an_interrupt_leaves_what_was_there_and_nothing_else(name, tmp_path, mon
     assert {path.name for path in tmp_path.iterdir()} == {"plain", "link"}
 
 
-def test_a_device_is_writable_though_its_directory_is_not(tmp_path, monkeypatch):
+def test_a_device_is_writable_even_if_its_directory_is_not(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, mode: not Path(path).is_dir())
     check_writable(Path("/dev/null"))
     for path in (tmp_path / "r.json", tmp_path):

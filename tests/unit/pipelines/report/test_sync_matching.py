@@ -1,4 +1,4 @@
-"""Which of what was found belongs to which contact, and what follows from it."""
+"""Findings are assigned to contacts, and figures are computed from them."""
 
 from dataclasses import replace
 
@@ -45,13 +45,13 @@ def test_each_contact_gets_its_own(gaps, delay, missing):
 def test_the_usual_delay_decides_between_candidates():
     contacts = [second * 2 * NS_PER_S for second in range(10)]
     found = [at(second * 2000 + 80, 1.0) for second in range(10)]
-    # Something stronger, at another time after each contact.
+    # Stronger findings, at another time after each contact.
     found += [at(second * 2000 + 300 + 97 * second, 1.5) for second in range(10)]
     found.sort(key=lambda one: one.instant_ns)
     assert [one.instant_ns % (2 * NS_PER_S) for one in match(contacts, found)] == [80 * MS] * 10
 
 
-def test_something_weak_and_far_off_stands_in_for_nothing():
+def test_a_weak_and_distant_finding_is_ignored():
     contacts = [second * 2 * NS_PER_S for second in range(8)]
     found = [at(second * 2000 + 80, 10.0) for second in range(8) if second != 4]
     found += [at(4 * 2000 + 900, 3.0)]
@@ -156,15 +156,15 @@ def test_a_sense_that_a_setup_lacks_has_no_figures():
         ),
     ],
 )
-def test_what_flashes_in_a_film_or_clicks_before_a_microphone_is_no_contact(sources, senses):
+def test_a_flash_in_a_film_or_a_click_at_a_microphone_is_no_contact(sources, senses):
     setup = replace(BUILT_IN["spacejustin"], sources=sources)
-    # As if each had been there 40 ms too late.
+    # As if each stamp were 40 ms late.
     section = sync_section(setup, figures(40), media=True)
     assert [sense for sense, found in section.senses.items() if found] == senses
     assert len(disagreements(section)) == len(senses) - 1
 
 
-def test_limits_are_those_of_the_sources():
+def test_limits_equal_those_in_the_cited_papers():
     assert LIMITS["audio_video"].holds(125 * MS)
     assert LIMITS["audio_video"].holds(-45 * MS)
     assert not LIMITS["audio_video"].holds(-46 * MS)
@@ -176,7 +176,7 @@ def test_limits_are_those_of_the_sources():
 
 
 @given(st.lists(st.integers(-(10**9), 10**9), min_size=1), st.sampled_from((50, 95, 99)))
-def test_a_percentile_is_a_value_that_so_many_do_not_exceed(values, p):
+def test_a_percentile_is_the_value_at_the_nearest_rank(values, p):
     ordered = sorted(values)
     value = rank(ordered, p)
     assert sum(one <= value for one in ordered) * 100 >= p * len(ordered)

@@ -1,4 +1,4 @@
-"""A verdict on the stamps from few instants, of which some are smeared."""
+"""A verdict on the stamps from few instants, of which some are inexact."""
 
 import random
 from statistics import median
@@ -24,8 +24,8 @@ def perceived(errors_ms, strengths=None, slack_ms=0):
     return found
 
 
-def test_smeared_clicks_of_a_short_session_are_no_disagreement():
-    # What 8 kbit/s left of 8 clicks amid a vowel: half of them are early.
+def test_inexact_clicks_of_a_short_session_are_no_disagreement():
+    # Measured for 8 clicks in a vowel at 8 kbit/s: half of them are early.
     verdict = judge(perceived([-5.3, -4.1, -3.0, -2.4, -1.4, -0.4, 0.1, 0.4]))
     assert verdict.median_ns < -2 * MS
     assert verdict.agrees is None
@@ -56,14 +56,14 @@ def test_the_clearest_are_judged():
     assert (verdict.judged, verdict.agrees) == (18, True)
 
 
-def test_too_few_and_undated_ones_make_no_verdict():
+def test_too_few_or_undated_findings_make_no_verdict():
     assert judge(perceived([40.0] * (LEAST_VERDICT - 1))).agrees is None
     assert judge([(0, Found(1))] * 20).agrees is None
     assert judge([]).judged == 0
 
 
 @given(st.lists(st.integers(-(10**9), 10**9), min_size=1, max_size=80))
-def test_the_interval_holds_the_median_of_what_was_seen(values):
+def test_the_interval_contains_the_median_of_the_values(values):
     low, high = median_interval(sorted(values))
     assert low <= median(values) <= high
 
@@ -78,6 +78,6 @@ def test_the_interval_misses_the_true_median_once_in_twenty_at_most(count):
     assert missed < 0.06 * 2000
 
 
-def test_where_none_is_clearer_the_later_ones_are_judged_too():
+def test_without_clearer_findings_all_are_judged():
     verdict = judge(perceived([0.0] * 10 + [50.0] * 30, [1.0] * 40))
     assert (verdict.judged, verdict.agrees) == (40, False)

@@ -1,4 +1,4 @@
-"""What the lead of force over its picture is made of: it adds up, and each term is what it says."""
+"""The terms of the lead of force over its picture are correct and add up."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -38,9 +38,9 @@ def lead_of(way, link=None, setup=SETUP):
     return video_lead(setup, way, link or uplink(), force_ns=FORCE_NS, epoch_ns=0)
 
 
-def test_each_term_is_what_was_put_in():
+def test_each_term_equals_its_input():
     way = DelaySums()
-    # 240 octets are 20 slots of 12; of the network's 35 ms the radio takes 10: 5 were waited.
+    # 240 octets take 20 slots of 12. Of the network's 35 ms the radio takes 10, so 5 are queueing.
     way.add(instants(4, 1, 6, 35, 3, 0.5), 40 * NS_PER_MS, (240, 1))
     lead = lead_of(way)
     assert lead.video_ms == Terms(
@@ -59,7 +59,7 @@ def test_each_term_is_what_was_put_in():
     assert lead.lead_ms.total == 58.5
 
 
-def test_a_picture_counts_by_the_time_that_it_stands_for():
+def test_a_picture_is_weighted_with_the_time_since_the_previous_one():
     way = DelaySums()
     way.add(instants(0, 0, 0, 50, 0, 0), 30 * NS_PER_MS, (0, 1))
     way.add(instants(0, 0, 0, 80, 0, 0), 60 * NS_PER_MS, (0, 1))
@@ -81,7 +81,7 @@ def test_a_picture_counts_by_the_time_that_it_stands_for():
     ),
     st.integers(0, 1000),
 )
-def test_the_terms_add_up_whatever_the_pictures(pictures, samples):
+def test_the_terms_add_up_for_any_pictures(pictures, samples):
     way = DelaySums()
     for steps_ms, gap_ms, octets, packets in pictures:
         way.add(instants(*steps_ms), round(gap_ms * NS_PER_MS), (octets, packets))
@@ -94,7 +94,7 @@ def test_the_terms_add_up_whatever_the_pictures(pictures, samples):
     )
 
 
-def test_headers_and_what_samples_leave_decide_how_long_a_picture_is_on_the_channel():
+def test_headers_and_sent_samples_lengthen_the_time_on_the_channel():
     assert zone_bps(UPLINK, uplink()) == 96_000
     assert zone_bps(UPLINK, uplink(samples=0)) == 192_000
     way = DelaySums()
@@ -103,7 +103,7 @@ def test_headers_and_what_samples_leave_decide_how_long_a_picture_is_on_the_chan
     assert lead_of(way, uplink(0, header_octets=9, packets=3)).video_ms.serialisation == 10.0
 
 
-def test_propagation_is_that_of_the_instants_at_which_pictures_were_sent(tmp_path):
+def test_propagation_is_taken_at_the_instants_of_sending(tmp_path):
     radio = tmp_path / "far.toml"
     radio.write_text("delay_ms = 100\ndelay_swing_ms = 50\ndelay_period_s = 40\n")
     setup = replace(SETUP, radio=load_radio(str(radio)))
@@ -116,5 +116,5 @@ def test_propagation_is_that_of_the_instants_at_which_pictures_were_sent(tmp_pat
         assert found / NS_PER_MS == pytest.approx(expected_ms, abs=1)
 
 
-def test_without_pictures_there_is_nothing_to_take_apart():
+def test_without_pictures_there_is_no_lead():
     assert lead_of(DelaySums()) is None

@@ -1,4 +1,4 @@
-"""When a session is warned about, and of what."""
+"""The warnings of a session, and when there are none."""
 
 from pipelines.report.warnings import loop_warnings, picture_warnings, restart_warning
 
@@ -52,12 +52,12 @@ def test_few_pictures_are_a_warning():
     assert pictures(captured=239, displayed=20) == ["few_captured"]
 
 
-def test_what_the_cap_had_no_room_for_need_not_be_shown():
+def test_pictures_refused_by_the_cap_need_not_be_shown():
     assert pictures(refused=150, displayed=120) == []
     assert pictures(refused=150, displayed=119) == ["few_shown"]
 
 
-def test_an_input_that_gave_nothing_is_told_elsewhere():
+def test_an_input_without_pictures_makes_no_warning_here():
     assert pictures(captured=0, displayed=0) == []
 
 

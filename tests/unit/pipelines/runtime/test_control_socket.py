@@ -1,4 +1,4 @@
-"""Asking a running session: which one, and what if it does not answer."""
+"""Asking a running session: how it is chosen, and what happens if it does not answer."""
 
 import json
 import shutil
@@ -14,8 +14,8 @@ from pipelines.runtime.control import Answer, Request, ask, console_path, runnin
 
 @pytest.fixture
 def console(monkeypatch):
-    """console(session, answer): somebody who listens, and what they were asked."""
-    # Not tmp_path: a socket's path has to be short.
+    """console(session, answer): a listening socket; returns the requests that it received."""
+    # Not tmp_path, because the path of a socket must be short.
     directory = tempfile.mkdtemp(prefix="kav")
     monkeypatch.setattr(tempfile, "tempdir", directory)
     listeners = []
@@ -59,14 +59,14 @@ def test_the_only_session_is_asked(console):
     assert asked == [{"select": "static"}]
 
 
-def test_a_setups_name_will_do_where_one_session_has_it(console):
+def test_the_setups_name_selects_its_only_session(console):
     asked = console("taskboard-41", b'{"ok": true}\n')
     console("spacejustin-42", b"")
     assert ask(Request("static"), "taskboard") == Answer(ok=True)
     assert asked == [{"select": "static"}]
 
 
-def test_a_name_that_no_session_has_is_told_with_those_that_run(console):
+def test_an_unknown_session_name_is_refused_with_the_running_ones(console):
     console("taskboard-41", b"")
     console("taskboard-42", b"")
     with pytest.raises(ConfigError, match=r"no session lab is running: .*taskboard-42"):
@@ -75,7 +75,7 @@ def test_a_name_that_no_session_has_is_told_with_those_that_run(console):
         ask(Request("static"), "taskboard")
 
 
-def test_of_several_sessions_one_has_to_be_named(console):
+def test_with_several_sessions_a_name_is_required(console):
     console("one", b'{"ok": true}\n')
     asked = console("two", b'{"ok": true}\n')
     assert sorted(running_sessions()) == ["one", "two"]
@@ -85,7 +85,7 @@ def test_of_several_sessions_one_has_to_be_named(console):
     assert asked == [{"select": "head"}]
 
 
-def test_a_session_that_was_killed_is_passed_over(console):
+def test_a_killed_session_is_ignored(console):
     console("one", b'{"ok": true}\n')
     console_path("dead").parent.mkdir(parents=True)
     with socket.socket(socket.AF_UNIX) as dead:
@@ -93,7 +93,7 @@ def test_a_session_that_was_killed_is_passed_over(console):
     assert ask(Request("static")).ok
 
 
-def test_the_answer_comes_after_the_time_that_it_takes(console):
+def test_a_slow_answer_is_waited_for(console):
     console("one", b'{"wait_s": 61.5}\n{"ok": true}\n')
     assert ask(Request("static")) == Answer(ok=True)
 
@@ -102,6 +102,6 @@ CUT = (b"", b"garbage\n", b"[1]\n", b'{"ok": tr', b"\xff\xfe\n", b'{"wait_s": 1.
 
 
 @pytest.mark.parametrize("answer", CUT)
-def test_a_console_that_falls_in_the_middle_is_no_success(console, answer):
+def test_a_console_that_dies_during_a_request_is_no_success(console, answer):
     console("one", answer)
     assert not ask(Request("static")).ok

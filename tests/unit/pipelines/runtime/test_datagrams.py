@@ -1,4 +1,4 @@
-"""A gateway hears its peer and its programs, and counts what anybody else sends."""
+"""A gateway accepts datagrams of its peer and its programs, and counts all others."""
 
 import socket
 
@@ -22,7 +22,7 @@ def sockets():
         udp.close()
 
 
-def test_the_peer_is_told_from_strangers_and_neither_takes_the_others_room(sockets):
+def test_strangers_are_counted_and_displace_no_frame_of_the_peer(sockets):
     peer, stranger, neighbour = sockets(), sockets(), sockets("127.0.0.2")
     probe = sockets()
     here = probe.getsockname()
@@ -34,7 +34,7 @@ def test_the_peer_is_told_from_strangers_and_neither_takes_the_others_room(socke
             if number % 100 == 0:
                 peer.sendto(b"frame %d" % (number // 100), here)
         neighbour.sendto(b"x", here)
-        # However many the strangers send, every frame is there.
+        # Datagrams of strangers fill no queue of the peer.
         frames = [receive(ours, 100) for _ in range(51)]
         assert frames == [b"frame %d" % number for number in range(50)] + [None]
         assert receive(strangers, 1) == b"\0"
@@ -47,7 +47,7 @@ def test_the_peer_is_told_from_strangers_and_neither_takes_the_others_room(socke
         strangers.close()
 
 
-def test_a_port_hears_the_host_of_the_programs_only(sockets):
+def test_a_port_accepts_only_the_host_of_the_programs(sockets):
     inlet = Inlet(("127.0.0.1", 0), "127.0.0.3")
     here = inlet.udp.getsockname()
     sockets("127.0.0.4").sendto(b"a stranger", here)
@@ -56,7 +56,7 @@ def test_a_port_hears_the_host_of_the_programs_only(sockets):
     assert [inlet.receive(100) for _ in range(4)] == [None, b"a program", b"", None]
     assert inlet.strangers == 1
     inlet.udp.close()
-    # On loopback every program of this machine is at home.
+    # On loopback every program of this machine is accepted.
     home = Inlet(("127.0.0.1", 0), "127.0.0.1")
     sockets("127.0.0.4").sendto(b"of this machine", home.udp.getsockname())
     assert home.receive(7) == b"of this"
@@ -64,7 +64,7 @@ def test_a_port_hears_the_host_of_the_programs_only(sockets):
     home.udp.close()
 
 
-def test_that_nobody_listens_is_no_fault(sockets):
+def test_a_missing_listener_is_no_fault(sockets):
     gone = sockets()
     where = gone.getsockname()
     gone.close()

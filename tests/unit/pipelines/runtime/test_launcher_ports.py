@@ -1,4 +1,4 @@
-"""Two sessions never share ports, however they are started."""
+"""Two sessions never share ports."""
 
 import socket
 from dataclasses import replace
@@ -26,7 +26,7 @@ def session():
 
 
 def test_of_two_sessions_started_at_once_one_is_refused(session):
-    # The first has bound none but the launcher's port yet.
+    # The first session has bound only the launcher's port so far.
     with hold_ports(session), pytest.raises(ConfigError, match=r"busy.*--base-port"):
         hold_ports(session)
     hold_ports(session).close()
@@ -39,5 +39,5 @@ def test_any_port_of_the_block_may_be_the_busy_one(session, offset):
         udp.bind(("127.0.0.1", port))
         with pytest.raises(ConfigError, match=f"UDP port {port} is busy"):
             hold_ports(session)
-    # The refusal has kept nothing.
+    # The refused session keeps no port.
     hold_ports(session).close()

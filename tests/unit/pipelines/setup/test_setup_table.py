@@ -1,4 +1,4 @@
-"""Setups: the built-in ones, and a user's own with every field that there is."""
+"""Setups: the built-in ones, and a user's file with every field."""
 
 from dataclasses import asdict, fields, replace
 
@@ -56,7 +56,7 @@ frame_octets = 250
 """
 
 
-def test_every_field_of_a_file_arrives(tmp_path):
+def test_every_field_of_a_file_reaches_the_setup(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(EVERY_FIELD)
     setup = load_setup(str(path))
@@ -73,7 +73,7 @@ def test_every_field_of_a_file_arrives(tmp_path):
     assert asdict(setup.uplink_voice) == voice
     down = {"name": "downlink_voice", "cap_bps": 24_000, "stale_after_ms": None}
     assert asdict(setup.downlink_voice) == down
-    # Beyond the radio's delay: 100 ms and four periods, where the file says nothing.
+    # Without a value in the file: the radio's delay, 100 ms and four periods.
     ages_ms = [setup.stale_after_ns(stream) / 1e6 for stream in setup.streams]
     assert ages_ms == pytest.approx([250.5, 90, 12.5 + 100 + 4000 / 15, 12.5 + 100 + 80])
     assert setup.source("wrist") == "pipe:/tmp/wrist.y4m"
@@ -88,7 +88,7 @@ def test_every_field_of_a_file_arrives(tmp_path):
     assert kinds == ["video", "video", "video", "audio", "video", "audio"]
 
 
-def test_a_file_is_named_after_itself(tmp_path):
+def test_a_setup_without_a_name_takes_that_of_its_file(tmp_path):
     path = tmp_path / "arm.toml"
     path.write_text('cameras = ["static"]\nuplink_video = {cap_kbps = 50}\n')
     setup = load_setup(str(path))
@@ -110,14 +110,14 @@ def test_a_file_is_named_after_itself(tmp_path):
         ('cap_kbps = 50\nsize = "640"', "odd.toml: uplink_video.size '640': write WIDTHxHEIGHT"),
     ],
 )
-def test_a_value_that_cannot_be_is_named_with_its_field(tmp_path, fields_of_it, message):
+def test_an_impossible_value_is_named_with_its_field(tmp_path, fields_of_it, message):
     path = tmp_path / "odd.toml"
     path.write_text(f'cameras = ["static"]\n[uplink_video]\n{fields_of_it}\n')
     with pytest.raises(ConfigError, match=message):
         load_setup(str(path))
 
 
-def test_what_the_radio_alone_makes_stale_is_refused(tmp_path):
+def test_an_age_limit_below_the_radio_delay_is_refused(tmp_path):
     path = tmp_path / "far.toml"
     path.write_text(
         'cameras = ["static"]\nradio = "geo"\n[uplink_video]\ncap_kbps = 50\nstale_after_ms = 200\n'
@@ -138,7 +138,7 @@ def test_the_built_in_setups_fit_their_channels(setup):
     assert setup.downlink.capacity_bps == 4_000_000
 
 
-def test_the_caps_are_those_of_the_specification():
+def test_the_caps_equal_the_specification():
     spacejustin = {stream.name: stream.cap_bps for stream in BUILT_IN["spacejustin"].streams}
     assert spacejustin == {
         "uplink_video": 85_000,
@@ -156,11 +156,11 @@ def test_a_large_picture_takes_several_packets():
     assert spacejustin.downlink_video.packets_per_s == 90
     seldom = VideoStream(name="uplink_video", cap_bps=85_000, fps=1)
     assert seldom.packets_per_s == 11
-    # A cap so low that no packet of 1000 octets may leave within 100 ms.
+    # At this low cap a packet of 1000 octets does not fit into 100 ms.
     assert VideoStream(name="uplink_video", cap_bps=20_000, fps=1).payload_octets == 375
 
 
-def test_the_reserve_holds_the_reports_and_the_telemetry_of_a_session():
+def test_reports_and_telemetry_of_a_session_fit_the_reserve():
     rtp = RtpSender(
         payload_type=96,
         clock_rate_hz=90_000,
@@ -177,7 +177,7 @@ def test_the_reserve_holds_the_reports_and_the_telemetry_of_a_session():
     assert 0 <= RESERVE_BPS / 8 - octets_per_s <= 5
 
 
-def test_the_ports_are_below_those_that_linux_gives_to_sockets_that_ask_for_any():
+def test_the_ports_are_below_the_ephemeral_ports_of_linux():
     setup = BUILT_IN["spacejustin"]
     assert setup.base_port + PORTS <= 32_768
 
@@ -203,12 +203,12 @@ def own_setup(**changes):
 
 
 @pytest.mark.parametrize("name", ["iss_camera", "iss_mic", "ground_mic"])
-def test_a_camera_takes_no_other_inputs_name(name):
+def test_a_camera_with_the_name_of_another_input_is_refused(name):
     with pytest.raises(ConfigError, match=f"camera {name} .* rename it"):
         own_setup(cameras=("static", name))
 
 
-def test_a_camera_is_no_microphone_whatever_its_name():
+def test_the_name_of_a_camera_does_not_make_it_a_microphone():
     setup = own_setup(cameras=("a_mic",), sources={"a_mic": "clip.mp4"})
     assert setup.kind_of("a_mic") == "video"
     with pytest.raises(ConfigError, match="no input iss_mic"):

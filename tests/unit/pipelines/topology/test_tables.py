@@ -1,4 +1,4 @@
-"""The topology as text: a narrow terminal cuts nothing, and the graph is well formed."""
+"""The topology as text: tables fit a narrow terminal uncut, and the graph is well formed."""
 
 import re
 
@@ -15,7 +15,7 @@ EDGE = re.compile(r'  "(\w+)" -> "(\w+)" \[label="[^"]*", style=(solid|dashed|bo
 
 
 @pytest.mark.parametrize("width", [80, 100, 250])
-def test_tables_keep_to_the_width_and_cut_nothing(width):
+def test_tables_fit_the_width_and_cut_nothing(width):
     tables = processes_table(SESSION), streams_table(SESSION), topics_table(SESSION)
     for table, rows in zip(
         tables, (SESSION.processes, SESSION.streams, SESSION.topics), strict=True

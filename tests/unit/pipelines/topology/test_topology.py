@@ -1,4 +1,4 @@
-"""The table of a session agrees with itself, and its ports are those that users know."""
+"""The table of a session is consistent, and its ports are the documented ones."""
 
 import inspect
 from collections import Counter
@@ -22,7 +22,7 @@ SPACEJUSTIN = topology_of(BUILT_IN["spacejustin"], snapshots=True)
 
 
 def every_setup() -> list[Setup]:
-    """The built-in ones, and one with each optional stream left out."""
+    """The built-in setups, and one setup without each optional stream."""
     whole = BUILT_IN["spacejustin"]
     return [
         *BUILT_IN.values(),
@@ -52,7 +52,7 @@ def test_every_topic_that_is_read_has_a_writer(session):
         assert topic.sample
 
 
-def test_topics_stay_in_a_segment_but_for_the_simulated_world(session):
+def test_only_the_simulated_world_is_read_in_both_segments(session):
     crossing = {
         topic.name
         for topic in session.topics
@@ -109,7 +109,7 @@ def test_a_media_stream_leads_to_its_other_rows(session):
         assert session.topic(row.received_topic).readers == (row.display,)
 
 
-def test_the_ports_are_those_that_users_know():
+def test_the_ports_are_the_documented_ones():
     known = {
         "uplink_haptic": (27002, 27005),
         "telemetry": (27030, 27031),
@@ -128,7 +128,7 @@ def test_the_ports_are_those_that_users_know():
         "feedback_uplink_video": (27026, 27027),
         "downlink_maintenance": (27037, 27039),
     }
-    # In order of priority, which is also the order of the flows' numbers on the link.
+    # The order is that of priority, and of the flows' numbers on the link.
     found = {row.name: (row.entry_port, row.exit_port) for row in SPACEJUSTIN.streams}
     assert list(found.items()) == list(known.items())
     assert [link.port for link in SPACEJUSTIN.links] == [27001, 27000]

@@ -37,7 +37,7 @@ def test_a_satellite_in_the_zenith(latitude, longitude, up):
 
 
 def test_the_earth_turns_under_the_orbit():
-    # A quarter of a turn later, what stood over longitude 0 stands over 90 degrees west.
+    # After a quarter of a turn, a point above longitude 0 is above 90 degrees west.
     distance, _ = Station(0, -90, 0.0).look((6778.137, 0.0, 0.0), 3.14159265 / 2)
     assert distance == pytest.approx(400, abs=0.001)
 
@@ -91,7 +91,7 @@ def test_fading_has_mean_0_and_variance_1_at_knots_and_between():
         assert abs(variance - 1) < 5 * (2 / len(values)) ** 0.5
 
 
-def test_fading_is_continuous_and_the_same_in_whatever_order():
+def test_fading_is_continuous_and_the_same_in_any_order():
     curve, again = FadingCurve(1, 1000), FadingCurve(1, 1000)
     values = [curve.at(time) for time in range(0, 20_000, 10)]
     steps = [abs(b - a) for a, b in itertools.pairwise(values)]

@@ -162,7 +162,7 @@ def test_the_epoch_shifts_all_of_it():
     radio=st.sampled_from(["cable", "clean", "geo", "iss-pass", "all"]),
     seed=st.integers(0, 2**32),
 )
-def test_nobody_is_overtaken_and_nobody_vanishes_uncounted(steps, radio, seed):
+def test_frames_keep_their_order_and_every_lost_one_is_counted(steps, radio, seed):
     profile = everything() if radio == "all" else load_radio(radio)
     path = profile.path("uplink", seed=seed, epoch_ns=0)
     now_ns, last_ns, arrived = 0, -1, 0

@@ -46,7 +46,7 @@ def test_a_file_without_a_base_begins_with_a_cable(load):
     assert profile == RadioProfile(name="mine", delay_ms=5.0)
 
 
-def test_a_file_changes_what_it_says_and_inherits_the_rest(load):
+def test_a_file_overrides_its_fields_and_inherits_the_rest(load):
     profile = load(
         'base = "iss-pass"\nname = "bad day"\n'
         "[contact]\nmargin_db = 4\n[bursts]\nmean_ms = 40\n"
@@ -71,7 +71,7 @@ def test_a_table_can_be_switched_off(load):
     assert load('base = "iss-pass"\nbursts = false').bursts is None
 
 
-def test_elements_of_ones_own_lie_beside_the_file(load, tmp_path):
+def test_own_elements_are_found_beside_the_file(load, tmp_path):
     (tmp_path / "sat.tle").write_text(STORED_ELEMENTS)
     profile = load('[contact]\nelements = "sat.tle"\nafter = "2015-08-19T00:00:00Z"')
     assert profile.contact.elements == STORED_ELEMENTS
@@ -113,14 +113,14 @@ def test_elements_of_ones_own_lie_beside_the_file(load, tmp_path):
         ("delay_ms = ", "is not TOML"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(load, text, told):
+def test_each_mistake_is_one_line(load, text, told):
     with pytest.raises(ConfigError, match=re.escape(told)) as caught:
         load(text)
     assert "\n" not in str(caught.value)
     assert "mine.toml" in str(caught.value)
 
 
-def test_names_and_files_that_are_not_there(tmp_path):
+def test_unknown_names_and_missing_files_are_refused(tmp_path):
     with pytest.raises(
         ConfigError, match="unknown radio iss: take cable, clean, iss-pass, iss-overhead, geo, or"
     ):
@@ -132,7 +132,7 @@ def test_names_and_files_that_are_not_there(tmp_path):
         load_radio(str(tmp_path / "binary.toml"))
 
 
-def test_elements_that_are_missing_or_wrong_are_told_when_the_file_is_read(load, tmp_path):
+def test_missing_or_wrong_elements_are_refused_when_the_file_is_read(load, tmp_path):
     with pytest.raises(ConfigError, match=r"mine\.toml: cannot read elements .*none\.tle"):
         load('[contact]\nelements = "none.tle"')
     (tmp_path / "bad.tle").write_text(STORED_ELEMENTS.replace("15239", "15238"))
@@ -142,7 +142,7 @@ def test_elements_that_are_missing_or_wrong_are_told_when_the_file_is_read(load,
         load("[contact]\nelements = 3")
 
 
-def test_one_begins_where_another_is_at_its_best():
+def test_iss_overhead_begins_at_the_best_part_of_iss_pass():
     whole, middle = BUILT_IN["iss-pass"], BUILT_IN["iss-overhead"]
     windows = middle.contact_windows()
     assert middle.start_s == pytest.approx(windows.loss_s / 2, abs=1)
@@ -151,7 +151,7 @@ def test_one_begins_where_another_is_at_its_best():
     assert (middle.contact, middle.bursts) == (whole.contact, whole.bursts)
 
 
-def test_a_radio_begins_where_it_is_told_to_if_there_is_a_pass():
+def test_a_radio_with_a_pass_can_begin_at_any_time_of_it():
     assert started(BUILT_IN["iss-pass"], 100).start_s == 100
     assert started(BUILT_IN["iss-pass"], -5).start_s == -5
     with pytest.raises(ConfigError, match="the pass of radio iss-pass lasts 593 s; take less"):
@@ -169,7 +169,7 @@ def test_the_annotated_profile_of_the_document_has_every_field(tmp_path):
     for name, kind in tables.items():
         assert set(table[name]) == {field.name for field in fields(kind)}, name
     assert set(table["blackouts"][0]) == {field.name for field in fields(Blackout)}
-    # What stands there of the contact is the built-in pass.
+    # Its contact is the built-in pass.
     (tmp_path / "iss.tle").write_text(STORED_ELEMENTS)
     profile = radio_from_table(table, tmp_path)
     assert profile.contact == Contact()
