@@ -79,7 +79,7 @@ def test_a_launcher_that_does_not_read_delays_nothing_and_loses_whole_rows(link)
     message = received(ours)
     seen += [row for series in message.series for row in series.rows()]
     assert message.totals["rows"] == 60_000
-    # A row is there whole, or not at all; and what is missing is counted.
+    # A row arrives whole or not at all, and every missing one is counted.
     assert all(row.received_ns == -row.timestamp for row in seen)
     assert 0 < message.totals["probe_values_dropped"] == 2 * (60_000 - len(seen))
 

@@ -68,7 +68,7 @@ def test_a_click_in_a_shortened_block_is_dated_by_its_place_in_the_whole_one():
 
 
 def test_a_shortened_voice_does_not_date_its_clicks_late():
-    """Blocks played in 1/40 less of their time: at their ends half a millisecond is gone."""
+    """Blocks are shortened by 1/40, which is half a millisecond each."""
     probe = Probe()
     watching = Watching(probe)
     player_line = np.zeros(48_000)

@@ -38,7 +38,7 @@ def table_of(launcher):
 
 
 def test_the_shown_rate_is_that_of_the_last_second(launcher):
-    # 80 kbit/s in seconds 0 to 2 and 40 kbit/s ever after, told up to half a second ago.
+    # 80 kbit/s in seconds 0 and 1, then 40 kbit/s; reported up to half a second ago.
     rows = [OutRow(k * 10 * NS_PER_MS, 100 if k < 200 else 50, 90_000) for k in range(951)]
     message = Message({}, {}, [series(rows)])
     launcher.collector.handle_message("uplink_video_send", message, 9 * NS_PER_S)
