@@ -4,8 +4,8 @@
                                        the tables of processes, topics and ports
     python docs/generate.py --run      the README's table, too: a session of 20 s on virtual time
 
-Tests hold all but the README's table to the code. griffe reads source text, so the page is the same
-under every Python version.
+Tests check that all but the README's table is up to date. griffe reads source text, so the page is
+the same under every Python version.
 """
 
 import json

@@ -2,8 +2,8 @@
 
     python samples/bench_latency.py [--clip FILE] [--seconds 10] [--cap-kbps 512]
 
-Sender and receiver are two processes with a real socket between them; both stamp on the same
-clock, so a latency is a difference. The picture is captured when its source gives it out.
+Sender and receiver are two processes with a real socket between them. Both stamp on one clock, so
+a latency is a difference. A picture counts as captured when its source delivers it.
 """
 
 import argparse
@@ -94,7 +94,7 @@ def main() -> None:
     parser.add_argument("--clip", default="scene:static", help="a film, or any other source")
     parser.add_argument("--seconds", type=float, default=10)
     parser.add_argument("--cap-kbps", type=float, default=512)
-    parser.add_argument("--channel-kbps", type=float, default=3824, help="of what the cap is part")
+    parser.add_argument("--channel-kbps", type=float, default=3824, help="of the whole channel")
     arguments = parser.parse_args()
     cap_bps, channel_bps = (
         round(kbps * 1000) for kbps in (arguments.cap_kbps, arguments.channel_kbps)

@@ -1,4 +1,4 @@
-"""Watch a radio profile for ten minutes: elevation, delay, and what gets lost when.
+"""Run a radio profile for ten minutes: elevation, delay, and the frames lost in each minute.
 
 Run it: python samples/plot_pass.py [--radio iss-pass] [--seed 1] [--seconds 600] [--picture x.png]
 It prints a table by minute, for uplink and downlink. `--picture` also draws a chart, with

@@ -33,8 +33,8 @@ class Machine:
 
 def this_machine() -> Machine:
     """The machine on which this process runs (Linux, proc(5))."""
-    told = _CPU_INFO.read_text(errors="replace") if _CPU_INFO.exists() else ""
-    model = re.search(r"^model name\s*: (.*)$", told, re.M)
+    text = _CPU_INFO.read_text(errors="replace") if _CPU_INFO.exists() else ""
+    model = re.search(r"^model name\s*: (.*)$", text, re.M)
     return Machine(
         cpu=" ".join(model[1].split()) if model else platform.machine(),
         cores=len(os.sched_getaffinity(0)),

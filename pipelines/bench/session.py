@@ -49,11 +49,11 @@ def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = Non
                 raise RuntimeError(f"the live session has not ended after {seconds:g} s") from None
             finally:
                 end_all([process])
-        told = errors.read_text(encoding="utf-8", errors="replace").strip()
+        output = errors.read_text(encoding="utf-8", errors="replace").strip()
         if returncode == _USERS_FAULT:
-            raise ConfigError(told.rpartition("\n")[2].removeprefix("kontur-av: "))
+            raise ConfigError(output.rpartition("\n")[2].removeprefix("kontur-av: "))
         if not report_file.exists():
-            raise RuntimeError(f"the live session failed: {told}")
+            raise RuntimeError(f"the live session failed: {output}")
         return JsonReader(json.loads(report_file.read_text(encoding="utf-8")))
 
 

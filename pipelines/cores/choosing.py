@@ -80,7 +80,7 @@ class CameraChoice:
         return self.selected != before
 
     def handle_confirmed(self, number: int, now_ns: int) -> None:
-        """The sender has done with what was selected before the choice of this number."""
+        """The sender has confirmed a choice: nothing of an earlier camera is coded or sent."""
         self._confirmed = number
         self._acknowledge(now_ns)
 

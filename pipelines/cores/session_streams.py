@@ -44,8 +44,7 @@ def voice_sender(
 
 
 def video_receiver(stream: VideoStream, *, ssrc: int, wall_offset_ns: int) -> VideoReceiver:
-    """The receiver of a picture. The link tells its sender of the way back, so it sends no signs
-    of life."""
+    """The receiver of a picture. The link reports the way back, so it sends no signs of life."""
     return VideoReceiver(
         ssrc=ssrc,
         name=stream.name,

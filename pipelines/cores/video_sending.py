@@ -7,11 +7,11 @@ from telepresence.link.backlog import Backlog
 
 
 class LinkedVideoSender:
-    """Has the `VideoSender` follow the link: what waits in it, and what slots leave free.
+    """Adapts the `VideoSender` to the link: to its queue, and to the room of left-out samples.
 
-    Use `sender` for all but what is here.
+    Use `sender` for everything else.
 
-    gain: by how much the cap follows what is free; None: by nothing.
+    gain: raises the cap by what left-out samples free; None: the cap stays.
     """
 
     def __init__(self, sender: VideoSender, gain: CapGain | None = None) -> None:
@@ -32,7 +32,7 @@ class LinkedVideoSender:
         )
 
     def handle_freed(self, freed_bps: int, now_ns: int) -> None:
-        """What slots without a sample have left in the last second (`Gateway.freed_bps`)."""
+        """The rate that slots without a sample left in the last second (`Gateway.freed_bps`)."""
         self._freed_bps = freed_bps
         self._follow_freed(now_ns)
 

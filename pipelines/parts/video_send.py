@@ -59,7 +59,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
         # being encoded.
         held: Lease | None = None
         encoded: Lease | None = None
-        #: Of cameras that were selected before: closed when no picture of theirs is encoded.
+        #: Readers of earlier cameras, closed when none of their pictures is being encoded.
         retired: list[Reader] = []
         while not context.stopping:
             now_ns = clock.now_ns()
@@ -146,13 +146,13 @@ class SelectionTopics:
 
     @property
     def topic(self) -> str:
-        """Where the pictures of the selected camera are."""
+        """The topic of the selected camera."""
         assert self._follower.camera is not None
         return self._topology.camera(self._follower.camera).topic
 
     @property
     def may_encode(self) -> bool:
-        """Whether nothing of the camera before is under way."""
+        """Whether no picture of the previous camera is coded or waits to be sent."""
         return not self._follower.leaving
 
     @property
@@ -161,7 +161,7 @@ class SelectionTopics:
         return self._new or self._follower.leaving
 
     def handle_choice(self) -> bool:
-        """Look at the choice; whether it is another camera now."""
+        """Read the newest choice; True if another camera is selected now."""
         lease = self.reader.latest()
         if lease is None:
             return False
@@ -175,18 +175,18 @@ class SelectionTopics:
         self._new = False
 
     def handle_sender(self, *, idle: bool, now_ns: int) -> None:
-        """idle: nothing is being encoded, and nothing waits to be sent. Confirms what it can."""
+        """Confirm the choice if possible. idle: nothing is being encoded or waits to be sent."""
         follower = self._follower
         follower.handle_sender(idle=idle)
         number = follower.confirmed
         if number is None or (number == self._told and now_ns - self._told_ns < PATIENCE_NS):
             return
-        # Again and again, for a selector that has begun since.
+        # Repeatedly, for a selector that has started since.
         self._told, self._told_ns = number, now_ns
         self._writer.publish_octets(pack_confirmed(number), CaptureStamp(now_ns, number, "sender"))
 
 
 def _wakers(reader: Reader | None, selection: SelectionTopics | None) -> list[Reader]:
-    """Whose new samples wake the sender."""
+    """The readers whose new samples wake the sender."""
     wakers = [] if reader is None else [reader]
     return wakers if selection is None else [*wakers, selection.reader]

@@ -24,10 +24,10 @@ def shown_now(
     stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, now_ns: int
 ) -> tuple[State, int]:
     """The state of what is shown of `stream`, and its age in ns (0 if nothing was shown yet)."""
-    told = [of for of in collector.processes.values() if f"{stream.name}.age_ns" in of.gauges]
-    if not told:
+    reporting = [of for of in collector.processes.values() if f"{stream.name}.age_ns" in of.gauges]
+    if not reporting:
         return State.NOTHING, 0
-    figures = max(told, key=lambda of: of.told_ns)
+    figures = max(reporting, key=lambda of: of.told_ns)
     age_ns = figures.gauges[f"{stream.name}.age_ns"]
     age_ns += max(0, now_ns - figures.told_ns - _TOLD_AFTER_NS)
     if age_ns >= setup.stale_after_ns(stream):

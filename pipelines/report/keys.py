@@ -61,10 +61,10 @@ def comments(kind: type) -> dict[str, str]:
 
 
 def _rows(kind: type) -> Iterator[tuple[str, str, str, str]]:
-    told, hints = comments(kind), typing.get_type_hints(kind)
+    texts, hints = comments(kind), typing.get_type_hints(kind)
     for name, key, optional in _fields(kind):
         words = _words(hints[name], optional=optional)
-        yield key, words + (", optional" if optional else ""), _unit(name), told.get(name, "")
+        yield key, words + (", optional" if optional else ""), _unit(name), texts.get(name, "")
 
 
 def _fields(kind: type) -> Iterator[tuple[str, str, bool]]:

@@ -147,8 +147,8 @@ def summary_lines(report: LinkReport) -> list[str]:
     lines = [f"{report.setup}, {report.seconds:.1f} s, radio {report.radio.profile}"]
     for direction, link in report.link.items():
         lines += _direction(direction, link)
-    for end, told in report.gateways.items():
-        lines.append(end_line(end, told))
+    for end, gateway in report.gateways.items():
+        lines.append(end_line(end, gateway))
     cpu = report.cpu
     lines.append(f"CPU: {cpu.total_s:.1f} s, {cpu.cores_used:.2f} of a core")
     lines += [f"failed: {failure}" for failure in report.failures]
@@ -197,15 +197,15 @@ def ledger_line(link: DirectionReport) -> str:
     return f"of {sum(link.octets.values())} octets, in %: {used}"
 
 
-def end_line(end: str, told: GatewayReport) -> str:
-    supervision = told.supervision
+def end_line(end: str, gateway: GatewayReport) -> str:
+    supervision = gateway.supervision
     contacts = 0 if supervision is None else len(supervision.contacts)
     contact_s = 0.0 if supervision is None else supervision.contact_ns / NS_PER_S
     state = "never ran" if supervision is None else _state(supervision)
     line = f"{end}: {state}, {contact_s:.1f} s of signal in {contacts} contacts"
-    if told.strangers:
-        counts = ", ".join(f"{name} {count}" for name, count in told.strangers.items())
+    if gateway.strangers:
+        counts = ", ".join(f"{name} {count}" for name, count in gateway.strangers.items())
         line += f"; from strangers: {counts}"
-    if told.unsent:
-        line += f"; {told.unsent} frames not sent"
+    if gateway.unsent:
+        line += f"; {gateway.unsent} frames not sent"
     return line

@@ -37,8 +37,8 @@ def print_summary(report: SessionReport) -> None:
             f"{direction}: {link.frames} frames, {link.frames_lost} lost, "
             f"{link.slips} slips; {ledger_line(link)}"
         )
-    for end, told in report.gateways.items():
-        console.print(end_line(end, told))
+    for end, gateway in report.gateways.items():
+        console.print(end_line(end, gateway))
     skews = [
         f"{name.replace('_', ' to ')} {skew.p50:+.1f} (p95 {skew.p95:+.1f})"
         for name, skew in report.skew_ms.items()

@@ -111,8 +111,8 @@ def setup_from_table(table: Mapping[str, Any]) -> Setup:
 
 def _values(table: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of `Setup`; the radio is still a name."""
-    told = typed(table, _File, "a setup")
-    values = {each.name: getattr(told, each.name) for each in fields(told)}
+    entry = typed(table, _File, "a setup")
+    values = {each.name: getattr(entry, each.name) for each in fields(entry)}
     for name in ("uplink_video", "downlink_video"):
         if values[name] is not None:
             values[name] = _video(name, values[name])
@@ -135,15 +135,15 @@ def _profile(profile: LinkProfile, frame_octets: int | None) -> LinkProfile:
     return replace(profile, frame_octets=octets, pointer_in_signaling=short)
 
 
-def _video(name: str, told: _Video) -> VideoStream:
-    width, height = parse_size(told.size, f"{name}.size")
-    coded = None if told.coded == "auto" else parse_size(told.coded, f"{name}.coded")
+def _video(name: str, entry: _Video) -> VideoStream:
+    width, height = parse_size(entry.size, f"{name}.size")
+    coded = None if entry.coded == "auto" else parse_size(entry.coded, f"{name}.coded")
     return VideoStream(
         name=name,
-        cap_bps=round(told.cap_kbps * 1000),
+        cap_bps=round(entry.cap_kbps * 1000),
         width=width,
         height=height,
-        fps=told.fps,
+        fps=entry.fps,
         coded=coded,
-        stale_after_ms=told.stale_after_ms,
+        stale_after_ms=entry.stale_after_ms,
     )

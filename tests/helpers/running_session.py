@@ -147,7 +147,7 @@ class RunningSession:
         return [line for line in text.splitlines() if re.match(r" *[\d.]+ s  ", line)]
 
     def shown(self):
-        """Return how much of each stream was displayed or felt, by the newest line of figures."""
+        """Return the counts of what was shown or felt, by the newest line of figures."""
         lines = self.lines()
         if not lines:
             return {}

@@ -1,4 +1,4 @@
-"""Figures as a process tells them, for tests of what takes them."""
+"""Figures as a process reports them, for tests of their receivers."""
 
 from pipelines.cores.probe import Series
 

@@ -1,4 +1,4 @@
-"""What a unit test may not do: start a process, or run a session."""
+"""Keeps unit tests from starting processes and sessions."""
 
 import multiprocessing.process
 import os
@@ -21,7 +21,7 @@ _DOORS = (
 
 @contextmanager
 def closed_doors() -> Iterator[None]:
-    """As long as this lasts, an AssertionError comes instead of a process or a simulation."""
+    """Within this context, starting a process or a simulation raises AssertionError."""
     with ExitStack() as stack:
         for owner, name in _DOORS:
             stack.enter_context(patch.object(owner, name, _closed(owner, name)))
@@ -32,7 +32,7 @@ def _closed(owner, name):
     opened = getattr(owner, name)
 
     def door(*args, **options):
-        # To find a library, Python asks the system's linker.
+        # Python starts the system's linker to find a library.
         if sys._getframe(1).f_globals.get("__name__") == "ctypes.util":
             return opened(*args, **options)
         raise AssertionError(

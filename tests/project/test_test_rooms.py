@@ -1,4 +1,4 @@
-"""Every test is in its room: unit tests start no process and run no session."""
+"""Unit tests start no process and run no session."""
 
 import multiprocessing
 import os
@@ -29,7 +29,7 @@ def test_a_unit_test_can_start_neither_a_process_nor_a_session(start):
 
 
 def test_every_unit_test_runs_behind_closed_doors(tmp_path):
-    """pytest itself says so, with a unit test that starts a process."""
+    """Checked with pytest itself, on a unit test that starts a process."""
     room = tmp_path / "tests" / "unit"
     room.mkdir(parents=True)
     (room / "conftest.py").write_text((ROOT / "tests" / "unit" / "conftest.py").read_text())

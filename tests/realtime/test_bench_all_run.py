@@ -1,4 +1,4 @@
-"""`kontur-av bench all`: what it runs, what it keeps, and going on where it ended."""
+"""`kontur-av bench all`: runs, kept records, and resuming a measurement."""
 
 import sys
 from types import SimpleNamespace

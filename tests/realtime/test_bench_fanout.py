@@ -90,7 +90,7 @@ def test_a_reader_that_fails_ends_the_bench(nothing_left, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--seconds", "0"], "--seconds 0"),
         (["--readers", "0"], "--readers 0"),
@@ -100,8 +100,8 @@ def test_a_reader_that_fails_ends_the_bench(nothing_left, monkeypatch):
         (["--plot", "times.jpeg"], "--plot times.jpeg"),
     ],
 )
-def test_mistakes_are_one_line(options, told, capsys):
+def test_mistakes_are_one_line(options, message, capsys):
     assert main(["bench", "fanout", *options]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert error.count("\n") == 1

@@ -38,5 +38,5 @@ def test_a_short_run_gives_figures(name, tmp_path, capsys):
         assert found["payload_1s_bps"] <= 85_000
         # A report of the receiver came back, so the sender knows of its feedback.
         assert found["answers"] > 0
-        told = {verdict["what"]: verdict["met"] for verdict in rate["scene"]["targets"]}
-        assert told["largest 1 s window of payload"]
+        met = {verdict["what"]: verdict["met"] for verdict in rate["scene"]["targets"]}
+        assert met["largest 1 s window of payload"]

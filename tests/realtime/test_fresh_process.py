@@ -1,4 +1,4 @@
-"""What only a fresh process shows: its exit code and output, its imports, its libopus."""
+"""Behaviour of a new process: exit code, output, imports, and the choice of libopus."""
 
 import os
 import subprocess

@@ -58,17 +58,17 @@ def running(session, part, **arguments):
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     context = Context(session=session, topology=topology_of(SETUP), clock=CLOCK, link=theirs)
     ours.setblocking(False)
-    told = Message()
+    reported = Message()
 
     def listen():
         # After the other end has closed nothing more comes.
         with suppress(BlockingIOError):
             while data := ours.recv(1 << 20):
                 message = Message.unpack(data)
-                told.totals.update(message.totals)
-                told.gauges.update(message.gauges)
-                told.series += message.series
-        return told
+                reported.totals.update(message.totals)
+                reported.gauges.update(message.gauges)
+                reported.series += message.series
+        return reported
 
     thread = threading.Thread(target=part, args=(context,), kwargs=arguments)
     thread.start()
@@ -111,9 +111,9 @@ def test_an_input_reports_its_last_capture(session):
     begin_ns = CLOCK.now_ns()
     with running(session, run_microphone, name="ground_mic") as listen:
         eventually(lambda: listen().totals["captured"] or None)
-    told = listen()
-    assert begin_ns <= told.gauges["captured_ns"] <= CLOCK.now_ns()
-    assert told.totals["source_faults"] == 0
+    reported = listen()
+    assert begin_ns <= reported.gauges["captured_ns"] <= CLOCK.now_ns()
+    assert reported.totals["source_faults"] == 0
 
 
 def test_concealed_sound_is_not_displayed(session):
@@ -129,9 +129,9 @@ def test_concealed_sound_is_not_displayed(session):
             writer.publish_audio(AudioFrame(SOUND, stamp))
         counter = f"{stream.name}.frames_displayed"
         eventually(lambda: listen().totals[counter] == 2 or None)
-    told = listen()
-    assert told.totals[counter] == 2
-    shown = [row for series in told.series if series.kind is ShownRow for row in series.rows()]
+    reported = listen()
+    assert reported.totals[counter] == 2
+    shown = [row for series in reported.series if series.kind is ShownRow for row in series.rows()]
     assert [row.timestamp for row in shown] == [0, 3]
 
 
@@ -178,12 +178,12 @@ def test_a_stale_picture_is_marked_on_the_display_and_nowhere_else(session):
         stamp = CaptureStamp(CLOCK.now_ns(), 8, stream.name, Quality.DAMAGED, 8)
         writer.publish_video(VideoFrame(picture, stamp))
         assert shown(False) == stamp
-    told = listen()
-    assert told.totals[f"{stream.name}.stale_episodes"] >= 1
-    assert told.totals[f"{stream.name}.stale_ns"] > 0
-    assert told.totals[f"{stream.name}.frozen_ns"] > told.totals[f"{stream.name}.stale_ns"]
-    assert told.totals[f"{stream.name}.damaged_ns"] > 0
-    assert told.gauges[f"{stream.name}.age_ns"] > 0
+    reported = listen()
+    assert reported.totals[f"{stream.name}.stale_episodes"] >= 1
+    assert reported.totals[f"{stream.name}.stale_ns"] > 0
+    assert reported.totals[f"{stream.name}.frozen_ns"] > reported.totals[f"{stream.name}.stale_ns"]
+    assert reported.totals[f"{stream.name}.damaged_ns"] > 0
+    assert reported.gauges[f"{stream.name}.age_ns"] > 0
 
 
 def test_a_gap_in_a_voice_is_concealed_and_marked(session):
@@ -235,9 +235,9 @@ def test_a_gap_in_a_voice_is_concealed_and_marked(session):
         else:
             pytest.fail(f"they were never told apart: {heard}")
     assert all(heard.get(number) != own for number in heard if number % 10 in (lost, spoilt))
-    told = listen().totals
-    assert told["frames_concealed"] >= 2
-    assert told["frames_decoded"] <= 8 * (rounds + 1)
+    reported = listen().totals
+    assert reported["frames_concealed"] >= 2
+    assert reported["frames_decoded"] <= 8 * (rounds + 1)
 
 
 @pytest.mark.parametrize("size", [(2560, 1440), (2560, 1444)])

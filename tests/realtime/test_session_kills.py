@@ -18,7 +18,7 @@ RECEIVED = [
     f"received/{name}"
     for name in ("uplink_video", "uplink_voice", "downlink_video", "downlink_voice")
 ]
-#: Where a process is first seen to work again, if not at the end of the streams.
+#: The topic that first shows that a process works again, if not the end of the streams.
 WITNESS = {
     "robot": ROBOT_TOPIC,
     "joystick": ROBOT_TOPIC,
@@ -29,7 +29,7 @@ WITNESS = {
     "iss_mic": "input/iss_mic",
     **{f"camera_{name}": f"input/{name}" for name in ("left", "right", "static", "head")},
 }
-#: Streams whose end only the line of figures shows, which comes once a second.
+#: Streams whose end is seen only in the line of figures, once a second.
 LINES = {
     "ground_display": ["downlink_video", "downlink_voice"],
     "space_display": ["uplink_video", "uplink_voice"],
@@ -104,7 +104,7 @@ def is_part(pid):
 
 def test_ctrl_c_at_once_leaves_nothing(start):
     session = start("taskboard")
-    # Its first child is not one of its processes: a system program looks for libopus.
+    # Its first child is no process of the session, but a system program that looks for libopus.
     eventually(lambda: any(map(is_part, session.children())), "the first process")
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])

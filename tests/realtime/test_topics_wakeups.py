@@ -204,7 +204,7 @@ def test_waiting_continues_until_the_condition_holds(path):
     assert not second.wait(-1)
 
 
-def test_a_bus_gives_back_what_it_opened(session):
+def test_a_bus_closes_what_it_opened(session):
     def use():
         with TopicBus(session) as bus:
             writer, reader = bus.writer("numbers", max_octets=8), bus.reader("numbers")

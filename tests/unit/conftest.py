@@ -8,7 +8,7 @@ from unit_room import closed_doors
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
-    """Around fixtures, too: one of a module would come before a fixture that closes the doors."""
+    """A hook, because a module's fixture would run before a fixture that closes the doors."""
     if not item.path.is_relative_to(Path(__file__).parent):
         return (yield)
     with closed_doors():

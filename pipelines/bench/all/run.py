@@ -20,11 +20,11 @@ def measure(measurement: Measurement, number: int, code: str) -> Record:
     with ended_alike(), TemporaryDirectory() as name:
         report_file, output = Path(name) / "report.json", Path(name) / "output"
         command = [sys.executable, "-m", "pipelines.cli", "bench", *measurement.words]
-        with output.open("wb") as told:
+        with output.open("wb") as log:
             process = subprocess.Popen(
                 [*command, "--report", str(report_file)],
                 stdin=subprocess.DEVNULL,
-                stdout=told,
+                stdout=log,
                 stderr=subprocess.STDOUT,
                 # A session of its own: this process takes Ctrl-C and ends the other.
                 start_new_session=True,

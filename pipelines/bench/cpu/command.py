@@ -57,8 +57,8 @@ def run(args: argparse.Namespace) -> int:
         for name, tree in trees.items():
             report = live_report(words, seconds=args.seconds, tree=tree)
             found[name].append(read_run(report))
-            told = found[name][-1].cpu_s_per_s
-            console.print(f"run {number}, {name}: {told:.3f} CPU s a second", highlight=False)
+            cost = found[name][-1].cpu_s_per_s
+            console.print(f"run {number}, {name}: {cost:.3f} CPU s a second", highlight=False)
     ours, *others = found.values()
     against = tuple(others[0]) if others else ()
     result = CpuResult(args.setup, args.seconds, tuple(ours), against)

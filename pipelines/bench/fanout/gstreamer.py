@@ -112,8 +112,8 @@ def lacking() -> str | None:
         os.write(write_fd, (_lacking() or "").encode())
         os._exit(0)
     os.close(write_fd)
-    with os.fdopen(read_fd, "rb") as told:
-        text = told.read().decode()
+    with os.fdopen(read_fd, "rb") as pipe:
+        text = pipe.read().decode()
     os.waitpid(child, 0)
     return text or None
 

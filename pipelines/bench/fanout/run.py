@@ -60,16 +60,16 @@ def fan_out(way: Way, readers: int, *, seconds: float, fast_s: float) -> FanOut:
     children = []
     try:
         for number in range(-1, readers):
-            told, tell = processes.Pipe(duplex=False)
+            result_end, results = processes.Pipe(duplex=False)
             child = processes.Process(
                 target=_publish if number < 0 else _read,
-                args=(way, shared, tell, *((seconds, fast_s) if number < 0 else (number,))),
+                args=(way, shared, results, *((seconds, fast_s) if number < 0 else (number,))),
                 daemon=True,
             )
             child.start()
-            tell.close()
+            results.close()
             children.append(child)
-            ends.append(told)
+            ends.append(result_end)
         published, *read = _results(ends, seconds + fast_s + _PATIENCE_S)
         for child in children:
             child.join(_PATIENCE_S)
@@ -98,7 +98,7 @@ def fan_out(way: Way, readers: int, *, seconds: float, fast_s: float) -> FanOut:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Published:
-    """What the publisher's process tells; as in `FanOut`."""
+    """The publisher's result; as in `FanOut`."""
 
     publish_ns: list[int]
     publish_cpu_ns: list[int]
@@ -110,7 +110,7 @@ class _Published:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Read:
-    """What a reader's process tells; as in `FanOut`."""
+    """A reader's result; as in `FanOut`."""
 
     delivery_ns: list[int]
     torn: int
@@ -148,7 +148,7 @@ def _results(ends: Sequence[Connection], within_s: float) -> list[_Published | _
     return [found[end] for end in ends]
 
 
-def _publish(way: Way, shared: _Shared, tell: Any, seconds: float, fast_s: float) -> None:
+def _publish(way: Way, shared: _Shared, results: Any, seconds: float, fast_s: float) -> None:
     # Ctrl-C is for the parent, which ends its children.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     clock = MonotonicClock()
@@ -199,7 +199,7 @@ def _publish(way: Way, shared: _Shared, tell: Any, seconds: float, fast_s: float
     shared.phase.value = _END
     time.sleep(_PAUSE_S)
     end.close()
-    tell.send(
+    results.send(
         _Published(
             publish_ns=[all_ns for all_ns, _ in published],
             publish_cpu_ns=[cpu_ns for _, cpu_ns in published],
@@ -211,7 +211,7 @@ def _publish(way: Way, shared: _Shared, tell: Any, seconds: float, fast_s: float
     )
 
 
-def _read(way: Way, shared: _Shared, tell: Any, number: int) -> None:
+def _read(way: Way, shared: _Shared, results: Any, number: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     clock = MonotonicClock()
     shared.open.wait(_PATIENCE_S)
@@ -234,7 +234,7 @@ def _read(way: Way, shared: _Shared, tell: Any, number: int) -> None:
             if phase == _PACED and sequence > shared.warm_pictures.value:
                 delivery_ns.append(age_ns)
     end.close()
-    tell.send(
+    results.send(
         _Read(
             delivery_ns=delivery_ns,
             torn=torn,
@@ -244,7 +244,7 @@ def _read(way: Way, shared: _Shared, tell: Any, number: int) -> None:
 
 
 def _look(end: ReadingEnd, clock: MonotonicClock) -> tuple[int, int, bool] | None:
-    """How old the next picture is, its sequence, and whether it is whole."""
+    """The age of the next picture, its sequence, and whether it is whole; None if there is none."""
     picture = end.take(_LOOK_NS)
     if picture is None:
         return None

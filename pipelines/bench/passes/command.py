@@ -93,9 +93,9 @@ def run(args: argparse.Namespace) -> int:
             for seed, result in runs:
                 session = sessions[seed] = _session(result, setup)
                 _keep(args.report, plan, sessions)
-                said = ", ".join(faults(session)) or "usable"
+                verdict = ", ".join(faults(session)) or "usable"
                 took = "" if isinstance(session, Crash) else f" after {session.wall_s:.0f} s"
-                console.print(f"seed {seed}: {said}{took}", highlight=False)
+                console.print(f"seed {seed}: {verdict}{took}", highlight=False)
     except KeyboardInterrupt:
         ended_early = True
     wanted = {seed: sessions[seed] for seed in seeds if seed in sessions}

@@ -392,12 +392,12 @@ def summary(sessions: Mapping[int, Session]) -> str:
         for word in faults(session):
             words[word] = words.get(word, 0) + 1
     others = "".join(f", {count} {word}" for word, count in words.items())
-    said = f"{_usable(sessions)} of {len(sessions)} sessions usable{others}."
+    sentence = f"{_usable(sessions)} of {len(sessions)} sessions usable{others}."
     if force := _force_ms(sessions):
-        said += f" Force at most {max(force):.1f} ms on its way."
+        sentence += f" Force at most {max(force):.1f} ms on its way."
     if worst := _video_p99_ms(sessions):
-        said += f" Video p99 from {min(worst):.1f} to {max(worst):.1f} ms."
-    return said
+        sentence += f" Video p99 from {min(worst):.1f} to {max(worst):.1f} ms."
+    return sentence
 
 
 def _usable(sessions: Mapping[int, Session]) -> int:

@@ -69,8 +69,8 @@ class _Session:
         """Its result; None while it runs."""
         if self.process.poll() is None:
             return None
-        told = self._errors.read_text(encoding="utf-8", errors="replace").strip()
-        line = told.rpartition("\n")[2]
+        output = self._errors.read_text(encoding="utf-8", errors="replace").strip()
+        line = output.rpartition("\n")[2]
         if self.process.returncode == _USERS_FAULT:
             raise ConfigError(line.removeprefix("kontur-av: "))
         if not self._report.exists():

@@ -99,13 +99,13 @@ def run(args: argparse.Namespace) -> int:
         for these in terms:
             measured = _measured(contenders, clip, these, say)
             failed |= len(measured) < len(contenders)
-            told = {who: result for who, (result, _) in measured.items()}
+            figures = {who: result for who, (result, _) in measured.items()}
             rate = f"{these.cap_kbps:g} kbit/s through {these.channel_kbps:g}"
-            console.print(_table(f"{name}, {rate}", told))
-            for who, result in told.items():
+            console.print(_table(f"{name}, {rate}", figures))
+            for who, result in figures.items():
                 for note in _notes(who, result):
                     say(note)
-            verdicts = judge(told, WIDE if these is not terms[0] else NARROW, these.cap_kbps)
+            verdicts = judge(figures, WIDE if these is not terms[0] else NARROW, these.cap_kbps)
             if verdicts:
                 console.print(_verdicts(f"{name}, {rate}: kontur-av against its targets", verdicts))
             results.append(ClipResult(rate, name, measured, verdicts))

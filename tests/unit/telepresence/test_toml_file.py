@@ -51,7 +51,7 @@ def test_valid_values_have_their_types():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"nam": "y"}, "unknown field nam: the nearest one is name"),
         (
@@ -84,8 +84,8 @@ def test_valid_values_have_their_types():
         ({"front": {"radius_m": -1}}, "radius_m is -1: take more than 0"),
     ],
 )
-def test_each_mistake_is_named(changes, told):
-    with pytest.raises(ConfigError, match=re.escape(told)) as caught:
+def test_each_mistake_is_named(changes, message):
+    with pytest.raises(ConfigError, match=re.escape(message)) as caught:
         typed({**WHOLE, **changes}, Cart, "a cart")
     assert "\n" not in str(caught.value)
     assert "msgspec" not in str(caught.value)

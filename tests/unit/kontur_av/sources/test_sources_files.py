@@ -120,7 +120,7 @@ def test_letterbox_is_black_and_the_picture_in_the_middle(tmp_path):
     assert (v == 128).all()
 
 
-def test_a_single_picture_stands(tmp_path):
+def test_a_single_picture_is_repeated(tmp_path):
     rgb = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 180, np.uint8), format="rgb24")
     rgb.save(str(tmp_path / "still.png"))
     seen = take(opened(tmp_path / "still.png", ManualClock(0)), 6)

@@ -82,7 +82,7 @@ def test_a_failed_run_and_another_machine_are_on_the_page():
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--only", "nothing"], "--only nothing"),
         (["--quick", "--full"], "--full"),
@@ -90,10 +90,10 @@ def test_a_failed_run_and_another_machine_are_on_the_page():
         (["--out", "/proc/nowhere"], "--out"),
     ],
 )
-def test_mistakes_are_one_line(options, told, capsys):
+def test_mistakes_are_one_line(options, message, capsys):
     assert main(["bench", "all", *options]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert error.count("\n") == 1
 
 

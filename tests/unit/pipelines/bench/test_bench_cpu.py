@@ -63,7 +63,7 @@ def test_two_trees_take_turns(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--runs", "0"], "--runs 0"),
         (["--seconds", "1"], "--seconds 1"),
@@ -72,8 +72,8 @@ def test_two_trees_take_turns(tmp_path, monkeypatch, capsys):
         (["--report", "/nowhere/at/all.json"], "--report"),
     ],
 )
-def test_mistakes_are_one_line(options, told, capsys):
+def test_mistakes_are_one_line(options, message, capsys):
     assert main(["bench", "cpu", *options]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert error.count("\n") == 1

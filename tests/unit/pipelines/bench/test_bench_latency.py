@@ -72,7 +72,7 @@ def test_a_bar_is_as_long_as_its_terms_and_terms_below_0_are_left_out():
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--seconds", "0"], "--seconds 0"),
         (["--live-seconds", "0.5"], "--live-seconds 0.5"),
@@ -84,8 +84,8 @@ def test_a_bar_is_as_long_as_its_terms_and_terms_below_0_are_left_out():
         (["--no-live", "--live-seconds", "3"], "--live-seconds"),
     ],
 )
-def test_mistakes_are_one_line(options, told, capsys):
+def test_mistakes_are_one_line(options, message, capsys):
     assert main(["bench", "latency", *options]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert error.count("\n") == 1

@@ -86,7 +86,7 @@ def test_the_output_of_cyclictest_is_parsed():
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--seconds", "0"], "--seconds 0"),
         (["--blackouts", "0"], "--blackouts 0"),
@@ -94,8 +94,8 @@ def test_the_output_of_cyclictest_is_parsed():
         (["--report", "/nowhere/at/all.json"], "--report"),
     ],
 )
-def test_mistakes_are_one_line(options, told, capsys):
+def test_mistakes_are_one_line(options, message, capsys):
     assert main(["bench", "link", *options]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert error.count("\n") == 1

@@ -27,7 +27,7 @@ def report(seconds=100.0, windows=((10, 90),), contact=None):
         for begin, end in windows
     ]
     heard_s = sum((seconds if end is None else end) - begin for begin, end in windows)
-    told = {
+    gateway = {
         "supervision": {
             "counts": {"signals_acquired": len(windows)},
             "contact_ns": heard_s * S,
@@ -48,7 +48,7 @@ def report(seconds=100.0, windows=((10, 90),), contact=None):
         "streams": {},
         "haptic": {"up": haptic, "down": dict(haptic)},
         "link": {"uplink": link, "downlink": link},
-        "gateways": {"ground": told, "space": told},
+        "gateways": {"ground": gateway, "space": gateway},
         "skew_ms": {"video_haptic": None},
         "lip_sync": None,
         "failures": [],
@@ -166,7 +166,7 @@ def test_an_empty_stream_has_no_latencies():
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--sessions", "0"], "--sessions 0"),
         (["--seconds", "0"], "--seconds 0"),
@@ -177,8 +177,8 @@ def test_an_empty_stream_has_no_latencies():
         (["--markdown", "/nowhere/at/all.md"], "--markdown"),
     ],
 )
-def test_mistakes_are_one_line(options, told, capsys):
+def test_mistakes_are_one_line(options, message, capsys):
     assert main(["bench", "passes", *options]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert error.count("\n") == 1

@@ -137,9 +137,9 @@ def test_lights_outside_the_region_are_ignored(clips, capsys):
     assert main(["bench", "sync", *arguments, "--roi", "180,40,48,48"]) == 0
     assert main(["bench", "sync", *arguments, "--roi", "0,160,48,48"]) == 2
     assert main(["bench", "sync", *arguments, "--roi", "300,40,48,48"]) == 2
-    told = capsys.readouterr().err
-    assert "no light" in told
-    assert "320x240" in told
+    error = capsys.readouterr().err
+    assert "no light" in error
+    assert "320x240" in error
 
 
 def test_the_region_is_in_pixels_of_the_file_at_any_width(tmp_path):
@@ -241,6 +241,6 @@ def test_a_film_without_sound_and_a_sound_without_film_are_named(clips):
 )
 def test_contradicting_options_are_refused_in_one_line(arguments, capsys):
     assert main(["bench", "sync", *arguments]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("kontur-av: ")
-    assert told.count("\n") == 1
+    error = capsys.readouterr().err
+    assert error.startswith("kontur-av: ")
+    assert error.count("\n") == 1

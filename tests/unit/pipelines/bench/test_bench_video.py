@@ -237,7 +237,7 @@ def test_without_a_peer_only_absolute_targets_are_judged():
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--seconds", "0"], "--seconds 0"),
         (["--seconds", "9999"], "--seconds 9999"),
@@ -250,10 +250,10 @@ def test_without_a_peer_only_absolute_targets_are_judged():
         (["--plot", "latency.jpg"], "--plot"),
     ],
 )
-def test_mistakes_are_one_line(options, told, capsys):
+def test_mistakes_are_one_line(options, message, capsys):
     assert main(["bench", "video", *options]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert error.count("\n") == 1
 
 

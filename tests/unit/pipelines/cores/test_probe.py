@@ -1,4 +1,4 @@
-"""What a process collects of its figures: whole rows or none, told once, and counted if lost."""
+"""A process collects whole rows or none, reports each once, and counts lost ones."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from pipelines.cores.rows import LatenessRow, RxRow, ShownRow
 
 
 def told(probe, now_ns):
-    """The message that is told now, with the rows of each series."""
+    """The message that is reported now, with the rows of each series."""
     message = Message.unpack(probe.message.pack())
     probe.handle_told(now_ns, told=True)
     return message, [(one.kind, one.stream, one.rows()) for one in message.series]
@@ -54,7 +54,7 @@ def test_it_is_due_twice_a_second():
     assert probe.due(FLUSH_NS)
 
 
-def test_rows_that_nobody_takes_are_kept_for_a_while_and_lost_whole():
+def test_rows_without_a_reader_are_kept_for_a_while_and_dropped_whole():
     probe = Probe()
     arrivals = probe.series(RxRow)
     arrivals.add(RxRow(1, 1))

@@ -24,7 +24,7 @@ PERIOD_MS = 40
 
 
 def tell(collector, process, *rows, stream=""):
-    """A message with rows of one type or of several; what a row has in ms is told in ns."""
+    """A message with rows of one type or of several; values in ms are converted to ns."""
     kinds = dict.fromkeys(map(type, rows))
     told = [series([row for row in rows if type(row) is kind], stream) for kind in kinds]
     collector.handle_message(process, Message({}, {}, told), 10 * NS_PER_S)

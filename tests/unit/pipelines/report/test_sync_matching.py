@@ -117,7 +117,7 @@ def test_two_contacts_make_no_verdict():
     assert disagreements(report) == []
 
 
-def test_bounces_and_touches_beside_a_target_are_told_apart():
+def test_bounces_and_touches_beside_a_target_are_distinguished():
     sync = figures()
     sync.handle_series(series([ContactRow(50 * MS, 1), ContactRow(1000 * MS, -1)]))
     report = sync.report(["light", "click", "force"])

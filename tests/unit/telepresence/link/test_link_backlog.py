@@ -33,7 +33,7 @@ def session(seed=1):
     )
     chance = Random(seed)
     reporter = BacklogReporter(link.ground)
-    told = []
+    reports = []
     for slot in range(SLOTS):
         # A picture now and then, one second without samples, and one without any change.
         busy = slot < 3000
@@ -44,8 +44,8 @@ def session(seed=1):
         now_ns = link.now_ns
         for _ in link.step():
             pass
-        told.append((now_ns, truth(link.ground), reporter.poll_transmit(now_ns)))
-    return told
+        reports.append((now_ns, truth(link.ground), reporter.poll_transmit(now_ns)))
+    return reports
 
 
 def test_reports_only_changes_at_most_every_four_milliseconds():
@@ -85,13 +85,13 @@ def test_a_change_is_reported_within_four_milliseconds():
 
 def test_nothing_is_reported_without_a_change():
     # In the last second every slot has a sample. Once the window holds no other, nothing changes.
-    told = session()
+    reports = session()
     quiet_ns = (SLOTS + 10) * MS
-    for now_ns, true, _ in reversed(told):
-        if rounded(true) != rounded(told[-1][1]):
+    for now_ns, true, _ in reversed(reports):
+        if rounded(true) != rounded(reports[-1][1]):
             break
         quiet_ns = now_ns
-    last_ns = max(now_ns for now_ns, _, message in told if message is not None)
+    last_ns = max(now_ns for now_ns, _, message in reports if message is not None)
     assert last_ns < quiet_ns + 4 * MS
     assert quiet_ns < SLOTS * MS
 

@@ -124,13 +124,13 @@ def test_early_slots_do_nothing_and_late_ones_are_skipped():
 def test_a_late_slot_delays_no_report():
     _, slots = make_slots()
     chance = random.Random(2)
-    told = []
+    reports = []
     for slot in range(100):
         slots.handle_datagrams([("picture", bytes(200))], slot * MS)
         slots.handle_slot([], slot * MS + chance.randrange(100 * US))
         if slots.poll_backlog() is not None:
-            told.append(slot)
-    assert told == list(range(0, 100, 4))
+            reports.append(slot)
+    assert reports == list(range(0, 100, 4))
 
 
 @pytest.mark.parametrize("heard", [True, False])

@@ -79,7 +79,7 @@ def test_own_elements_are_found_beside_the_file(load, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("dely_ms = 5", "unknown field dely_ms: the nearest one is delay_ms"),
         ("[bursts]\nmean_s = 1", "unknown field bursts.mean_s: the nearest one is bursts.mean_ms"),
@@ -113,8 +113,8 @@ def test_own_elements_are_found_beside_the_file(load, tmp_path):
         ("delay_ms = ", "is not TOML"),
     ],
 )
-def test_each_mistake_is_one_line(load, text, told):
-    with pytest.raises(ConfigError, match=re.escape(told)) as caught:
+def test_each_mistake_is_one_line(load, text, message):
+    with pytest.raises(ConfigError, match=re.escape(message)) as caught:
         load(text)
     assert "\n" not in str(caught.value)
     assert "mine.toml" in str(caught.value)
