@@ -11,7 +11,10 @@ from pipelines.topology.graph import dot
 from pipelines.topology.tables import processes_table, streams_table, topics_table
 
 SESSION = topology_of(BUILT_IN["spacejustin"], snapshots=True)
-EDGE = re.compile(r'  "(\w+)" -> "(\w+)" \[label="[^"]*", style=(solid|dashed|bold)\];')
+EDGE = re.compile(
+    r'  "([\w/]+)" -> "([\w/]+)" \[(?:label="[^"]*", )?style=(solid|dashed|bold)'
+    r"(?:(, dir=back)|, dir=none)?\];"
+)
 
 
 @pytest.mark.parametrize("width", [80, 100, 250])
@@ -38,14 +41,30 @@ def test_the_graph_is_well_formed_and_joins_known_processes():
     assert text.startswith('digraph "spacejustin" {\n') and text.endswith("}\n")
     known = {row.name for row in SESSION.processes}
     assert set(re.findall(r'^ +"(\w+)";$', text, re.MULTILINE)) == known
-    edges = [line for line in text.splitlines() if "->" in line]
+    # A topic with many readers is a node, too.
+    known |= set(re.findall(r'^ +"(\w+/\w+)" \[shape=plaintext', text, re.MULTILINE))
     joined = set()
-    for line in edges:
+    for line in (line for line in text.splitlines() if "->" in line):
         match = EDGE.fullmatch(line)
         assert match, line
-        assert set(match.groups()[:2]) <= known
         joined |= set(match.groups()[:2])
     assert joined == known
+
+
+def test_every_arrow_of_the_graph_points_at_what_takes():
+    arrows = {
+        (match[2], match[1]) if match[4] else (match[1], match[2])
+        for match in EDGE.finditer(dot(SESSION))
+    }
+    for topic in SESSION.topics:
+        for reader in topic.readers:
+            through = {(topic.writer, topic.name), (topic.name, reader)}
+            assert (topic.writer, reader) in arrows or through <= arrows
+    for row in SESSION.streams:
+        link = SESSION.link(row.direction)
+        assert (link.sender, link.receiver) in arrows
+        if row.sender is not None:
+            assert {(row.sender, link.sender), (link.receiver, row.receiver)} <= arrows
 
 
 def test_the_command_prints_tables_or_a_graph(capsys, monkeypatch):
