@@ -47,21 +47,21 @@ def draw(path, seconds, elevations_deg, delay_ms, losses):
     minutes = np.arange(seconds) / 60
     if elevations_deg:
         shown = elevations_deg[:seconds]
-        above.plot(minutes[: len(shown)], shown, label="elevation")
-    middle.plot(minutes, delay_ms[::1000], label="one-way delay")
-    for label, loss in zip(("uplink", "downlink"), losses, strict=True):
-        below.plot(minutes, loss, label=label, linewidth=1)
+        above.plot(minutes[: len(shown)], shown)
+    middle.plot(minutes, delay_ms[::1000])
+    for label, loss, width in zip(("uplink", "downlink"), losses, (2, 0.8), strict=True):
+        below.plot(minutes, loss, label=label, linewidth=width)
+    below.legend(loc="upper center", fontsize="small")
     below.set_xlabel("time, min")
+    below.set_xlim(0, seconds / 60)
     for axes, unit, top in (
         (above, "elevation, degrees", 90),
         (middle, "one-way delay, ms", 1.1 * max(delay_ms.max(), 1)),
-        (below, "frames lost in each second, %", 100),
+        (below, "frames lost, %, by second", 105),
     ):
         axes.set_ylabel(unit, fontsize="small")
         axes.set_ylim(0, top)
         axes.grid(alpha=0.4)
-        if axes.lines:
-            axes.legend(loc="lower center", fontsize="small")
     figure.savefig(path)
 
 

@@ -39,6 +39,7 @@ def chart(
         grid = parts[-1].subplots(1, len(maps), squeeze=False)[0]
         for axes, (title, found) in zip(grid, maps, strict=True):
             _draw_map(axes, title, found)
+        _add_map_legend(parts[-1])
     return figure
 
 
@@ -97,7 +98,6 @@ def _energies(trace: Trace) -> dict[str, Values]:
 
 def _draw_map(axes: "Axes", title: str, found: StabilityMap) -> None:
     from matplotlib.colors import ListedColormap
-    from matplotlib.patches import Patch
 
     unstable = [[bool(found.unstable(w, d)[0]) for d in found.delays] for w in found.walls]
     axes.imshow(
@@ -107,6 +107,11 @@ def _draw_map(axes: "Axes", title: str, found: StabilityMap) -> None:
         vmax=1,
         aspect="auto",
     )
+    # Lines between the cells.
+    axes.set_xticks(np.arange(1, len(found.delays)) - 0.5, minor=True)
+    axes.set_yticks(np.arange(1, len(found.walls)) - 0.5, minor=True)
+    axes.grid(which="minor", color="white", linewidth=2)
+    axes.tick_params(which="minor", length=0)
     for row, wall in enumerate(found.walls):
         for column, delay in enumerate(found.delays):
             count, cells = found.unstable(wall, delay)
@@ -117,5 +122,10 @@ def _draw_map(axes: "Axes", title: str, found: StabilityMap) -> None:
     axes.set_xlabel("round trip, ms")
     axes.set_ylabel("wall, kN/m")
     axes.set_title(f"{title}\nunstable cells, largest contact force", fontsize="medium")
-    legend = [Patch(color=_STABLE, label="all stable"), Patch(color=_UNSTABLE, label="unstable")]
-    axes.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, -0.28), ncols=2)
+
+
+def _add_map_legend(part: "SubFigure") -> None:
+    from matplotlib.patches import Patch
+
+    kinds = [Patch(color=_STABLE, label="all stable"), Patch(color=_UNSTABLE, label="unstable")]
+    part.legend(handles=kinds, loc="outside lower center", ncols=2, fontsize="small")
