@@ -504,9 +504,9 @@ class SessionReport(Report, frozen=True, kw_only=True):
     lip_sync: LipSyncReport | None
     cpu: CpuReport
     processes: dict[str, ProcessReport]
-    #: What broke a promise of the project; with any, the exit code is 1. A cap was exceeded, a
-    #: stream or the haptic samples stopped although there was a signal, a stamp was wrong, energy
-    #: was made, a joystick failed, or values of this report were lost.
+    #: What broke a promise of the project; with any, the exit code is 1. A cap was exceeded, or a
+    #: stream or the haptic samples stopped although there was a signal. Or a stamp was wrong,
+    #: energy was made, a joystick failed, or values of this report were lost.
     failures: list[str]
     #: What made the session worse than it has to be, with what mends it.
     warnings: list[Warning]
