@@ -21,21 +21,14 @@ from pkgutil import resolve_name
 from types import FrameType
 from typing import Protocol
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.cores.probe import Message
 from pipelines.runtime.process import LOOPBACK, Context, become
+from pipelines.runtime.restarts import RestartPolicy
 from pipelines.setup.table import Setup
-from pipelines.topology import ProcessRow, Stage, Topology
+from pipelines.topology import ProcessRow, Topology
 
-#: The pause before a restart. It doubles while a process keeps ending early, up to the longest.
-_FIRST_PAUSE_NS = 50 * NS_PER_MS
-_LONGEST_PAUSE_NS = NS_PER_S
-#: After a life this long, the pauses begin anew.
-_GOOD_LIFE_NS = 5 * NS_PER_S
-#: A restarted sender does not know what its predecessor sent. So that the cap holds over any
-#: second, no second may contain both. The 10 ms are the guard of `Pacer`.
-_SENDER_REST_NS = NS_PER_S + 10 * NS_PER_MS
 #: The time that a process has to end by itself.
 _PATIENCE_NS = 3 * NS_PER_S
 _SHOW_NS = NS_PER_S
@@ -66,14 +59,15 @@ class Child:
     pid: int | None = None
     pidfd: int = -1
     link: socket.socket | None = None
-    started_ns: int = 0
-    pause_ns: int = _FIRST_PAUSE_NS
-    due_ns: int = 0
     restarts: int = 0
     ended_cpu_s: float = 0.0
     last_error: str = ""
     #: The error that the present life has reported before its end.
     told_error: str = ""
+    policy: RestartPolicy = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.policy = RestartPolicy(self.row.stage)
 
     def cpu_s(self) -> float:
         """Return the CPU seconds of all its lives so far."""
@@ -176,13 +170,14 @@ class Launcher:
                 self._show()
             wake_ns = min(show_ns, show_ns if end_ns is None else end_ns)
             for child in self.children:
-                if child.pid is not None:
+                due_ns = child.policy.poll_timeout()
+                if due_ns is None:
                     continue
-                if child.due_ns <= now_ns:
+                if due_ns <= now_ns:
                     child.restarts += 1
                     self._start(child)
                 else:
-                    wake_ns = min(wake_ns, child.due_ns)
+                    wake_ns = min(wake_ns, due_ns)
             self._attend(wake_ns - self.clock.now_ns())
 
     def _show(self) -> None:
@@ -247,7 +242,7 @@ class Launcher:
         ours.setblocking(False)
         child.pid, child.link = pid, ours
         child.pidfd = os.pidfd_open(pid)
-        child.started_ns = self.clock.now_ns()
+        child.policy.handle_start(self.clock.now_ns())
         self._selector.register(ours, selectors.EVENT_READ, child)
         self._selector.register(child.pidfd, selectors.EVENT_READ, child)
 
@@ -305,12 +300,7 @@ class Launcher:
                 child.last_error = child.told_error or "ended by itself"
         child.told_error = ""
         self.listener.handle_exit(child.row.name, child.last_error)
-        now_ns = self.clock.now_ns()
-        if now_ns - child.started_ns >= _GOOD_LIFE_NS:
-            child.pause_ns = _FIRST_PAUSE_NS
-        rest_ns = _SENDER_REST_NS if child.row.stage is Stage.SENDER else 0
-        child.due_ns = now_ns + max(child.pause_ns, rest_ns)
-        child.pause_ns = min(2 * child.pause_ns, _LONGEST_PAUSE_NS)
+        child.policy.handle_end(self.clock.now_ns())
 
     def _end_all(self) -> None:
         """End all processes by SIGTERM, and those that remain by SIGKILL."""
