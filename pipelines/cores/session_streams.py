@@ -8,6 +8,7 @@ from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
 from pipelines.setup.table import VIDEO_PAYLOAD_OCTETS, Setup, VideoStream, VoiceStream
+from pipelines.topology import Topology
 
 #: How often a sender reports. The link has room for it: `telepresence.link.arithmetic.RESERVE_BPS`.
 REPORT_INTERVAL_NS = 2 * NS_PER_S
@@ -54,12 +55,14 @@ def video_receiver(stream: VideoStream, *, ssrc: int, wall_offset_ns: int) -> Vi
     )
 
 
-def voice_receiver(setup: Setup, stream: VoiceStream, *, wall_offset_ns: int) -> VoiceReceiver:
+def voice_receiver(
+    topology: Topology, stream: VoiceStream, *, wall_offset_ns: int
+) -> VoiceReceiver:
     """The receiver of a voice, in lip-sync with the picture of the same place."""
-    picture = setup.picture_of(stream)
+    setup, shown = topology.setup, topology.shown_with(stream.name)
     return VoiceReceiver(
         name=stream.name,
         wall_offset_ns=wall_offset_ns,
-        oldest_picture_ns=0 if picture is None else setup.stale_after_ns(picture),
+        oldest_picture_ns=0 if shown is None else setup.stale_after_ns(shown.stream),
         oldest_sound_ns=setup.stale_after_ns(stream) - 2 * BLOCK_NS,
     )

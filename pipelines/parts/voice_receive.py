@@ -14,7 +14,7 @@ from pipelines.setup.table import VoiceStream
 def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     """Publish each block of sound at the instant at which it shall be heard."""
     clock, probe = context.clock, context.probe
-    receiver = voice_receiver(context.setup, stream, wall_offset_ns=clock.wall_offset_ns)
+    receiver = voice_receiver(context.topology, stream, wall_offset_ns=clock.wall_offset_ns)
     player = VoicePlayer()
     context.on_flush(lambda: tell_voice_receiver(probe, receiver))
     with context.open_bus() as bus:

@@ -289,10 +289,6 @@ class Setup:
         own_ns = _STALE_NS + _STALE_PERIODS * NS_PER_S // rate
         return self.radio_profile.longest_delay_ns + own_ns
 
-    def picture_of(self, voice: VoiceStream) -> VideoStream | None:
-        """The video whose pictures are shown where `voice` is heard."""
-        return self.uplink_video if voice is self.uplink_voice else self.downlink_video
-
     @property
     def streams(self) -> tuple[VideoStream | VoiceStream, ...]:
         """The media streams that this setup has."""

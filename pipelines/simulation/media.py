@@ -88,24 +88,24 @@ class Media:
         self._scene = scene
         self._on_confirmed = on_confirmed
         self._receivers: list[VideoReceiveProcess | VoiceReceiveProcess] = []
+        #: By display.
+        self._showings: dict[str, Showing] = {}
         #: Everything shown up to this instant is known.
         self._settled_ns = scene.start_ns
         setup = scene.setup
-        space = self._showing("space_display", [setup.uplink_video, setup.uplink_voice])
-        pictures = self._receive_video(setup.uplink_video, space)
+        pictures = self._receive_video(setup.uplink_video)
         self._send_uplink_video()
         if setup.uplink_voice is not None:
-            self._receive_voice(setup.uplink_voice, space, pictures)
+            self._receive_voice(setup.uplink_voice, pictures)
             self._send_voice(setup.uplink_voice, GROUND_MIC, scene.ground)
-        ground = self._showing("ground_display", [setup.downlink_video, setup.downlink_voice])
         pictures_down = None
         if setup.downlink_video is not None:
-            pictures_down = self._receive_video(setup.downlink_video, ground)
+            pictures_down = self._receive_video(setup.downlink_video)
             studio = self._studio(setup.downlink_video, [ISS_CAMERA])
             sender = self._video_sender(setup.downlink_video, scene.space, studio)
             self._camera(ISS_CAMERA, setup.downlink_video, studio, sender.handle_picture)
         if setup.downlink_voice is not None:
-            self._receive_voice(setup.downlink_voice, ground, pictures_down)
+            self._receive_voice(setup.downlink_voice, pictures_down)
             self._send_voice(setup.downlink_voice, ISS_MIC, scene.space)
 
     def settle(self, until_ns: int, now_ns: int) -> None:
@@ -128,7 +128,8 @@ class Media:
 
         stereo = None
         if STEREO in setup.cameras:
-            probe = self._scene.telling.probe("stereo")
+            merged = self._scene.topology.topic(self._scene.topology.camera(STEREO).topic)
+            probe = self._scene.telling.probe(merged.writer)
             stereo = Stereo(
                 stream.fps, agenda=self._scene.agenda, probe=probe, show=partial(select, STEREO)
             )
@@ -200,7 +201,7 @@ class Media:
             name,
             agenda=scene.agenda,
             worker=None if spec.startswith("scene:") else studio,
-            probe=scene.telling.probe(name),
+            probe=scene.telling.probe(scene.topology.input(name).process),
             state_at=scene.state_at,
             show=sender.handle_sound,
             now_ns=scene.start_ns,
@@ -208,8 +209,8 @@ class Media:
         scene.telling.add(sender.tell)
         scene.telling.add(microphone.tell)
 
-    def _receive_video(self, stream: VideoStream, showing: Showing) -> VideoReceiveProcess:
-        scene = self._scene
+    def _receive_video(self, stream: VideoStream) -> VideoReceiveProcess:
+        scene, showing = self._scene, self._showing(stream.name)
         probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
         far = scene.space if stream is scene.setup.uplink_video else scene.ground
         watched = (stream.width, stream.height) if stream.name in OPERATORS else None
@@ -227,14 +228,12 @@ class Media:
         self._add_receiver(stream.name, receiver)
         return receiver
 
-    def _receive_voice(
-        self, stream: VoiceStream, showing: Showing, pictures: VideoReceiveProcess | None
-    ) -> None:
-        scene = self._scene
+    def _receive_voice(self, stream: VoiceStream, pictures: VideoReceiveProcess | None) -> None:
+        scene, showing = self._scene, self._showing(stream.name)
         probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
         receiver = VoiceReceiveProcess(
             stream.name,
-            voice_receiver(scene.setup, stream, wall_offset_ns=_WALL_OFFSET_NS),
+            voice_receiver(scene.topology, stream, wall_offset_ns=_WALL_OFFSET_NS),
             probe,
             showing,
             agenda=scene.agenda,
@@ -253,14 +252,16 @@ class Media:
         self._receivers.append(receiver)
         self._scene.telling.add(receiver.tell)
 
-    def _showing(
-        self, process: str, streams: Sequence[VideoStream | VoiceStream | None]
-    ) -> Showing:
-        present = [stream for stream in streams if stream is not None]
-        telling = self._scene.telling
-        showing = Showing(self._scene.setup, present, telling.probe(process))
-        telling.add(lambda: showing.tell(self._settled_ns))
-        return showing
+    def _showing(self, stream: str) -> Showing:
+        """The display that shows `stream`."""
+        telling, topology = self._scene.telling, self._scene.topology
+        display = topology.media(stream).display
+        if display not in self._showings:
+            streams = [row.stream for row in topology.media_streams if row.display == display]
+            showing = Showing(self._scene.setup, streams, telling.probe(display))
+            telling.add(lambda: showing.tell(self._settled_ns))
+            self._showings[display] = showing
+        return self._showings[display]
 
     def _identity(self, stream: str) -> RtpIdentity:
         return RtpIdentity.draw(Random(f"{self._scene.seed} {stream}").getrandbits)

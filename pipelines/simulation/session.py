@@ -92,12 +92,16 @@ class Simulation:
         # When the next frame arrives: asked twice a slot, so without a detour.
         self._up_timeout = self._ground.radio.poll_timeout
         self._down_timeout = self._space.radio.poll_timeout
-        self._robot = RobotEnd(self._probe("robot"), deadband=setup.deadband != "off")
-        self._joystick = JoystickEnd(self._probe("joystick"), deadband=setup.deadband != "off")
+        up, telemetry = self.topology.haptic("up"), self.topology.stream(TELEMETRY)
+        assert telemetry.sender is not None and telemetry.receiver is not None
+        self._robot = RobotEnd(self._probe(up.sender), deadband=setup.deadband != "off")
+        self._joystick = JoystickEnd(self._probe(up.receiver), deadband=setup.deadband != "off")
         self._add(self._robot, self._joystick)
-        self._choice = CameraChoice(setup, self._probe("selector"), now_ns=_START_NS)
+        self._choice = CameraChoice(setup, self._probe(telemetry.sender), now_ns=_START_NS)
         self._console = Console(
-            setup, self._probe("console"), first_token=self._random("console").getrandbits(16)
+            setup,
+            self._probe(telemetry.receiver),
+            first_token=self._random("console").getrandbits(16),
         )
         self._add(self._choice, self._console)
         self._console_timer = Timer(agenda, self._console_sends)

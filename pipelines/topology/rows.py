@@ -124,15 +124,22 @@ class MediaRow(StreamRow):
 
 @dataclass(frozen=True, kw_only=True)
 class VideoRow(MediaRow):
-    """A picture.
+    """A picture."""
 
-    feedback: the name of the stream with which its receiver asks for key pictures.
-    displayed_topic: the displayed pictures. lag_topic: how late they were shown.
-    """
+    @property
+    def feedback(self) -> str:
+        """The name of the stream with which its receiver asks for key pictures."""
+        return f"feedback_{self.name}"
 
-    feedback: str
-    displayed_topic: str
-    lag_topic: str
+    @property
+    def displayed_topic(self) -> str:
+        """The displayed pictures."""
+        return f"displayed/{self.name}"
+
+    @property
+    def lag_topic(self) -> str:
+        """How late the pictures were shown."""
+        return f"lag/{self.name}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -147,7 +147,8 @@ def stream_rows(setup: Setup, direction: Direction) -> Iterable[StreamRow]:
             flow = rtcp_flow(media.rtcp)
             yield row(media.rtcp, Kind.RTCP, flow, media.sender, media.receiver)
     if other_video is not None:
-        against = _video(setup, direction.opposite, other_video)
+        against = _media(setup, direction.opposite, other_video)
+        assert isinstance(against, VideoRow)
         flow = rtcp_flow(against.feedback)
         yield row(against.feedback, Kind.FEEDBACK, flow, against.receiver, against.sender)
     name = f"{direction.value}_maintenance"
@@ -173,51 +174,22 @@ def _haptic(setup: Setup, direction: Direction) -> HapticRow:
 
 
 def _media(setup: Setup, direction: Direction, stream: VideoStream | VoiceStream) -> MediaRow:
-    if isinstance(stream, VideoStream):
-        return _video(setup, direction, stream)
-    name = stream.name
+    name, video = stream.name, isinstance(stream, VideoStream)
     entry, out = _PORTS[name]
-    return MediaRow(
+    kind_of_row = VideoRow if video else MediaRow
+    return kind_of_row(
         name=name,
         direction=direction,
-        kind=Kind.VOICE,
-        flow=voice_flow(name),
+        kind=Kind.VIDEO if video else Kind.VOICE,
+        flow=video_flow(name) if video else voice_flow(name),
         sender=f"{name}_send",
         receiver=f"{name}_receive",
         entry_port=setup.base_port + entry,
         exit_port=setup.base_port + out,
         stream=stream,
-        inputs=_inputs_of(setup, name),
+        inputs=tuple(row.name for row in input_rows(setup) if row.stream == name),
         display=f"{direction.receiver.value}_display",
         rtcp=f"{name}_rtcp",
         received_topic=f"received/{name}",
         backlog_topic=_backlog_topic(direction),
     )
-
-
-def _video(setup: Setup, direction: Direction, stream: VideoStream) -> VideoRow:
-    name = stream.name
-    entry, out = _PORTS[name]
-    return VideoRow(
-        name=name,
-        direction=direction,
-        kind=Kind.VIDEO,
-        flow=video_flow(name),
-        sender=f"{name}_send",
-        receiver=f"{name}_receive",
-        entry_port=setup.base_port + entry,
-        exit_port=setup.base_port + out,
-        stream=stream,
-        inputs=_inputs_of(setup, name),
-        display=f"{direction.receiver.value}_display",
-        rtcp=f"{name}_rtcp",
-        feedback=f"feedback_{name}",
-        received_topic=f"received/{name}",
-        displayed_topic=f"displayed/{name}",
-        lag_topic=f"lag/{name}",
-        backlog_topic=_backlog_topic(direction),
-    )
-
-
-def _inputs_of(setup: Setup, stream: str) -> tuple[str, ...]:
-    return tuple(row.name for row in input_rows(setup) if row.stream == stream)

@@ -16,6 +16,7 @@ from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track
 from pipelines.cores.session_streams import voice_receiver, voice_sender
 from pipelines.setup.table import Setup, VoiceStream
 from pipelines.simulation.costs import CodingCosts
+from pipelines.topology import topology_of
 
 
 @dataclass
@@ -72,7 +73,7 @@ def listen(
 ) -> Heard:
     """What is heard of `sent` behind the network, with the session's own cores."""
     costs = costs or CodingCosts()
-    receiver = voice_receiver(setup, stream, wall_offset_ns=0)
+    receiver = voice_receiver(topology_of(setup), stream, wall_offset_ns=0)
     ear = _Ear(receiver, costs.ns("voice_decode"))
     lost = network.lost(len(sent), spared=LEAD_IN_BLOCKS)
     delays_ns = network.delays_ns(len(sent))
