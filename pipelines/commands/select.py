@@ -4,7 +4,8 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.runtime.control import Request, ask
+from pipelines.runtime.control import ask
+from pipelines.runtime.requests import Request
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

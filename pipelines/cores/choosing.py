@@ -1,8 +1,8 @@
-"""The choice of the camera by telecommand: the selector on the ground, the console in space."""
+"""The choice of the camera by telecommand: the selector on the ground."""
 
 from collections import deque
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.cores.camera_selector import Selector
 from pipelines.cores.following import Choice
@@ -11,18 +11,13 @@ from pipelines.setup.table import Setup
 from telepresence.tmtc import (
     Housekeeping,
     SelectCamera,
-    SelectDone,
-    SelectFailed,
     TelecommandReceiver,
-    TelecommandSender,
 )
 from telepresence.world import WorldState
 
 #: How often the robot's side reports its state. The link has room for it:
 #: `telepresence.link.arithmetic.RESERVE_BPS`.
 HOUSEKEEPING_INTERVAL_NS = 2 * NS_PER_S
-#: The time for a telecommand and its answer, without the radio's delay.
-_ANSWER_NS = 500 * NS_PER_MS
 #: The console has one telecommand open at a time; beyond this the oldest is never acknowledged.
 _MOST_OPEN = 16
 
@@ -114,55 +109,3 @@ class CameraChoice:
         probe.total("telecommands", telecommands.executed)
         probe.total("telecommands_repeated", telecommands.duplicates)
         probe.total("garbage", telecommands.garbage)
-
-
-class Console:
-    """The operator's console: it sends telecommands and receives telemetry.
-
-    After each input send the packets of `poll_transmit` until None, and drain `next_event`.
-    """
-
-    def __init__(self, setup: Setup, probe: Probe, *, first_token: int) -> None:
-        self._probe = probe
-        self._housekeeping = 0
-        self.sender = telecommand_sender(setup, first_token=first_token)
-
-    def select(self, camera: str, now_ns: int) -> int:
-        """Request a camera, and return the token of the request."""
-        return self.sender.select(camera, now_ns)
-
-    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
-        """A datagram of the telemetry port."""
-        self.sender.handle_packet(datagram, now_ns)
-
-    def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The next telecommand. Call until None."""
-        return self.sender.poll_transmit(now_ns)
-
-    def poll_timeout(self) -> int | None:
-        """When `poll_transmit` has something next."""
-        return self.sender.poll_timeout()
-
-    def next_event(self) -> SelectDone | SelectFailed | None:
-        """Return the result of a request, or None."""
-        while (event := self.sender.next_event()) is not None:
-            if not isinstance(event, Housekeeping):
-                return event
-            self._housekeeping += 1
-            self._probe.gauge("camera", event.name)
-            self._probe.gauge("force_n", event.force_n)
-        return None
-
-    def tell(self) -> None:
-        """Put the counters into the probe."""
-        probe, sender = self._probe, self.sender
-        probe.total("telecommands", sender.sent)
-        probe.total("telecommands_repeated", sender.repeated)
-        probe.total("garbage", sender.garbage)
-        probe.total("housekeeping", self._housekeeping)
-
-
-def telecommand_sender(setup: Setup, *, first_token: int) -> TelecommandSender:
-    """Return a sender that repeats a telecommand only after its answer could have come."""
-    delay_ns = setup.radio_profile.longest_delay_ns
-    return TelecommandSender(first_token=first_token, timeout_ns=_ANSWER_NS + 2 * delay_ns)

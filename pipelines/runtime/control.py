@@ -1,44 +1,19 @@
-"""Requests from another terminal to a running session, as lines of JSON.
+"""Asks a running session from another terminal; `pipelines.runtime.requests` has the lines.
 
 The console of a session listens on a Unix socket in the session's directory, which only its user
 may enter.
-
-Request: `{"select": "static"}`.
-Answer: `{"ok": true, ...}` or `{"ok": false, "error": "...", "mistake": true}`. `mistake` means
-that the request itself was wrong.
-
-A telecommand's answer is preceded by `{"wait_s": 1.5}`: how long the console may wait for it.
 """
 
 import os
 import socket
 from pathlib import Path
 
-import msgspec
-
 from kontur_av.topics.session_files import choose_session, session_root
+from pipelines.runtime.requests import MAX_LINE_OCTETS, Answer, Request, pack_line, parse_answer
 
 _SOCKET = "console"
 #: How long a console may take on top of its own `wait_s`.
 _PATIENCE_S = 5.0
-MAX_LINE_OCTETS = 4096
-
-
-class Request(msgspec.Struct, frozen=True):
-    """A terminal's request. select: the camera; of any type, because it is not checked yet."""
-
-    select: object = None
-
-
-class Answer(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A console's answer; the module's docstring describes its fields."""
-
-    ok: bool | None = None
-    camera: str = ""
-    round_trip_ms: float = 0.0
-    error: str = ""
-    mistake: bool = False
-    wait_s: float | None = None
 
 
 def console_path(session: str) -> Path:
@@ -66,24 +41,17 @@ def ask(request: Request, session: str | None = None) -> Answer:
             other.close()
     with chosen as link:
         try:
-            link.sendall(msgspec.json.encode(request) + b"\n")
+            link.sendall(pack_line(request))
             lines = link.makefile("rb")
-            answer = _parse(lines.readline(MAX_LINE_OCTETS))
+            answer = parse_answer(lines.readline(MAX_LINE_OCTETS))
             if answer is not None and answer.wait_s is not None:
                 link.settimeout(answer.wait_s + _PATIENCE_S)
-                answer = _parse(lines.readline(MAX_LINE_OCTETS))
+                answer = parse_answer(lines.readline(MAX_LINE_OCTETS))
         except OSError:
             answer = None
     if answer is None:
         return Answer(ok=False, error="the session's console has ended before it answered")
     return answer
-
-
-def _parse(line: bytes) -> Answer | None:
-    try:
-        return msgspec.json.decode(line, type=Answer)
-    except msgspec.DecodeError:
-        return None
 
 
 def _connect(path: Path) -> socket.socket | None:

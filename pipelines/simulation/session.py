@@ -15,13 +15,15 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from pipelines.cores.choosing import CameraChoice, Console
+from pipelines.cores.choosing import CameraChoice
+from pipelines.cores.console import Console
 from pipelines.cores.ends import make_gateway
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.cores.probe import FLUSH_NS, Probe
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
+from pipelines.runtime.requests import Request, pack_line
 from pipelines.setup.table import Setup
 from pipelines.simulation.agenda import FAR_NS, Agenda, Timer
 from pipelines.simulation.costs import CodingCosts
@@ -107,8 +109,10 @@ class Simulation:
         self._console_timer = Timer(agenda, self._console_sends)
         self._choice_timer = Timer(agenda, self._choice_sends)
         self._choice_timer.set(self._choice.poll_timeout(), _START_NS)
-        for selection in selections:
-            agenda.at(selection.instant_ns, partial(self._select, selection.camera))
+        #: What the terminal of each telecommand of the script has been answered.
+        self.answers: dict[int, bytes] = dict.fromkeys(range(len(selections)), b"")
+        for terminal, selection in enumerate(selections):
+            agenda.at(selection.instant_ns, partial(self._select, terminal, selection.camera))
         self._media: Media | None = None
         if media:
             scene = Scene(
@@ -286,15 +290,16 @@ class Simulation:
         self._telling.flush(now_ns)
         self._agenda.at(now_ns + FLUSH_NS, self._flush)
 
-    def _select(self, camera: str, now_ns: int) -> None:
-        self._console.select(camera, now_ns)
+    def _select(self, terminal: int, camera: str, now_ns: int) -> None:
+        self._console.handle_terminal(terminal)
+        self._console.handle_octets(terminal, pack_line(Request(camera)), now_ns)
         self._console_sends(now_ns)
 
     def _console_sends(self, now_ns: int) -> None:
         while (packet := self._console.poll_transmit(now_ns)) is not None:
             self._space.handle_datagram(TELECOMMAND, packet, now_ns)
-        while self._console.next_event() is not None:
-            pass
+        while (reply := self._console.next_event()) is not None:
+            self.answers[reply.terminal] += reply.octets
         self._console_timer.set(self._console.poll_timeout(), now_ns)
 
     def _take_telemetry(self, data: bytes, now_ns: int) -> None:
