@@ -4,8 +4,8 @@ from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.runtime.probe import Probe
-from pipelines.runtime.requests import MAX_LINE_OCTETS, Answer, Request, pack_line, parse_request
+from pipelines.cores.probe import Probe
+from pipelines.cores.requests import MAX_LINE_OCTETS, Answer, Request, pack_line, parse_request
 from pipelines.setup.table import Setup
 from telepresence.tmtc import Housekeeping, SelectDone, SelectFailed, TelecommandSender
 

@@ -13,9 +13,9 @@ from itertools import count
 from kontur_av.clock import NS_PER_S
 from kontur_av.topics.session_files import make_session_root
 from pipelines.cores.console import MOST_TERMINALS, Console
+from pipelines.cores.requests import MAX_LINE_OCTETS
 from pipelines.runtime.control import console_path
 from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
-from pipelines.runtime.requests import MAX_LINE_OCTETS
 from pipelines.topology import TELECOMMAND, TELEMETRY
 
 

@@ -1,4 +1,4 @@
-"""Asks a running session from another terminal; `pipelines.runtime.requests` has the lines.
+"""Asks a running session from another terminal; `pipelines.cores.requests` has the lines.
 
 The console of a session listens on a Unix socket in the session's directory, which only its user
 may enter.
@@ -9,7 +9,7 @@ import socket
 from pathlib import Path
 
 from kontur_av.topics.session_files import choose_session, session_root
-from pipelines.runtime.requests import MAX_LINE_OCTETS, Answer, Request, pack_line, parse_answer
+from pipelines.cores.requests import MAX_LINE_OCTETS, Answer, Request, pack_line, parse_answer
 
 _SOCKET = "console"
 #: How long a console may take on top of its own `wait_s`.

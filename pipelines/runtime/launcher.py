@@ -24,8 +24,8 @@ from typing import Protocol
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.cores.probe import Message
+from pipelines.cores.restarts import RestartPolicy
 from pipelines.runtime.process import LOOPBACK, Context, become
-from pipelines.runtime.restarts import RestartPolicy
 from pipelines.setup.table import Setup
 from pipelines.topology import ProcessRow, Topology
 

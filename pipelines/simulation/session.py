@@ -20,10 +20,10 @@ from pipelines.cores.console import Console
 from pipelines.cores.ends import make_gateway
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.cores.probe import FLUSH_NS, Probe
+from pipelines.cores.requests import Request, pack_line
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
-from pipelines.runtime.requests import Request, pack_line
 from pipelines.setup.table import Setup
 from pipelines.simulation.agenda import FAR_NS, Agenda, Timer
 from pipelines.simulation.costs import CodingCosts

@@ -144,6 +144,7 @@ LIBRARIES = {
     "telepresence/world/speech.py": ({"av", "pathlib"}, "files"),
     "pipelines/cores/probe.py": ({"pickle"}, "a message as octets"),
     "pipelines/setup/setup_file.py": ({"pathlib"}, "a file"),
+    "pipelines/cores/requests.py": ({"msgspec"}, "requests and answers as JSON"),
     "pipelines/report/": ({"msgspec", "rich"}, "the report as JSON and as text"),
     "pipelines/report/keys.py": ({"inspect"}, "reads docstrings"),
     "pipelines/report/live.py": ({"sys"}, "the terminal"),

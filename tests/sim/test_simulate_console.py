@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_S
-from pipelines.runtime.requests import parse_answer
+from pipelines.cores.requests import parse_answer
 from pipelines.setup.setup_file import load_setup
 from pipelines.simulation.session import Selection, Simulation
 from pipelines.simulation.workers import Workers

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from pipelines.cores.console import MOST_TERMINALS, Console, telecommand_sender
-from pipelines.runtime.probe import Probe
-from pipelines.runtime.requests import Answer, Request, pack_line, parse_answer
+from pipelines.cores.probe import Probe
+from pipelines.cores.requests import Answer, Request, pack_line, parse_answer
 from pipelines.setup.built_in import BUILT_IN
 from telepresence.tmtc import SelectDone, TelecommandReceiver
 
@@ -18,7 +18,7 @@ class Ground:
     """A console and the ground's side of its telecommands, and what its terminals read."""
 
     def __init__(self, setup=SETUP):
-        self.console = Console(setup, Probe(None), first_token=5)
+        self.console = Console(setup, Probe(), first_token=5)
         self.receiver = TelecommandReceiver()
         self.read = {}
         self.closed = set()
@@ -58,7 +58,7 @@ class Ground:
 
 
 @pytest.mark.parametrize("radio_delay_ms", [0.0, 750.0, 10_000.0])
-def test_a_telecommand_needs_one_try_whatever_the_radio_delay(radio_delay_ms):
+def test_a_telecommand_needs_one_try_at_any_radio_delay(radio_delay_ms):
     setup = replace(SETUP, radio_delay_ms=radio_delay_ms)
     sender, receiver = telecommand_sender(setup, first_token=5), TelecommandReceiver()
     sender.select("static", 0)
@@ -71,7 +71,7 @@ def test_a_telecommand_needs_one_try_whatever_the_radio_delay(radio_delay_ms):
 
 
 @pytest.mark.parametrize("line", [b"[" * 4096, b"\xff\n", b"7\n", b""])
-def test_a_terminal_that_sends_no_request_is_let_go(line):
+def test_a_terminal_without_a_valid_request_is_disconnected(line):
     ground = Ground()
     terminal = ground.ask(line)
     assert ground.closed == {terminal}

@@ -9,8 +9,8 @@ import threading
 import pytest
 
 from kontur_av.errors import ConfigError
+from pipelines.cores.requests import Answer, Request
 from pipelines.runtime.control import ask, console_path, running_sessions
-from pipelines.runtime.requests import Answer, Request
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.runtime.restarts import RestartPolicy
+from pipelines.cores.restarts import RestartPolicy
 from pipelines.topology import Stage
 
 
