@@ -3,7 +3,7 @@
     python samples/merge_stereo.py [DIRECTORY [LEFT RIGHT]]
 
 Takes two pictures of one size (any format that OpenCV reads), or draws the built-in task board
-with its stylus in the middle, and writes left.png, right.png and merged.png into DIRECTORY.
+with its stylus in the middle. Writes left.png, right.png and merged.png into DIRECTORY.
 """
 
 import sys

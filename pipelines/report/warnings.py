@@ -16,10 +16,10 @@ from pipelines.topology import LOOP_PRIORITY, Segment, Topology
 LEFT_OUT_SHARE = 0.01
 #: A loop is late if its cycles begin later than this, at the 99th percentile.
 LATE_NS = NS_PER_MS // 2
-#: Of the pictures that were captured at least this share must be shown.
+#: At least this share of the captured pictures must be shown.
 SHOWN_SHARE = 0.8
-#: Pictures are judged only if there was a signal for this share of the session, and the radio lost
-#: at most this share of the frames.
+#: Pictures are judged only if there was a signal for at least this share of the session, and at
+#: most this share of the frames was lost.
 _SIGNAL_SHARE, _LOST_SHARE = 0.95, 0.01
 #: A shorter session says nothing about its pictures.
 _LEAST_NS = 3 * NS_PER_S

@@ -1,9 +1,9 @@
 """`kontur-av bench fanout`: one picture to many processes, its cost and its delay.
 
-Each way carries 640x480 pictures (I420, 460800 octets) to 1, 4, 8 and 16 reading processes in turn,
-30 pictures a second and then as fast as the publisher can. The ways are: this project's topics,
-with a picture that is copied into shared memory and with one that is drawn there; GStreamer's
-shmsink and shmsrc; and one `multiprocessing.Queue` for each reader.
+Each way carries 640x480 pictures (I420, 460800 octets) to 1, 4, 8 and 16 reading processes in turn.
+The publisher sends 30 pictures a second, and then as many as it can. The ways are: this project's
+topics, with a picture that is copied into shared memory and with one that is drawn there;
+GStreamer's shmsink and shmsrc; and one `multiprocessing.Queue` for each reader.
 """
 
 import argparse

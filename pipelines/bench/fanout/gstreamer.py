@@ -1,8 +1,8 @@
 """GStreamer's shmsink and shmsrc through their C interface, as C programs use them.
 
-`gst-launch-1.0` can neither stamp a picture nor tell its arrival, so it would need a pipe on each
-side, and the pipes would be measured too. The caller's thread hands a picture to the pad of
-shmsink, and returns when shmsink has copied it into shared memory and told all its clients. A
+`gst-launch-1.0` can neither stamp a picture nor report its arrival. It would need a pipe on each
+side, and the pipes would be measured, too. The caller's thread pushes a picture into the pad of
+shmsink, which copies it into shared memory and notifies all its clients before it returns. A
 reader runs the pipeline `shmsrc ! appsink` and reads the picture in place.
 """
 

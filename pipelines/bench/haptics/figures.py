@@ -124,9 +124,9 @@ def _swing(trace: Trace, begin: int, end: int) -> float:
 def contact_bound_n(wall_n_m: float) -> float:
     """The largest force (N) of this wall on a tip that only follows the hand.
 
-    It is the static force with the hand at its intended depth behind the wall (the spring of the
-    controller and the wall in series), plus the impact of the tip's mass at the largest speed of
-    the reference, v * sqrt(k * m) of an undamped wall.
+    It is the sum of two forces. The static force is that of the hand at its intended depth behind
+    the wall, with the spring of the controller and the wall in series. The impact is that of the
+    tip's mass at the largest speed of the reference: v * sqrt(k * m) of an undamped wall.
     """
     robot_side, robot = RobotControllerModel(), RobotModel()
     spring = robot_side.stiffness_n_m * wall_n_m / (robot_side.stiffness_n_m + wall_n_m)

@@ -30,11 +30,11 @@ CONNECTED = "connected"
 
 @dataclass
 class Resumptions:
-    """Of blackouts of one length; durations in ns, one for each blackout and direction.
+    """Recovery from blackouts of one length; durations in ns, one for each blackout and direction.
 
     noticed: from the last good frame to the notice that the signal is lost.
-    first: from the first good frame after the blackout to the first sample (`haptic`), to the first
-        packet of each flow, and to the end of the negotiation (`connected`).
+    first: from the first good frame after the blackout. Keys: the first sample (`haptic`), the
+        first packet of each flow, and the end of the negotiation (`connected`).
     packets, stale: packets that came out, and those of them that were older than 100 ms plus the
         delay of the radio.
     """

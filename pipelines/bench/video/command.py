@@ -4,8 +4,8 @@ Each contender is two commands as a user types them, sender and receiver, with r
 camera writes the pictures of a clip into a pipe, each at its exact instant with its number drawn
 into it. The channel is a queue of a fixed rate: RTP headers and RTCP count, nothing is dropped, and
 answers of the receiver go back at once. The screen reads full-size pictures from a second pipe and
-reads their numbers. So a latency runs from the instant of capture, through the pipe to the sender,
-coding, channel, decoding and scaling, to the last octet of the picture in the screen's process.
+reads their numbers. So a latency begins at the instant of capture and includes the pipe to the
+sender, coding, channel, decoding and scaling. It ends with the last octet in the screen's process.
 Both pipes are the same for all. PSNR and SSIM compare the luma with the captured picture of the
 same number, without the 16 rows of the number. The first second counts only against the cap.
 """
