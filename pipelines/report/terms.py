@@ -33,7 +33,7 @@ _MEASURED = ("camera", "capture", "waiting", "encoding", "network", "decoding", 
 
 
 class DelaySums:
-    """Sums over the pictures of a stream, each weighted with the time that it stands for."""
+    """Sums over the pictures of a stream, each weighted with the time since the picture before."""
 
     def __init__(self) -> None:
         self.pictures = 0

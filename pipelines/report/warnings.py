@@ -18,8 +18,8 @@ LEFT_OUT_SHARE = 0.01
 LATE_NS = NS_PER_MS // 2
 #: At least this share of the captured pictures must be shown.
 SHOWN_SHARE = 0.8
-#: Pictures are judged only if there was a signal for at least this share of the session, and at
-#: most this share of the frames was lost.
+#: Pictures are judged only with a signal for this share of the session, and with at most this
+#: share of the frames lost.
 _SIGNAL_SHARE, _LOST_SHARE = 0.95, 0.01
 #: A shorter session says nothing about its pictures.
 _LEAST_NS = 3 * NS_PER_S

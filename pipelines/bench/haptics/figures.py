@@ -124,8 +124,8 @@ def _swing(trace: Trace, begin: int, end: int) -> float:
 def contact_bound_n(wall_n_m: float) -> float:
     """The largest force (N) of this wall on a tip that only follows the hand.
 
-    It is the sum of two forces. The static force is that of the hand at its intended depth behind
-    the wall, with the spring of the controller and the wall in series. The impact is that of the
+    It is the sum of two forces. The static one is that of the controller's spring and the wall in
+    series, with the hand at its intended depth behind the wall. The impact is that of the
     tip's mass at the largest speed of the reference: v * sqrt(k * m) of an undamped wall.
     """
     robot_side, robot = RobotControllerModel(), RobotModel()

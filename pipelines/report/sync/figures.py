@@ -180,7 +180,7 @@ def disagreements(report: SyncReport | None) -> list[str]:
             lines.append(
                 f"{figures.stream}: stamps and content disagree: by its stamps a {sense} was "
                 f"captured {figures.judged_error_ms:+.1f} ms after the contact that made it "
-                f"({least:+.1f} to {most:+.1f} are explained; {figures.judged} say so, "
+                f"({least:+.1f} to {most:+.1f} are allowed; median of {figures.judged}, "
                 f"{low:+.1f} to {high:+.1f} with 95 % confidence)"
             )
     return lines

@@ -48,6 +48,6 @@ def test_the_share_counts_time_not_pictures():
     assert summary.within == pytest.approx(1000 / 1300, abs=1e-5)
     assert summary.early == pytest.approx(100 / 1300, abs=1e-5)
     assert summary.late == pytest.approx(200 / 1300, abs=1e-5)
-    # A picture that stays for ever counts for half a second.
+    # A picture that is never replaced counts for half a second.
     share.add(100 * NS_PER_S, 0)
     assert share.counted_ns == 1800 * MS
