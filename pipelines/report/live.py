@@ -15,14 +15,13 @@ from kontur_av.meters import Histogram, RateMeter
 from kontur_av.streams.staleness import State
 from pipelines.cores.probe import FLUSH_NS
 from pipelines.parts.marking import age_words
-from pipelines.report.ages import shown_now
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.session_report import displayed_frames, haptic_cap_bps, latency_ms
 from pipelines.report.silence import silences
 from pipelines.report.summary import NO_SAMPLE
 from pipelines.runtime.launcher import Launcher
-from pipelines.setup.table import VideoStream, VoiceStream
+from pipelines.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.topology import HapticRow, Segment
 from telepresence.link.figures import GatewayFigures
 
@@ -173,7 +172,7 @@ def _percentile_ms(histogram: Histogram, percent: float) -> str:
 def _age(launcher: Launcher, collector: Collector, stream: VideoStream | VoiceStream) -> Text:
     """How old what is shown is, with a word and a colour."""
     now_ns = launcher.clock.now_ns()
-    state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
+    state, age_ns = _shown_now(stream, launcher.setup, collector, now_ns)
     if state is State.NOTHING:
         return Text(NO_SAMPLE)
     return Text(f"{age_words(age_ns)} {state.value}", _COLOURS[state])
@@ -225,7 +224,7 @@ def _line(launcher: Launcher, collector: Collector) -> str:
             f"{NO_SAMPLE if newest is None else f'{newest:.0f}'} ms"
         )
         now_ns = launcher.clock.now_ns()
-        state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
+        state, age_ns = _shown_now(stream, launcher.setup, collector, now_ns)
         if state is State.STALE:
             parts[-1] += f" STALE {age_words(age_ns)}"
     for row in collector.topology.haptics:
@@ -239,3 +238,18 @@ def _line(launcher: Launcher, collector: Collector) -> str:
     if down:
         parts.append("down: " + ", ".join(down))
     return "  ".join(parts)
+
+
+def _shown_now(
+    stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, now_ns: int
+) -> tuple[State, int]:
+    """The state of what is shown of `stream`, and its age in ns (0 if nothing was shown yet)."""
+    reporting = [of for of in collector.processes.values() if f"{stream.name}.age_ns" in of.gauges]
+    if not reporting:
+        return State.NOTHING, 0
+    figures = max(reporting, key=lambda of: of.told_ns)
+    age_ns = figures.gauges[f"{stream.name}.age_ns"]
+    age_ns += max(0, now_ns - figures.told_ns - _TOLD_AFTER_NS)
+    if age_ns >= setup.stale_after_ns(stream):
+        return State.STALE, age_ns
+    return State(figures.gauges[f"{stream.name}.state"]), age_ns

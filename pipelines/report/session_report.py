@@ -4,8 +4,7 @@ from collections.abc import Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
-from pipelines.report.ages import spell_episodes, spell_ms
-from pipelines.report.collector import Collector, StreamFigures
+from pipelines.report.collector import Collector, Pauses, StreamFigures
 from pipelines.report.link_figures import gateway_figures, link_figures, punctuality_us
 from pipelines.report.model import (
     CpuReport,
@@ -18,7 +17,6 @@ from pipelines.report.model import (
     StreamLatency,
     StreamReport,
 )
-from pipelines.report.pauses import Pauses
 from pipelines.report.silence import MISSED_NS, missed_ns, signal_ns, silences, stopped_ns
 from pipelines.report.sync.figures import disagreements
 from pipelines.report.sync.section import sync_section
@@ -143,12 +141,12 @@ def _stream(
         frames_undated=receiver.counted("frames_undated"),
         frames_oversized=receiver.counted("frames_oversized"),
         stale_after_ms=round(setup.stale_after_ns(stream) / NS_PER_MS, 3),
-        stale_ms=spell_ms(stream.name, "stale", collector),
-        stale_episodes=spell_episodes(stream.name, "stale", collector),
-        frozen_ms=spell_ms(stream.name, "frozen", collector) if video else None,
-        frozen_episodes=spell_episodes(stream.name, "frozen", collector) if video else None,
-        damaged_ms=spell_ms(stream.name, "damaged", collector) if video else None,
-        damaged_episodes=spell_episodes(stream.name, "damaged", collector) if video else None,
+        stale_ms=_spell_ms(stream.name, "stale", collector),
+        stale_episodes=_spell_episodes(stream.name, "stale", collector),
+        frozen_ms=_spell_ms(stream.name, "frozen", collector) if video else None,
+        frozen_episodes=_spell_episodes(stream.name, "frozen", collector) if video else None,
+        damaged_ms=_spell_ms(stream.name, "damaged", collector) if video else None,
+        damaged_episodes=_spell_episodes(stream.name, "damaged", collector) if video else None,
         latency_ms=_latency_ms(figures),
         pauses_s=_pauses_s(figures.pauses, collector),
         capture_stamp_error_us=round(figures.stamp_error.max / NS_PER_US, 1),
@@ -302,3 +300,13 @@ def latency_ms(figures: StreamFigures) -> float | None:
     """The latency of what was displayed last."""
     newest = figures.last_latency_ns
     return None if newest is None else newest / NS_PER_MS
+
+
+def _spell_ms(stream: str, spell: str, collector: Collector) -> float:
+    """The time (ms) for which `stream` was shown `stale`, `frozen` or `damaged`."""
+    return round(collector.total(f"{stream}.{spell}_ns") / NS_PER_MS, 3)
+
+
+def _spell_episodes(stream: str, spell: str, collector: Collector) -> int:
+    """How many times `stream` began to be shown `stale`, `frozen` or `damaged`."""
+    return collector.total(f"{stream}.{spell}_episodes")
