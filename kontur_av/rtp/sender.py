@@ -11,8 +11,8 @@ from kontur_av.rtp.wire import (
     RtcpByePacket,
     RtcpSenderInfo,
     RtcpSrPacket,
-    RtpPacket,
     cname_packet,
+    pack_rtp,
 )
 
 #: The header of every packet of this sender: no CSRC, no extension (RFC 3550 section 5.1).
@@ -150,18 +150,18 @@ class RtpSender:
         self._last_stamp, self._last_timestamp = stamp, timestamp
 
     def _packet(self, payload: bytes, timestamp: int, *, marker: bool) -> bytes:
-        packet = RtpPacket(
+        packet = pack_rtp(
+            payload,
             payload_type=self.payload_type,
-            marker=int(marker),
-            sequence_number=self._sequence,
+            marker=marker,
+            sequence=self._sequence,
             timestamp=timestamp,
             ssrc=self.ssrc,
-            payload=payload,
         )
         self._sequence = (self._sequence + 1) & 0xFFFF
         self.packets_sent += 1
         self.payload_octets_sent += len(payload)
-        return packet.serialize()
+        return packet
 
     def poll_timeout(self) -> int | None:
         """Return when `poll_report` is due next; None before the first media packet."""

@@ -2,21 +2,24 @@
 
 import struct
 
-from aiortc.rtp import (
-    RTCP_PSFB_PLI,
-    RTCP_SDES,
-    AnyRtcpPacket,
-    RtcpByePacket,
-    RtcpPacket,
-    RtcpPsfbPacket,
-    RtcpRrPacket,
-    RtcpSenderInfo,
-    RtcpSrPacket,
-    RtpPacket,
-    pack_rtcp_packet,
-)
-
 from kontur_av.errors import ProtocolError
+from kontur_av.rtp.modules import package_not_run
+
+# aiortc itself would load all of WebRTC: 0.2 s, 15 MB and 160 modules.
+with package_not_run("aiortc"):
+    from aiortc.rtp import (
+        RTCP_PSFB_PLI,
+        RTCP_SDES,
+        AnyRtcpPacket,
+        RtcpByePacket,
+        RtcpPacket,
+        RtcpPsfbPacket,
+        RtcpRrPacket,
+        RtcpSenderInfo,
+        RtcpSrPacket,
+        RtpPacket,
+        pack_rtcp_packet,
+    )
 
 __all__ = [
     "RTCP_PSFB_PLI",
@@ -31,6 +34,7 @@ __all__ = [
     "TimestampUnwrapper",
     "cname_packet",
     "empty_receiver_report",
+    "pack_rtp",
     "parse_rtcp",
     "parse_rtp",
     "signed_32",
@@ -38,6 +42,8 @@ __all__ = [
 
 SDES_CNAME = 1  # RFC 3550 section 6.5.1
 _MALFORMED = (ValueError, IndexError, struct.error)
+_RTP_HEADER = struct.Struct("!BBHLL")
+_RTP_VERSION = 2 << 6
 
 
 def parse_rtp(datagram: bytes) -> RtpPacket:
@@ -46,6 +52,17 @@ def parse_rtp(datagram: bytes) -> RtpPacket:
         return RtpPacket.parse(datagram)
     except _MALFORMED as error:
         raise ProtocolError(f"not an RTP packet: {error}") from error
+
+
+def pack_rtp(
+    payload: bytes, *, payload_type: int, marker: bool, sequence: int, timestamp: int, ssrc: int
+) -> bytes:
+    """Return an RTP packet without CSRC, extension or padding (RFC 3550 section 5.1).
+
+    payload_type: of 7 bits. sequence: of 16 bits. timestamp, ssrc: of 32 bits.
+    """
+    marked = marker << 7 | payload_type
+    return _RTP_HEADER.pack(_RTP_VERSION, marked, sequence, timestamp, ssrc) + payload
 
 
 def parse_rtcp(datagram: bytes) -> list[AnyRtcpPacket]:
