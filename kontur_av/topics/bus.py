@@ -23,7 +23,7 @@ Use::
 import ctypes
 import struct
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from types import TracebackType
 from typing import Any, Self
 
@@ -76,6 +76,8 @@ _HEADER = struct.Struct(f"=qQqQII{_SOURCE_OCTETS}s")
 assert _HEADER.size == ctypes.sizeof(_Header)
 #: By their number: calling the enumeration takes several times as long.
 _QUALITIES = tuple(Quality)
+#: What iceoryx2's own `loan_slice_uninit` calls.
+_LOAN = "__loan_slice_uninit"
 #: The `rtp_timestamp` of a sample that was not received by RTP.
 _NO_TIMESTAMP = -1
 
@@ -124,7 +126,8 @@ class Writer:
     """Publishes to one topic. Never blocks; the readers' oldest samples are dropped instead."""
 
     def __init__(self, publisher: Any, service: Any, notifier: Notifier | None) -> None:
-        self._publisher = publisher
+        # The method itself examines annotations each time, which takes ten times as long.
+        self._loan = getattr(publisher, _LOAN, publisher.loan_slice_uninit)
         self._service = service
         self._notifier = notifier
 
@@ -134,7 +137,7 @@ class Writer:
 
     def loan(self, octets: int, width: int = 0, height: int = 0) -> Loan:
         """Return a buffer of `octets` octets in shared memory."""
-        sample = self._publisher.loan_slice_uninit(octets)
+        sample = self._loan(octets)
         return Loan(sample, octets, width, height, self._wake)
 
     def loan_picture(self, width: int, height: int) -> Loan:
@@ -144,7 +147,7 @@ class Writer:
 
     def publish_octets(self, data: bytes, stamp: CaptureStamp) -> None:
         """Copy `data` into the topic."""
-        sample = self._publisher.loan_slice_uninit(len(data))
+        sample = self._loan(len(data))
         ctypes.memmove(sample.payload_ptr, data, len(data))
         Loan(sample, len(data), 0, 0, self._wake).publish(stamp)
 
@@ -409,7 +412,13 @@ class Waiter:
         return self._wait_set.wait(timeout_ns)
 
 
+@lru_cache(maxsize=64)
+def _octets_type(octets: int) -> Any:
+    """Return the ctypes array of this length. Making a type takes longer than making its view."""
+    return ctypes.c_uint8 * octets
+
+
 def _view(sample: Any, octets: int) -> SampleView:
     # From the address, because NumPy would have to convert the format of iceoryx2's memoryview.
-    memory: Any = (ctypes.c_uint8 * octets).from_address(sample.payload_ptr)
+    memory: Any = _octets_type(octets).from_address(sample.payload_ptr)
     return np.ndarray((octets,), np.uint8, memory)
