@@ -170,11 +170,13 @@ class H264Encoder:
         self._small = None if size == (self.width, self.height) else empty_picture(*size)
         self._given = 0
         self._codec = _open_encoder(self._settings)
-        self._ticks = Fraction(VIDEO_CLOCK_HZ) / self._settings.rate
+        # Integers, because a product of fractions takes longer than all else around the encoder.
+        self._ticks = (Fraction(VIDEO_CLOCK_HZ) / self._settings.rate).as_integer_ratio()
 
     def _give(self, data: I420, *, force_keyframe: bool) -> Any:
         picture = av.VideoFrame.from_numpy_buffer(data, "yuv420p")
-        picture.pts = int(self._given * self._ticks)
+        ticks, parts = self._ticks
+        picture.pts = self._given * ticks // parts
         if force_keyframe:
             picture.pict_type = PictureType.I
         (packet,) = self._codec.encode(picture)

@@ -2,7 +2,6 @@
 
 import ctypes
 import weakref
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -66,7 +65,13 @@ def heard_stamp(stamp: CaptureStamp) -> CaptureStamp:
     include the look-ahead.
     """
     lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
-    return replace(stamp, capture_ns=stamp.capture_ns - lookahead_ns)
+    return CaptureStamp(
+        stamp.capture_ns - lookahead_ns,
+        stamp.sequence,
+        stamp.source,
+        stamp.quality,
+        stamp.rtp_timestamp,
+    )
 
 
 #: State, samples, samples a channel, packet, its most octets.

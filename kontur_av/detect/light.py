@@ -89,6 +89,7 @@ class LightDetector:
         self._columns = columns
         #: Area of the whole picture over that of the region.
         self._whole = 1.0
+        self._grey: NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
         self._seen: deque[_ShownPicture] = deque(maxlen=4)
         self._events: deque[Light] = deque()
 
@@ -123,7 +124,9 @@ class LightDetector:
         size = columns, max(4, round(columns * height / width))
         luma, u, v = (_means(plane, *size) for plane in every)
         # The uint8 sum saturates only for strong colours, which is good enough to find a light.
-        grey = np.full_like(u, 128)
+        if self._grey.shape != u.shape:
+            self._grey = np.full_like(u, 128)
+        grey = self._grey
         colour = cv2.add(cv2.absdiff(u, grey), cv2.absdiff(v, grey))
         return np.asarray(cv2.add(luma, colour, dtype=cv2.CV_16S), np.int16)
 

@@ -1,5 +1,6 @@
 """What the microphones hear: a voice, the room, and the stylus when it meets the wall."""
 
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -48,28 +49,33 @@ class Room:
         mixed += _looped(self._noise, at, count)
         if self._state_at is not None:
             self._add_clicks(mixed, capture_ns, self._state_at)
-        samples[:] = np.clip(mixed, -32768, 32767).astype(np.int16)
+        np.maximum(mixed, -32768, out=mixed)
+        np.minimum(mixed, 32767, out=mixed)
+        samples[:] = mixed
 
     def _add_clicks(self, mixed: NDArray[np.float64], capture_ns: int, state_at: StateAt) -> None:
         count = len(mixed)
         state = state_at(capture_ns + count * NS_PER_S // AUDIO_CLOCK_HZ)
-        sounding = np.zeros(max(count + len(self._click), len(self._tail)))
-        sounding[: len(self._tail)] = self._tail
         touched_ns = state.contact_since_ns if state.touched_ns is None else state.touched_ns
         # The first sample at or after the contact.
         late_ns = 0 if touched_ns is None else capture_ns - touched_ns
         begin = -(late_ns * AUDIO_CLOCK_HZ // NS_PER_S)
+        begun, self._begun = self._begun, True
         # A click that begins after this block belongs to the next one.
-        if touched_ns is not None and touched_ns != self._touched_ns and begin < count:
+        clicks = touched_ns is not None and touched_ns != self._touched_ns and begin < count
+        if not clicks and not len(self._tail):
+            return  # as most blocks
+        sounding = np.zeros(max(count + len(self._click), len(self._tail)))
+        sounding[: len(self._tail)] = self._tail
+        if clicks:
             if begin >= 0:
                 sounding[begin : begin + len(self._click)] += self._click
-            elif self._begun:
+            elif begun:
                 # The contact was reported late: play the rest of the click at its right time.
                 self.late_clicks += 1
                 rest = self._click[-begin:]
                 sounding[: len(rest)] += rest
             self._touched_ns = touched_ns
-        self._begun = True
         mixed += sounding[:count]
         tail = sounding[count:]
         self._tail = tail if tail.any() else np.zeros(0)
@@ -90,10 +96,12 @@ def _click(seed: int) -> NDArray[np.float64]:
     return np.asarray(click * (CLICK_PEAK / np.abs(click).max()))
 
 
+@lru_cache(maxsize=4)
 def _hiss(seed: int) -> NDArray[np.float64]:
     return np.random.default_rng(seed).normal(0, ROOM_LEVEL, _NOISE_SAMPLES)
 
 
+@lru_cache(maxsize=4)
 def _ventilation(seed: int) -> NDArray[np.float64]:
     """Return noise with more low frequencies, and the fans' hum; it loops without a step."""
     spectrum = np.fft.rfft(np.random.default_rng(seed).normal(0, 1, _NOISE_SAMPLES))
