@@ -1,6 +1,7 @@
 """The figures of an input."""
 
 from kontur_av.media import CaptureStamp
+from pipelines.cores.figures import CaptureCounters, CaptureGauges
 from pipelines.cores.probe import Probe
 
 
@@ -19,10 +20,5 @@ class Capturing:
 
     def tell(self, faults: int = 0, last_fault: str = "") -> None:
         """Put the counters into the probe, with the faults that the source has survived."""
-        probe = self._probe
-        probe.total("captured", self._captured)
-        probe.total("source_faults", faults)
-        if self._last_ns is not None:
-            probe.gauge("captured_ns", self._last_ns)
-        if last_fault:
-            probe.gauge("source_fault", last_fault)
+        self._probe.count(CaptureCounters(captured=self._captured, source_faults=faults))
+        self._probe.gauge(CaptureGauges(captured_ns=self._last_ns, source_fault=last_fault or None))

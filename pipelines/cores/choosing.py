@@ -5,6 +5,7 @@ from collections import deque
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.cores.camera_selector import Selector
+from pipelines.cores.figures import SelectorCounters, SelectorGauges
 from pipelines.cores.following import Choice
 from pipelines.cores.probe import Probe
 from pipelines.setup.table import Setup
@@ -103,9 +104,13 @@ class CameraChoice:
 
     def tell(self) -> None:
         """Put the counters into the probe."""
-        probe, telecommands = self._probe, self._telecommands
-        probe.gauge("selected", self.selected)
-        probe.total("switches", self._selector.switches)
-        probe.total("telecommands", telecommands.executed)
-        probe.total("telecommands_repeated", telecommands.duplicates)
-        probe.total("garbage", telecommands.garbage)
+        telecommands = self._telecommands
+        self._probe.gauge(SelectorGauges(selected=self.selected))
+        self._probe.count(
+            SelectorCounters(
+                switches=self._selector.switches,
+                telecommands=telecommands.executed,
+                telecommands_repeated=telecommands.duplicates,
+                garbage=telecommands.garbage,
+            )
+        )

@@ -4,6 +4,7 @@ from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.figures import ConsoleCounters
 from pipelines.cores.probe import Probe
 from pipelines.cores.requests import MAX_LINE_OCTETS, Answer, Request, pack_line, parse_request
 from pipelines.setup.table import Setup
@@ -94,8 +95,6 @@ class Console:
         while (event := self._sender.next_event()) is not None:
             if isinstance(event, Housekeeping):
                 self._housekeeping += 1
-                self._probe.gauge("camera", event.name)
-                self._probe.gauge("force_n", event.force_n)
             else:
                 self._handle_result(event)
         return self._replies.popleft() if self._replies else None
@@ -116,11 +115,15 @@ class Console:
 
     def tell(self) -> None:
         """Put the counters into the probe."""
-        probe, sender = self._probe, self._sender
-        probe.total("telecommands", sender.sent)
-        probe.total("telecommands_repeated", sender.repeated)
-        probe.total("garbage", sender.garbage)
-        probe.total("housekeeping", self._housekeeping)
+        sender = self._sender
+        self._probe.count(
+            ConsoleCounters(
+                telecommands=sender.sent,
+                telecommands_repeated=sender.repeated,
+                garbage=sender.garbage,
+                housekeeping=self._housekeeping,
+            )
+        )
 
 
 def telecommand_sender(setup: Setup, *, first_token: int) -> TelecommandSender:

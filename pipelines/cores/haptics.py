@@ -1,9 +1,9 @@
 """The two haptic endpoints, one cycle at a time: robot on the ground, joystick in space."""
 
-from dataclasses import asdict
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
+from pipelines.cores.figures import HapticCounters, JoystickGauges, PortGauges
 from pipelines.cores.probe import Probe
 from pipelines.cores.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
@@ -16,9 +16,6 @@ Side = TypeVar("Side", bound=JoystickSide | RobotSide)
 
 #: Scenes are drawn at 30 pictures a second, for which a state every 10 ms suffices.
 _PUBLISH_EVERY = 10
-#: Figures of a side's report: totals add up over its lives, gauges do not.
-PORT_TOTALS = ("energy_in_uj", "energy_out_uj", "passivity_acted", "totals_refused")
-PORT_GAUGES = ("credit_uj", "least_uj")
 #: Once a millisecond.
 CYCLE_NS = NS_PER_MS
 
@@ -40,14 +37,24 @@ class _End(Generic[Side]):
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
-        for name, value in asdict(link.report()).items():
-            if value is not None:
-                self._probe.total(name, value)
-        port = asdict(self.side.report())
-        for name in PORT_TOTALS:
-            self._probe.total(name, port[name])
-        for name in PORT_GAUGES:
-            self._probe.gauge(name, port[name])
+        samples, port = link.report(), self.side.report()
+        self._probe.count(
+            HapticCounters(
+                sent=samples.sent,
+                received=samples.received,
+                lost=samples.lost,
+                late=samples.late,
+                repeated=samples.repeated,
+                garbage=samples.garbage,
+                restarts=samples.restarts,
+                left_out=samples.left_out,
+                energy_in_uj=port.energy_in_uj,
+                energy_out_uj=port.energy_out_uj,
+                passivity_acted=port.passivity_acted,
+                totals_refused=port.totals_refused,
+            )
+        )
+        self._probe.gauge(PortGauges(credit_uj=port.credit_uj, least_uj=port.least_uj))
         self._sent.extend_plain(link.take_sent_stamps())
         self._received.extend_plain(link.take_received_stamps())
         while link.next_event() is not None:
@@ -105,7 +112,7 @@ class JoystickEnd(_End[JoystickSide]):
     """Reads the position of the handle, and applies the robot's force to it.
 
     handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
-        is reported as the gauge "joystick".
+        is reported in `JoystickGauges`.
     """
 
     def __init__(
@@ -134,7 +141,7 @@ class JoystickEnd(_End[JoystickSide]):
         """Put the counters and stamps into the probe, and the instants of the force's steps."""
         super().tell()
         if self._operated is not None:
-            self._probe.gauge("joystick", self._operated.report())
+            self._probe.gauge(JoystickGauges(joystick=self._operated.report()))
         while (step := self._steps.next_event()) is not None:
             self._felt.add(StepRow(step.instant_ns))
 

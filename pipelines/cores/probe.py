@@ -14,6 +14,7 @@ from itertools import chain
 from typing import Any, Generic, TypeVar, cast
 
 from kontur_av.clock import NS_PER_MS
+from pipelines.cores.figures import Counters, Gauges, ProbeCounters
 from pipelines.cores.rows import Row
 
 FLUSH_NS = 500 * NS_PER_MS
@@ -68,46 +69,53 @@ class Series(Generic[RowT]):
 class Message:
     """One message of one process.
 
-    totals: counters since the process began. gauges: newest values of other figures.
+    counters, gauges: one of each kind, of each stream for those that are about streams.
     series: single events, such as packets, in the order in which their series were begun.
+    scheduler: `fifo` with real-time priority, `other` without the permission for it; "" for a
+        process that asks for none.
+    last_error: why the process ends; "" while it runs.
     """
 
-    totals: dict[str, int] = field(default_factory=dict)
-    gauges: dict[str, Any] = field(default_factory=dict)
+    counters: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
+    gauges: dict[tuple[type[Gauges], str], Gauges] = field(default_factory=dict)
     series: list[Series[Any]] = field(default_factory=list)
+    scheduler: str = ""
+    last_error: str = ""
+
+    def count(self, counters: Counters, stream: str = "") -> None:
+        """Set counters to their present values. stream: the one that they are about, if any."""
+        self.counters[type(counters), stream] = counters
+
+    def gauge(self, gauges: Gauges, stream: str = "") -> None:
+        """Set gauges to their newest values. stream: the one that they are about, if any."""
+        self.gauges[type(gauges), stream] = gauges
 
     def pack(self) -> bytes:
         """Return the message as octets, without its empty series."""
         series = [(one.kind, one.stream, one.values) for one in self.series if one.values]
-        return pickle.dumps((self.totals, self.gauges, series), pickle.HIGHEST_PROTOCOL)
+        told = self.counters, self.gauges, series, self.scheduler, self.last_error
+        return pickle.dumps(told, pickle.HIGHEST_PROTOCOL)
 
     @classmethod
     def unpack(cls, data: bytes) -> Message:
         """Unpack a message. Unpickling is safe: only our own process writes to the socket."""
-        totals, gauges, series = pickle.loads(data)
-        return cls(totals, gauges, [Series(*one) for one in series])
+        counters, gauges, series, scheduler, last_error = pickle.loads(data)
+        return cls(counters, gauges, [Series(*one) for one in series], scheduler, last_error)
 
 
 class Probe:
-    """Collects the figures of a process: `total`, `gauge`, and rows of a `series`.
+    """Collects the figures of a process in `message`, and its rows in `series`.
 
     When it is `due`, send `message`, and say with `handle_told` whether that worked.
     """
 
     def __init__(self) -> None:
-        self._message = Message()
+        self.message = Message()
+        self.count, self.gauge = self.message.count, self.message.gauge
         self._series: dict[tuple[object, str], Series[Any]] = {}
         self._due_ns = 0
         #: Values of rows that were dropped because the launcher did not keep up.
         self.dropped_values = 0
-
-    def total(self, name: str, value: int) -> None:
-        """Set a counter to its present value."""
-        self._message.totals[name] = value
-
-    def gauge(self, name: str, value: Any) -> None:
-        """Set a figure to its newest value, of a plain type."""
-        self._message.gauges[name] = value
 
     def series(self, kind: type[RowT], stream: str = "") -> Series[RowT]:
         """Return the series of rows of `kind`, of `stream` if the process has several.
@@ -117,17 +125,12 @@ class Probe:
         found = self._series.get((kind, stream))
         if found is None:
             found = self._series[kind, stream] = Series(kind, stream)
-            self._message.series.append(found)
+            self.message.series.append(found)
         return found
 
     def due(self, now_ns: int) -> bool:
-        """Return whether to fill in the totals and send `message` now."""
+        """Return whether to fill in the counters and send `message` now."""
         return now_ns >= self._due_ns
-
-    @property
-    def message(self) -> Message:
-        """The present message."""
-        return self._message
 
     def handle_told(self, now_ns: int, *, told: bool) -> None:
         """Begin the next message if the present one was taken; else keep it for the next time."""
@@ -135,14 +138,13 @@ class Probe:
         if told:
             self._clear()
             return
-        for series in self._message.series:
+        for series in self.message.series:
             if len(series.values) > _MAX_SERIES_VALUES:
                 # All of them, because a cut row would shift all that follow.
                 self.dropped_values += len(series.values)
-                self._message.totals["probe_values_dropped"] = self.dropped_values
+                self.count(ProbeCounters(probe_values_dropped=self.dropped_values))
                 del series.values[:]
 
     def _clear(self) -> None:
-        for series in self._message.series:
+        for series in self.message.series:
             del series.values[:]
-        self._message.gauges.clear()

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import BLOCK_NS, CaptureStamp, Quality
 from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
+from pipelines.cores.figures import DisplayCounters, DisplayGauges
 from pipelines.cores.probe import Probe
 from pipelines.cores.rows import ShownRow
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
@@ -38,18 +39,23 @@ class Showing:
     def tell(self, now_ns: int) -> None:
         """Put the counters into the probe. `handle_shown` was called for all up to `now_ns`."""
         probe = self._probe
-        for stream, shown in self._shown.items():
-            probe.total(f"{stream}.frames_displayed", shown)
         for stream, staleness in self.staleness.items():
             staleness.handle_time(now_ns)
-            for name in ("stale", "frozen", "damaged"):
-                spell = getattr(staleness, name)
-                probe.total(f"{stream}.{name}_ns", spell.total_ns)
-                probe.total(f"{stream}.{name}_episodes", spell.episodes)
+            stale, frozen, damaged = staleness.stale, staleness.frozen, staleness.damaged
+            counters = DisplayCounters(
+                frames_displayed=self._shown[stream],
+                stale_ns=stale.total_ns,
+                stale_episodes=stale.episodes,
+                frozen_ns=frozen.total_ns,
+                frozen_episodes=frozen.episodes,
+                damaged_ns=damaged.total_ns,
+                damaged_episodes=damaged.episodes,
+            )
+            probe.count(counters, stream)
             age_ns = staleness.age_ns(now_ns)
             if age_ns is not None:
-                probe.gauge(f"{stream}.age_ns", age_ns)
-                probe.gauge(f"{stream}.state", staleness.state(now_ns).value)
+                state = staleness.state(now_ns)
+                probe.gauge(DisplayGauges(age_ns=age_ns, state=state), stream)
 
 
 def _staleness(setup: Setup, stream: VideoStream | VoiceStream) -> Staleness:

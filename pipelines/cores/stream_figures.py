@@ -1,6 +1,6 @@
 """The figures of a stream's ends, as a process reports them.
 
-Only this module knows both the events of `kontur_av.streams` and the names of the figures.
+Only this module knows both the events of `kontur_av.streams` and the figures of a session.
 """
 
 from collections.abc import Callable
@@ -12,6 +12,14 @@ from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import PictureCoded, VideoSender
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
+from pipelines.cores.figures import (
+    ReceptionCounters,
+    ReceptionGauges,
+    SendingCounters,
+    VideoReceptionCounters,
+    VideoSendingCounters,
+    VoiceReceptionCounters,
+)
 from pipelines.cores.gain import CapGain
 from pipelines.cores.probe import Probe
 from pipelines.cores.rows import CodingRow, OutRow, RxRow, TxRow
@@ -64,20 +72,26 @@ def tell_sender(
 ) -> None:
     """Put a sender's counters into the probe; gain: of its cap."""
     counts = sender.counts
-    probe.total("frames_captured", counts.captured)
-    probe.total("frames_encoded", counts.encoded)
-    probe.total("frames_sent", counts.sent)
-    probe.total("frames_refused", counts.refused)
-    probe.total("rtp_packets_sent", counts.rtp_packets)
+    probe.count(
+        SendingCounters(
+            frames_captured=counts.captured,
+            frames_encoded=counts.encoded,
+            frames_sent=counts.sent,
+            frames_refused=counts.refused,
+            rtp_packets_sent=counts.rtp_packets,
+        )
+    )
     if not isinstance(sender, VideoSender):
         return
-    if gain is not None:
-        probe.total("gained_bits", gain.gained_bits)
-        probe.total("gain_changes", gain.changes)
     video = sender.counts
-    probe.total("feedback_received", video.losses_told)
-    probe.total("feedback_garbage", video.feedback_garbage)
-    probe.gauge("backlog_octets", sender.backlog_octets)
+    probe.count(
+        VideoSendingCounters(
+            feedback_received=video.losses_told,
+            feedback_garbage=video.feedback_garbage,
+            gained_bits=None if gain is None else gain.gained_bits,
+            gain_changes=None if gain is None else gain.changes,
+        )
+    )
 
 
 def tell_video_receiver(
@@ -85,42 +99,52 @@ def tell_video_receiver(
 ) -> None:
     """Put a receiver's counters into the probe, with those of the decoder."""
     counts = receiver.counts
-    _tell_rtp(probe, counts.rtp, counts.jitter_ns, counts.undated)
-    probe.total("frames_received", counts.units)
-    probe.total("frames_damaged", counts.damaged)
-    probe.total("frames_decoded", decoded)
-    probe.total("frames_corrupt", corrupt)
-    probe.total("decoder_restarts", restarts)
-    probe.total("frames_oversized", counts.oversized)
-    probe.total("pictures_asked_for", counts.asked)
+    probe.count(_reception(counts.rtp, counts.undated))
+    probe.count(
+        VideoReceptionCounters(
+            frames_received=counts.units,
+            frames_damaged=counts.damaged,
+            frames_decoded=decoded,
+            frames_corrupt=corrupt,
+            decoder_restarts=restarts,
+            frames_oversized=counts.oversized,
+            pictures_asked_for=counts.asked,
+        )
+    )
+    probe.gauge(ReceptionGauges(jitter_ns=counts.jitter_ns))
 
 
 def tell_voice_receiver(probe: Probe, receiver: VoiceReceiver) -> None:
     """Put a receiver's counters into the probe."""
     counts = receiver.counts
     playout = counts.playout
-    _tell_rtp(probe, counts.rtp, counts.jitter_ns, counts.undated)
-    probe.total("frames_decoded", playout.played + playout.recovered - counts.corrupt)
-    probe.total("frames_concealed", playout.concealed + counts.corrupt)
-    probe.total("frames_recovered", playout.recovered)
-    probe.total("frames_late", playout.late)
-    probe.total("frames_left_out", playout.dropped)
-    probe.total("inserted_ns", counts.inserted_ns)
-    probe.total("frames_stretched", playout.stretched)
-    probe.total("frames_shortened", playout.shortened)
-    probe.gauge("playout_delay_ns", counts.delay_ns)
+    probe.count(_reception(counts.rtp, counts.undated))
+    probe.count(
+        VoiceReceptionCounters(
+            frames_decoded=playout.played + playout.recovered - counts.corrupt,
+            frames_concealed=playout.concealed + counts.corrupt,
+            frames_recovered=playout.recovered,
+            frames_late=playout.late,
+            frames_left_out=playout.dropped,
+            inserted_ns=counts.inserted_ns,
+            frames_stretched=playout.stretched,
+            frames_shortened=playout.shortened,
+        )
+    )
+    probe.gauge(ReceptionGauges(jitter_ns=counts.jitter_ns, playout_delay_ns=counts.delay_ns))
 
 
-def _tell_rtp(probe: Probe, rtp: ReceiverCounts, jitter_ns: int, undated: int) -> None:
-    probe.total("rtp_packets", rtp.received)
-    probe.total("rtp_lost", rtp.lost)
-    probe.total("rtp_reordered", rtp.reordered)
-    probe.total("rtp_duplicates", rtp.duplicates)
-    probe.total("rtp_late", rtp.late)
-    probe.total("garbage", rtp.garbage)
-    probe.total("sources", rtp.sources)
-    probe.gauge("jitter_ns", jitter_ns)
-    probe.total("frames_undated", undated)
+def _reception(rtp: ReceiverCounts, undated: int) -> ReceptionCounters:
+    return ReceptionCounters(
+        rtp_packets=rtp.received,
+        rtp_lost=rtp.lost,
+        rtp_reordered=rtp.reordered,
+        rtp_duplicates=rtp.duplicates,
+        rtp_late=rtp.late,
+        garbage=rtp.garbage,
+        sources=rtp.sources,
+        frames_undated=undated,
+    )
 
 
 def note_unit(probe: Probe, unit: ReceivedUnit) -> None:

@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
 from pipelines.cores.ends import make_gateway
+from pipelines.cores.figures import GatewayCounters, GatewayGauges, LoopCounters
 from pipelines.cores.rows import LatenessRow, SendingRow
 from pipelines.runtime.datagrams import EndAddresses
 from pipelines.runtime.gateway_ports import GatewayPorts
@@ -72,13 +73,10 @@ def run_gateway(
         sending_rows.extend_column(sending)
         lateness.clear()
         sending.clear()
-        probe.total("slips", slots.schedule.slips)
-        probe.total("cycles", slots.schedule.cycles)
-        probe.total("unsent", ports.to_peer.failed)
-        for name, count in ports.strangers().items():
-            if count:
-                probe.total(f"strangers_{name}", count)
-        probe.gauge("link", gateway.report(clock_ns()))
+        schedule = slots.schedule
+        probe.count(LoopCounters(slips=schedule.slips, cycles=schedule.cycles))
+        probe.count(GatewayCounters(unsent=ports.to_peer.failed, strangers=ports.strangers()))
+        probe.gauge(GatewayGauges(link=gateway.report(clock_ns())))
 
     def fetch_radio(now_ns: int) -> None:
         # One frame a time: a second one is rare, and asking for it costs a system call.

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from itertools import count
 
 from kontur_av.media import CaptureStamp
+from pipelines.cores.figures import LoopCounters
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.cores.rows import LatenessRow
 from pipelines.parts.robot_state import STATE_OCTETS, pack_state
@@ -78,8 +79,7 @@ def _run_loop(
         end.tell()
         lateness_rows.extend_column(lateness)
         lateness.clear()
-        probe.total("slips", schedule.slips)
-        probe.total("cycles", schedule.cycles)
+        probe.count(LoopCounters(slips=schedule.slips, cycles=schedule.cycles))
 
     context.on_flush(fill)
     tick_ns = 0

@@ -6,6 +6,7 @@ import cv2
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
+from pipelines.cores.figures import SnapshotCounters
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.table import STEREO
 from pipelines.topology import Segment, VideoRow
@@ -46,8 +47,7 @@ def run_snapshots(context: Context) -> None:
     written = failed = 0
 
     def fill() -> None:
-        probe.total("snapshots", written)
-        probe.total("snapshots_failed", failed)
+        probe.count(SnapshotCounters(snapshots=written, snapshots_failed=failed))
 
     context.on_flush(fill)
     begun_ns = context.started_ns

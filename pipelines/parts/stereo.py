@@ -3,6 +3,7 @@
 from kontur_av.clock import NS_PER_S
 from kontur_av.sources.stereo import StereoPairer, merge
 from kontur_av.topics.bus import Lease
+from pipelines.cores.figures import StereoCounters
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.table import STEREO, STEREO_INPUTS
 
@@ -16,8 +17,7 @@ def run_stereo(context: Context) -> None:
     pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
 
     def fill() -> None:
-        context.probe.total("paired", pairer.paired)
-        context.probe.total("single", pairer.single)
+        context.probe.count(StereoCounters(paired=pairer.paired, single=pairer.single))
 
     context.on_flush(fill)
     with context.open_bus() as bus:

@@ -9,13 +9,21 @@ from __future__ import annotations
 from collections import OrderedDict, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
+from pipelines.cores.figures import (
+    CaptureGauges,
+    Counters,
+    DisplayCounters,
+    GatewayGauges,
+    Gauges,
+    SelectorGauges,
+)
 from pipelines.cores.probe import FLUSH_NS, Message, Series
 from pipelines.cores.rows import (
     CodingRow,
@@ -300,12 +308,18 @@ class HapticFigures:
             self.recent.add(instant_ns, latency_ns)
 
 
+CountersT = TypeVar("CountersT", bound=Counters)
+GaugesT = TypeVar("GaugesT", bound=Gauges)
+
+
 @dataclass
 class ProcessFigures:
     """What one process of the session has told, over all its lives."""
 
-    totals: dict[str, int] = field(default_factory=dict)
-    gauges: dict[str, Any] = field(default_factory=dict)
+    #: `fifo` with real-time priority, `other` without the permission for it.
+    scheduler: str | None = None
+    #: Why its newest life that failed ended.
+    last_error: str | None = None
     lateness: Histogram = field(default_factory=Histogram)
     #: From a slot's deadline to the instant at which its frame had been sent; of a gateway.
     sending: Histogram = field(default_factory=Histogram)
@@ -318,26 +332,77 @@ class ProcessFigures:
     selected_ns: int = 0
     #: Since when there was no pause in what it captures; of an input.
     gives_since_ns: int = 0
-    _ended_totals: dict[str, int] = field(default_factory=dict)
+    _counters: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
+    _ended: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
+    _gauges: dict[tuple[type[Gauges], str], Gauges] = field(default_factory=dict)
 
     def handle_message(self, message: Message, now_ns: int) -> None:
         """Take what it tells of itself."""
         self.told_ns = now_ns
         if self.began_ns is None:
             self.began_ns = now_ns
-        captured_ns, selected = self.captured_ns, self.gauges.get("selected")
-        self.totals.update(message.totals)
-        self.gauges.update(message.gauges)
-        if self.gauges.get("selected") != selected:
+        captured_ns, selected = self.captured_ns, self.selected
+        self.scheduler = message.scheduler or self.scheduler
+        self.last_error = message.last_error or self.last_error
+        self._counters.update(message.counters)
+        for key, newest in message.gauges.items():
+            earlier = self._gauges.get(key)
+            self._gauges[key] = newest if earlier is None else newest.over(earlier)
+        if self.selected != selected:
             self.selected_ns = now_ns
         newest_ns = self.captured_ns
         if newest_ns is not None and (captured_ns is None or newest_ns - captured_ns > _PAUSE_NS):
             self.gives_since_ns = newest_ns
 
+    def gauges(self, kind: type[GaugesT], stream: str = "") -> GaugesT | None:
+        """The newest values of one kind; None if no life has told any."""
+        found = self._gauges.get((kind, stream))
+        assert found is None or isinstance(found, kind)
+        return found
+
+    def counted(self, kind: type[CountersT], stream: str = "") -> CountersT | None:
+        """Counters of one kind, over all lives; None if no life has told any."""
+        ended, counters = self._ended.get((kind, stream)), self._counters.get((kind, stream))
+        found = counters if ended is None else ended if counters is None else ended.plus(counters)
+        assert found is None or isinstance(found, kind)
+        return found
+
+    def total(self, kind: type[CountersT], stream: str = "") -> CountersT:
+        """Counters of one kind, over all lives; all 0 if no life has told any."""
+        return self.counted(kind, stream) or kind()
+
+    def counts_by_name(self) -> dict[str, int]:
+        """All counters, over all lives, by name; in front of it the stream that they are about."""
+        found: dict[str, int] = {}
+        for kind, stream in {**self._ended, **self._counters}:
+            about = f"{stream}." if stream else ""
+            for name, count in self.total(kind, stream).by_name().items():
+                found[about + name] = count
+        return dict(sorted(found.items()))
+
     @property
     def captured_ns(self) -> int | None:
         """When an input captured last; None if it never did, or is none."""
-        return self.gauges.get("captured_ns")
+        gauges = self.gauges(CaptureGauges)
+        return None if gauges is None else gauges.captured_ns
+
+    @property
+    def source_fault(self) -> str | None:
+        """The last fault of an input's source."""
+        gauges = self.gauges(CaptureGauges)
+        return None if gauges is None else gauges.source_fault
+
+    @property
+    def selected(self) -> str | None:
+        """The camera that the selector has selected."""
+        gauges = self.gauges(SelectorGauges)
+        return None if gauges is None else gauges.selected
+
+    @property
+    def link(self) -> GatewayFigures | None:
+        """The link as a gateway of this life has told."""
+        gauges = self.gauges(GatewayGauges)
+        return None if gauges is None else gauges.link
 
     def silent_ns(self, now_ns: int | None = None) -> int:
         """How long an input has given nothing by `now_ns`, or by when it told something last."""
@@ -346,32 +411,21 @@ class ProcessFigures:
             return 0
         return max(0, (self.told_ns if now_ns is None else now_ns) - since_ns)
 
-    def total(self, name: str) -> int:
-        """A counter, over all lives."""
-        return self._ended_totals.get(name, 0) + self.totals.get(name, 0)
-
-    def counted(self, name: str) -> int | None:
-        """A counter, over all lives; None if no life has told it."""
-        if name not in self._ended_totals and name not in self.totals:
-            return None
-        return self.total(name)
-
-    def names(self) -> list[str]:
-        return sorted({*self._ended_totals, *self.totals})
-
     def handle_end(self) -> None:
         """The process has ended: what it counted is kept, the next one begins at 0."""
-        for name, value in self.totals.items():
-            self._ended_totals[name] = self._ended_totals.get(name, 0) + value
-        self.totals = {}
-        if "link" in self.gauges:
-            self.ended_links.append(self.gauges.pop("link"))
+        for key, counters in self._counters.items():
+            ended = self._ended.get(key)
+            self._ended[key] = counters if ended is None else ended.plus(counters)
+        self._counters = {}
+        if self.link is not None:
+            self.ended_links.append(self.link)
+            del self._gauges[GatewayGauges, ""]
 
     def links(self) -> Iterator[GatewayFigures]:
         """The link's counters of each life."""
         yield from self.ended_links
-        if "link" in self.gauges:
-            yield self.gauges["link"]
+        if self.link is not None:
+            yield self.link
 
 
 class Collector:
@@ -403,9 +457,9 @@ class Collector:
             figures = self.processes[name] = ProcessFigures()
         return figures
 
-    def total(self, name: str) -> int:
-        """A counter, over all processes."""
-        return sum(figures.total(name) for figures in self.processes.values())
+    def shown(self, stream: str) -> DisplayCounters:
+        """What the display of a stream has counted of it."""
+        return self.process(self.topology.media(stream).display).total(DisplayCounters, stream)
 
     def handle_message(self, process: str, message: Message, now_ns: int) -> None:
         """A process has told something."""
@@ -424,10 +478,7 @@ class Collector:
         """
         figures = self.process(process)
         figures.handle_end()
-        if error:
-            figures.gauges["last_error"] = error
-        else:
-            figures.gauges.pop("last_error", None)
+        figures.last_error = error or None
 
     def handle_end(self) -> None:
         """The session is over: compare what still waits."""

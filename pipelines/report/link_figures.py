@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
+from pipelines.cores.figures import GatewayCounters, LoopCounters
 from pipelines.report.collector import Collector
 from pipelines.report.model import (
     DirectionReport,
@@ -57,7 +58,7 @@ def link_figures(setup: Setup, collector: Collector, direction: str) -> Directio
         packets_dropped=_sum_tables([life.packets_dropped for life in received]),
         lateness_us=punctuality_us(near.lateness),
         sent_after_us=punctuality_us(near.sending),
-        slips=near.total("slips"),
+        slips=near.total(LoopCounters).slips,
     )
 
 
@@ -121,7 +122,7 @@ def gateway_figures(collector: Collector, end: str) -> GatewayReport:
         supervision=None if last is None else last.supervision,
         radio=None if last is None else _radio(last.radio),
         strangers=stranger_counts(collector, segment),
-        unsent=figures.total("unsent"),
+        unsent=figures.total(GatewayCounters).unsent,
     )
 
 
@@ -131,10 +132,8 @@ def stranger_counts(collector: Collector, segment: Segment) -> dict[str, int]:
     A port is named by what it receives: "radio", "haptic", or the name of a flow.
     """
     topology = collector.topology
-    figures = collector.process(topology.gateway(segment).name)
-    flows = (flow.name for flow in topology.flows(segment.transmits))
-    counts = {name: figures.total(f"strangers_{name}") for name in ("radio", "haptic", *flows)}
-    return {name: count for name, count in sorted(counts.items()) if count}
+    counters = collector.process(topology.gateway(segment).name).total(GatewayCounters)
+    return {name: count for name, count in sorted(counters.strangers.items()) if count}
 
 
 def _radio(path: PathFigures) -> RadioReport:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from kontur_av.clock import NS_PER_S
+from pipelines.cores.figures import LoopCounters
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import fitted_line
 from pipelines.report.link_figures import gateway_figures, link_figures, stranger_counts
@@ -17,7 +18,7 @@ from pipelines.report.model import (
 from pipelines.report.session_report import cpu_report
 from pipelines.setup.table import Setup
 from pipelines.topology import Segment
-from telepresence.link.figures import GatewayFigures, SenderFigures, SupervisionFigures
+from telepresence.link.figures import SenderFigures, SupervisionFigures
 from telepresence.link.profile import LinkProfile
 
 #: The keys of the ledger whose rates stand in a line.
@@ -54,8 +55,8 @@ def build_link_report(
             name: ProcessReport(
                 cpu_s=round(cpu_s[name], 3),
                 restarts=restarts[name],
-                scheduler=collector.process(name).gauges.get("scheduler"),
-                last_error=collector.process(name).gauges.get("last_error"),
+                scheduler=collector.process(name).scheduler,
+                last_error=collector.process(name).last_error,
             )
             for name in cpu_s
         },
@@ -71,7 +72,7 @@ def _failures(
     for end in ends:
         name = collector.topology.gateway(end).name
         if restarts[name]:
-            why = collector.process(name).gauges.get("last_error", "")
+            why = collector.process(name).last_error or ""
             found.append(f"{name}: started again {restarts[name]} times ({why})")
     return found
 
@@ -105,7 +106,7 @@ class LinkView:
 
     def _end(self, collector: Collector, end: Segment, width: int | None) -> str:
         figures = collector.process(collector.topology.gateway(end).name)
-        link: GatewayFigures | None = figures.gauges.get("link")
+        link = figures.link
         if link is None:
             return f"{end.value}: starting"
         up = end is Segment.GROUND
@@ -120,7 +121,7 @@ class LinkView:
         parts = [
             f"{end.value} {state}",
             f"heard {received.frames} frames, {received.frames_lost} lost",
-            f"{figures.total('slips')} slips",
+            f"{figures.total(LoopCounters).slips} slips",
             f"sends kbit/s {levels}",
         ]
         if strangers:

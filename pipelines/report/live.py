@@ -13,17 +13,17 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
 from kontur_av.streams.staleness import State
+from pipelines.cores.figures import DisplayGauges, HapticCounters, ReceptionCounters
 from pipelines.cores.probe import FLUSH_NS
 from pipelines.parts.marking import age_words
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import Column, fitted_line, fitted_table
-from pipelines.report.session_report import displayed_frames, haptic_cap_bps, latency_ms
+from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import silences
 from pipelines.report.summary import NO_SAMPLE
 from pipelines.runtime.launcher import Launcher
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.topology import HapticRow, Segment
-from telepresence.link.figures import GatewayFigures
 
 #: The columns, with the rank by which they are left out on a narrow terminal.
 _COLUMNS = (
@@ -98,10 +98,8 @@ class LiveView:
 
 def first_line(launcher: Launcher, collector: Collector, width: int) -> str:
     """The session's name and time, the link's state, radio and camera, as many of them as fit."""
-    link: GatewayFigures | None = collector.process(
-        collector.topology.gateway(Segment.GROUND).name
-    ).gauges.get("link")
-    camera = collector.process("selector").gauges.get("selected", NO_SAMPLE)
+    link = collector.process(collector.topology.gateway(Segment.GROUND).name).link
+    camera = collector.process("selector").selected or NO_SAMPLE
     state = "starting" if link is None else link.supervision.state
     return fitted_line(
         [
@@ -138,8 +136,8 @@ def _stream_row(
         f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
         Text(f"{largest / 1000:.1f}", "bold red" if figures.above_cap_bps[0] > 0 else "green"),
         f"{stream.cap_bps / 1000:g}",
-        str(displayed_frames(collector, stream.name)),
-        str(receiver.total("rtp_lost")),
+        str(collector.shown(stream.name).frames_displayed),
+        str(receiver.total(ReceptionCounters).rtp_lost),
         NO_SAMPLE if newest is None else f"{newest:.1f}",
         _percentile_ms(figures.latency, 99),
         _age(launcher, collector, stream),
@@ -148,15 +146,15 @@ def _stream_row(
 
 def _haptic_row(launcher: Launcher, collector: Collector, row: HapticRow) -> list[str | Text]:
     figures = collector.haptics[row.key]
-    receiver = collector.process(row.receiver)
+    samples = collector.process(row.receiver).total(HapticCounters)
     profile = launcher.setup.profile(row.direction)
     return [
         f"haptic_{row.key}",
         f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
         "",
         f"{haptic_cap_bps(profile) / 1000:g}",
-        str(receiver.total("received")),
-        str(receiver.total("lost")),
+        str(samples.received),
+        str(samples.lost),
         _percentile_ms(figures.latency, 50),
         _percentile_ms(figures.latency, 99),
         "",
@@ -185,7 +183,7 @@ def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
     lines = [Text(str(silence), "bold red") for silence in silent]
     for name in setup.inputs:
         process = collector.topology.input(name).process
-        fault = collector.process(process).gauges.get("source_fault")
+        fault = collector.process(process).source_fault
         if fault and all(silence.process != process for silence in silent):
             lines.append(Text(f"{process}: {fault}", "yellow"))
     return lines
@@ -215,12 +213,12 @@ def _line(launcher: Launcher, collector: Collector) -> str:
     for stream in launcher.setup.streams:
         figures = collector.streams[stream.name]
         newest = latency_ms(figures)
-        receiver = collector.topology.media(stream.name).receiver
+        receiver = collector.process(collector.topology.media(stream.name).receiver)
         parts.append(
             f"{stream.name} {_last_bps(launcher, figures.rate) / 1000:.1f}"
             f"/{stream.cap_bps / 1000:g} kbit/s "
-            f"{displayed_frames(collector, stream.name)} shown "
-            f"{collector.process(receiver).total('rtp_lost')} lost "
+            f"{collector.shown(stream.name).frames_displayed} shown "
+            f"{receiver.total(ReceptionCounters).rtp_lost} lost "
             f"{NO_SAMPLE if newest is None else f'{newest:.0f}'} ms"
         )
         now_ns = launcher.clock.now_ns()
@@ -228,9 +226,9 @@ def _line(launcher: Launcher, collector: Collector) -> str:
         if state is State.STALE:
             parts[-1] += f" STALE {age_words(age_ns)}"
     for row in collector.topology.haptics:
-        received = collector.process(row.receiver)
+        samples = collector.process(row.receiver).total(HapticCounters)
         parts.append(
-            f"haptic_{row.key} {received.total('received')} received {received.total('lost')} lost "
+            f"haptic_{row.key} {samples.received} received {samples.lost} lost "
             f"{collector.haptics[row.key].latency.percentile(50) / 1e6:.1f} ms"
         )
     parts += map(str, silences(launcher.setup, collector, launcher.clock.now_ns()))
@@ -244,12 +242,11 @@ def _shown_now(
     stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, now_ns: int
 ) -> tuple[State, int]:
     """The state of what is shown of `stream`, and its age in ns (0 if nothing was shown yet)."""
-    reporting = [of for of in collector.processes.values() if f"{stream.name}.age_ns" in of.gauges]
-    if not reporting:
+    display = collector.process(collector.topology.media(stream.name).display)
+    reported = display.gauges(DisplayGauges, stream.name)
+    if reported is None:
         return State.NOTHING, 0
-    figures = max(reporting, key=lambda of: of.told_ns)
-    age_ns = figures.gauges[f"{stream.name}.age_ns"]
-    age_ns += max(0, now_ns - figures.told_ns - _TOLD_AFTER_NS)
+    age_ns = reported.age_ns + max(0, now_ns - display.told_ns - _TOLD_AFTER_NS)
     if age_ns >= setup.stale_after_ns(stream):
         return State.STALE, age_ns
-    return State(figures.gauges[f"{stream.name}.state"]), age_ns
+    return reported.state, age_ns

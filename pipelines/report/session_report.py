@@ -4,6 +4,19 @@ from collections.abc import Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
+from pipelines.cores.figures import (
+    HapticCounters,
+    JoystickGauges,
+    LoopCounters,
+    PortGauges,
+    ProbeCounters,
+    ReceptionCounters,
+    ReceptionGauges,
+    SendingCounters,
+    VideoReceptionCounters,
+    VideoSendingCounters,
+    VoiceReceptionCounters,
+)
 from pipelines.report.collector import Collector, Pauses, StreamFigures
 from pipelines.report.link_figures import gateway_figures, link_figures, punctuality_us
 from pipelines.report.model import (
@@ -24,6 +37,7 @@ from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.topology import HapticRow, Segment
+from telepresence.haptics.figures import JoystickFigures
 from telepresence.link.profile import LinkProfile
 
 
@@ -51,7 +65,7 @@ def build_report(
         haptic={
             row.key: _haptic(row, setup, collector, seconds) for row in collector.topology.haptics
         },
-        joystick=collector.process("joystick").gauges.get("joystick"),
+        joystick=_joystick(collector),
         link={"uplink": uplink, "downlink": link_figures(setup, collector, "downlink")},
         gateways={end: gateway_figures(collector, end) for end in ("ground", "space")},
         # A setup without voices has nothing to compare them with.
@@ -110,43 +124,47 @@ def _stream(
     figures = collector.streams[stream.name]
     sender = collector.process(collector.topology.media(stream.name).sender)
     receiver = collector.process(collector.topology.media(stream.name).receiver)
-    displayed = displayed_frames(collector, stream.name)
-    video = isinstance(stream, VideoStream)
-    gained = sender.counted("gained_bits")
+    sent, received = sender.total(SendingCounters), receiver.counted(ReceptionCounters)
+    video_sent = sender.total(VideoSendingCounters)
+    video = receiver.counted(VideoReceptionCounters)
+    voice = receiver.counted(VoiceReceptionCounters)
+    shown = collector.shown(stream.name)
+    displayed, gained = shown.frames_displayed, video_sent.gained_bits
+    is_video = isinstance(stream, VideoStream)
     return StreamReport(
         cap_bps=stream.cap_bps,
         gained_bps=None if gained is None else round(gained / max(seconds, 1e-9)),
-        gain_changes=sender.counted("gain_changes"),
+        gain_changes=video_sent.gain_changes,
         size=(stream.width, stream.height) if isinstance(stream, VideoStream) else None,
         coded_size=stream.coded_size if isinstance(stream, VideoStream) else None,
         payload_bps_mean=round(figures.rate.octets * 8 / max(seconds, 1e-9)),
         payload_bps_max_1s=round(figures.rate.max_bps(NS_PER_S)),
         payload_bps_max_100ms=round(figures.rate.max_bps(100 * NS_PER_MS)),
-        frames_captured=sender.total("frames_captured"),
-        frames_encoded=sender.total("frames_encoded"),
-        frames_sent=sender.total("frames_sent"),
-        frames_refused=sender.total("frames_refused"),
+        frames_captured=sent.frames_captured,
+        frames_encoded=sent.frames_encoded,
+        frames_sent=sent.frames_sent,
+        frames_refused=sent.frames_refused,
         frames_displayed=displayed,
         displayed_hz=round(displayed / max(seconds, 1e-9), 2),
-        rtp_packets=receiver.counted("rtp_packets"),
-        rtp_lost=receiver.counted("rtp_lost"),
-        rtp_reordered=receiver.counted("rtp_reordered"),
-        rtp_duplicates=receiver.counted("rtp_duplicates"),
-        rtp_late=receiver.counted("rtp_late"),
-        garbage=receiver.counted("garbage"),
-        frames_damaged=receiver.counted("frames_damaged"),
-        frames_concealed=receiver.counted("frames_concealed"),
-        frames_recovered=receiver.counted("frames_recovered"),
-        frames_corrupt=receiver.counted("frames_corrupt"),
-        frames_undated=receiver.counted("frames_undated"),
-        frames_oversized=receiver.counted("frames_oversized"),
-        stale_after_ms=round(setup.stale_after_ns(stream) / NS_PER_MS, 3),
-        stale_ms=_spell_ms(stream.name, "stale", collector),
-        stale_episodes=_spell_episodes(stream.name, "stale", collector),
-        frozen_ms=_spell_ms(stream.name, "frozen", collector) if video else None,
-        frozen_episodes=_spell_episodes(stream.name, "frozen", collector) if video else None,
-        damaged_ms=_spell_ms(stream.name, "damaged", collector) if video else None,
-        damaged_episodes=_spell_episodes(stream.name, "damaged", collector) if video else None,
+        rtp_packets=received.rtp_packets if received else None,
+        rtp_lost=received.rtp_lost if received else None,
+        rtp_reordered=received.rtp_reordered if received else None,
+        rtp_duplicates=received.rtp_duplicates if received else None,
+        rtp_late=received.rtp_late if received else None,
+        garbage=received.garbage if received else None,
+        frames_damaged=video.frames_damaged if video else None,
+        frames_concealed=voice.frames_concealed if voice else None,
+        frames_recovered=voice.frames_recovered if voice else None,
+        frames_corrupt=video.frames_corrupt if video else None,
+        frames_undated=received.frames_undated if received else None,
+        frames_oversized=video.frames_oversized if video else None,
+        stale_after_ms=_ms(setup.stale_after_ns(stream)),
+        stale_ms=_ms(shown.stale_ns),
+        stale_episodes=shown.stale_episodes,
+        frozen_ms=_ms(shown.frozen_ns) if is_video else None,
+        frozen_episodes=shown.frozen_episodes if is_video else None,
+        damaged_ms=_ms(shown.damaged_ns) if is_video else None,
+        damaged_episodes=shown.damaged_episodes if is_video else None,
         latency_ms=_latency_ms(figures),
         pauses_s=_pauses_s(figures.pauses, collector),
         capture_stamp_error_us=round(figures.stamp_error.max / NS_PER_US, 1),
@@ -169,36 +187,42 @@ def _latency_ms(figures: StreamFigures) -> StreamLatency:
     )
 
 
-def displayed_frames(collector: Collector, stream: str) -> int:
-    """Pictures or blocks of sound that reached their display."""
-    return collector.total(f"{stream}.frames_displayed")
+def _ms(value_ns: int) -> float:
+    return round(value_ns / NS_PER_MS, 3)
+
+
+def _joystick(collector: Collector) -> JoystickFigures | None:
+    """A real joystick, as its process has told."""
+    gauges = collector.process("joystick").gauges(JoystickGauges)
+    return None if gauges is None else gauges.joystick
 
 
 def _haptic(row: HapticRow, setup: Setup, collector: Collector, seconds: float) -> HapticReport:
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     profile, figures = setup.profile(row.direction), collector.haptics[row.key]
-    left_out = sender.counted("left_out")
+    sent, received = sender.total(HapticCounters), receiver.total(HapticCounters)
+    left_out, port = sent.left_out, sender.gauges(PortGauges)
     return HapticReport(
         cap_bps=haptic_cap_bps(profile),
-        payload_bps_mean=haptic_bps(profile, receiver.total("received"), seconds),
-        sent=sender.total("sent"),
+        payload_bps_mean=haptic_bps(profile, received.received, seconds),
+        sent=sent.sent,
         left_out=left_out,
         saved_bps=None if left_out is None else haptic_bps(profile, left_out, seconds),
-        received=receiver.total("received"),
-        lost=receiver.total("lost"),
-        late=receiver.total("late"),
-        garbage=receiver.total("garbage"),
+        received=received.received,
+        lost=received.lost,
+        late=received.late,
+        garbage=received.garbage,
         latency_ms=spread_ms(figures.latency),
         pauses_s=_pauses_s(figures.pauses, collector),
         lateness_us=punctuality_us(sender.lateness),
-        slips=sender.total("slips"),
+        slips=sender.total(LoopCounters).slips,
         port=PortReport(
-            energy_in_uj=sender.total("energy_in_uj"),
-            energy_out_uj=sender.total("energy_out_uj"),
-            passivity_acted=sender.total("passivity_acted"),
-            totals_refused=sender.total("totals_refused"),
-            credit_uj=sender.gauges.get("credit_uj"),
-            least_uj=sender.gauges.get("least_uj"),
+            energy_in_uj=sent.energy_in_uj,
+            energy_out_uj=sent.energy_out_uj,
+            passivity_acted=sent.passivity_acted,
+            totals_refused=sent.totals_refused,
+            credit_uj=port.credit_uj if port else None,
+            least_uj=port.least_uj if port else None,
         ),
     )
 
@@ -217,21 +241,21 @@ def _process(
     name: str, cpu_s: float, restarts: int, setup: Setup, collector: Collector
 ) -> ProcessReport:
     figures = collector.process(name)
-    told = figures.gauges.get
+    reception = figures.gauges(ReceptionGauges)
     silent_ns = next(
         (one.silent_ns for one in silences(setup, collector) if one.process == name), 0
     )
     return ProcessReport(
         cpu_s=round(cpu_s, 3),
         restarts=restarts,
-        source_fault=told("source_fault"),
-        scheduler=told("scheduler"),
-        selected=told("selected"),
-        jitter_ns=told("jitter_ns"),
-        playout_delay_ns=told("playout_delay_ns"),
-        last_error=told("last_error"),
+        source_fault=figures.source_fault,
+        scheduler=figures.scheduler,
+        selected=figures.selected,
+        jitter_ns=reception.jitter_ns if reception else None,
+        playout_delay_ns=reception.playout_delay_ns if reception else None,
+        last_error=figures.last_error,
         silent_s=round(silent_ns / NS_PER_S, 1) if silent_ns else None,
-        counts={count: figures.total(count) for count in figures.names()},
+        counts=figures.counts_by_name(),
     )
 
 
@@ -252,7 +276,7 @@ def failures(
         still_ns = stopped_ns(stream, setup, collector)
         heard_ns = signals_ns[collector.topology.media(stream.name).direction.receiver.value]
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
-        if long_enough and displayed_frames(collector, stream.name) == 0:
+        if long_enough and collector.shown(stream.name).frames_displayed == 0:
             found.append(f"{stream.name}: nothing was displayed")
         elif min(still_ns, heard_ns) >= missed_ns(stream) + delay_ns:
             found.append(
@@ -265,18 +289,20 @@ def failures(
         receiver = collector.process(row.receiver)
         heard_ns = signals_ns[row.direction.receiver.value]
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
-        if long_enough and receiver.total("received") == 0:
+        if long_enough and receiver.total(HapticCounters).received == 0:
             found.append(f"haptic_{row.key}: no sample was received")
-        least_uj = collector.process(row.sender).gauges.get("least_uj", 0)
+        port = collector.process(row.sender).gauges(PortGauges)
         # A count of the energy in a sample is rounding.
-        if least_uj < -1:
-            found.append(f"{row.sender}: its port gave out {-least_uj} µJ that nobody had granted")
-    joystick = collector.process("joystick").gauges.get("joystick")
+        if port is not None and port.least_uj < -1:
+            found.append(
+                f"{row.sender}: its port gave out {-port.least_uj} µJ that nobody had granted"
+            )
+    joystick = _joystick(collector)
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")
     found += disagreements(sync_section(setup, collector.sync, media=media))
     for process, told in collector.processes.items():
-        dropped = told.total("probe_values_dropped")
+        dropped = told.total(ProbeCounters).probe_values_dropped
         if dropped:
             found.append(f"{process}: {dropped} values for this report were lost")
     return found
@@ -300,13 +326,3 @@ def latency_ms(figures: StreamFigures) -> float | None:
     """The latency of what was displayed last."""
     newest = figures.last_latency_ns
     return None if newest is None else newest / NS_PER_MS
-
-
-def _spell_ms(stream: str, spell: str, collector: Collector) -> float:
-    """The time (ms) for which `stream` was shown `stale`, `frozen` or `damaged`."""
-    return round(collector.total(f"{stream}.{spell}_ns") / NS_PER_MS, 3)
-
-
-def _spell_episodes(stream: str, spell: str, collector: Collector) -> int:
-    """How many times `stream` began to be shown `stale`, `frozen` or `damaged`."""
-    return collector.total(f"{stream}.{spell}_episodes")

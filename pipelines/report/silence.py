@@ -11,7 +11,6 @@ from pipelines.setup.table import (
     VoiceStream,
 )
 from pipelines.topology import Segment
-from telepresence.link.figures import GatewayFigures
 
 #: A picture or a sound is missed if it does not come for this long and this many periods.
 MISSED_NS = 2 * NS_PER_S
@@ -44,7 +43,7 @@ def silences(setup: Setup, collector: Collector, now_ns: int | None = None) -> l
         silent_ns = figures.silent_ns(now_ns)
         video = setup.kind_of(name) == "video"
         if silent_ns >= _missed_ns(setup.stream_of(name).fps if video else VOICE_PACKETS_PER_S):
-            fault = str(figures.gauges.get("source_fault", ""))
+            fault = figures.source_fault or ""
             found.append(Silence(process, "picture" if video else "sound", silent_ns, fault))
     return found
 
@@ -65,7 +64,7 @@ def signal_ns(segment: str, collector: Collector) -> int:
     hardly a picture can have come whole.
     """
     figures = collector.process(collector.topology.gateway(Segment(segment)).name)
-    link: GatewayFigures | None = figures.gauges.get("link")
+    link = figures.link
     if link is None:
         return _FOR_EVER_NS
     supervision, heard = link.supervision, link.receive
@@ -84,7 +83,7 @@ def stopped_ns(stream: VideoStream | VoiceStream, setup: Setup, collector: Colle
     inputs = collector.topology.media(stream.name).inputs
     if stream.name == setup.uplink_video.name:
         selector = collector.process("selector")
-        camera = selector.gauges.get("selected", setup.cameras[0])
+        camera = selector.selected or setup.cameras[0]
         inputs = collector.topology.camera(camera).inputs
         shown_ns = max(shown_ns, selector.selected_ns)
     longest_ns = 0

@@ -7,6 +7,7 @@ something.
 from collections.abc import Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.figures import CaptureCounters, LoopCounters, SendingCounters
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
 from pipelines.setup.table import Setup, VideoStream
@@ -46,17 +47,17 @@ def find_warnings(
     for name, count in restarts.items():
         figures = collector.process(name)
         if name in loops:
-            scheduler = figures.gauges.get("scheduler", "")
+            loop = figures.total(LoopCounters)
             late_ns = round(figures.lateness.percentile(99)) if figures.lateness.count else 0
             found += loop_warnings(
                 name,
-                cycles=figures.total("cycles"),
-                left_out=figures.total("slips"),
+                cycles=loop.cycles,
+                left_out=loop.slips,
                 late_ns=late_ns,
-                scheduler=scheduler,
+                scheduler=figures.scheduler or "",
             )
         if count:
-            found.append(restart_warning(name, count, figures.gauges.get("last_error", "")))
+            found.append(restart_warning(name, count, figures.last_error or ""))
     free = _free_channel(collector, seconds)
     for stream in setup.streams if media else ():
         if isinstance(stream, VideoStream) and free:
@@ -65,10 +66,10 @@ def find_warnings(
                 fps=stream.fps,
                 seconds=seconds,
                 captured=_captured(stream.name, topology, collector),
-                refused=collector.process(topology.media(stream.name).sender).total(
-                    "frames_refused"
-                ),
-                displayed=collector.total(f"{stream.name}.frames_displayed"),
+                refused=collector.process(topology.media(stream.name).sender)
+                .total(SendingCounters)
+                .frames_refused,
+                displayed=collector.shown(stream.name).frames_displayed,
             )
     return found
 
@@ -130,7 +131,9 @@ def picture_warnings(
 def _captured(stream: str, topology: Topology, collector: Collector) -> int:
     """What the busiest input of a stream captured."""
     processes = (topology.input(name).process for name in topology.media(stream).inputs)
-    return max((collector.process(name).total("captured") for name in processes), default=0)
+    return max(
+        (collector.process(name).total(CaptureCounters).captured for name in processes), default=0
+    )
 
 
 def _free_channel(collector: Collector, seconds: float) -> bool:

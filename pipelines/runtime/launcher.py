@@ -218,7 +218,7 @@ class Launcher:
                 return
             now_ns = self.clock.now_ns()
             message = Message.unpack(data)
-            child.told_error = message.gauges.get("last_error", child.told_error)
+            child.told_error = message.last_error or child.told_error
             self.listener.handle_message(child.row.name, message, now_ns)
 
     def _start(self, child: Child) -> None:
@@ -270,11 +270,11 @@ class Launcher:
             child.run(context, **child.row.arguments)
             context.flush(self.clock.now_ns())
         except BaseException as error:
-            context.probe.gauge("last_error", _one_line(error))
+            context.probe.message.last_error = _one_line(error)
             try:
                 context.flush(self.clock.now_ns())
             except Exception:
-                # Filling in the totals may have failed itself.
+                # Filling in the counters may have failed itself.
                 context.send_figures(self.clock.now_ns())
             return 1
         return 0

@@ -114,7 +114,7 @@ class Context:
                 continue
 
     def on_flush(self, fill: Callable[[], None]) -> None:
-        """Call `fill` before each flush, to put totals and gauges into the probe."""
+        """Call `fill` before each flush, to put counters and gauges into the probe."""
         self._fill.append(fill)
 
     def tick(self, now_ns: int) -> None:
@@ -151,7 +151,7 @@ def become(row: ProcessRow, context: Context) -> None:
     prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])
     if row.priority:
-        context.probe.gauge("scheduler", _take_realtime(libc, row.priority))
+        context.probe.message.scheduler = _take_realtime(libc, row.priority)
 
 
 def _take_realtime(libc: ctypes.CDLL, priority: int) -> str:

@@ -10,6 +10,7 @@ from kontur_av.sources import BLOCK_NS
 from kontur_av.sources.pace import Pace
 from kontur_av.sources.stereo import StereoPairer
 from pipelines.cores.capturing import Capturing
+from pipelines.cores.figures import StereoCounters
 from pipelines.cores.probe import Probe
 from pipelines.setup.table import VOICE_PACKETS_PER_S, Setup
 from pipelines.simulation.agenda import Agenda
@@ -188,5 +189,5 @@ class Stereo:
 
     def tell(self) -> None:
         """Put the counters into the probe."""
-        self._probe.total("paired", self._pairer.paired)
-        self._probe.total("single", self._pairer.single)
+        pairer = self._pairer
+        self._probe.count(StereoCounters(paired=pairer.paired, single=pairer.single))

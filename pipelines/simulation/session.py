@@ -18,6 +18,7 @@ from kontur_av.errors import ConfigError
 from pipelines.cores.choosing import CameraChoice
 from pipelines.cores.console import Console
 from pipelines.cores.ends import make_gateway
+from pipelines.cores.figures import GatewayGauges, LoopCounters
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.cores.probe import FLUSH_NS, Probe
 from pipelines.cores.requests import Request, pack_line
@@ -263,9 +264,8 @@ class Simulation:
         probe = self._probe(self.topology.gateway(segment).name)
 
         def fill() -> None:
-            probe.total("slips", 0)
-            probe.total("cycles", self._slots)
-            probe.gauge("link", gateway.report(self._now_ns))
+            probe.count(LoopCounters(cycles=self._slots))
+            probe.gauge(GatewayGauges(link=gateway.report(self._now_ns)))
 
         self._telling.add(fill)
         return gateway

@@ -1,6 +1,7 @@
 """Figures as a process reports them, for tests of their receivers."""
 
-from pipelines.cores.probe import Series
+from pipelines.cores.figures import Counters
+from pipelines.cores.probe import Message, Series
 
 
 def series(rows, stream=""):
@@ -8,3 +9,14 @@ def series(rows, stream=""):
     told = Series(type(rows[0]), stream)
     told.extend(rows)
     return told
+
+
+def message(*figures, rows=(), stream="", **others):
+    """A message with counters and gauges of `stream`, and with rows of one type or of several."""
+    kinds = dict.fromkeys(map(type, rows))
+    told = [series([row for row in rows if type(row) is kind], stream) for kind in kinds]
+    made = Message(series=told, **others)
+    for one in figures:
+        add = made.count if isinstance(one, Counters) else made.gauge
+        add(one, stream)
+    return made

@@ -26,8 +26,18 @@ from kontur_av.media import (
 from kontur_av.media import AUDIO_PAYLOAD_TYPE as VOICE_PAYLOAD_TYPE
 from kontur_av.rtp.sender import RtpSender
 from kontur_av.streams.lipsync import LAG
+from kontur_av.streams.staleness import State
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
+from pipelines.cores.figures import (
+    CaptureCounters,
+    CaptureGauges,
+    DisplayCounters,
+    DisplayGauges,
+    SendingCounters,
+    VideoReceptionCounters,
+    VoiceReceptionCounters,
+)
 from pipelines.cores.probe import Message
 from pipelines.cores.rows import ShownRow
 from pipelines.parts.capture import run_microphone
@@ -65,7 +75,7 @@ def running(session, part, **arguments):
         with suppress(BlockingIOError):
             while data := ours.recv(1 << 20):
                 message = Message.unpack(data)
-                reported.totals.update(message.totals)
+                reported.counters.update(message.counters)
                 reported.gauges.update(message.gauges)
                 reported.series += message.series
         return reported
@@ -74,7 +84,7 @@ def running(session, part, **arguments):
     thread.start()
     try:
         # The first report comes when its sockets and topics are open.
-        eventually(lambda: listen().totals or None)
+        eventually(lambda: listen().counters or None)
         yield listen
     finally:
         context.stopping = True
@@ -110,10 +120,10 @@ def rtp_sender(payload_type, clock_rate_hz):
 def test_an_input_reports_its_last_capture(session):
     begin_ns = CLOCK.now_ns()
     with running(session, run_microphone, name="ground_mic") as listen:
-        eventually(lambda: listen().totals["captured"] or None)
+        eventually(lambda: listen().counters[CaptureCounters, ""].captured or None)
     reported = listen()
-    assert begin_ns <= reported.gauges["captured_ns"] <= CLOCK.now_ns()
-    assert reported.totals["source_faults"] == 0
+    assert begin_ns <= reported.gauges[CaptureGauges, ""].captured_ns <= CLOCK.now_ns()
+    assert reported.counters[CaptureCounters, ""].source_faults == 0
 
 
 def test_concealed_sound_is_not_displayed(session):
@@ -127,12 +137,12 @@ def test_concealed_sound_is_not_displayed(session):
         for number, quality in enumerate([fresh, concealed, concealed, fresh]):
             stamp = CaptureStamp(CLOCK.now_ns(), number, stream.name, quality, number)
             writer.publish_audio(AudioFrame(SOUND, stamp))
-        counter = f"{stream.name}.frames_displayed"
-        eventually(lambda: listen().totals[counter] == 2 or None)
+        shown = DisplayCounters, stream.name
+        eventually(lambda: listen().counters[shown].frames_displayed == 2 or None)
     reported = listen()
-    assert reported.totals[counter] == 2
-    shown = [row for series in reported.series if series.kind is ShownRow for row in series.rows()]
-    assert [row.timestamp for row in shown] == [0, 3]
+    assert reported.counters[shown].frames_displayed == 2
+    rows = [row for series in reported.series if series.kind is ShownRow for row in series.rows()]
+    assert [row.timestamp for row in rows] == [0, 3]
 
 
 def test_a_stale_picture_is_marked_on_the_display_and_nowhere_else(session):
@@ -174,16 +184,17 @@ def test_a_stale_picture_is_marked_on_the_display_and_nowhere_else(session):
         with lag.latest() as lease:
             displayed_ns, latency_ns = LAG.unpack(lease.octets())
         assert displayed_ns - latency_ns == captured_ns
-        eventually(lambda: listen().gauges.get(f"{stream.name}.state") == "stale" or None)
+        key = DisplayGauges, stream.name
+        eventually(lambda: listen().gauges[key].state is State.STALE or None)
         stamp = CaptureStamp(CLOCK.now_ns(), 8, stream.name, Quality.DAMAGED, 8)
         writer.publish_video(VideoFrame(picture, stamp))
         assert shown(False) == stamp
     reported = listen()
-    assert reported.totals[f"{stream.name}.stale_episodes"] >= 1
-    assert reported.totals[f"{stream.name}.stale_ns"] > 0
-    assert reported.totals[f"{stream.name}.frozen_ns"] > reported.totals[f"{stream.name}.stale_ns"]
-    assert reported.totals[f"{stream.name}.damaged_ns"] > 0
-    assert reported.gauges[f"{stream.name}.age_ns"] > 0
+    counters = reported.counters[DisplayCounters, stream.name]
+    assert counters.stale_episodes >= 1
+    assert counters.frozen_ns > counters.stale_ns > 0
+    assert counters.damaged_ns > 0
+    assert reported.gauges[key].age_ns > 0
 
 
 def test_a_gap_in_a_voice_is_concealed_and_marked(session):
@@ -235,9 +246,9 @@ def test_a_gap_in_a_voice_is_concealed_and_marked(session):
         else:
             pytest.fail(f"they were never told apart: {heard}")
     assert all(heard.get(number) != own for number in heard if number % 10 in (lost, spoilt))
-    reported = listen().totals
-    assert reported["frames_concealed"] >= 2
-    assert reported["frames_decoded"] <= 8 * (rounds + 1)
+    reported = listen().counters[VoiceReceptionCounters, ""]
+    assert reported.frames_concealed >= 2
+    assert reported.frames_decoded <= 8 * (rounds + 1)
 
 
 @pytest.mark.parametrize("size", [(2560, 1440), (2560, 1444)])
@@ -266,14 +277,15 @@ def test_pictures_of_the_setups_size_are_shown_and_larger_ones_counted(session, 
                 udp.sendto(report, (LOOPBACK, topology.exit_port(f"{stream.name}_rtcp")))
             for packet in packets:
                 udp.sendto(packet, (LOOPBACK, topology.exit_port(stream.name)))
-        eventually(lambda: listen().totals["frames_decoded"] == 3 or None)
+        key = VideoReceptionCounters, ""
+        eventually(lambda: listen().counters[key].frames_decoded == 3 or None)
         lease = reader.latest()
         if size == (stream.width, stream.height):
             with lease:
                 assert (lease.width, lease.height) == size
         else:
             assert lease is None
-    assert listen().totals["frames_oversized"] == (0 if lease else 3)
+    assert listen().counters[key].frames_oversized == (0 if lease else 3)
 
 
 def test_an_encoder_that_fails_ends_its_process(session, monkeypatch):
@@ -319,13 +331,16 @@ def test_nothing_is_encoded_while_the_link_is_behind(session):
         backlog = bus.writer("link/uplink", max_octets=BACKLOG_OCTETS, wake=False)
         numbers = iter(range(10_000))
 
+        def counters():
+            return listen().counters[SendingCounters, ""]
+
         def counted(counter, more_than):
             def look():
                 picture = empty_picture(stream.width, stream.height)
                 picture[:] = 128
                 stamp = CaptureStamp(CLOCK.now_ns(), next(numbers), "static")
                 pictures.publish_video(VideoFrame(picture, stamp))
-                return listen().totals if listen().totals[counter] > more_than else None
+                return counters() if getattr(counters(), counter) > more_than else None
 
             return eventually(look)
 
@@ -336,5 +351,5 @@ def test_nothing_is_encoded_while_the_link_is_behind(session):
         ):
             stamp = CaptureStamp(CLOCK.now_ns(), 0, "gateway")
             backlog.publish_octets(Backlog(waiting_octets, 1, True, 0).pack(), stamp)
-            totals = counted(counter, listen().totals[counter] + 5)
-            assert other is None or totals[other] == 0
+            totals = counted(counter, getattr(counters(), counter) + 5)
+            assert other is None or getattr(totals, other) == 0

@@ -5,6 +5,7 @@ import socket
 import pytest
 
 from kontur_av.clock import MonotonicClock
+from pipelines.cores.figures import LoopCounters, PortGauges, ProbeCounters
 from pipelines.cores.probe import FLUSH_NS, Message
 from pipelines.cores.rows import LatenessRow, RxRow
 from pipelines.runtime.process import LOOPBACK, Context
@@ -49,7 +50,7 @@ def test_rows_that_a_full_socket_refuses_are_sent_later(link):
             theirs.send(b"full")
     lateness = context.probe.series(LatenessRow)
     lateness.add(LatenessRow(7))
-    context.probe.gauge("state", "well")
+    context.probe.gauge(PortGauges(credit_uj=1, least_uj=0))
     context.send_figures(0)
     with pytest.raises(BlockingIOError):
         while True:
@@ -58,7 +59,7 @@ def test_rows_that_a_full_socket_refuses_are_sent_later(link):
     context.send_figures(1)
     message = received(ours)
     assert message.series[0].rows() == [LatenessRow(7), LatenessRow(8)]
-    assert message.gauges == {"state": "well"}
+    assert message.gauges[PortGauges, ""].credit_uj == 1
 
 
 def test_a_launcher_that_does_not_read_delays_nothing_and_loses_whole_rows(link):
@@ -69,7 +70,7 @@ def test_a_launcher_that_does_not_read_delays_nothing_and_loses_whole_rows(link)
     for number in range(60_000):
         arrivals.add(RxRow(number, -number))
         if number % 500 == 499:
-            context.probe.total("rows", number + 1)
+            context.probe.count(LoopCounters(cycles=number + 1))
             context.send_figures(number)
     seen = []
     with pytest.raises(BlockingIOError):
@@ -78,10 +79,11 @@ def test_a_launcher_that_does_not_read_delays_nothing_and_loses_whole_rows(link)
     context.send_figures(60_000)
     message = received(ours)
     seen += [row for series in message.series for row in series.rows()]
-    assert message.totals["rows"] == 60_000
+    assert message.counters[LoopCounters, ""].cycles == 60_000
     # A row arrives whole or not at all, and every missing one is counted.
     assert all(row.received_ns == -row.timestamp for row in seen)
-    assert 0 < message.totals["probe_values_dropped"] == 2 * (60_000 - len(seen))
+    dropped = message.counters[ProbeCounters, ""].probe_values_dropped
+    assert 0 < dropped == 2 * (60_000 - len(seen))
 
 
 def test_a_closed_launcher_is_no_error(link):

@@ -2,6 +2,7 @@
 
 import pytest
 
+from pipelines.cores.figures import DisplayCounters, HapticCounters, PortGauges, ProbeCounters
 from pipelines.cores.probe import FLUSH_NS, Message, Probe, Series
 from pipelines.cores.rows import LatenessRow, RxRow, ShownRow
 
@@ -13,22 +14,26 @@ def told(probe, now_ns):
     return message, [(one.kind, one.stream, one.rows()) for one in message.series]
 
 
-def test_totals_are_repeated_and_rows_are_sent_once():
+def test_counters_are_repeated_and_rows_are_sent_once():
     probe = Probe()
-    probe.total("sent", 4)
-    probe.gauge("state", "well")
+    sent, port = HapticCounters(sent=4, left_out=0), PortGauges(credit_uj=-5, least_uj=7)
+    probe.count(sent)
+    probe.gauge(port)
+    shown_count = DisplayCounters(frames_displayed=1)
+    probe.count(shown_count, "uplink_video")
     arrivals, shown = probe.series(RxRow), probe.series(ShownRow, "uplink_video")
     arrivals.add(RxRow(1, -3))
     shown.add(ShownRow(7, 8, 9))
     message, rows = told(probe, 0)
-    assert (message.totals, message.gauges) == ({"sent": 4}, {"state": "well"})
+    counters = {(HapticCounters, ""): sent, (DisplayCounters, "uplink_video"): shown_count}
+    assert (message.counters, message.gauges) == (counters, {(PortGauges, ""): port})
     assert rows == [
         (RxRow, "", [RxRow(1, -3)]),
         (ShownRow, "uplink_video", [ShownRow(7, 8, 9)]),
     ]
     arrivals.extend([RxRow(2, 4), RxRow(3, 5)])
     message, rows = told(probe, 1)
-    assert message.totals == {"sent": 4}
+    assert message.counters == counters
     assert rows == [(RxRow, "", [RxRow(2, 4), RxRow(3, 5)])]
 
 
@@ -66,4 +71,4 @@ def test_rows_without_a_reader_are_kept_for_a_while_and_dropped_whole():
     arrivals.add(RxRow(5, -5))
     message, rows = told(probe, 2)
     assert rows == [(RxRow, "", [RxRow(5, -5)])]
-    assert message.totals["probe_values_dropped"] == 20_002
+    assert message.counters[ProbeCounters, ""].probe_values_dropped == 20_002

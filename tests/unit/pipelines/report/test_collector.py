@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from told import series
+from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.figures import (
+    CaptureGauges,
+    GatewayCounters,
+    GatewayGauges,
+    HapticCounters,
+    LoopCounters,
+)
 from pipelines.cores.probe import Message
 from pipelines.cores.rows import (
     OutRow,
@@ -28,9 +35,9 @@ SESSION = topology_of(BUILT_IN["spacejustin"])
 START_NS = 1_000 * NS_PER_S
 
 
-def tell(collector, process, now_ns, *rows, stream="", totals=None, gauges=None):
-    message = Message(totals or {}, gauges or {}, [series(rows, stream)] if rows else [])
-    collector.handle_message(process, Message.unpack(message.pack()), now_ns)
+def tell(collector, process, now_ns, *rows, stream="", figures=()):
+    told = message(*figures, rows=rows, stream=stream)
+    collector.handle_message(process, Message.unpack(told.pack()), now_ns)
 
 
 def ms(*values):
@@ -145,19 +152,36 @@ def test_percentiles_of_a_signed_skew_equal_those_of_its_values(values):
 
 
 def test_the_counts_of_a_restarted_process_are_added():
+    def count(slips, strangers, frames):
+        link = SimpleNamespace(transmit=SimpleNamespace(frames=frames))
+        figures = LoopCounters(slips=slips), GatewayCounters(strangers=strangers)
+        figures = *figures, GatewayGauges(link=link)
+        tell(collector, "ground_gateway", START_NS, figures=figures)
+
     collector = Collector(SESSION)
-    link = SimpleNamespace(transmit=SimpleNamespace(frames=10))
-    tell(collector, "ground_gateway", START_NS, totals={"slips": 5}, gauges={"link": link})
-    tell(collector, "ground_gateway", START_NS, totals={"slips": 7}, gauges={"link": link})
+    count(5, {}, 4)
+    count(7, {"radio": 2}, 10)
     figures = collector.process("ground_gateway")
-    assert figures.total("slips") == 7
+    assert figures.total(LoopCounters).slips == 7
     figures.handle_end()
-    assert figures.total("slips") == 7
-    newer = SimpleNamespace(transmit=SimpleNamespace(frames=3))
-    tell(collector, "ground_gateway", START_NS, totals={"slips": 2}, gauges={"link": newer})
-    assert figures.total("slips") == 9
+    assert figures.total(LoopCounters).slips == 7
+    assert figures.link is None
+    count(2, {"radio": 1, "haptic": 4}, 3)
+    assert figures.total(LoopCounters).slips == 9
+    assert figures.total(GatewayCounters).strangers == {"radio": 3, "haptic": 4}
     assert [life.transmit.frames for life in figures.links()] == [10, 3]
-    assert figures.total("never counted") == 0
+    assert figures.counted(HapticCounters) is None
+    assert figures.total(HapticCounters).received == 0
+
+
+def test_a_gauge_that_a_new_life_does_not_know_yet_keeps_its_value():
+    collector = Collector(SESSION)
+    first = CaptureGauges(captured_ns=START_NS, source_fault="a pause")
+    tell(collector, "camera_head", START_NS, figures=[first])
+    collector.process("camera_head").handle_end()
+    tell(collector, "camera_head", START_NS, figures=[CaptureGauges(source_fault="a gap")])
+    figures = collector.process("camera_head")
+    assert (figures.captured_ns, figures.source_fault) == (START_NS, "a gap")
 
 
 CAP_BPS = 90_000

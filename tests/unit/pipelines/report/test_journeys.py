@@ -3,10 +3,9 @@
 from itertools import permutations
 
 import pytest
-from told import series
+from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.probe import Message
 from pipelines.cores.rows import (
     CodingRow,
     DecodedRow,
@@ -25,9 +24,7 @@ PERIOD_MS = 40
 
 def tell(collector, process, *rows, stream=""):
     """A message with rows of one type or of several; values in ms are converted to ns."""
-    kinds = dict.fromkeys(map(type, rows))
-    told = [series([row for row in rows if type(row) is kind], stream) for kind in kinds]
-    collector.handle_message(process, Message({}, {}, told), 10 * NS_PER_S)
+    collector.handle_message(process, message(rows=rows, stream=stream), 10 * NS_PER_S)
 
 
 def ns(*values_ms):

@@ -2,8 +2,10 @@
 
 import re
 
+from told import message
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.probe import Message
+from pipelines.cores.figures import GatewayCounters, GatewayGauges, LoopCounters
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.model import GatewayReport, LinkReport, from_json, to_json
@@ -50,8 +52,9 @@ class Link:
                     pass
             self.now_ns += NS_PER_MS
         for end, core in self.ends.items():
-            message = Message({"slips": 2}, {"link": core.report(self.now_ns)})
-            self.collector.handle_message(f"{end.value}_gateway", message, self.now_ns)
+            gauges = GatewayGauges(link=core.report(self.now_ns))
+            told = message(LoopCounters(slips=2), gauges)
+            self.collector.handle_message(f"{end.value}_gateway", told, self.now_ns)
 
     def report(self, ends=ENDS, restarts=0):
         names = [f"{end.value}_gateway" for end in ends]
@@ -91,7 +94,8 @@ def test_rates_cover_the_time_since_the_previous_line():
 def test_the_summary_shows_the_figures_of_the_report():
     link = Link()
     link.run(400, haptics)
-    link.collector.process("ground_gateway").totals["strangers_radio"] = 4
+    told = message(GatewayCounters(strangers={"radio": 4, "haptic": 0}))
+    link.collector.handle_message("ground_gateway", told, link.now_ns)
     report = from_json(to_json(link.report()), LinkReport)
     assert report == link.report()
     for direction, octets in (("uplink", 32), ("downlink", 500)):

@@ -4,10 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
-from told import series
+from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.probe import Message
+from kontur_av.streams.staleness import State
+from pipelines.cores.figures import CaptureGauges, DisplayCounters, DisplayGauges
 from pipelines.cores.rows import OutRow, SampleReceivedRow
 from pipelines.report.collector import Collector
 from pipelines.report.live import _age, _inputs, _line, first_line, streams_table
@@ -40,11 +41,9 @@ def table_of(launcher):
 def test_the_shown_rate_is_that_of_the_last_second(launcher):
     # 80 kbit/s in seconds 0 and 1, then 40 kbit/s; reported up to half a second ago.
     rows = [OutRow(k * 10 * NS_PER_MS, 100 if k < 200 else 50, 90_000) for k in range(951)]
-    message = Message({}, {}, [series(rows)])
-    launcher.collector.handle_message("uplink_video_send", message, 9 * NS_PER_S)
+    launcher.collector.handle_message("uplink_video_send", message(rows=rows), 9 * NS_PER_S)
     felt = [SampleReceivedRow(k % 65536, k * NS_PER_MS) for k in range(8501, 9501)]
-    message = Message({}, {}, [series(felt)])
-    launcher.collector.handle_message("joystick", message, 9 * NS_PER_S)
+    launcher.collector.handle_message("joystick", message(rows=felt), 9 * NS_PER_S)
     assert "uplink_video 40.0/90 kbit/s" in _line(launcher, launcher.collector)
     table = table_of(launcher)
     (video,) = [line for line in table.splitlines() if "uplink_video" in line]
@@ -60,9 +59,9 @@ def test_each_stream_is_shown_with_its_age_and_state(launcher):
     (stream,) = SETUP.streams
 
     def shown(state, age_ms, told_s):
-        gauges = {f"{stream.name}.age_ns": age_ms * NS_PER_MS, f"{stream.name}.state": state}
+        gauges = DisplayGauges(age_ns=age_ms * NS_PER_MS, state=State(state))
         launcher.collector.handle_message(
-            "space_display", Message({}, gauges), round(told_s * NS_PER_S)
+            "space_display", message(gauges, stream=stream.name), round(told_s * NS_PER_S)
         )
         return _age(launcher, launcher.collector, stream)
 
@@ -82,12 +81,12 @@ def test_each_stream_is_shown_with_its_age_and_state(launcher):
 
 def test_an_input_without_pictures_is_shown_with_its_fault(launcher):
     told = {
-        "camera_left": {"captured_ns": 7 * NS_PER_S, "source_fault": "the writer has gone"},
-        "camera_right": {"captured_ns": 9 * NS_PER_S, "source_fault": "garbage in the pipe"},
-        "camera_static": {"captured_ns": 9 * NS_PER_S},
+        "camera_left": CaptureGauges(captured_ns=7 * NS_PER_S, source_fault="the writer has gone"),
+        "camera_right": CaptureGauges(captured_ns=9 * NS_PER_S, source_fault="garbage in the pipe"),
+        "camera_static": CaptureGauges(captured_ns=9 * NS_PER_S),
     }
     for process, gauges in told.items():
-        launcher.collector.handle_message(process, Message({}, gauges), 9 * NS_PER_S)
+        launcher.collector.handle_message(process, message(gauges), 9 * NS_PER_S)
     silent = "camera_left: no picture for 3 s (the writer has gone)"
     lines = [(line.plain, str(line.style)) for line in _inputs(launcher, launcher.collector)]
     assert lines == [
@@ -101,8 +100,8 @@ def test_an_input_without_pictures_is_shown_with_its_fault(launcher):
 def test_no_name_and_no_number_is_cut_at_any_width(launcher, width):
     launcher.setup = BUILT_IN["spacejustin"]
     launcher.collector = Collector(topology_of(launcher.setup))
-    totals = {"uplink_video.frames_displayed": 1234567890}
-    launcher.collector.handle_message("space_display", Message(totals, {}), 9 * NS_PER_S)
+    shown = message(DisplayCounters(frames_displayed=1234567890), stream="uplink_video")
+    launcher.collector.handle_message("space_display", shown, 9 * NS_PER_S)
     console = Console(width=width)
     with console.capture() as capture:
         console.print(streams_table(launcher, launcher.collector, width))

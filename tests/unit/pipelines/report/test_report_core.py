@@ -5,10 +5,22 @@ from types import SimpleNamespace
 
 from hypothesis import given
 from hypothesis import strategies as st
-from told import series
+from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.probe import Message
+from pipelines.cores.figures import (
+    CaptureCounters,
+    CaptureGauges,
+    DisplayCounters,
+    GatewayCounters,
+    GatewayGauges,
+    HapticCounters,
+    ProbeCounters,
+    ReceptionCounters,
+    ReceptionGauges,
+    SelectorGauges,
+    SendingCounters,
+)
 from pipelines.cores.rows import OutRow, ShownRow
 from pipelines.report.collector import Collector
 from pipelines.report.link_figures import ledger_percent, link_figures
@@ -30,16 +42,22 @@ def told(octets_a_packet=300, displayed=30, received=1000):
     cap_bps = SETUP.uplink_video.cap_bps
     out = [OutRow(k * 33 * NS_PER_MS, octets_a_packet, cap_bps) for k in range(30)]
     totals = {
-        "uplink_video_send": {"frames_captured": 31, "frames_encoded": 30, "frames_sent": 30},
-        "uplink_video_receive": {"rtp_packets": 30, "rtp_lost": 0, "garbage": 2},
-        "space_display": {"uplink_video.frames_displayed": displayed},
-        "robot": {"sent": 1000, "received": received, "lost": 0},
-        "joystick": {"sent": 1000, "received": received, "lost": 1},
+        "uplink_video_send": SendingCounters(frames_captured=31, frames_encoded=30, frames_sent=30),
+        "uplink_video_receive": ReceptionCounters(rtp_packets=30, garbage=2),
+        "robot": HapticCounters(sent=1000, received=received),
+        "joystick": HapticCounters(sent=1000, received=received, lost=1),
     }
-    for process, values in totals.items():
-        rows = [series(out)] if process == "uplink_video_send" else []
-        collector.handle_message(process, Message(values, {}, rows), NS_PER_S)
+    for process, counters in totals.items():
+        rows = out if process == "uplink_video_send" else ()
+        collector.handle_message(process, message(counters, rows=rows), NS_PER_S)
+    show(collector, NS_PER_S, displayed)
     return collector
+
+
+def show(collector, now_ns, displayed, *rows):
+    counters = DisplayCounters(frames_displayed=displayed)
+    told = message(counters, rows=rows, stream="uplink_video")
+    collector.handle_message("space_display", told, now_ns)
 
 
 def report_of(collector, seconds=5.0):
@@ -90,12 +108,9 @@ def hearing(collector, since_ns, *, signal=True):
         ContactFigures(acquired_ns=since_ns - 1000, connected_ns=None, lost_ns=None),
     ]
     supervision = SimpleNamespace(signal=signal, begun_ns=1000, contacts=contacts)
-    link = {
-        "link": SimpleNamespace(
-            supervision=supervision, receive=SimpleNamespace(frames=0, frames_lost=0)
-        )
-    }
-    collector.handle_message("space_gateway", Message({}, link), 9 * NS_PER_S)
+    heard = SimpleNamespace(frames=0, frames_lost=0)
+    gauges = GatewayGauges(link=SimpleNamespace(supervision=supervision, receive=heard))
+    collector.handle_message("space_gateway", message(gauges), 9 * NS_PER_S)
     return collector
 
 
@@ -127,14 +142,20 @@ def test_the_mean_rate_covers_the_whole_session():
 
 def test_every_count_of_a_process_is_reported():
     collector = told()
-    totals = {"captured": 100, "source_faults": 2}
-    collector.handle_message("robot", Message(totals, {"jitter_ns": 7}), NS_PER_S)
+    first = CaptureCounters(captured=100, source_faults=2), ReceptionGauges(jitter_ns=7)
+    collector.handle_message("robot", message(*first, scheduler="fifo"), NS_PER_S)
+    strangers = GatewayCounters(strangers={"radio": 3, "haptic": 0})
+    collector.handle_message("robot", message(strangers), NS_PER_S)
     collector.process("robot").handle_end()
-    collector.handle_message("robot", Message({"captured": 1}, {}), NS_PER_S)
+    collector.handle_message("robot", message(CaptureCounters(captured=1)), NS_PER_S)
     entry = report_of(collector).processes["robot"]
     assert entry.counts["captured"] == 101
     assert entry.counts["source_faults"] == 2
-    assert entry.jitter_ns == 7
+    assert entry.counts["strangers_radio"] == 3
+    assert {"strangers_haptic", "left_out"}.isdisjoint(entry.counts), "none, and no such counter"
+    assert (entry.jitter_ns, entry.scheduler) == (7, "fifo")
+    display = report_of(collector, 5.0).processes["space_display"]
+    assert display.counts["uplink_video.frames_displayed"] == 30
 
 
 def test_the_counts_of_a_killed_gateway_are_kept():
@@ -157,8 +178,8 @@ def test_the_counts_of_a_killed_gateway_are_kept():
         gateway.handle_slot(now_ns)  # supervision's
         gateway.handle_slot(now_ns)
         later_ns = now_ns + NS_PER_S
-        message = Message({}, {"link": gateway.report(later_ns)})
-        collector.handle_message("ground_gateway", message, later_ns)
+        told_now = message(GatewayGauges(link=gateway.report(later_ns)))
+        collector.handle_message("ground_gateway", told_now, later_ns)
         collector.process("ground_gateway").handle_end()
         last = gateway.report(later_ns).transmit.queue["video"]
     link = report_of(collector).link["uplink"]
@@ -171,15 +192,15 @@ def test_the_counts_of_a_killed_gateway_are_kept():
 
 def test_a_report_that_lacks_values_is_a_failure():
     collector = told()
-    collector.handle_message("space_display", Message({"probe_values_dropped": 60}), NS_PER_S)
+    lost = ProbeCounters(probe_values_dropped=60)
+    collector.handle_message("space_display", message(lost), NS_PER_S)
     (failure,) = failures(SETUP, collector, 5.0)
     assert failure == "space_display: 60 values for this report were lost"
 
 
 def test_a_negative_latency_is_a_failure():
     collector = told()
-    shown = [series([ShownRow(1, 2 * NS_PER_S, NS_PER_S)], "uplink_video")]
-    collector.handle_message("space_display", Message({}, {}, shown), NS_PER_S)
+    show(collector, NS_PER_S, 30, ShownRow(1, 2 * NS_PER_S, NS_PER_S))
     (failure,) = failures(SETUP, collector, 5.0)
     assert failure == "uplink_video: 1 latencies below 0 (capture_to_displayed)"
 
@@ -189,12 +210,10 @@ def run_on(collector, *, shown_until_s, captured_until_s, seconds=8, camera="lef
     for half in range(1, 2 * seconds + 1):
         now_ns = half * NS_PER_S // 2
         captured_ns = min(now_ns, round(captured_until_s * NS_PER_S))
-        gauges = {"captured_ns": captured_ns}
-        collector.handle_message(f"camera_{camera}", Message({}, gauges), now_ns)
+        gauges = CaptureGauges(captured_ns=captured_ns)
+        collector.handle_message(f"camera_{camera}", message(gauges), now_ns)
         if now_ns <= shown_until_s * NS_PER_S:
-            shown = [series([ShownRow(half, now_ns - NS_PER_MS, now_ns)], "uplink_video")]
-            totals = {"uplink_video.frames_displayed": half}
-            collector.handle_message("space_display", Message(totals, {}, shown), now_ns)
+            show(collector, now_ns, half, ShownRow(half, now_ns - NS_PER_MS, now_ns))
     return collector
 
 
@@ -212,15 +231,15 @@ def test_a_stream_whose_input_stopped_is_no_failure():
     collector = run_on(told(), shown_until_s=3, captured_until_s=3)
     assert failures(SETUP, collector, 8.0) == []
     # It is no failure either if the input has just returned.
-    gauges = {"captured_ns": 8 * NS_PER_S}
-    collector.handle_message("camera_left", Message({}, gauges), 8 * NS_PER_S)
+    gauges = CaptureGauges(captured_ns=8 * NS_PER_S)
+    collector.handle_message("camera_left", message(gauges), 8 * NS_PER_S)
     assert failures(SETUP, collector, 8.0) == []
 
 
 def test_a_stream_is_judged_by_the_camera_that_is_selected():
     def select(collector, camera, at_s):
-        message = Message({}, {"selected": camera})
-        collector.handle_message("selector", message, round(at_s * NS_PER_S))
+        gauges = SelectorGauges(selected=camera)
+        collector.handle_message("selector", message(gauges), round(at_s * NS_PER_S))
         return collector
 
     setup = BUILT_IN["spacejustin"]
@@ -240,8 +259,9 @@ def test_a_stream_is_judged_by_the_camera_that_is_selected():
 
 def test_an_input_that_stopped_is_named():
     collector = run_on(told(), shown_until_s=3, captured_until_s=3)
-    fault = {"source_fault": "the writer has gone"}
-    collector.handle_message("camera_left", Message({}, fault), 8 * NS_PER_S)
+    # The camera was restarted, and has captured nothing since.
+    fault = CaptureGauges(source_fault="the writer has gone")
+    collector.handle_message("camera_left", message(fault), 8 * NS_PER_S)
     (silence,) = silences(SETUP, collector)
     assert str(silence) == "camera_left: no picture for 5 s (the writer has gone)"
     (silence,) = silences(SETUP, collector, 10 * NS_PER_S)
@@ -262,7 +282,8 @@ def test_an_input_that_stopped_is_named():
 def test_an_input_that_never_delivered_is_named():
     collector = told()
     for now_ns in (NS_PER_S, 4 * NS_PER_S):
-        collector.handle_message("camera_left", Message({"captured": 0}), now_ns)
+        told_now = message(CaptureCounters(), CaptureGauges())
+        collector.handle_message("camera_left", told_now, now_ns)
     (silence,) = silences(SETUP, collector)
     assert str(silence) == "camera_left: no picture for 3 s"
 
