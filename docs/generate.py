@@ -17,8 +17,9 @@ from pathlib import Path
 
 import griffe
 
-from pipelines.report.keys import keys_tables
-from pipelines.report.model import SessionReport
+from pipelines.bench.result import Headline
+from pipelines.report.keys import counters_table, keys_tables
+from pipelines.report.model import LinkReport, SessionReport
 from pipelines.setup.setup_file import load_setup
 from pipelines.topology import tables, topology_of
 
@@ -222,6 +223,9 @@ def topology_blocks() -> dict[str, str]:
         "ports": tables.ports_table(session).markdown(),
         "channels": channels.markdown(),
         "report": keys_tables(SessionReport),
+        "link report": keys_tables(LinkReport, without=SessionReport),
+        "headlines": keys_tables(Headline),
+        "counts": counters_table(),
     }
 
 

@@ -14,19 +14,19 @@ Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | Non
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Headline:
-    """One figure of a run for the page of measurements.
+    """One figure of a run for the page of measurements."""
 
-    group: the table that it stands in. who: the column, where several things are compared.
-    value: in `unit`; None if this run could not measure it. target: in words, empty for none;
-    met: whether `value` reaches the target, None without a target.
-    """
-
+    #: The table that it stands in.
     group: str = ""
     what: str
+    #: The column, where several things are compared.
     who: str = ""
     unit: str
+    #: In `unit`; null if this run could not measure it.
     value: float | None
+    #: In words; empty for none.
     target: str = ""
+    #: Whether the value reaches the target; null without a target.
     met: bool | None = None
 
 

@@ -5,9 +5,11 @@ import inspect
 import re
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import msgspec
+
+from pipelines.cores import figures
 
 _UNITS = {
     "ns": "ns",
@@ -28,10 +30,13 @@ _UNITS = {
 _WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "true or false"}
 
 
-def keys_tables(kind: type) -> str:
+def keys_tables(kind: type, *, without: type | None = None) -> str:
     """A table for `kind` and one for each type below it, in the order in which they come."""
+    listed = [] if without is None else _types_below(without)
     parts = []
     for one in _types_below(kind):
+        if one in listed:
+            continue
         rows = ["| key | type | unit | what |", "|---|---|---|---|"]
         rows += [
             f"| `{key}` | {words} | {unit} | {what} |" for key, words, unit, what in _rows(one)
@@ -39,6 +44,21 @@ def keys_tables(kind: type) -> str:
         summary = inspect.getdoc(one) or ""
         parts.append(f"**{one.__name__}**: {summary.splitlines()[0]}\n\n" + "\n".join(rows))
     return "\n\n".join(parts) + "\n"
+
+
+def counters_table() -> str:
+    """A table of all counters, by the names that they have in a report."""
+    rows = ["| of | count | unit | what |", "|---|---|---|---|"]
+    for kind in vars(figures).values():
+        if not isinstance(kind, type) or kind.__base__ is not figures.Counters:
+            continue
+        described, of = comments(kind), (inspect.getdoc(kind) or "").splitlines()[0]
+        prefix = "STREAM." if kind is figures.DisplayCounters else ""
+        for name, hint in typing.get_type_hints(kind).items():
+            suffix = "_PORT" if typing.get_origin(hint) is Mapping else ""
+            rows.append(f"| {of} | `{prefix}{name}{suffix}` | {_unit(name)} | {described[name]} |")
+            of = ""
+    return "\n".join(rows) + "\n"
 
 
 def comments(kind: type) -> dict[str, str]:

@@ -16,6 +16,7 @@ from pipelines.report.model import (
     ProcessReport,
 )
 from pipelines.report.session_report import cpu_report
+from pipelines.report.warnings import find_loop_warnings
 from pipelines.setup.table import Setup
 from pipelines.topology import Segment
 from telepresence.link.figures import SenderFigures, SupervisionFigures
@@ -61,6 +62,8 @@ def build_link_report(
             for name in cpu_s
         },
         failures=_failures(collector, ends, restarts),
+        # A restart is a failure of the link already.
+        warnings=[warning for name in cpu_s for warning in find_loop_warnings(collector, name)],
     )
 
 
@@ -153,6 +156,8 @@ def summary_lines(report: LinkReport) -> list[str]:
     cpu = report.cpu
     lines.append(f"CPU: {cpu.total_s:.1f} s, {cpu.cores_used:.2f} of a core")
     lines += [f"failed: {failure}" for failure in report.failures]
+    for warning in report.warnings:
+        lines.append(f"warning: {warning.where}: {warning.measured}; {warning.mend}")
     return lines
 
 

@@ -6,7 +6,6 @@ field whose default is None is left out of the JSON when it has no value.
 """
 
 import json
-from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
@@ -539,6 +538,8 @@ class LinkReport(Report, frozen=True, kw_only=True):
     processes: dict[str, ProcessReport]
     #: What went wrong by the project's own measure; with any, the exit code is 1.
     failures: list[str]
+    #: What made the link worse than it has to be, with what mends it.
+    warnings: list[Warning]
 
 
 class FigureReport(Report, frozen=True, kw_only=True):
@@ -610,8 +611,3 @@ def to_json(report: object) -> str:
 def from_json(text: str | bytes, kind: type[AnyReport]) -> AnyReport:
     """The report in `text`; msgspec.ValidationError if it is none of this `kind`."""
     return msgspec.json.decode(text, type=kind)
-
-
-def read_report(path: Path, kind: type[AnyReport]) -> AnyReport:
-    """The report in the file `path`."""
-    return from_json(path.read_bytes(), kind)

@@ -42,22 +42,12 @@ def find_warnings(
     restarts: of each process that ran. media: False if the session had no streams.
     """
     topology = collector.topology
-    loops = {row.name for row in topology.processes if row.priority == LOOP_PRIORITY}
     found = []
     for name, count in restarts.items():
-        figures = collector.process(name)
-        if name in loops:
-            loop = figures.total(LoopCounters)
-            late_ns = round(figures.lateness.percentile(99)) if figures.lateness.count else 0
-            found += loop_warnings(
-                name,
-                cycles=loop.cycles,
-                left_out=loop.slips,
-                late_ns=late_ns,
-                scheduler=figures.scheduler or "",
-            )
+        found += find_loop_warnings(collector, name)
         if count:
-            found.append(restart_warning(name, count, figures.last_error or ""))
+            last_error = collector.process(name).last_error or ""
+            found.append(restart_warning(name, count, last_error))
     free = _free_channel(collector, seconds)
     for stream in setup.streams if media else ():
         if isinstance(stream, VideoStream) and free:
@@ -72,6 +62,21 @@ def find_warnings(
                 displayed=collector.shown(stream.name).frames_displayed,
             )
     return found
+
+
+def find_loop_warnings(collector: Collector, process: str) -> list[Warning]:
+    """The warnings of a process if it is a loop of 1 kHz."""
+    if collector.topology.process(process).priority != LOOP_PRIORITY:
+        return []
+    figures = collector.process(process)
+    loop = figures.total(LoopCounters)
+    return loop_warnings(
+        process,
+        cycles=loop.cycles,
+        left_out=loop.slips,
+        late_ns=round(figures.lateness.percentile(99)) if figures.lateness.count else 0,
+        scheduler=figures.scheduler or "",
+    )
 
 
 def loop_warnings(

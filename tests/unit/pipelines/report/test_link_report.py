@@ -53,7 +53,7 @@ class Link:
             self.now_ns += NS_PER_MS
         for end, core in self.ends.items():
             gauges = GatewayGauges(link=core.report(self.now_ns))
-            told = message(LoopCounters(slips=2), gauges)
+            told = message(LoopCounters(slips=2, cycles=1000), gauges)
             self.collector.handle_message(f"{end.value}_gateway", told, self.now_ns)
 
     def report(self, ends=ENDS, restarts=0):
@@ -136,6 +136,24 @@ def test_one_end_alone_reports_its_own_half():
     text = "\n".join(summary_lines(report))
     assert "downlink received: 0 frames lost" in text
     assert "failed: ground_gateway: started again 1 times" in text
+
+
+def test_a_loop_that_left_out_cycles_is_a_warning_with_its_mend():
+    link = Link()
+    link.run(100)
+    assert link.report().warnings == []
+    starved = message(LoopCounters(slips=50, cycles=950), scheduler="fifo")
+    link.collector.handle_message("ground_gateway", starved, link.now_ns)
+    unprivileged = message(LoopCounters(slips=50, cycles=950), scheduler="other")
+    link.collector.handle_message("space_gateway", unprivileged, link.now_ns)
+    report = from_json(to_json(link.report()), LinkReport)
+    assert [(one.what, one.where) for one in report.warnings] == [
+        ("cycles_left_out", "ground_gateway"),
+        ("cycles_left_out", "space_gateway"),
+    ]
+    lines = [line for line in summary_lines(report) if line.startswith("warning: ")]
+    assert "faster machine" in lines[0] and "real-time priority" in lines[1]
+    assert report.failures == [], "a warning does not change the exit code"
 
 
 def test_an_end_that_never_ran_has_a_report():
