@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TypeAlias
 
 from pipelines.report.model import Report, to_builtins
-from pipelines.report.report_file import write_report
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 
@@ -76,20 +75,6 @@ def as_json(value: object, *, digits: int | None = None) -> Json:
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"{type(value).__name__} has no JSON form")
-
-
-def write_result(
-    path: Path | None, result: object, headlines: Sequence[Headline], *, digits: int | None = None
-) -> None:
-    """Write `result`, a dataclass or a mapping, and its `headlines` as one JSON object.
-
-    path: None writes nothing.
-    """
-    if path is None:
-        return
-    body = as_json(result, digits=digits)
-    assert isinstance(body, dict)
-    write_report(path, {**body, "headlines": as_json(headlines, digits=6)})
 
 
 class JsonReader:

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
-from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
-from kontur_av.sources.source import BLOCK_NS
+from kontur_av.media import BLOCK_NS, I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
 from pipelines.cores.probe import Probe
 from pipelines.cores.rows import ClickRow, LightRow
 

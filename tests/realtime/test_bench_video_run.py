@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from pipelines.bench.video.contenders import DEFAULT, OURS, missing
+from pipelines.bench.video.contenders import missing
+from pipelines.bench.video.targets import DEFAULT, OURS
 from pipelines.cli import main
 
 pytestmark = pytest.mark.realtime

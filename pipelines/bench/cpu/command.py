@@ -14,7 +14,7 @@ import pipelines
 from kontur_av.errors import ConfigError
 from pipelines.bench.console import open_console
 from pipelines.bench.cpu.figures import CpuResult, CpuRun, headlines, middle, read_run
-from pipelines.bench.result import write_result
+from pipelines.bench.result_file import write_result
 from pipelines.bench.session import live_report
 from pipelines.commands.session_options import add_setup_argument
 from pipelines.report.report_file import check_writable

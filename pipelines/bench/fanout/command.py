@@ -24,7 +24,8 @@ from pipelines.bench.console import open_console
 from pipelines.bench.fanout.gstreamer import ShmSinkWay, lacking
 from pipelines.bench.fanout.run import PICTURES_HZ, FanOut, fan_out
 from pipelines.bench.fanout.ways import HEIGHT, WIDTH, QueueWay, TopicWay, Way
-from pipelines.bench.result import Headline, Percentiles, spread, write_result
+from pipelines.bench.result import Headline, Percentiles, spread
+from pipelines.bench.result_file import write_result
 from pipelines.report.report_file import check_writable
 
 _READERS = (1, 4, 8, 16)

@@ -18,7 +18,8 @@ from pipelines.bench.haptics.grid import processors, run_grid
 from pipelines.bench.haptics.map import StabilityMap
 from pipelines.bench.haptics.plan import plan
 from pipelines.bench.haptics.run import run_cell
-from pipelines.bench.result import Headline, Json, as_json, write_result
+from pipelines.bench.result import Headline, Json, as_json
+from pipelines.bench.result_file import write_result
 from pipelines.report.report_file import check_writable
 
 _GRIDS = {"small": small_grid, "full": full_grid}

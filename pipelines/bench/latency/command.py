@@ -21,7 +21,8 @@ from pipelines.bench.latency.runs import (
     virtual_run,
 )
 from pipelines.bench.latency.targets import MEANT_FOR, LatencyVerdict, judge
-from pipelines.bench.result import Headline, Json, JsonReader, write_result
+from pipelines.bench.result import Headline, Json, JsonReader
+from pipelines.bench.result_file import write_result
 from pipelines.bench.session import live_session
 from pipelines.commands.session_options import (
     add_deadband_argument,

@@ -25,7 +25,8 @@ from pipelines.bench.link.virtual import (
     header_octets,
     voice_waits,
 )
-from pipelines.bench.result import Headline, Json, Percentiles, as_json, spread, write_result
+from pipelines.bench.result import Headline, Json, Percentiles, as_json, spread
+from pipelines.bench.result_file import write_result
 from pipelines.report.report_file import check_writable
 from pipelines.setup.setup_file import load_setup
 from telepresence.link.profile import DOWNLINK, UPLINK

@@ -27,7 +27,7 @@ from pipelines.bench.passes.figures import (
     table_rows,
 )
 from pipelines.bench.passes.run import Result, SessionPlan, run_sessions
-from pipelines.bench.result import write_result
+from pipelines.bench.result_file import write_result
 from pipelines.commands.session_options import (
     add_radio_argument,
     add_setup_argument,

@@ -17,7 +17,8 @@ from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
 from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
-from pipelines.bench.result import Headline, Json, JsonReader, as_json, write_result
+from pipelines.bench.result import Headline, Json, JsonReader, as_json
+from pipelines.bench.result_file import write_result
 from pipelines.bench.session import live_session
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
 from pipelines.commands.session_options import radio_change

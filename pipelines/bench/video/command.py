@@ -22,13 +22,14 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
-from pipelines.bench.result import Headline, Json, as_json, write_result
+from pipelines.bench.result import Headline, Json, as_json
+from pipelines.bench.result_file import write_result
 from pipelines.bench.video.clips import FOOTAGE, SCENE, Clip, clips
-from pipelines.bench.video.contenders import CONTENDERS, ContenderError, missing
+from pipelines.bench.video.contenders import ContenderError, missing
 from pipelines.bench.video.figures import ContenderFigures
 from pipelines.bench.video.marks import NUMBERS, check_width
 from pipelines.bench.video.run import TrialTerms, measure
-from pipelines.bench.video.targets import NARROW, WIDE, VideoVerdict, judge
+from pipelines.bench.video.targets import CONTENDERS, NARROW, WIDE, VideoVerdict, judge
 from pipelines.report.report_file import check_writable
 
 _WIDE_KBPS = (512.0, 530.0)

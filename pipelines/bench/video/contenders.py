@@ -15,9 +15,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.rtp.sdp import parse_sdp, write_sdp
 from pipelines.bench.ports import open_udp_ports
-
-OURS, DEFAULT, TUNED = "kontur-av", "gst-default", "gst-tuned"
-CONTENDERS = (OURS, DEFAULT, TUNED)
+from pipelines.bench.video.targets import DEFAULT, OURS, TUNED
 
 _NEEDED = ("x264enc", "avdec_h264", "rtph264pay", "rtph264depay", "y4mdec", "y4menc")
 _ENCODERS = {

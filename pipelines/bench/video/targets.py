@@ -3,8 +3,11 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pipelines.bench.video.contenders import OURS, TUNED
 from pipelines.bench.video.figures import ContenderFigures
+
+#: The contenders: this project, and two encoders of GStreamer.
+OURS, DEFAULT, TUNED = "kontur-av", "gst-default", "gst-tuned"
+CONTENDERS = (OURS, DEFAULT, TUNED)
 
 #: From the figures of a contender to the value that counts.
 _Value = Callable[[ContenderFigures], float]

@@ -14,7 +14,8 @@ from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.sources.source import BLOCK_NS
 from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
-from pipelines.bench.result import Headline, Percentiles, spread, write_result
+from pipelines.bench.result import Headline, Percentiles, spread
+from pipelines.bench.result_file import write_result
 from pipelines.bench.voice.gstreamer import Peer, listen_live, missing
 from pipelines.bench.voice.network import BURST_PACKETS, Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track, pesq_is_there, quality, speech_track

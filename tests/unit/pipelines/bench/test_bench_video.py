@@ -12,7 +12,6 @@ from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, planes
 from pipelines.bench.video.channel import ThinChannel, rtp_payload_octets
 from pipelines.bench.video.clips import mirrored, scene
-from pipelines.bench.video.contenders import DEFAULT, OURS, TUNED
 from pipelines.bench.video.figures import ContenderFigures, largest_bps, percentiles, shown
 from pipelines.bench.video.marks import (
     NUMBERS,
@@ -23,7 +22,7 @@ from pipelines.bench.video.marks import (
     read_number,
 )
 from pipelines.bench.video.quality import BEST_DB, QualityMeans, psnr_db, ssim, summarise
-from pipelines.bench.video.targets import NARROW, WIDE, judge
+from pipelines.bench.video.targets import DEFAULT, NARROW, OURS, TUNED, WIDE, judge
 from pipelines.cli import main
 
 MS, S = 1_000_000, 1_000_000_000
