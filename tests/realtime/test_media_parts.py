@@ -185,7 +185,8 @@ def test_a_stale_picture_is_marked_on_the_display_and_nowhere_else(session):
             displayed_ns, latency_ns = LAG.unpack(lease.octets())
         assert displayed_ns - latency_ns == captured_ns
         key = DisplayGauges, stream.name
-        eventually(lambda: listen().gauges[key].state is State.STALE or None)
+        # There is no such gauge before the first picture.
+        eventually(lambda: getattr(listen().gauges.get(key), "state", None) is State.STALE or None)
         stamp = CaptureStamp(CLOCK.now_ns(), 8, stream.name, Quality.DAMAGED, 8)
         writer.publish_video(VideoFrame(picture, stamp))
         assert shown(False) == stamp
