@@ -11,11 +11,19 @@ _TURNAROUND_NS = 200 * NS_PER_MS
 
 
 def make_gateway(
-    topology: Topology, segment: Segment, *, life: int, seed: int, epoch_ns: int, now_ns: int
+    topology: Topology,
+    segment: Segment,
+    *,
+    life: int,
+    secret: int,
+    seed: int,
+    epoch_ns: int,
+    now_ns: int,
 ) -> Gateway:
     """The core of one end, with the radio on its way out.
 
     life: 1 to 65535; another value tells the peer that this end has restarted.
+    secret: a random number, by which the peer's answers are known; nobody else may know it.
     seed, epoch_ns: the seed and the start of the radio; the same at both ends.
     """
     setup = topology.setup
@@ -28,6 +36,7 @@ def make_gateway(
         receive_flows=topology.flows(back),
         master=segment is Segment.GROUND,
         life=life,
+        secret=secret,
         now_ns=now_ns,
         radio=setup.radio_path(transmit, seed=seed, epoch_ns=epoch_ns),
         timing=_timing(setup),

@@ -40,6 +40,7 @@ def run_gateway(
         context.topology,
         segment,
         life=1 + secrets.randbelow(0xFFFF),
+        secret=secrets.randbits(128),
         seed=context.seed,
         epoch_ns=context.started_ns,
         now_ns=clock.now_ns(),

@@ -257,6 +257,7 @@ class Simulation:
             self.topology,
             segment,
             life=self._random(segment.value).randint(1, 0xFFFF),
+            secret=self._random(f"{segment.value} secret").getrandbits(128),
             seed=self._seed,
             epoch_ns=_START_NS,
             now_ns=_START_NS,

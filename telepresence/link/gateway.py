@@ -29,7 +29,7 @@ from telepresence.link.receiver import (
     LinkEvent,
     LinkReceiver,
     PacketReceived,
-    SupervisionReceived,
+    StrangerFrame,
 )
 from telepresence.link.sender import LinkSender
 from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
@@ -37,12 +37,13 @@ from telepresence.link.supervision.events import (
     ApplicationReset,
     ContextsHeld,
     PeerDeaf,
+    PeerDoubted,
     PeerHears,
     PeerMet,
     SignalAcquired,
     SignalLost,
 )
-from telepresence.link.supervision.supervisor import Supervisor
+from telepresence.link.supervision.supervisor import Encounter, Supervisor
 
 #: Longest wait of a packet while the peer may not hear it. It keeps old packets from being sent
 #: after a loss of signal. It suffices for the last packet of a large picture, because the peer may
@@ -66,6 +67,7 @@ class Gateway:
     transmit_flows, receive_flows: flow tables; at the peer they are exchanged.
     master: whether this end configures the other; exactly one of the two does.
     life: 1 to 65535, a new one at each start of the gateway.
+    secret: seed of the numbers by which the peer proves that it is there (`Supervisor`).
     now_ns: the instant at which it starts; its local check has passed by then.
     radio: path of the outgoing frames; by default they leave at once.
     limits: queue limits by level, where they differ from the defaults.
@@ -85,12 +87,14 @@ class Gateway:
         radio: RadioPath | None = None,
         limits: Mapping[Level, QueueLimits] | None = None,
         timing: SupervisionTiming | None = None,
+        secret: int = 0,
     ) -> None:
         # A life that continued the counts of another one would seem to share its contexts.
         self.sender = LinkSender(
             transmit, transmit_flows, limits=limits, first_count=life << LIFE_SHIFT
         )
         self.receiver = LinkReceiver(receive, receive_flows)
+        self.receiver.cautious = True
         self.radio = RadioPath() if radio is None else radio
         self.supervisor = Supervisor(
             master=master,
@@ -103,6 +107,7 @@ class Gateway:
             life=life,
             now_ns=now_ns,
             timing=timing,
+            secret=secret,
         )
         #: How often the peer was found, or found to hear this end again. It may not understand what
         #: refers to anything before the latest time.
@@ -114,7 +119,6 @@ class Gateway:
         self._slot = 0
         #: Number of slots without a sample among the latest `COUNTED_SLOTS`; 0 at the start.
         self.free_slots = 0
-        self._restarts = 0
         # The peer has not been heard yet.
         self.sender.set_patience(LOST_PATIENCE_NS)
         self.sender.handle_peer(heard=False)
@@ -140,9 +144,9 @@ class Gateway:
         """Take a frame from the other segment."""
         receiver, supervisor = self.receiver, self.supervisor
         if not receiver.handle_frame(frame, now_ns):
-            return
-        if receiver.restarts != self._restarts:
-            self._handle_restart(now_ns)
+            stranger = receiver.stranger
+            if stranger is None or not self._meet(stranger, now_ns):
+                return
         was_silent = not supervisor.signal
         supervisor.handle_frame(now_ns)
         if was_silent:
@@ -195,18 +199,15 @@ class Gateway:
             self._follow_supervision()
         return None
 
-    def _handle_restart(self, now_ns: int) -> None:
-        """The frame count began again, so the sender is unknown until its first message."""
-        self._restarts = self.receiver.restarts
-        self.supervisor.handle_restart(now_ns)
-        messages = []
-        while (event := self.receiver.next_event()) is not None:
-            if isinstance(event, SupervisionReceived):
-                messages.append(event)
+    def _meet(self, stranger: StrangerFrame, now_ns: int) -> bool:
+        """Take a frame of another stream; return whether it is the peer's from now on."""
+        message, frames, lasts_ns = stranger
+        found = self.supervisor.handle_stranger(message, now_ns, frames=frames, lasts_ns=lasts_ns)
         self._follow_supervision()
-        for message in messages:
-            self.supervisor.handle_message(message.message, now_ns)
-        self._follow_supervision()
+        if found is Encounter.IGNORE:
+            return False
+        self.receiver.follow_stranger(new_life=found is Encounter.RESTART)
+        return True
 
     def _follow_supervision(self) -> None:
         """Apply the events of supervision to sender and receiver."""
@@ -230,6 +231,8 @@ class Gateway:
             elif isinstance(event, PeerHears):
                 self._count_contact(event.now_ns)
                 sender.set_patience(None)
+            elif isinstance(event, PeerDoubted):
+                receiver.leave()
             elif isinstance(event, PeerMet):
                 sender.forget_contexts()
                 receiver.forget_contexts()

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.compression.header_compression import RtpDecompressor
 from telepresence.link.compression.rtp_forms import KIND_CONTEXT, KIND_RAW
 from telepresence.link.figures import ReceiverFigures
@@ -26,13 +26,22 @@ from telepresence.link.frame import (
 )
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
 
-#: A frame at most this far behind is late or repeated; one farther behind is from a new life.
+#: A frame at most this far behind is late or repeated; farther behind it is of another stream.
 _LATE_FRAMES = 32
-#: After this many late frames in a row, assume that the peer restarted with a slightly lower count.
-_LATE_RUN = 4
-#: After this many implausible frame counts in a row, assume a new life of the peer. A single one is
-#: more likely a bit error that the FECF did not detect.
-_STRAY_RUN = 2
+#: A frame of the stream comes at most this much before the time that the frames before it predict,
+#: and after a silence this share of it more: the delay may have become shorter.
+_EARLY_NS = 20 * NS_PER_MS
+_EARLY_SHIFT = 7
+#: It comes at most this much later, and after a silence this share of it more: either end may have
+#: left out slots.
+_BEHIND_NS = NS_PER_S
+_BEHIND_SHIFT = 2
+#: After this long without a frame the count alone says too little: the window above is too wide.
+_LONGEST_SILENCE_NS = 60 * NS_PER_S
+#: A stream without a frame for this long is over; then another can be the stranger.
+_STRANGER_SILENCE_NS = 50 * NS_PER_MS
+#: The expected arrival leaks by this share of a slot, so that it follows a growing delay.
+_LEAK_SHIFT = 7
 
 _new_event = tuple.__new__
 
@@ -65,6 +74,42 @@ class SupervisionReceived(NamedTuple):
 LinkEvent = HapticReceived | PacketReceived | SupervisionReceived
 
 
+class StrangerFrame(NamedTuple):
+    """A good frame of a stream that the receiver does not follow.
+
+    message: its supervision message, or None.
+    frames, lasts_ns: of the stranger's stream so far, without a break; 0 if the frame is not of it.
+    """
+
+    message: bytes | None
+    frames: int
+    lasts_ns: int
+
+
+def _skipped(skipped: int, slot_ns: int, now_ns: int, *, due_ns: int, last_ns: int) -> int | None:
+    """Return `skipped` frames if a stream can have them before a frame at `now_ns`, else None.
+
+    due_ns: when the next frame of the stream was expected. last_ns: when its last one came.
+    """
+    silence_ns = now_ns - last_ns
+    early_ns = due_ns + skipped * slot_ns - now_ns
+    behind_ns = silence_ns - (skipped + 1) * slot_ns
+    if (
+        early_ns <= _EARLY_NS + (silence_ns >> _EARLY_SHIFT)
+        and behind_ns <= _BEHIND_NS + (silence_ns >> _BEHIND_SHIFT)
+        and silence_ns <= _LONGEST_SILENCE_NS
+    ):
+        return skipped
+    return None
+
+
+def _add(counts: dict[str, int], reason: str, number: int) -> None:
+    """Add to a count; a reason without any has no entry."""
+    counts[reason] = counts.get(reason, 0) + number
+    if not counts[reason]:
+        del counts[reason]
+
+
 class _Partial:
     """A packet whose end has not arrived yet."""
 
@@ -81,14 +126,22 @@ class LinkReceiver:
 
     It never raises because of data from the peer; invalid data is counted by reason and dropped.
 
+    It follows one stream of frames. A frame belongs to it if its count is ahead of the last one and
+    fits the time that has passed. All other frames are dropped; `stranger` shows the latest, and
+    `follow_stranger` changes to its stream.
+
     profile, flows: the direction and its flow table, as at the other end.
     deliver: while False, samples and packets are dropped and counted as `unapproved`.
+    cautious: the first frame begins no stream; only `follow_stranger` does.
+    stranger: the last frame handled, if it is good but not of the stream; else None.
     """
 
     def __init__(self, profile: LinkProfile, flows: Sequence[Flow]) -> None:
         self.profile = profile
         self.flows = check_flows(flows)
         self.deliver = True
+        self.cautious = False
+        self.stranger: StrangerFrame | None = None
         self._parse = FrameCodec(profile).parse
         self._pointers = Pointers(profile)
         self._idle = self._pointers.idle
@@ -104,18 +157,25 @@ class LinkReceiver:
         self.events: deque[LinkEvent] = deque()
         self._partials: list[_Partial | None] = [None] * len(Level)
         self._on_air: int | None = None
-        #: The last frame's count, without the wraps of its 24 bits; -1 before the first.
-        self._count = -1
+        #: The last frame's count, without the wraps of its 24 bits.
+        self._count = 0
+        #: The next count of the stream, -1 without a stream; when its frame is expected, by the
+        #: earliest arrivals; when the last one came.
         self._next24 = -1
+        self._begun = False
+        self._due_ns = 0
         self._last_ns = 0
-        #: The latest run of late or stray frames: the last good frame's count, the next count of
-        #: the run, and its length.
-        self._unexpected_run = (-1, -1, 0)
+        self._slot_ns = profile.slot_ns
+        self._step_ns = profile.slot_ns + (profile.slot_ns >> _LEAK_SHIFT)
+        #: Handles a stranger's stream, so that its contexts are known if it is followed.
+        self._other: LinkReceiver | None = None
+        #: The one to follow if asked to: it has handled the stranger's last frame.
+        self._candidate: LinkReceiver | None = None
+        self._reason = "stray"
+        self._begun_ns = 0
         self.frames_received = 0
         self.frames_lost = 0
         self.restarts = 0
-        #: Number of lives of the peer so far.
-        self.meetings = 0
         self.haptic_received = 0
         self.haptic_unapproved = 0
         self.supervision_received = 0
@@ -133,10 +193,19 @@ class LinkReceiver:
             self._drop_frame(parsed)
             return False
         count24, sample, pointer, zone = parsed
+        self.stranger = None
+        due_ns = self._due_ns
         if count24 == self._next24:
             self._count += 1
-        elif not self._follow(count24, now_ns):
+        elif (skipped := self._find_skipped(count24, now_ns)) is None:
+            self._handle_stranger(frame, count24, now_ns)
             return False
+        else:
+            self.frames_lost += skipped
+            self._drop_partials()
+            self._count += skipped + 1
+            due_ns = self._due_ns + skipped * self._slot_ns
+        self._due_ns = (now_ns if now_ns < due_ns else due_ns) + self._step_ns
         self._next24 = count24 + 1 & COUNT_MASK
         self._last_ns = now_ns
         self.frames_received += 1
@@ -181,43 +250,110 @@ class LinkReceiver:
         """The next event in the order of reception, or None. Call until None."""
         return self.events.popleft() if self.events else None
 
-    def _follow(self, count24: int, now_ns: int) -> bool:
-        """Handle a frame count that is not the next one; return whether to use the frame."""
-        last = self._count
-        if last < 0:
-            self.meetings = 1
-            self._count = count24
-        else:
-            ahead = count24 - last & COUNT_MASK
-            late = ahead == 0 or COUNT_MODULUS - ahead < _LATE_FRAMES
-            if late or (count24 and not self._plausible(ahead, now_ns)):
-                continues = self._unexpected_run[:2] == (last, count24)
-                run = self._unexpected_run[2] + 1 if continues else 1
-                self._unexpected_run = last, count24 + 1, run
-                if ahead == 0 or run < (_LATE_RUN if late else _STRAY_RUN):
-                    self._drop_frame("late" if late else "stray")
-                    return False
-                self._restart(count24)
-            elif count24 == 0:
-                # A sender without `first_count` begins at 0 after a restart.
-                self._restart(count24)
-            else:
-                self.frames_lost += ahead - 1
-                self._drop_partials()
-                self._count = last + ahead
-        return True
+    def follow_stranger(self, *, new_life: bool) -> None:
+        """Follow the stream of `stranger`, and take what its frame carries.
 
-    def _plausible(self, ahead: int, now_ns: int) -> bool:
-        """Whether enough time for `ahead` slots has passed since the last frame."""
-        elapsed_ns = now_ns - self._last_ns
-        return ahead * self.profile.slot_ns <= 2 * elapsed_ns + NS_PER_S
-
-    def _restart(self, count24: int) -> None:
-        self.restarts += 1
-        self.meetings += 1
+        new_life: another life of the peer sends it, with contexts of its own.
+        """
+        other = self._candidate
+        if other is None:
+            return
+        self._other = self._candidate = self.stranger = None
+        self._count_dropped(other, -1)
         self._drop_partials()
-        self.forget_contexts()
-        self._count = count24
+        ahead = other._count - self._count & COUNT_MASK
+        if new_life:
+            self.restarts += self._begun
+            self._count = other._count
+            self._decompressors = other._decompressors
+            self._note_contexts()
+        elif ahead < COUNT_MODULUS >> 1:
+            self.frames_lost += max(0, ahead - 1)
+            self._count += ahead
+        else:
+            self._count += ahead - COUNT_MODULUS
+        self._begun = True
+        self._partials, self._on_air = other._partials, other._on_air
+        self._next24, self._due_ns = other._next24, other._due_ns
+        self._last_ns = other._last_ns
+        self.frames_received += 1
+        for event in other.events:
+            if isinstance(event, SupervisionReceived):
+                self.supervision_received += 1
+            elif not self.deliver:
+                self._count_unapproved(event, 1)
+                continue
+            elif isinstance(event, HapticReceived):
+                self.haptic_received += 1
+            else:
+                self.packets_received[self.flows.index(event.flow)] += 1
+            self.events.append(event)
+
+    def leave(self) -> None:
+        """Follow no stream until `follow_stranger`."""
+        self._drop_partials()
+        self._next24 = -1
+
+    def _find_skipped(self, count24: int, now_ns: int) -> int | None:
+        """Return how many frames of the stream are missing before this one.
+
+        None if it does not belong to the stream.
+        """
+        if self._next24 < 0:
+            if self.cautious:
+                return None
+            self._begun, self._begun_ns = True, now_ns
+            self._count, self._next24 = count24 - 1, count24
+            # The first frame sets the time of all others.
+            self._due_ns = now_ns
+            return 0
+        return _skipped(
+            count24 - self._next24 & COUNT_MASK,
+            self._slot_ns,
+            now_ns,
+            due_ns=self._due_ns,
+            last_ns=self._last_ns,
+        )
+
+    def _handle_stranger(self, frame: bytes, count24: int, now_ns: int) -> None:
+        """Drop a frame that is not of the stream, and note it if it may be of another one."""
+        late = 0 < self._next24 - count24 & COUNT_MASK <= _LATE_FRAMES
+        self._reason = "late" if late and self._next24 >= 0 else "stray"
+        other = self._other
+        if other is None or now_ns - other._last_ns >= _STRANGER_SILENCE_NS:
+            other = self._other = LinkReceiver(self.profile, self.flows)
+        other.events.clear()
+        message = self._message(frame)
+        frames = lasts_ns = 0
+        if other.handle_frame(frame, now_ns):
+            frames, lasts_ns = other.frames_received, now_ns - other._begun_ns
+        elif message is not None:
+            # It is of yet another stream, which its message may prove.
+            other = LinkReceiver(self.profile, self.flows)
+            other.handle_frame(frame, now_ns)
+        self._candidate = other
+        self._count_dropped(other, 1)
+        self.stranger = StrangerFrame(message, frames, lasts_ns)
+
+    def _message(self, frame: bytes) -> bytes | None:
+        """Return the supervision message of a good frame, or None."""
+        parsed = self._parse(frame)
+        if isinstance(parsed, str) or parsed[2] != self._pointers.supervision:
+            return None
+        return parsed[3][:SUPERVISION_OCTETS]
+
+    def _count_dropped(self, other: "LinkReceiver", frames: int) -> None:
+        """Count the frame that the stranger sent as dropped: 1; or as taken after all: -1."""
+        _add(self.frames_dropped, self._reason, frames)
+        if self._next24 < 0:
+            for event in other.events:
+                self._count_unapproved(event, frames)
+
+    def _count_unapproved(self, event: LinkEvent, events: int) -> None:
+        if isinstance(event, HapticReceived):
+            self.haptic_unapproved += events
+        elif isinstance(event, PacketReceived):
+            _add(self.packets_dropped, "unapproved", events)
 
     def _note_contexts(self) -> None:
         self._context_ids = tuple(

@@ -20,7 +20,7 @@ class VirtualLink:
     uplink_flows, downlink_flows: what each segment may send to the other.
     up, down: the radio paths; without one a frame arrives at the instant of its sending.
     limits: queue limits by level, where they differ from the defaults.
-    seed: determines the life numbers of the two gateways.
+    seed: determines the life numbers and the secrets of the two gateways.
 
     Pass packets and samples to `ground` and `space` at `now_ns`, or at any instant before the next
     slot, then call `step`. The slots of both segments begin at the same instants.
@@ -52,6 +52,7 @@ class VirtualLink:
             limits=limits,
             master=True,
             life=1 + seed % 0xFFFF,
+            secret=2 * seed,
             now_ns=start_ns,
         )
         self.space = Gateway(
@@ -63,6 +64,7 @@ class VirtualLink:
             limits=limits,
             master=False,
             life=1 + (seed + 1) % 0xFFFF,
+            secret=2 * seed + 1,
             now_ns=start_ns,
         )
 

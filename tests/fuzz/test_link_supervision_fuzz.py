@@ -89,9 +89,10 @@ def test_mutated_messages():
         for _ in range(random.choice((1, 1, 2, 12))):
             message[random.randrange(12)] ^= 1 << random.randrange(8)
         victim.handle_message(bytes(message), now_ns)
+        assert sum(isinstance(event, StateChanged) for event in drain(victim)) <= 1
         sent += victim.poll_transmit(now_ns) is not None
-        changes = [event for event in drain(victim) if isinstance(event, StateChanged)]
-        assert len(changes) <= 1
+        # No application data comes, so a link that a message connected may be reset at once.
+        assert sum(isinstance(event, StateChanged) for event in drain(victim)) <= 1
         drain(peer)
     assert sent <= MESSAGES // 10 + 1
     counts = victim.report(0).counts

@@ -7,7 +7,9 @@ from telepresence.link.flows import tmtc_flow, video_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.supervision.supervisor import (
     Configuration,
+    Encounter,
     LinkState,
+    PeerDoubted,
     Supervisor,
 )
 
@@ -20,12 +22,18 @@ SPACE = Configuration(transmit=DOWNLINK, transmit_flows=DOWN, receive=UPLINK, re
 
 
 class End:
-    """A supervisor with a minimal gateway: application data in each slot, if there is any."""
+    """A supervisor with a minimal gateway: application data in each slot, if there is any.
+
+    It tells streams apart by the life of the end that sent a frame.
+    """
 
     def __init__(self, name, configuration, *, master):
         self.name, self.configuration, self.master = name, configuration, master
         self.supervisor = None
         self.life = 0
+        #: The life whose stream is followed, and the stranger's: life, first and last frame, count.
+        self.followed = None
+        self.stranger = (None, 0, 0, 0)
         self.sends = True
         #: Interval of the slots with application data.
         self.period = 1
@@ -35,8 +43,13 @@ class End:
 
     def start(self, life, slot):
         self.life = life
+        self.followed = None
         self.supervisor = Supervisor(
-            master=self.master, configuration=self.configuration, life=life, now_ns=slot * MS
+            master=self.master,
+            configuration=self.configuration,
+            life=life,
+            now_ns=slot * MS,
+            secret=life,
         )
         self.supervisor.handle_local_check(None, slot * MS)
 
@@ -77,15 +90,27 @@ class Pair:
         for end, other in (self.ends, self.ends[::-1]):
             path = self.paths[end.name]
             while path and path[0][0] <= slot:
-                _, message, data = path.popleft()
+                _, life, message, data = path.popleft()
                 if other.supervisor is not None:
-                    self.arrive(other, message, data, now_ns + MS // 3)
+                    self.arrive(other, life, message, data, now_ns + MS // 3)
         self.slot += 1
         both = [end.supervisor and end.supervisor.state for end in self.ends]
         assert not (self.never_connected and LinkState.CONNECTED in both)
 
-    def arrive(self, end, message, data, now_ns):
+    def arrive(self, end, life, message, data, now_ns):
         supervisor = end.supervisor
+        if life != end.followed:
+            known, begun_ns, last_ns, frames = end.stranger
+            if known != life or now_ns - last_ns >= 50 * MS:
+                begun_ns, frames = now_ns, 0
+            end.stranger = (life, begun_ns, now_ns, frames + 1)
+            found = supervisor.handle_stranger(
+                message, now_ns, frames=frames + 1, lasts_ns=now_ns - begun_ns
+            )
+            self.drain(end)
+            if found is Encounter.IGNORE:
+                return
+            end.followed = life
         supervisor.handle_frame(now_ns)
         if message is not None:
             supervisor.handle_message(message, now_ns)
@@ -108,12 +133,14 @@ class Pair:
             elif self.random.random() < self.garble:
                 message = self.random.randbytes(12)
         if not self.blocked[end.name]:
-            self.paths[end.name].append((slot + self.delay_slots, message, data))
+            self.paths[end.name].append((slot + self.delay_slots, end.life, message, data))
 
     @staticmethod
     def drain(end):
         while event := end.supervisor.next_event():
             end.events.append(event)
+            if isinstance(event, PeerDoubted):
+                end.followed = None
 
     @property
     def states(self):

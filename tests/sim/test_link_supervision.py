@@ -3,15 +3,19 @@
 import pytest
 from link_supervision_pair import CONNECTED, MS, Pair, S, connected
 
+from telepresence.link.supervision.proof import Proof
 from telepresence.link.supervision.supervisor import (
     ApplicationReset,
     ContextsHeld,
     LinkState,
     PeerDeaf,
+    PeerDoubted,
     PeerHears,
     PeerMet,
     SignalAcquired,
     SignalLost,
+    SupervisionTiming,
+    Supervisor,
 )
 
 
@@ -78,14 +82,45 @@ def test_a_new_life_of_either_side(who, delay_slots):
     assert not one.of(ApplicationReset) + other.of(ApplicationReset)
 
 
-def test_a_restarted_frame_count_stops_delivery_until_the_next_message():
+def test_another_life_in_the_peers_stream_must_prove_itself():
+    """A single message may be a bit error that the FECF did not detect; the second ends it."""
     pair = connected()
-    supervisor = pair.ground.supervisor
-    supervisor.handle_restart(pair.slot * MS)
-    assert not supervisor.delivering
-    pair.run(50)
-    assert supervisor.delivering
+    pair.run(1 * S)
+    supervisor, other = pair.ground.supervisor, pair.space.supervisor
+    stranger = Supervisor(
+        master=False, configuration=other.configuration, life=0x5555, now_ns=0, secret=1
+    )
+    stranger.handle_local_check(None, 0)
+    now_ns = pair.slot * MS
+    supervisor.handle_message(stranger.poll_transmit(0), now_ns)
+    pair.drain(pair.ground)
+    assert pair.ground.followed == 0x2222
+    supervisor.handle_message(stranger.poll_transmit(20 * MS), now_ns)
+    pair.drain(pair.ground)
+    assert (pair.ground.followed, supervisor.signal) == (None, False)
+    assert len(pair.ground.of(PeerDoubted)) == len(pair.ground.of(SignalLost)) == 1
+    # The peer answers, and nothing of its life has changed.
+    pair.run(60)
     assert pair.states == CONNECTED
+    assert len(pair.ground.of(PeerMet)) == 1
+
+
+def test_a_number_counts_once_and_only_for_a_while():
+    proof = Proof(seed=3, timing=SupervisionTiming(round_trip_ns=100 * MS))
+    first = proof.number(0)
+    assert proof.number(99 * MS) == first
+    second = proof.number(100 * MS)
+    assert second != first
+    assert not proof.answers(0, 101 * MS)
+    assert not proof.answers(first ^ second, 101 * MS)
+    assert proof.answers(first, 199 * MS)
+    assert not proof.answers(first, 199 * MS)
+    third = proof.number(200 * MS)
+    assert third not in (first, second)
+    assert not proof.answers(second, 201 * MS)  # It went with the first.
+    assert not proof.answers(third, 400 * MS)
+    assert proof.number(401 * MS) != third
+    assert proof.answers(third, 402 * MS) is False
 
 
 def test_frames_without_messages_time_out():

@@ -3,6 +3,7 @@
 import pytest
 from link_supervision_pair import CONNECTED, GROUND, MS, SPACE, Pair, S, connected
 
+from telepresence.link.supervision.message import MessageKind
 from telepresence.link.supervision.supervisor import (
     ApplicationReset,
     StateChanged,
@@ -75,8 +76,8 @@ def test_a_broken_application_link_is_reset_at_growing_intervals():
     pair = connected()
 
     # The ground's data is lost between the receiver and the applications in space.
-    def arrive(end, message, data, now_ns):
-        Pair.arrive(pair, end, message, None if end is pair.space else data, now_ns)
+    def arrive(end, life, message, data, now_ns):
+        Pair.arrive(pair, end, life, message, None if end is pair.space else data, now_ns)
 
     pair.arrive = arrive
     pair.run(100 * S)
@@ -98,7 +99,8 @@ def test_an_unconfirming_slave_is_configured_again_at_growing_intervals():
     slave.handle_local_check(None, 0)
     slave.handle_message(supervisor.poll_transmit(0), 0)
     # The slave hears its master, and has not been configured yet.
-    stuck = slave.poll_transmit(10 * MS)
+    assert slave.poll_transmit(10 * MS)[0] & 0xF == MessageKind.HELLO
+    stuck = slave.poll_transmit(20 * MS)
     for slot in range(1, 100 * S):
         supervisor.handle_frame(slot * MS)
         if slot % 20 == 0:

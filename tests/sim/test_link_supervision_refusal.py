@@ -25,7 +25,7 @@ def varied(**changes):
 @pytest.mark.parametrize(
     ("space", "why"),
     [
-        (varied(version=2), "version"),
+        (varied(version=3), "version"),
         (varied(receive_flows=UP[:2]), "frames or flows differ"),
         (
             varied(transmit=type(DOWNLINK)(name="downlink", frame_octets=400, scid=0x4C)),
@@ -60,7 +60,8 @@ def test_a_mismatching_new_life_stops_delivery():
     pair = connected()
     pair.space.configuration = varied(receive_flows=UP[:2])
     pair.space.start(0x3333, pair.slot)
-    pair.run(50)
+    # Until the loss of the old life's signal is noticed: a stranger cannot end a live connection.
+    pair.run(50 + pair.delay_slots)
     pair.never_connected = True
     count = len(pair.ground.delivered)
     pair.run(2 * S)

@@ -82,6 +82,24 @@ VECTORS = [
         ),
         "f3 a0 ffff 0000 0000 0fa0 0100",
     ),
+    (
+        SupervisionMessage(
+            version=2,
+            kind=MessageKind.HELLO,
+            state=LinkState.SEARCH,
+            master=True,
+            signal=False,
+            application=False,
+            fresh=False,
+            sending=True,
+            life=0x1234,
+            heard=0,
+            digest=0x55AA,
+            number=0xABCDEF,
+            echo=0x000102,
+        ),
+        "24 31 1234 55aa abcdef 000102",
+    ),
 ]
 
 
@@ -95,7 +113,7 @@ def test_golden(message, octets):
     ("octets", "what"),
     [
         ("009d1234abcd55aa0700ff01", "version 0"),
-        ("149d1234abcd55aa0700ff01", "kind 4"),
+        ("159d1234abcd55aa0700ff01", "kind 5"),
         ("10dd1234abcd55aa0700ff01", "state 6"),
         ("109d0000abcd55aa0700ff01", "life 0"),
         ("129d1234abcd55aa0700ff01", "CONFIRM of a master"),
@@ -151,4 +169,8 @@ def test_first_message_of_a_ground_station():
     supervisor = Supervisor(master=True, configuration=GROUND, life=0x1234, now_ns=0)
     supervisor.handle_local_check(None, 0)
     digest = f"{crc16(TEXT.encode()):04x}"
-    assert supervisor.poll_transmit(0).hex() == f"10301234{'0000'}{digest}00000000"
+    message = supervisor.poll_transmit(0).hex()
+    # A HELLO of version 2 with a fresh number; nothing was heard that it could echo.
+    assert message[:12] == f"24301234{digest}"
+    assert int(message[12:18], 16) > 0
+    assert message[18:] == "000000"

@@ -27,6 +27,12 @@ class PeerMet(NamedTuple):
     restarted: bool
 
 
+class PeerDoubted(NamedTuple):
+    """Another life speaks in the peer's stream: follow no stream until one is proven."""
+
+    now_ns: int
+
+
 class PeerHears(NamedTuple):
     """The peer hears this end (again), and this end hears it."""
 
@@ -69,6 +75,7 @@ SupervisionEvent = (
     SignalAcquired
     | SignalLost
     | PeerMet
+    | PeerDoubted
     | PeerHears
     | PeerDeaf
     | ContextsHeld

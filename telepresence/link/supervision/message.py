@@ -4,15 +4,24 @@ It takes the first 12 octets of a packet zone; docs/link-packets.md says which f
 marks it. All numbers are big-endian; the layout is this project's own.
 
 octet 0, high 4 bits   version, whose position never changes
-octet 0, low 4 bits    kind: 0 ALIVE, 1 CONFIGURE, 2 CONFIRM, 3 REJECT
+octet 0, low 4 bits    kind: 0 ALIVE, 1 CONFIGURE, 2 CONFIRM, 3 REJECT, 4 HELLO
 octet 1                state (3 bits, `LinkState`), then a bit each: master, signal, application,
                        fresh, sending
 octets 2..3            life of the sender, 1..65535: a new one at each start
+
+Of all but HELLO:
+
 octets 4..5            life of the peer whose messages arrive in this contact, 0 without any
 octets 6..7            digest of the configuration (`configuration`)
 octets 8..11           ALIVE, CONFIRM: ids of the header contexts held, an octet a flow, 0 none
                        CONFIGURE, REJECT: rates of the sender's way out and way in, 16 bits each,
                        in kbit/s
+
+Of HELLO:
+
+octets 4..5            digest of the configuration
+octets 6..8            a fresh number that the peer shall echo, 0 for none
+octets 9..11           the echo: the number that came last from the peer, 0 without any
 
 Only a master sends CONFIGURE, only a slave CONFIRM.
 """
@@ -23,8 +32,11 @@ from typing import NamedTuple
 
 MESSAGE_OCTETS = 12
 CONTEXTS = 4
+#: Bits of a fresh number.
+NUMBER_BITS = 24
 
 _LAYOUT = struct.Struct(">BBHHH4s")
+_HELLO = struct.Struct(">BBHH3s3s")
 _RATES = struct.Struct(">HH")
 _STATE_SHIFT = 5
 _MASTER, _SIGNAL, _APPLICATION, _FRESH, _SENDING = 0x10, 0x08, 0x04, 0x02, 0x01
@@ -56,6 +68,7 @@ class MessageKind(IntEnum):
     CONFIGURE = 1
     CONFIRM = 2
     REJECT = 3
+    HELLO = 4
 
 
 class SupervisionMessage(NamedTuple):
@@ -67,6 +80,7 @@ class SupervisionMessage(NamedTuple):
     fresh: some has arrived recently. sending: some has been sent recently.
     contexts: of ALIVE and CONFIRM, else zeros.
     rates_kbps: of CONFIGURE and REJECT (way out, way in), else zeros.
+    number, echo: of HELLO, 24 bits each, else 0; it has no `heard`.
     """
 
     version: int
@@ -82,6 +96,8 @@ class SupervisionMessage(NamedTuple):
     digest: int
     contexts: tuple[int, int, int, int] = (0, 0, 0, 0)
     rates_kbps: tuple[int, int] = (0, 0)
+    number: int = 0
+    echo: int = 0
 
 
 _TELLS_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
@@ -97,9 +113,13 @@ def pack_message(message: SupervisionMessage) -> bytes:
         | (_FRESH if message.fresh else 0)
         | (_SENDING if message.sending else 0)
     )
+    first = message.version << 4 | message.kind
+    if message.kind is MessageKind.HELLO:
+        number, echo = message.number.to_bytes(3, "big"), message.echo.to_bytes(3, "big")
+        return _HELLO.pack(first, flags, message.life, message.digest, number, echo)
     tells_rates = message.kind in _TELLS_RATES
     return _LAYOUT.pack(
-        message.version << 4 | message.kind,
+        first,
         flags,
         message.life,
         message.heard,
@@ -121,13 +141,17 @@ def parse_message(data: bytes) -> SupervisionMessage | None:
     kind, state = first & 0xF, flags >> _STATE_SHIFT
     master = bool(flags & _MASTER)
     if (
-        kind > MessageKind.REJECT
+        kind > MessageKind.HELLO
         or state > LinkState.REFUSED
         or not life
         or kind == (MessageKind.CONFIRM if master else MessageKind.CONFIGURE)
     ):
         return None
     known = MessageKind(kind)
+    number, echo = b"", b""
+    if known is MessageKind.HELLO:
+        _, _, _, digest, number, echo = _HELLO.unpack(data)
+        heard, rest = 0, bytes(CONTEXTS)
     tells_rates = known in _TELLS_RATES
     return SupervisionMessage(
         version=first >> 4,
@@ -143,4 +167,6 @@ def parse_message(data: bytes) -> SupervisionMessage | None:
         digest=digest,
         contexts=(0, 0, 0, 0) if tells_rates else (rest[0], rest[1], rest[2], rest[3]),
         rates_kbps=_RATES.unpack(rest) if tells_rates else (0, 0),
+        number=int.from_bytes(number, "big"),
+        echo=int.from_bytes(echo, "big"),
     )

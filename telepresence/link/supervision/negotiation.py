@@ -1,6 +1,7 @@
 """What the peer's messages show: whether it matches, hears this end, and has agreed."""
 
 from enum import Enum, auto
+from typing import NamedTuple
 
 from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
 from telepresence.link.supervision.message import (
@@ -20,14 +21,24 @@ class MessageVerdict(Enum):
     """Result of checking a message.
 
     MALFORMED: it is no message. SUSPECT: it does not match, for the first time. REFUSED: the same
-    mismatch again. MET: it matches and begins a new life of the peer. FITS: it matches.
+    mismatch again. DOUBTED: it matches, but another life sends it, for the second time. MET: it
+    matches, and is the first one. FITS: it matches.
     """
 
     MALFORMED = auto()
     SUSPECT = auto()
     REFUSED = auto()
+    DOUBTED = auto()
     MET = auto()
     FITS = auto()
+
+
+class _Mismatch(NamedTuple):
+    """Why a message does not match. exact: `why` is as precise as possible."""
+
+    signature: tuple[int, ...]
+    why: str
+    exact: bool = False
 
 
 class Negotiation:
@@ -70,27 +81,52 @@ class Negotiation:
         self._refused: tuple[int, ...] = ()
         self._unanswered_ns: int | None = None
         self._patience = 1
+        #: The peer's last message but HELLO was a CONFIGURE.
+        self._asked = False
 
     def handle_message(self, data: bytes, now_ns: int) -> MessageVerdict:
-        """Check twelve octets from a good frame."""
-        version = message_version(data)
-        if not version:
-            return MessageVerdict.MALFORMED
-        if version != self.version:
-            why = f"the peer speaks version {version} of the link, this end {self.version}"
-            # The layout of other versions is unknown, so the repetition must be identical.
-            return self._mismatch(tuple(data), f"{why}: install the same on both")
-        message = parse_message(data)
-        if message is None:
-            return MessageVerdict.MALFORMED
-        signature = (message.master, message.life, message.digest)
-        if message.master is self._master:
-            role = "master" if self._master else "slave"
-            return self._mismatch(signature, f"both ends are {role}: start one as the other")
-        if message.digest != self.digest:
-            exact = message.kind in _TELLS_RATES
-            return self._mismatch(signature, self._difference(message), exact=exact)
+        """Check twelve octets from a good frame of the peer's stream."""
+        message = self._matching(data)
+        if isinstance(message, MessageVerdict):
+            return message
+        if isinstance(message, _Mismatch):
+            if not self._repeated(message.signature):
+                return MessageVerdict.SUSPECT
+            self.forget_peer()
+            self.peer_life = 0
+            self.checked = self.agreed = False
+            self._refuse(message)
+            return MessageVerdict.REFUSED
+        if message.life != self.peer_life and self.peer_life:
+            signature = (message.master, message.life, message.digest)
+            return MessageVerdict.DOUBTED if self._repeated(signature) else MessageVerdict.SUSPECT
         return self._accept(message, now_ns)
+
+    def handle_stranger(self, data: bytes, *, alone: bool) -> SupervisionMessage | MessageVerdict:
+        """Check twelve octets from a good frame of another stream; return them if they match.
+
+        alone: the peer's own stream is silent, so a repeated mismatch is a reason to refuse.
+        """
+        message = self._matching(data)
+        if not isinstance(message, _Mismatch):
+            if alone and isinstance(message, SupervisionMessage):
+                self._suspect, self.refusal = (), None
+            return message
+        if not alone or not self._repeated(message.signature):
+            return MessageVerdict.SUSPECT
+        self._refuse(message)
+        return MessageVerdict.REFUSED
+
+    def meet(self, life: int) -> bool:
+        """The peer with this life is found; return whether that is another one than before."""
+        self.checked = True
+        self._suspect, self.refusal = (), None
+        if life == self.peer_life:
+            return False
+        self.peer_life = life
+        self.agreed = False
+        self.forget_peer()
+        return True
 
     def handle_contact(self, now_ns: int) -> None:
         """The signal came or went: nothing has been heard in this contact yet."""
@@ -102,7 +138,7 @@ class Negotiation:
     def forget_peer(self) -> None:
         """Discard the peer's last message, but not the fact that its life was checked."""
         self.peer = self._unanswered_ns = None
-        self.hears = False
+        self.hears = self._asked = False
 
     def timeout(self, now_ns: int) -> str | None:
         """Return the timeout that has passed, or None; its waiting starts again.
@@ -147,8 +183,12 @@ class Negotiation:
             return MessageKind.ALIVE
         if self._master:
             return MessageKind.ALIVE if self.agreed else MessageKind.CONFIGURE
-        asked = self.peer.kind is MessageKind.CONFIGURE
-        return MessageKind.CONFIRM if asked and self.agreed else MessageKind.ALIVE
+        return MessageKind.CONFIRM if self._asked and self.agreed else MessageKind.ALIVE
+
+    def handle_answer(self) -> None:
+        """The peer has echoed a fresh number of this end, so it hears this end."""
+        if self.peer is not None and self.peer.signal:
+            self.hears = True
 
     def _difference(self, message: SupervisionMessage) -> str:
         """Describe what does not match, as far as the message shows it."""
@@ -166,34 +206,50 @@ class Negotiation:
         ]
         return f"{', '.join(wrong) or 'frames or flows differ (rates agree)'}: {mend}"
 
-    def _mismatch(
-        self, signature: tuple[int, ...], why: str, *, exact: bool = False
-    ) -> MessageVerdict:
-        """Handle a mismatch. A single one may be an error that the FECF did not detect.
+    def _matching(self, data: bytes) -> SupervisionMessage | MessageVerdict | _Mismatch:
+        """Parse `data`; return the message if it matches, else why not."""
+        version = message_version(data)
+        if not version:
+            return MessageVerdict.MALFORMED
+        if version != self.version:
+            why = f"the peer speaks version {version} of the link, this end {self.version}"
+            # The layout of other versions is unknown, so the repetition must be identical.
+            return _Mismatch(tuple(data), f"{why}: install the same on both")
+        message = parse_message(data)
+        if message is None:
+            return MessageVerdict.MALFORMED
+        signature = (message.master, message.life, message.digest)
+        if message.master is self._master:
+            role = "master" if self._master else "slave"
+            return _Mismatch(signature, f"both ends are {role}: start one as the other")
+        if message.digest != self.digest:
+            exact = message.kind in _TELLS_RATES
+            return _Mismatch(signature, self._difference(message), exact)
+        return message
 
-        exact: `why` is as precise as possible and replaces an earlier reason.
-        """
-        if signature != self._suspect:
-            self._suspect = signature
-            return MessageVerdict.SUSPECT
-        self.forget_peer()
-        self.peer_life = 0
-        self.checked = self.agreed = False
-        if exact or self.refusal is None or signature != self._refused:
-            self.refusal, self._refused = why, signature
-        return MessageVerdict.REFUSED
+    def _repeated(self, signature: tuple[int, ...]) -> bool:
+        """Whether this is the same as last time; once may be an error that the FECF missed."""
+        repeated = signature == self._suspect
+        self._suspect = signature
+        return repeated
+
+    def _refuse(self, mismatch: _Mismatch) -> None:
+        if mismatch.exact or self.refusal is None or mismatch.signature != self._refused:
+            self.refusal, self._refused = mismatch.why, mismatch.signature
 
     def _accept(self, message: SupervisionMessage, now_ns: int) -> MessageVerdict:
         """Handle a message of a matching peer."""
         verdict = MessageVerdict.FITS
-        self._suspect, self.refusal = (), None
-        if message.life != self.peer_life:
+        if self.meet(message.life):
             verdict = MessageVerdict.MET
-            self.peer_life = message.life
-            self.agreed = False
-        self.checked = True
-        self.peer = message
         self.message_ns = now_ns
+        if message.kind is MessageKind.HELLO:
+            # It does not say which life it hears; an answer does (`handle_answer`).
+            self.peer = message
+            self.hears = self.hears and message.signal
+            return verdict
+        self.peer = message
+        self._asked = message.kind is MessageKind.CONFIGURE
         self.hears = hears = message.signal and message.heard == self._life
         told = MessageKind.CONFIRM if self._master else MessageKind.CONFIGURE
         if hears and message.kind is told:

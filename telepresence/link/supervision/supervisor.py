@@ -9,20 +9,24 @@ Strategy: each end repeatedly sends what it *is*, never what the other should ha
 state is a function of what this end knows. A lost message thus only costs time, and no sequence of
 losses and restarts can leave both ends waiting for each other.
 
-A gateway needs six lines:
+A gateway needs seven lines:
 
 1. `handle_local_check(None, now_ns)` once it is ready, and with a fault whenever it is not.
-2. `handle_frame(now_ns)` for each good frame, before the frame is processed further.
-3. `handle_message(message, now_ns)` for each supervision message that the receiver found in it.
-4. `handle_application(now_ns)` for each sample and packet received, and
+2. `handle_stranger(...)` for each good frame of a stream that is not followed; it says whether to
+   follow that stream from this frame on.
+3. `handle_frame(now_ns)` for each frame of the stream, before the frame is processed further.
+4. `handle_message(message, now_ns)` for each supervision message that the receiver found in it.
+5. `handle_application(now_ns)` for each sample and packet received, and
    `handle_application_sent(now_ns)` for each one sent.
-5. `poll_transmit(now_ns)` in each slot; if it returns 12 octets, this is a supervision slot.
-6. After each of these: `next_event()` until None. The receiver delivers while `delivering`.
+6. `poll_transmit(now_ns)` in each slot; if it returns 12 octets, this is a supervision slot.
+7. After each of these: `next_event()` until None. The receiver delivers while `delivering`.
 """
 
 from collections import deque
 from collections.abc import Sequence
+from enum import Enum, auto
 
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.figures import PeerFigures, SupervisionFigures
 from telepresence.link.supervision.application import ApplicationWatch
 from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
@@ -30,6 +34,7 @@ from telepresence.link.supervision.events import (
     ApplicationReset,
     ContextsHeld,
     PeerDeaf,
+    PeerDoubted,
     PeerHears,
     PeerMet,
     SignalAcquired,
@@ -45,14 +50,17 @@ from telepresence.link.supervision.message import (
 )
 from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation
 from telepresence.link.supervision.pacing import MessagePacing
+from telepresence.link.supervision.proof import Proof
 from telepresence.link.supervision.record import SupervisionRecord
 
 __all__ = [
     "ApplicationReset",
     "Configuration",
     "ContextsHeld",
+    "Encounter",
     "LinkState",
     "PeerDeaf",
+    "PeerDoubted",
     "PeerHears",
     "PeerMet",
     "SignalAcquired",
@@ -66,6 +74,18 @@ __all__ = [
 _NO_CONTEXTS = (0, 0, 0, 0)
 #: For a gateway that does not fetch events; beyond that the oldest are dropped.
 _EVENTS_DEPTH = 256
+#: A stranger that hears nobody cannot prove itself. It is followed unproven after so many frames,
+#: over this time, if no peer was ever met.
+_DEAF_FRAMES = 8
+_DEAF_NS = 20 * NS_PER_MS
+#: If one was, the stranger must last for this long, and the peer be silent for this long.
+_DEAF_LATER_NS = NS_PER_S
+_PEER_SILENCE_NS = 2 * NS_PER_S
+#: A stranger without a message is asked after this time: it may be the peer whose delay changed.
+_MUTE_NS = 5 * NS_PER_MS
+#: While the peer is there, strangers are asked at this interval, and no longer than this after
+#: their last frame.
+_ASK_NS = 100 * NS_PER_MS
 #: Fewer slots than this without a frame are never a loss of signal, however long the slots are.
 _LEAST_SLOTS = 3
 
@@ -79,14 +99,28 @@ _RESETS = {
 }
 
 
+class Encounter(Enum):
+    """What to do with a stranger's stream, from this frame on.
+
+    IGNORE: nothing. RETURN: follow it, the same life of the peer sends it. RESTART: follow it,
+    another life of the peer sends it.
+    """
+
+    IGNORE = auto()
+    RETURN = auto()
+    RESTART = auto()
+
+
 class Supervisor:
     """One end's supervision; see the module for the run loop.
 
     master: whether this end configures the other; exactly one does.
     life: 1 to 65535, a new one at each start of this end; the shell draws it at random.
+    secret: seed of the fresh numbers by which a peer proves that it is there; the shell draws it at
+        random, and nobody else may know it.
 
     state, why: the state of the link, and its reason.
-    signal: good frames arrive.
+    signal: frames of the peer's stream arrive.
     peer_hears: the peer is heard and says that it hears this end.
     delivering: received data may be delivered to the applications, because this life of the peer
     was checked. It stays true during a loss of signal.
@@ -96,15 +130,22 @@ class Supervisor:
     # These attributes are read thousands of times a second; slots are the fastest to read.
     __slots__ = (
         "_application",
+        "_asked_ns",
         "_contexts",
         "_counts",
         "_events",
         "_fault",
         "_frame_ns",
+        "_greet_ns",
+        "_greeted_ns",
         "_negotiation",
         "_pacing",
+        "_proof",
         "_record",
         "_silence_ns",
+        "_stranger",
+        "_stranger_ns",
+        "_stray_ns",
         "configuration",
         "delivering",
         "life",
@@ -125,6 +166,7 @@ class Supervisor:
         life: int,
         now_ns: int,
         timing: SupervisionTiming | None = None,
+        secret: int = 0,
     ) -> None:
         if not 1 <= life <= 0xFFFF:
             raise ValueError(f"life is {life}: it must be from 1 to 65535")
@@ -155,6 +197,15 @@ class Supervisor:
         )
         self._application = ApplicationWatch(self.timing, now_ns)
         self._pacing = MessagePacing(self.timing, now_ns)
+        self._proof = Proof(secret, self.timing)
+        #: The newest message of the stranger's stream that matches.
+        self._stranger: SupervisionMessage | None = None
+        #: When a frame of any stranger came, and one of a stranger that may be the peer.
+        self._stray_ns = self._stranger_ns = now_ns - self.timing.silence_ns
+        #: When to send a HELLO out of turn, if at all; when the last one was sent, and the last
+        #: one because of a stranger.
+        self._greet_ns: int | None = None
+        self._greeted_ns = self._asked_ns = now_ns - self.timing.silence_ns
         self._events: deque[SupervisionEvent] = deque(maxlen=_EVENTS_DEPTH)
         self._record = SupervisionRecord(self.state, self.why, now_ns)
         self._counts = self._record.counts
@@ -164,8 +215,40 @@ class Supervisor:
         """The life of the peer that was checked; 0 before the first."""
         return self._negotiation.peer_life
 
+    def handle_stranger(
+        self, message: bytes | None, now_ns: int, *, frames: int, lasts_ns: int
+    ) -> Encounter:
+        """A good frame of a stream that is not followed.
+
+        message: its supervision message, or None. frames, lasts_ns: of its stream so far
+        (`StrangerFrame`).
+
+        After RETURN and RESTART this very frame is one of the peer's stream.
+        """
+        self._stray_ns = now_ns
+        if frames == 1:
+            self._stranger = None
+        told = None if message is None else self._hear_stranger(message, now_ns)
+        if told is not None and frames:
+            self._stranger = told
+        if told is not None and self._proof.answers(told.echo, now_ns):
+            return self._meet(told, now_ns, proven=True)
+        known = self._stranger
+        if known is not None and self._may_be_deaf(known, now_ns, frames, lasts_ns):
+            return self._meet(known, now_ns, proven=False)
+        if told is not None or lasts_ns >= _MUTE_NS:
+            self._stranger_ns = now_ns
+            # Without a signal, every message is a HELLO.
+            if self.signal and self._greet_ns is None:
+                self._greet_ns = self._asked_ns + _ASK_NS
+                self._schedule(now_ns)
+        if message is not None:
+            self._counts["messages_received"] += told is not None
+            self._update(now_ns)
+        return Encounter.IGNORE
+
     def handle_frame(self, now_ns: int) -> None:
-        """A good frame of the peer arrived, whatever it carries."""
+        """A frame of the peer's stream arrived, whatever it carries."""
         self._frame_ns = now_ns
         if not self.signal:
             self._acquire(now_ns)
@@ -185,8 +268,7 @@ class Supervisor:
     def handle_contexts(self, ids: Sequence[int], now_ns: int) -> None:
         """Set what the local receiver holds: an id (1 to 255, 0 none) for up to four flows.
 
-        After `PeerMet` and `handle_restart`, let the receiver forget first: ids of a former life
-        must not be reported.
+        After `PeerMet`, let the receiver forget first: ids of a former life must not be reported.
         """
         first, second, third, fourth = (*ids, *_NO_CONTEXTS)[:4]
         contexts = (first, second, third, fourth)
@@ -200,20 +282,11 @@ class Supervisor:
             self._fault = fault
             self._update(now_ns)
 
-    def handle_restart(self, now_ns: int) -> None:
-        """The frame count shows that the peer restarted.
-
-        Nothing of it is delivered before its first message. This covers the time between its first
-        frame and that message.
-        """
-        self._negotiation.checked = False
-        self._negotiation.forget_peer()
-        self._contexts = _NO_CONTEXTS
-        self._note_hearing(now_ns)
-        self._update(now_ns)
-
     def handle_message(self, message: bytes, now_ns: int) -> None:
-        """Take twelve octets from a good frame. Invalid ones are counted; this never raises."""
+        """Take twelve octets from a frame of the peer's stream.
+
+        Invalid ones are counted; this never raises.
+        """
         negotiation, counts = self._negotiation, self._counts
         self.handle_frame(now_ns)
         before, before_life = negotiation.peer, negotiation.peer_life
@@ -222,20 +295,24 @@ class Supervisor:
             counts["messages_malformed"] += 1
             return
         counts["messages_received"] += 1
-        if verdict is MessageVerdict.SUSPECT or verdict is MessageVerdict.REFUSED:
+        if verdict in (MessageVerdict.SUSPECT, MessageVerdict.REFUSED, MessageVerdict.DOUBTED):
             counts["messages_mismatched"] += 1
         if verdict is MessageVerdict.SUSPECT:
             return
+        if verdict is MessageVerdict.DOUBTED:
+            self._lose(now_ns)
+            self._events.append(PeerDoubted(now_ns))
+            self._update(now_ns)
+            return
         if verdict is MessageVerdict.MET:
-            counts["peer_restarts"] += before_life != 0
             before = None
-            # Contexts from the peer's former life must not be reported as held.
-            self._contexts = _NO_CONTEXTS
-            self._events.append(PeerMet(now_ns, negotiation.peer_life, before_life != 0))
+            self._note_met(before_life, now_ns)
         if verdict is not MessageVerdict.FITS:
             self._application.handle_contact(now_ns)
-        self._note_hearing(now_ns)
         peer = negotiation.peer
+        if peer is not None and peer.kind is MessageKind.HELLO:
+            self._handle_hello(peer, now_ns)
+        self._note_hearing(now_ns)
         if peer is not None:
             self._handle_peer_report(peer, before, now_ns)
         self._update(now_ns)
@@ -279,6 +356,69 @@ class Supervisor:
             history=record.history(),
         )
 
+    def _hear_stranger(self, data: bytes, now_ns: int) -> SupervisionMessage | None:
+        """Return what a stranger says, if it matches."""
+        counts = self._counts
+        told = self._negotiation.handle_stranger(data, alone=not self.signal)
+        if isinstance(told, SupervisionMessage):
+            self._note_question(told, now_ns)
+            return told
+        if told is MessageVerdict.MALFORMED:
+            counts["messages_malformed"] += 1
+        else:
+            counts["messages_received"] += 1
+            counts["messages_mismatched"] += 1
+        return None
+
+    def _may_be_deaf(
+        self, told: SupervisionMessage, now_ns: int, frames: int, lasts_ns: int
+    ) -> bool:
+        """Whether to follow a stranger that hears nobody, and so cannot answer."""
+        if told.signal or frames < _DEAF_FRAMES:
+            return False
+        if not self.peer_life:
+            return lasts_ns >= _DEAF_NS
+        return lasts_ns >= _DEAF_LATER_NS and now_ns - self._frame_ns >= _PEER_SILENCE_NS
+
+    def _meet(self, told: SupervisionMessage, now_ns: int, *, proven: bool) -> Encounter:
+        """The stranger is the peer."""
+        before_life = self.peer_life
+        self._proof.proven = proven
+        self._stranger = None
+        self._stranger_ns = now_ns - _ASK_NS
+        if not self._negotiation.meet(told.life):
+            self._update(now_ns)
+            return Encounter.RETURN
+        self._application.handle_contact(now_ns)
+        self._note_met(before_life, now_ns)
+        self._note_hearing(now_ns)
+        self._update(now_ns)
+        return Encounter.RESTART
+
+    def _note_met(self, before_life: int, now_ns: int) -> None:
+        self._counts["peer_restarts"] += before_life != 0
+        # Contexts from the peer's former life must not be reported as held.
+        self._contexts = _NO_CONTEXTS
+        self._events.append(PeerMet(now_ns, self.peer_life, before_life != 0))
+
+    def _handle_hello(self, hello: SupervisionMessage, now_ns: int) -> None:
+        proof = self._proof
+        if proof.answers(hello.echo, now_ns):
+            proof.proven = True
+            self._negotiation.handle_answer()
+        self._note_question(hello, now_ns)
+
+    def _note_question(self, told: SupervisionMessage, now_ns: int) -> None:
+        """Answer a question at once, but not so often that strangers take the packets' place."""
+        if not told.number:
+            return
+        repeated = told.number == self._proof.echoed
+        self._proof.question = told.number
+        settled = self.signal and self._proof.proven
+        wait_ns = self.timing.fast_ns if settled or repeated else self.timing.spacing_ns
+        due_ns = max(now_ns, self._greeted_ns + wait_ns)
+        self._greet_ns = due_ns if self._greet_ns is None else min(self._greet_ns, due_ns)
+
     def _acquire(self, now_ns: int) -> None:
         self.signal = True
         self._negotiation.handle_contact(now_ns)
@@ -316,13 +456,25 @@ class Supervisor:
             self._lose(now_ns)
         elif now_ns >= self._pacing.due_ns:
             cause = self._supervise(now_ns)
+        if not self.signal and now_ns >= self._stray_ns + self._silence_ns:
+            self._negotiation.refusal = None
         self._update(now_ns, cause)
-        if now_ns < self._pacing.due_ns:
+        if now_ns < self.next_ns:
             return None
-        self._pacing.handle_sent(self._content(), self._contexts, now_ns)
+        message = self._message(self._next_kind(now_ns), now_ns)
+        if message.kind is self._kind():
+            self._pacing.handle_sent(self._content(), self._contexts, now_ns)
+        else:
+            self._pacing.handle_extra(now_ns)
+        if message.kind is MessageKind.HELLO:
+            self._greet_ns = None
+            self._greeted_ns = now_ns
+            self._proof.echoed = message.echo
+            if message.number:
+                self._asked_ns = now_ns
         self._counts["messages_sent"] += 1
         self._schedule(now_ns)
-        return pack_message(self._message(now_ns))
+        return pack_message(message)
 
     def _supervise(self, now_ns: int) -> str | None:
         """Check what took too long, whenever a message is due; that is often enough."""
@@ -346,7 +498,7 @@ class Supervisor:
         """Return the state that follows from what is known, and why it is not a later one."""
         if self._fault is not None:
             return LinkState.CHECK, self._fault
-        if not self.signal:
+        if not self.signal and self._negotiation.refusal is None:
             return LinkState.SEARCH, "no signal"
         peer = self._negotiation.peer
         obstacle = self._negotiation.obstacle()
@@ -381,22 +533,43 @@ class Supervisor:
             self._content(), self._contexts, now_ns, heard=self.peer_hears, settled=settled
         )
         self.next_ns = pacing.due_ns
+        if self._greet_ns is not None:
+            self.next_ns = min(self.next_ns, max(self._greet_ns, pacing.earliest_ns))
         if self.signal:
             self.next_ns = min(self.next_ns, self._frame_ns + self._silence_ns)
 
     def _content(self) -> tuple[int, ...]:
         """Return the parts of a message whose change the peer must learn at once."""
         peer = self._negotiation.peer
-        kind = self._negotiation.kind(self.state)
         heard = 0 if peer is None else peer.life
-        return (kind, self.state, self.signal, self._application.arrived, heard)
+        return (self._kind(), self.state, self.signal, self._application.arrived, heard)
 
-    def _message(self, now_ns: int) -> SupervisionMessage:
-        negotiation, application = self._negotiation, self._application
+    def _kind(self) -> MessageKind:
+        """Return the kind of the regular messages."""
+        if not self.signal and self.state is not LinkState.REFUSED:
+            return MessageKind.HELLO
+        return self._negotiation.kind(self.state)
+
+    def _next_kind(self, now_ns: int) -> MessageKind:
+        regular = self._kind()
+        if self._greet_ns is None or now_ns < self._greet_ns:
+            return regular
+        # An answer that was given before can wait.
+        repeated = self._proof.question == self._proof.echoed
+        return regular if repeated and now_ns >= self._pacing.due_ns else MessageKind.HELLO
+
+    def _message(self, kind: MessageKind, now_ns: int) -> SupervisionMessage:
+        negotiation, application, proof = self._negotiation, self._application, self._proof
         peer = negotiation.peer
+        number = echo = 0
+        if kind is MessageKind.HELLO:
+            echo = proof.question
+            strange = now_ns - self._stranger_ns < _ASK_NS
+            if strange or not (self.signal and proof.proven):
+                number = proof.number(now_ns)
         return SupervisionMessage(
             version=negotiation.version,
-            kind=negotiation.kind(self.state),
+            kind=kind,
             state=self.state,
             master=self.master,
             signal=self.signal,
@@ -408,4 +581,6 @@ class Supervisor:
             digest=negotiation.digest,
             contexts=self._contexts,
             rates_kbps=negotiation.rates_kbps,
+            number=number,
+            echo=echo,
         )

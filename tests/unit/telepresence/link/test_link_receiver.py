@@ -8,7 +8,12 @@ import pytest
 from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow
 from telepresence.link.frame import FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
-from telepresence.link.receiver import LinkReceiver, PacketReceived, SupervisionReceived
+from telepresence.link.receiver import (
+    LinkReceiver,
+    PacketReceived,
+    StrangerFrame,
+    SupervisionReceived,
+)
 from telepresence.link.sender import LinkSender
 
 MS = 1_000_000
@@ -36,29 +41,118 @@ def test_gaps_are_counted_across_the_wrap():
     assert receiver.restarts == 0
 
 
-def test_restarted_peer_is_followed_at_once():
-    receiver = LinkReceiver(UPLINK, FLOWS)
-    now_ns = feed(receiver, frames(50, first_count=1_000_000))
-    feed(receiver, frames(10), now_ns)
-    assert (receiver.frames_received, receiver.restarts, receiver.frames_lost) == (60, 1, 0)
-
-
-def test_restart_whose_first_frames_are_lost():
-    """With a far lower count the second frame shows the restart; just below, the fourth does."""
-    for first_count in (1_000_000, 0):
+def test_another_stream_is_followed_only_when_told():
+    """However many of its frames come in a row, from whatever count on."""
+    starts = ((1_000_000, 0), (5_000, 4_000), (1_000_000, 999_970), (7_000_000, 9_000_000))
+    for former, first in starts:
         receiver = LinkReceiver(UPLINK, FLOWS)
-        now_ns = feed(receiver, frames(20, first_count))
-        feed(receiver, frames(12)[3:], now_ns)
-        assert receiver.restarts == 1
-        assert receiver.frames_lost == 0
-        assert receiver.frames_received >= 20 + 6
+        now_ns = feed(receiver, frames(20, former))
+        others = frames(52, first)[2:]
+        now_ns = feed(receiver, others[:40], now_ns)
+        assert (receiver.frames_received, sum(receiver.frames_dropped.values())) == (20, 40)
+        assert receiver.stranger == StrangerFrame(None, 40, 39 * MS)
+        receiver.follow_stranger(new_life=True)
+        assert (receiver.frames_received, receiver.restarts) == (21, 1)
+        feed(receiver, others[40:], now_ns)
+        assert (receiver.frames_received, receiver.restarts, receiver.frames_lost) == (31, 1, 0)
+        assert sum(receiver.frames_dropped.values()) == 39
 
 
-def test_an_implausible_jump_ahead_is_a_restart():
+def test_the_frame_with_which_a_stream_is_followed_is_taken():
+    receiver, sender = LinkReceiver(UPLINK, FLOWS), LinkSender(UPLINK, FLOWS, first_count=77)
+    receiver.cautious = True
+    for slot in range(3):
+        sender.handle_haptic(bytes([slot] * 12), 0)
+        sender.handle_packet("tmtc", bytes([slot]), 0)
+        assert not receiver.handle_frame(sender.poll_transmit(slot * MS), slot * MS)
+        assert receiver.next_event() is None
+    assert receiver.haptic_unapproved == receiver.packets_dropped["unapproved"] == 3
+    receiver.follow_stranger(new_life=True)
+    assert [event[0] for event in receiver.events if not hasattr(event, "data")] == [b"\2" * 12]
+    assert [event.data for event in receiver.events if hasattr(event, "data")] == [b"\2"]
+    # Each frame, sample and packet is counted once.
+    assert (receiver.frames_received, receiver.frames_dropped) == (1, {"stray": 2})
+    assert receiver.haptic_unapproved == receiver.packets_dropped["unapproved"] == 2
+    assert (receiver.haptic_received, receiver.packets_received[0]) == (1, 1)
+    assert receiver.restarts == 0
+
+
+@pytest.mark.parametrize(
+    ("silence_ms", "ahead", "belongs"),
+    [
+        (1, 2, True),
+        (1, 20, True),  # 20 ms before its time, as after a shorter delay
+        (1, 23, False),
+        (1, 1000, False),
+        (1000, 1020, True),
+        (1000, 1040, False),
+        (300, 2, True),  # late: slots were left out, or this end was held up
+        (10_000, 10_000, True),
+        (10_000, 10_090, True),
+        (10_000, 10_110, False),
+        (10_000, 6_600, True),
+        (10_000, 6_000, False),
+        (10_000, 1, True),  # exactly the next count always belongs
+        (59_000, 59_000, True),
+        (61_000, 61_000, False),  # too long ago
+        (61_000, 1, True),
+        (10_000, 1 << 23, False),
+        (1, 0, False),  # repeated
+        (1, -31, False),
+        (1, -500_000, False),
+    ],
+)
+def test_a_frame_belongs_to_the_stream_if_its_count_fits_the_time(silence_ms, ahead, belongs):
+    receiver, codec = LinkReceiver(UPLINK, FLOWS), FrameCodec(UPLINK)
+    now_ns = feed(receiver, frames(200, 8_000_000 - 199)) - MS
+    frame = codec.pack(8_000_000 + ahead, None, 30, bytes(24))
+    assert receiver.handle_frame(frame, now_ns + silence_ms * MS) == belongs
+    assert receiver.frames_received == 200 + belongs
+    reason = "late" if -31 <= ahead <= 0 else "stray"
+    assert receiver.frames_dropped == ({} if belongs else {reason: 1})
+    # Whatever it was, the stream goes on.
+    assert receiver.handle_frame(
+        codec.pack(8_000_000 + max(ahead, 0) + 1, None, 30, bytes(24)),
+        now_ns + (silence_ms + 1) * MS,
+    ) == (belongs or ahead <= 0)
+
+
+def test_the_time_of_a_stream_is_that_of_its_earliest_frames():
+    """After it was held up, this end reads what waited, and then what comes at present."""
     receiver = LinkReceiver(UPLINK, FLOWS)
-    now_ns = feed(receiver, frames(5, 7_000_000))
-    feed(receiver, frames(5, 9_000_000), now_ns)
-    assert (receiver.restarts, receiver.frames_lost) == (1, 0)
+    sent = frames(1500, 50)
+    now_ns = feed(receiver, sent[:1000]) + 400 * MS
+    for frame in sent[1000:1150]:
+        assert receiver.handle_frame(frame, now_ns)
+    # The rest was lost on the way.
+    assert receiver.handle_frame(sent[1400], now_ns + MS)
+    assert (receiver.frames_lost, receiver.frames_dropped) == (250, {})
+
+
+def test_the_same_life_goes_on_at_another_count():
+    """Contexts and the count of 24 bits go on; the frames between are lost."""
+    for former, first, lost in ((100, 9_100, 8_995), (0xFFFFF0, 0x1000, 0x1010 - 5), (9_100, 0, 0)):
+        receiver = LinkReceiver(UPLINK, FLOWS)
+        now_ns = feed(receiver, frames(5, former))
+        feed(receiver, frames(1, first), now_ns)
+        receiver.follow_stranger(new_life=False)
+        feed(receiver, frames(5, first)[1:], now_ns + MS)
+        assert (receiver.frames_received, receiver.restarts) == (10, 0)
+        assert receiver.frames_lost == lost
+
+
+def test_an_answer_is_followed_beside_a_busy_stranger():
+    """The frame with the message is of neither stream, and its own is followed."""
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    now_ns = feed(receiver, frames(20, 1000))
+    now_ns = feed(receiver, frames(20, 5_000_000), now_ns)
+    sender = LinkSender(UPLINK, FLOWS, first_count=9_000_000)
+    assert not receiver.handle_frame(sender.poll_transmit(now_ns, b"supervision!"), now_ns)
+    assert receiver.stranger == StrangerFrame(b"supervision!", 0, 0)
+    receiver.follow_stranger(new_life=True)
+    assert receiver.next_event() == SupervisionReceived(b"supervision!", now_ns)
+    assert receiver.handle_frame(sender.poll_transmit(now_ns), now_ns + MS)
+    assert (receiver.restarts, receiver.frames_received) == (1, 22)
 
 
 def test_a_single_implausible_count_is_a_bit_error():
@@ -86,8 +180,8 @@ def test_contexts_of_a_former_life_are_not_used():
             frame = sender.poll_transmit(slot * MS)
             if life and slot < 1000:
                 sender.handle_acknowledgements([1])
-            else:
-                receiver.handle_frame(frame, now_ns)
+            elif not receiver.handle_frame(frame, now_ns):
+                receiver.follow_stranger(new_life=True)
             now_ns += MS
         if not life:
             assert receiver.context_ids()[0] > 0
