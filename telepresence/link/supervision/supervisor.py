@@ -129,6 +129,7 @@ class Supervisor:
 
     # These attributes are read thousands of times a second; slots are the fastest to read.
     __slots__ = (
+        "_answered_ns",
         "_application",
         "_asked_ns",
         "_contexts",
@@ -140,6 +141,7 @@ class Supervisor:
         "_greeted_ns",
         "_negotiation",
         "_pacing",
+        "_prompt",
         "_proof",
         "_record",
         "_silence_ns",
@@ -206,6 +208,9 @@ class Supervisor:
         #: one because of a stranger.
         self._greet_ns: int | None = None
         self._greeted_ns = self._asked_ns = now_ns - self.timing.silence_ns
+        #: Whether that HELLO is the first answer to a question; when the last such one was sent.
+        self._prompt = False
+        self._answered_ns = now_ns - self.timing.silence_ns
         self._events: deque[SupervisionEvent] = deque(maxlen=_EVENTS_DEPTH)
         self._record = SupervisionRecord(self.state, self.why, now_ns)
         self._counts = self._record.counts
@@ -412,12 +417,18 @@ class Supervisor:
         """Answer a question at once, but not so often that strangers take the packets' place."""
         if not told.number:
             return
-        repeated = told.number == self._proof.echoed
-        self._proof.question = told.number
-        settled = self.signal and self._proof.proven
-        wait_ns = self.timing.fast_ns if settled or repeated else self.timing.spacing_ns
-        due_ns = max(now_ns, self._greeted_ns + wait_ns)
+        proof, timing = self._proof, self.timing
+        repeated = told.number == proof.echoed
+        proof.question = told.number
+        settled = self.signal and proof.proven
+        if repeated or settled:
+            due_ns = max(now_ns, self._greeted_ns + timing.fast_ns)
+        else:
+            # Both ends wait for this answer: it need not keep the distance to other messages.
+            due_ns = max(now_ns, self._answered_ns + timing.spacing_ns)
+            self._prompt = True
         self._greet_ns = due_ns if self._greet_ns is None else min(self._greet_ns, due_ns)
+        self._schedule(now_ns)
 
     def _acquire(self, now_ns: int) -> None:
         self.signal = True
@@ -467,7 +478,9 @@ class Supervisor:
         else:
             self._pacing.handle_extra(now_ns)
         if message.kind is MessageKind.HELLO:
-            self._greet_ns = None
+            if self._prompt:
+                self._answered_ns = now_ns
+            self._greet_ns, self._prompt = None, False
             self._greeted_ns = now_ns
             self._proof.echoed = message.echo
             if message.number:
@@ -534,7 +547,8 @@ class Supervisor:
         )
         self.next_ns = pacing.due_ns
         if self._greet_ns is not None:
-            self.next_ns = min(self.next_ns, max(self._greet_ns, pacing.earliest_ns))
+            earliest_ns = 0 if self._prompt else pacing.earliest_ns
+            self.next_ns = min(self.next_ns, max(self._greet_ns, earliest_ns))
         if self.signal:
             self.next_ns = min(self.next_ns, self._frame_ns + self._silence_ns)
 
