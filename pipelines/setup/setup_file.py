@@ -131,8 +131,8 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
 def _profile(profile: LinkProfile, frame_octets: int | None) -> LinkProfile:
     octets = profile.frame_octets if frame_octets is None else frame_octets
     # A longer frame has room for the standard's own pointer, and needs it.
-    short = profile.pointer_in_signaling and octets <= profile.frame_octets
-    return replace(profile, frame_octets=octets, pointer_in_signaling=short)
+    short = profile.pointer_in_vcid and octets <= profile.frame_octets
+    return replace(profile, frame_octets=octets, pointer_in_vcid=short)
 
 
 def _video(name: str, entry: _Video) -> VideoStream:

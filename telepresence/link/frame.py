@@ -1,8 +1,8 @@
 """The transfer frame: primary header, insert zone, data zone, FECF.
 
-CCSDS 732.0-B (AOS Space Data Link Protocol), clauses 4.1.2 (primary header), 4.1.3 (insert zone),
-4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/link.md shows both frames and lists the
-deviations from the standard.
+CCSDS 732.0-B-5 (AOS Space Data Link Protocol, Issue 5), clauses 4.1.2 (primary header), 4.1.3
+(insert zone), 4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/link.md shows both frames
+and lists the deviations from the standard.
 """
 
 import struct
@@ -20,9 +20,12 @@ COUNT_MODULUS = 1 << 24
 COUNT_MASK = COUNT_MODULUS - 1
 
 _VERSION = 0b01
-_SAMPLE_FLAG = 0x20
-_SIGNALING_MUST_BE_ZERO = 0xC0
-_POINTER_MASK = 0x1F
+#: The frame count usage flag. Its cycle field is always 0, so a decoder counts as without it.
+_SAMPLE_FLAG = 0x40
+#: Replay flag, the two highest bits of the SCID, and frame count cycle.
+_SIGNALING_MUST_BE_ZERO = 0xBF
+_LARGEST_VCID_POINTER = 0x1F
+_LARGEST_MPDU_POINTER = 0x7FF
 
 #: From this length on, a CRC table for a known tail is faster than computing the CRC.
 _LONG_TAIL = 64
@@ -41,7 +44,7 @@ class Pointers:
     """
 
     def __init__(self, profile: LinkProfile) -> None:
-        all_ones = _POINTER_MASK if profile.pointer_in_signaling else 0x7FF
+        all_ones = _LARGEST_VCID_POINTER if profile.pointer_in_vcid else _LARGEST_MPDU_POINTER
         self.no_start = all_ones
         self.idle = all_ones - 1
         self.preempt = all_ones - 2
@@ -60,15 +63,12 @@ class FrameCodec:
     def __init__(self, profile: LinkProfile) -> None:
         self.profile = profile
         self._first16 = _VERSION << 14 | profile.scid << 6 | profile.vcid
-        self._in_signaling = profile.pointer_in_signaling
+        self._in_vcid = profile.pointer_in_vcid
         self._frame_octets = profile.frame_octets
         self._idle = Pointers(profile).idle
-        self._must_be_zero = _SIGNALING_MUST_BE_ZERO
-        if not self._in_signaling:
-            self._must_be_zero |= _POINTER_MASK
         # Two octets of version, SCID and VCID; 24 bits of frame count and 8 of signaling; insert
         # zone, if any; M_PDU header, if any; packet zone. The FECF is packed separately.
-        mpdu = "" if self._in_signaling else "H"
+        mpdu = "" if self._in_vcid else "H"
         with_sample = f">HI{profile.insert_octets}s{mpdu}{profile.packet_zone_octets}s"
         without = f">HI{mpdu}{profile.largest_zone_octets}s"
         self._pack_sample = struct.Struct(with_sample).pack
@@ -81,7 +81,7 @@ class FrameCodec:
         self._sample_tail: _KnownTail | None = None
         self._plain_tail: _KnownTail | None = None
         self._pack_head = struct.Struct(">HI").pack
-        if profile.packet_zone_octets >= _LONG_TAIL and not self._in_signaling:
+        if profile.packet_zone_octets >= _LONG_TAIL and not self._in_vcid:
             code = self._idle.to_bytes(MPDU_HEADER_OCTETS, "big")
             start = HEADER_OCTETS + profile.insert_octets
             self._sample_tail = _KnownTail(start, code + self._idle_sample)
@@ -94,12 +94,12 @@ class FrameCodec:
         """
         count = (count & COUNT_MASK) << 8
         if sample is None:
-            if self._in_signaling:
-                body: bytes = self._pack_plain(self._first16, count | pointer, zone)
+            if self._in_vcid:
+                body: bytes = self._pack_plain(self._first16 + pointer, count, zone)
             else:
                 body = self._pack_plain(self._first16, count, pointer, zone)
-        elif self._in_signaling:
-            body = self._pack_sample(self._first16, count | _SAMPLE_FLAG | pointer, sample, zone)
+        elif self._in_vcid:
+            body = self._pack_sample(self._first16 + pointer, count | _SAMPLE_FLAG, sample, zone)
         else:
             body = self._pack_sample(self._first16, count | _SAMPLE_FLAG, sample, pointer, zone)
         return body + crc_hqx(body, 0xFFFF).to_bytes(FECF_OCTETS, "big")
@@ -131,24 +131,33 @@ class FrameCodec:
         elif crc_hqx(frame, 0xFFFF):
             return "fecf"
         sample: bytes | None
-        if self._in_signaling:
+        if self._in_vcid:
             if has_sample:
                 first16, rest, sample, zone = self._unpack_sample(frame)
             else:
                 first16, rest, zone = self._unpack_plain(frame)
                 sample = None
-            pointer = rest & _POINTER_MASK
-        elif has_sample:
-            first16, rest, sample, pointer, zone = self._unpack_sample(frame)
+            pointer = first16 - self._first16
+            if not 0 <= pointer <= _LARGEST_VCID_POINTER:
+                return self._foreign(first16)
         else:
-            first16, rest, pointer, zone = self._unpack_plain(frame)
-            sample = None
-        if first16 != self._first16:
-            different = first16 ^ self._first16
-            return "version" if different >> 14 else "scid" if different >> 6 else "vcid"
-        if rest & self._must_be_zero:
+            if has_sample:
+                first16, rest, sample, pointer, zone = self._unpack_sample(frame)
+            else:
+                first16, rest, pointer, zone = self._unpack_plain(frame)
+                sample = None
+            if first16 != self._first16:
+                return self._foreign(first16)
+            if pointer > _LARGEST_MPDU_POINTER:
+                return "mpdu"
+        if rest & _SIGNALING_MUST_BE_ZERO:
             return "signaling"
         return rest >> 8, sample, pointer, zone
+
+    def _foreign(self, first16: int) -> str:
+        """Return which field of the first 16 bits is another channel's."""
+        different = first16 ^ self._first16
+        return "version" if different >> 14 else "scid" if different >> 6 else "vcid"
 
 
 class _KnownTail:

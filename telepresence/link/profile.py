@@ -12,9 +12,13 @@ MPDU_HEADER_OCTETS = 2
 #: A supervision message takes the first octets of a packet zone, so each zone has at least these.
 SUPERVISION_OCTETS = 12
 
+#: The standard's virtual channel of idle frames (CCSDS 732.0-B-5, 4.1.2.3).
+_IDLE_VCID = 63
+#: Largest pointer that is added to a VCID.
+_LARGEST_VCID_POINTER = 31
 #: The pointer needs the values 0 .. zone - 1, the end, and four more codes (docs/link-packets.md).
 _POINTER_CODES = 4
-_LARGEST_ZONE_OF_SIGNALING_POINTER = (1 << 5) - 1 - _POINTER_CODES
+_LARGEST_ZONE_OF_VCID_POINTER = _LARGEST_VCID_POINTER - _POINTER_CODES
 _LARGEST_ZONE_OF_MPDU_POINTER = (1 << 11) - 1 - _POINTER_CODES
 
 
@@ -27,10 +31,11 @@ class LinkProfile:
     insert_octets: the insert zone, which carries one haptic sample. A frame without a sample has no
         insert zone; its packet zone is longer instead.
     slot_ns: one frame is sent in each slot.
-    scid, vcid: spacecraft and virtual channel identifier in the primary header (0..255, 0..63).
-    pointer_in_signaling: the first header pointer is in the low five bits of the signaling field
-        instead of an M_PDU header (docs/link.md gives the reason). Only for insert and packet zones
-        of together up to 27 octets.
+    scid, vcid: spacecraft and virtual channel identifier in the primary header (0..255, 0..62; 63
+        is for the standard's idle frames).
+    pointer_in_vcid: the first header pointer, 0 to 31, is added to `vcid` instead of an M_PDU
+        header (docs/link.md gives the reason). Only for insert and packet zones of together up to
+        27 octets, and a `vcid` up to 31.
 
     Raises ConfigError for values that do not fit together.
     """
@@ -41,13 +46,14 @@ class LinkProfile:
     slot_ns: int = NS_PER_MS
     scid: int
     vcid: int = 1
-    pointer_in_signaling: bool = False
+    pointer_in_vcid: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.scid <= 0xFF:
             raise ConfigError(f"{self.name}.scid is {self.scid}: it must be from 0 to 255")
-        if not 0 <= self.vcid <= 0x3F:
-            raise ConfigError(f"{self.name}.vcid is {self.vcid}: it must be from 0 to 63")
+        most = _IDLE_VCID - 1 - (_LARGEST_VCID_POINTER if self.pointer_in_vcid else 0)
+        if not 0 <= self.vcid <= most:
+            raise ConfigError(f"{self.name}.vcid is {self.vcid}: it must be from 0 to {most}")
         if self.slot_ns <= 0:
             raise ConfigError(f"{self.name}.slot_ns is {self.slot_ns}: it must be positive")
         if self.insert_octets < 0:
@@ -58,11 +64,11 @@ class LinkProfile:
                 f"{self.name}.frame_octets is {self.frame_octets}: "
                 f"it must be at least {self.frame_octets + lacking} to carry packets"
             )
-        if self.pointer_in_signaling:
-            if self.largest_zone_octets > _LARGEST_ZONE_OF_SIGNALING_POINTER:
+        if self.pointer_in_vcid:
+            if self.largest_zone_octets > _LARGEST_ZONE_OF_VCID_POINTER:
                 raise ConfigError(
-                    f"{self.name}.pointer_in_signaling fits insert and packet zones of together "
-                    f"at most {_LARGEST_ZONE_OF_SIGNALING_POINTER} octets, not "
+                    f"{self.name}.pointer_in_vcid fits insert and packet zones of together "
+                    f"at most {_LARGEST_ZONE_OF_VCID_POINTER} octets, not "
                     f"{self.largest_zone_octets}: set it to false"
                 )
         elif self.largest_zone_octets > _LARGEST_ZONE_OF_MPDU_POINTER:
@@ -80,7 +86,7 @@ class LinkProfile:
     @property
     def mpdu_octets(self) -> int:
         """The M_PDU header; 0 if the direction has none."""
-        return 0 if self.pointer_in_signaling else MPDU_HEADER_OCTETS
+        return 0 if self.pointer_in_vcid else MPDU_HEADER_OCTETS
 
     @property
     def packet_zone_octets(self) -> int:
@@ -110,7 +116,7 @@ class LinkProfile:
 
 
 #: Ground to space: 32 octets a millisecond, 24 of them for applications.
-UPLINK = LinkProfile(name="uplink", frame_octets=32, scid=0x4B, pointer_in_signaling=True)
+UPLINK = LinkProfile(name="uplink", frame_octets=32, scid=0x4B, vcid=0, pointer_in_vcid=True)
 
 #: Space to ground: 500 octets a millisecond.
 DOWNLINK = LinkProfile(name="downlink", frame_octets=500, scid=0x4C)

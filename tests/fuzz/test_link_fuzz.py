@@ -46,12 +46,14 @@ def mutated(frame, random):
     if way == 3:
         return bytes(octets)
     if way == 4:  # the zones and the pointer, but nothing before
-        octets[5] = random.randrange(0x40) if len(octets) < 100 else random.choice((0, 0x20))
+        octets[5] = random.choice((0, 0x40))
+        if len(octets) < 100:
+            octets[1] = 0xC0 | random.randrange(0x20)
         octets[6:] = random.randbytes(len(octets) - 6)
         if len(octets) > 100 and random.random() < 0.8:
-            at = 18 if octets[5] & 0x20 else 6
+            at = 18 if octets[5] & 0x40 else 6
             pointer = random.choice((0, 0, 100, 478, 490, 491, *range(2040, 2048)))
-            octets[at : at + 2] = struct.pack(">H", random.choice((0, 0xF800)) | pointer)
+            octets[at : at + 2] = struct.pack(">H", random.choice((0, 0, 0, 0xF800)) | pointer)
     elif way == 5:  # the count
         octets[2:5] = random.randbytes(3)
     octets[-2:] = struct.pack(">H", crc_hqx(bytes(octets[:-2]), 0xFFFF))
@@ -128,7 +130,7 @@ def test_any_octets_after_a_valid_header_with_a_valid_checksum(profile, data):
     for count, (sample, pointer, zone, filler) in enumerate(frames):
         size = profile.packet_zone_octets if sample else profile.largest_zone_octets
         zone = zone[:size].ljust(size, bytes((filler,)))
-        pointer &= 0x1F if profile.pointer_in_signaling else 0x7FF
+        pointer &= 0x1F if profile.pointer_in_vcid else 0x7FF
         frame = codec.pack(count, bytes(12) if sample else None, pointer, zone)
         assert receiver.handle_frame(frame, count * MS)
         while receiver.next_event():

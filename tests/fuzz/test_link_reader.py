@@ -38,7 +38,7 @@ class Reader:
     """Implements the tables of docs/link*.md: no loss, no restart, raw packets only."""
 
     def __init__(self, profile):
-        self.short = profile.pointer_in_signaling
+        self.short = profile.pointer_in_vcid
         self.insert_octets = profile.insert_octets
         self.in_flight = None  # flow number and what has come of it
         self.paused = {}  # by level
@@ -51,12 +51,12 @@ class Reader:
     def frame(self, frame):
         self.pieces, self.filled, self.ended_before = [], 0, None
         self.books.update(header=6, fecf=2)
-        at, sample = 6, bool(frame[5] & 0x20)
+        at, sample = 6, bool(frame[5] & 0x40)
         if sample:
             at += self.insert_octets
             self.books["haptic"] += self.insert_octets
         if self.short:
-            pointer, ones = frame[5] & 0x1F, 0x1F
+            pointer, ones = frame[1] & 0x3F, 0x1F
         else:
             pointer, ones = int.from_bytes(frame[at : at + 2], "big"), 0x7FF
             at += 2

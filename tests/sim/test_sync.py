@@ -31,7 +31,7 @@ SETUP = Setup(
 def setup(tmp_path_factory):
     radio = tmp_path_factory.mktemp("radio") / "straight.toml"
     radio.write_text(f"delay_ms = {DELAY_MS}\n")
-    wide = replace(SETUP.uplink, frame_octets=64, pointer_in_signaling=False)
+    wide = replace(SETUP.uplink, frame_octets=64, pointer_in_vcid=False)
     return replace(SETUP, radio=load_radio(str(radio)), uplink=wide, sources={"left": "scene:left"})
 
 

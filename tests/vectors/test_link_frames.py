@@ -44,19 +44,19 @@ def bits(value: int, width: int) -> str:
 
 
 def frame_by_bits(profile, count, sample, pointer, zone):
-    """Return the fields of CCSDS 732.0-B 4.1.2, one after the other, as strings of bits."""
-    in_signaling = profile.pointer_in_signaling
+    """Return the fields of CCSDS 732.0-B-5 4.1.2, one after the other, as strings of bits."""
+    in_vcid = profile.pointer_in_vcid
     header = (
         "01"  # transfer frame version number
-        + bits(profile.scid, 8)
-        + bits(profile.vcid, 6)
+        + bits(profile.scid, 8)  # the eight lowest bits of the SCID
+        + bits(profile.vcid + (pointer if in_vcid else 0), 6)
         + bits(count % 2**24, 24)
         + "0"  # replay flag
-        + "0"  # VC frame count usage flag
-        + ("0" if sample is None else "1")
-        + bits(pointer if in_signaling else 0, 5)
+        + ("0" if sample is None else "1")  # VC frame count usage flag
+        + "00"  # the two highest bits of the SCID
+        + "0000"  # VC frame count cycle
     )
-    mpdu = "" if in_signaling else "00000" + bits(pointer, 11)
+    mpdu = "" if in_vcid else "00000" + bits(pointer, 11)
     octets = b"".join(
         int(piece, 2).to_bytes(len(piece) // 8, "big") if isinstance(piece, str) else piece
         for piece in (header, sample or b"", *([mpdu] if mpdu else []), zone)
@@ -71,7 +71,7 @@ def test_fecf_is_the_standards_crc():
 
 #: Profiles with the largest zones that leave room for all codes: 27 octets, and 2043.
 WIDEST = [
-    LinkProfile(name="short", frame_octets=35, scid=0, vcid=63, pointer_in_signaling=True),
+    LinkProfile(name="short", frame_octets=35, scid=0, vcid=31, pointer_in_vcid=True),
     LinkProfile(name="long", frame_octets=2053, scid=255, vcid=0),
 ]
 
@@ -109,13 +109,13 @@ def test_uplink_frame_by_hand():
     sender.handle_haptic(SAMPLE, 0)
     sender.handle_packet("tmtc", b"abc", 0)
     frame = sender.poll_transmit(0)
-    # '01' version, 0x4B = '01001011' SCID, '000001' VCID: 0101 0010 1100 0001.
-    header = bytes.fromhex("52c1 000005 20")  # sample flag; first header pointer 0
+    # '01' version, 0x4B = '01001011' SCID, '000000' VCID, the pointer: 0101 0010 1100 0000.
+    header = bytes.fromhex("52c0 000005 40")  # with a sample
     # '1' closed, '0001' raw, '011' flow 3; 3 octets; 7 octets of fill.
     zone = bytes.fromhex("8b 03 616263 00 000000000000")
     body = header + SAMPLE + zone
     assert frame == body + struct.pack(">H", crc16_by_division(body))
-    assert frame.hex() == "52c100000520000102030405060708090a0b8b0361626300000000000000" + "46dd"
+    assert frame.hex() == "52c000000540000102030405060708090a0b8b0361626300000000000000" + "eea3"
 
 
 def test_uplink_packet_over_several_frames_with_an_interrupting_telecommand():
@@ -128,23 +128,23 @@ def test_uplink_packet_over_several_frames_with_an_interrupting_telecommand():
         if slot == 2:
             sender.handle_packet("tmtc", b"TC", 0)
         frame = sender.poll_transmit(0, MESSAGE if slot == 3 else None)
-        zones.append((frame[2:6].hex(), frame[6 if slot == 1 else 18 : 30].hex()))
+        zones.append((frame[:6].hex(), frame[6 if slot == 1 else 18 : 30].hex()))
     assert zones == [
         # Open raw tag of flow 2 and the first 11 octets.
-        ("ffffff20", "0a" + bytes(range(0x30, 0x3B)).hex()),
+        ("52c0ffffff40", "0a" + bytes(range(0x30, 0x3B)).hex()),
         # No sample: pointer 31, no start, and 24 octets that go on.
-        ("0000001f", bytes(range(0x3B, 0x53)).hex()),
+        ("52df00000000", bytes(range(0x3B, 0x53)).hex()),
         # Pointer 29: preempted. The telecommand closed, then level 3 resumed (open) to the end.
-        ("0000013d", "8b025443" + "07" + bytes(range(0x53, 0x5A)).hex()),
+        ("52dd00000140", "8b025443" + "07" + bytes(range(0x53, 0x5A)).hex()),
         # Pointer 28: a supervision message takes the zone.
-        ("0000023c", MESSAGE.hex()),
+        ("52dc00000240", MESSAGE.hex()),
         # Pointer 6: the packet's last six octets, then fill.
-        ("00000326", bytes(range(0x5A, 0x60)).hex() + "000000000000"),
+        ("52c600000340", bytes(range(0x5A, 0x60)).hex() + "000000000000"),
     ]
     # Pointer 30: only idle, with a sample and without.
     sender.handle_haptic(SAMPLE, 0)
-    assert sender.poll_transmit(0)[2:30] == bytes.fromhex("000004 3e") + SAMPLE + bytes(12)
-    assert sender.poll_transmit(0)[2:30] == bytes.fromhex("000005 1e") + bytes(24)
+    assert sender.poll_transmit(0)[:30] == bytes.fromhex("52de 000004 40") + SAMPLE + bytes(12)
+    assert sender.poll_transmit(0)[:30] == bytes.fromhex("52de 000005 00") + bytes(24)
     assert sender.octets() == {
         "header": 7 * 6,
         "fecf": 7 * 2,
@@ -170,7 +170,7 @@ def test_downlink_frame():
     frame = sender.poll_transmit(0)
     assert len(frame) == 500
     # SCID 0x4C; M_PDU header: five spare bits and pointer 0.
-    assert frame[:20].hex() == "5301" + "000000" + "20" + SAMPLE.hex() + "0000"
+    assert frame[:20].hex() == "5301" + "000000" + "40" + SAMPLE.hex() + "0000"
     assert frame[20:42] == bytes.fromhex("8b 14") + bytes(range(20))
     # The length of 200 octets takes two octets: 1 bit and 15 bits of length.
     assert frame[42:245] == bytes.fromhex("8a 80c8") + b"m" * 200
@@ -204,9 +204,10 @@ def test_a_dropped_packet_is_not_reported_as_ended():
     frames = [sender.poll_transmit(0)]
     sender.flush(0)
     frames += [sender.poll_transmit(0, MESSAGE), sender.poll_transmit(0), sender.poll_transmit(0)]
-    assert frames[1][5] == 0x1C
-    assert frames[2][5:30] == bytes.fromhex("1d 00") + bytes(23)  # preempted, and fill
-    assert frames[3][5] == 0x1E
+    assert frames[1][1] == 0xDC
+    assert frames[2][6:30] == b"\0" + bytes(23)  # fill …
+    assert frames[2][1] == 0xDD  # … after the packet was preempted
+    assert frames[3][1] == 0xDE
     sender.handle_packet("maintenance", b"next", 0)
     for frame in (*frames, sender.poll_transmit(0)):
         assert receiver.handle_frame(frame, 0)
@@ -224,7 +225,7 @@ def test_kinds_of_rtp_packets_and_their_flow():
         for slot in range(33):
             frame = sender.poll_transmit((number * 33 + slot) * 1_000_000)
             if slot == 0:
-                assert (frame[5], frame[6] & 0x87) == (0, 0x80)  # closed, flow 0
+                assert (frame[1], frame[6] & 0x87) == (0xC0, 0x80)  # closed, flow 0
                 kinds.append(frame[6] >> 3 & 0xF)
     assert kinds[0] in (1, 2)
     assert set(kinds) <= {1, 2, *range(4, 16)}

@@ -140,7 +140,7 @@ DOWN = [packet_flow("tm", Level.TMTC)]
 GROUND = Configuration(transmit=UPLINK, transmit_flows=UP, receive=DOWNLINK, receive_flows=DOWN)
 SPACE = Configuration(transmit=DOWNLINK, transmit_flows=DOWN, receive=UPLINK, receive_flows=UP)
 TEXT = """\
-32 12 1000000 75 1 1
+32 12 1000000 75 0 1
 tc 0 raw 0 0
 voice 1 rtp 48000 960
 500 12 1000000 76 1 0

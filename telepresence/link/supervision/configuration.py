@@ -36,7 +36,7 @@ class Configuration:
         for profile, flows in ways if master else reversed(ways):
             lines.append(
                 f"{profile.frame_octets} {profile.insert_octets} {profile.slot_ns} {profile.scid} "
-                f"{profile.vcid} {int(profile.pointer_in_signaling)}\n"
+                f"{profile.vcid} {int(profile.pointer_in_vcid)}\n"
             )
             lines += [
                 f"{flow.name} {int(flow.level)} {flow.kind.value} {flow.clock_hz} "

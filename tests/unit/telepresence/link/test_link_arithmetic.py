@@ -127,7 +127,7 @@ def test_no_run_needs_more_than_computed(profile, video_kbps, packets_per_s, voi
     ("changes", "message"),
     [
         ({"frame_octets": 20}, "at least 34"),
-        ({"frame_octets": 40, "pointer_in_signaling": True}, "set it to false"),
+        ({"frame_octets": 40, "pointer_in_vcid": True}, "set it to false"),
         ({"frame_octets": 4000}, "at most 2053"),
         ({"frame_octets": 32, "scid": 256}, "scid"),
     ],

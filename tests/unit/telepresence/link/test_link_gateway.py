@@ -115,7 +115,7 @@ def test_a_single_working_direction_keeps_carrying():
 
 def test_ends_with_different_configurations_deliver_nothing_and_say_why():
     flows = {"transmit_flows": UP, "receive_flows": DOWN}
-    wide = LinkProfile(name="uplink", frame_octets=32, scid=0x4B, pointer_in_signaling=True)
+    wide = LinkProfile(name="uplink", frame_octets=32, scid=0x4B, pointer_in_vcid=True)
     other = LinkProfile(name="downlink", frame_octets=500, scid=0x4C, slot_ns=2 * MS)
     ground = Gateway(transmit=wide, receive=DOWNLINK, **flows, master=True, life=1, now_ns=0)
     space = Gateway(

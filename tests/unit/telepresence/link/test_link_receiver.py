@@ -281,7 +281,7 @@ def test_an_endless_packet_is_dropped_at_the_size_limit():
         ("length", lambda frame: b""),
         ("fecf", lambda frame: frame[:9] + bytes([frame[9] ^ 4]) + frame[10:]),
         ("version", lambda frame: resealed(b"\x12" + frame[1:-2])),
-        ("vcid", lambda frame: resealed(frame[:1] + bytes([frame[1] ^ 1]) + frame[2:-2])),
+        ("vcid", lambda frame: resealed(frame[:1] + bytes([frame[1] ^ 0x20]) + frame[2:-2])),
         ("scid", lambda frame: frames(1, profile=OTHER_CRAFT)[0]),
         ("signaling", lambda frame: resealed(frame[:5] + bytes([frame[5] | 0x80]) + frame[6:-2])),
     ],
@@ -293,7 +293,29 @@ def test_invalid_frames_are_dropped(reason, mutate):
     assert receiver.frames_received == 0
 
 
-OTHER_CRAFT = LinkProfile(name="other", frame_octets=32, scid=9, pointer_in_signaling=True)
+OTHER_CRAFT = LinkProfile(name="other", frame_octets=32, scid=9, vcid=0, pointer_in_vcid=True)
+
+
+@pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
+@pytest.mark.parametrize("sampled", [False, True])
+def test_every_bit_that_must_be_zero_is_checked(profile, sampled):
+    sender = LinkSender(profile, FLOWS)
+    if sampled:
+        sender.handle_haptic(bytes(12), 0)
+    body = sender.poll_transmit(0)[:-2]
+    receiver = LinkReceiver(profile, FLOWS)
+    # Replay flag, the SCID's two highest bits, the frame count cycle; not the usage flag.
+    for bit in (0x80, 0x20, 0x10, 0x08, 0x04, 0x02, 0x01):
+        changed = body[:5] + bytes([body[5] ^ bit]) + body[6:]
+        assert not receiver.handle_frame(resealed(changed), 0)
+    assert receiver.frames_dropped == {"signaling": 7}
+    # The five spare bits of the M_PDU header.
+    at = 18 if sampled else 6
+    for bit in (0x80, 0x40, 0x20, 0x10, 0x08) if profile.mpdu_octets else ():
+        changed = body[:at] + bytes([body[at] ^ bit]) + body[at + 1 :]
+        assert not receiver.handle_frame(resealed(changed), 0)
+    assert receiver.frames_dropped.get("mpdu", 0) == (5 if profile.mpdu_octets else 0)
+    assert receiver.frames_received == 0
 
 
 def resealed(body):

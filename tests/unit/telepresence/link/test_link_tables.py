@@ -10,9 +10,9 @@ from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"frame_octets": 31, "pointer_in_signaling": True}, "must be at least 32"),
+        ({"frame_octets": 31, "pointer_in_vcid": True}, "must be at least 32"),
         ({"frame_octets": 33}, "must be at least 34"),
-        ({"frame_octets": 36, "pointer_in_signaling": True}, "at most 27 octets, not 28"),
+        ({"frame_octets": 36, "pointer_in_vcid": True}, "at most 27 octets, not 28"),
         ({"frame_octets": 2054}, "must be at most 2053"),
         ({"frame_octets": 2054, "insert_octets": 0}, "must be at most 2053"),
     ],
@@ -20,6 +20,16 @@ from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 def test_a_profile_with_a_pointer_too_narrow_for_its_zone_is_refused(fields, message):
     with pytest.raises(ConfigError, match=message):
         LinkProfile(name="own", scid=1, **fields)
+
+
+@pytest.mark.parametrize(
+    ("fields", "most"), [({}, 62), ({"frame_octets": 32, "pointer_in_vcid": True}, 31)]
+)
+def test_a_virtual_channel_never_becomes_that_of_idle_frames(fields, most):
+    fields = {"name": "own", "scid": 1, "frame_octets": 40, **fields}
+    LinkProfile(vcid=most, **fields)
+    with pytest.raises(ConfigError, match=f"must be from 0 to {most}"):
+        LinkProfile(vcid=most + 1, **fields)
 
 
 def test_zones_with_a_sample_and_without():
