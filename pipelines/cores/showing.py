@@ -8,11 +8,16 @@ from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
 from pipelines.cores.figures import DisplayCounters, DisplayGauges
 from pipelines.cores.probe import Probe
 from pipelines.cores.rows import ShownRow
+from pipelines.cores.screen import Drawing, Screen
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 
 
 class Showing:
-    """Counts what is shown of `streams`, and follows its age."""
+    """Counts what is shown of `streams`, follows its age, and says what to draw. A core.
+
+    After each input draw what `next_event` returns, until None. Call `handle_time` at
+    `poll_timeout`.
+    """
 
     def __init__(
         self, setup: Setup, streams: Sequence[VideoStream | VoiceStream], probe: Probe
@@ -22,12 +27,41 @@ class Showing:
         self._shown = {stream.name: 0 for stream in streams}
         #: By stream.
         self.staleness = {stream.name: _staleness(setup, stream) for stream in streams}
+        self._screens = {
+            stream.name: Screen(stream.name, self.staleness[stream.name])
+            for stream in streams
+            if isinstance(stream, VideoStream)
+        }
 
     def handle_shown(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture, or a block of sound, is shown at `now_ns`.
 
         Concealed sound does not count, and does not lower the age.
         """
+        self._count(stream, stamp, now_ns)
+        screen = self._screens.get(stream)
+        if screen is not None:
+            screen.handle_picture(stamp.capture_ns, now_ns)
+
+    def poll_timeout(self) -> int | None:
+        """Return when the next mark on a stale picture is due; None while there is no picture."""
+        due = [screen.poll_timeout() for screen in self._screens.values()]
+        return min((due_ns for due_ns in due if due_ns is not None), default=None)
+
+    def handle_time(self, now_ns: int) -> None:
+        """Draw the marks that are due."""
+        for screen in self._screens.values():
+            screen.handle_time(now_ns)
+
+    def next_event(self) -> Drawing | None:
+        """Return what to draw now, or None."""
+        for screen in self._screens.values():
+            drawing = screen.next_event()
+            if drawing is not None:
+                return drawing
+        return None
+
+    def _count(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
         if stamp.quality is Quality.CONCEALED or stamp.rtp_timestamp is None:
             return
         self._shown[stream] += 1

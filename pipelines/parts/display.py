@@ -2,76 +2,51 @@
 
 There is no screen and no sound card: the instant of reading from shared memory counts as the
 instant of display. The picture that a screen would show, with a mark if it is stale, is published
-as a topic.
+as a topic. `Showing` decides what is drawn when.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_MS
 from kontur_av.streams.lipsync import LAG
-from kontur_av.streams.staleness import Staleness
 from kontur_av.topics.bus import Lease, TopicBus
+from pipelines.cores.marking import mark_stale
 from pipelines.cores.showing import Showing
 from pipelines.cores.watching import OPERATORS, Watching
-from pipelines.parts.marking import mark_stale
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.table import VideoStream, VoiceStream
 from pipelines.topology import VideoRow
 
-#: How often the age on a stale picture is drawn anew.
-_REDRAW_NS = 100 * NS_PER_MS
 
+class _Picture:
+    """The displayed picture of one video stream, published as a topic while there is a reader."""
 
-class _Screen:
-    """The displayed picture of one video stream, published as a topic while there is a reader.
-
-    A new reader gets the next picture, or the next mark, which is drawn every `_REDRAW_NS`.
-    """
-
-    def __init__(
-        self, bus: TopicBus, row: VideoRow, stream: VideoStream, staleness: Staleness
-    ) -> None:
+    def __init__(self, bus: TopicBus, row: VideoRow, stream: VideoStream) -> None:
         octets = stream.width * stream.height * 3 // 2
         self._writer = bus.writer(row.displayed_topic, max_octets=octets)
         # The voice receiver polls it for lip-sync.
         self._lag = bus.writer(row.lag_topic, max_octets=LAG.size, wake=False)
-        self._staleness = staleness
         self._lease: Lease | None = None
-        self._drawn_ns = 0
 
     def handle_picture(self, lease: Lease, now_ns: int) -> None:
         """The newest picture; it is kept until the next one comes."""
         stamp = lease.stamp
         self._lag.publish_octets(LAG.pack(now_ns, now_ns - stamp.capture_ns), stamp)
-        previous, self._lease = self._lease, lease
-        self._draw(now_ns)
-        if previous is not None:
-            previous.release()
+        if self._lease is not None:
+            self._lease.release()
+        self._lease = lease
 
-    def due_ns(self) -> int | None:
-        """Return when to draw the mark next; None while there is no picture."""
-        stale_ns = self._staleness.stale_from_ns()
-        return None if stale_ns is None else max(stale_ns, self._drawn_ns + _REDRAW_NS)
-
-    def handle_time(self, now_ns: int) -> None:
-        """Draw the mark if it is due."""
-        due_ns = self.due_ns()
-        if due_ns is not None and now_ns >= due_ns:
-            self._draw(now_ns)
-
-    def _draw(self, now_ns: int) -> None:
+    def draw(self, stale_ns: int | None) -> None:
+        """Publish the picture; stale_ns: the age for the mark of a stale one, else None."""
         assert self._lease is not None
-        self._drawn_ns = now_ns
         if not self._writer.has_readers():
             return
         frame = self._lease.video()
         loan = self._writer.loan_picture(frame.width, frame.height)
         np.copyto(loan.picture, frame.data)
-        stale_ns = self._staleness.stale_from_ns()
-        if stale_ns is not None and now_ns >= stale_ns:
-            mark_stale(loan.picture, now_ns - frame.stamp.capture_ns)
+        if stale_ns is not None:
+            mark_stale(loan.picture, stale_ns)
         loan.publish(frame.stamp)
 
 
@@ -89,10 +64,8 @@ def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream
             )
             for stream in streams
         ]
-        screens = {
-            stream.name: _Screen(
-                bus, context.topology.video(stream.name), stream, showing.staleness[stream.name]
-            )
+        pictures = {
+            stream.name: _Picture(bus, context.topology.video(stream.name), stream)
             for stream in streams
             if isinstance(stream, VideoStream)
         }
@@ -100,21 +73,22 @@ def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
-            due = [due_ns for screen in screens.values() if (due_ns := screen.due_ns()) is not None]
-            waiter.wait(min([PATIENCE_NS, *(max(0, due_ns - now_ns) for due_ns in due)]))
+            due_ns = showing.poll_timeout()
+            wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns)
+            waiter.wait(max(0, wait_ns))
             for stream, reader in zip(streams, readers, strict=True):
-                screen = screens.get(stream.name)
-                take = reader.next if screen is None else reader.latest
+                picture = pictures.get(stream.name)
+                take = reader.next if picture is None else reader.latest
                 while (lease := take()) is not None:
                     now_ns = clock.now_ns()
                     showing.handle_shown(stream.name, lease.stamp, now_ns)
                     if stream.name in watched:
                         watching.handle_sample(stream.name, lease, now_ns)
-                    if screen is None:
+                    if picture is None:
                         lease.release()
                     else:
-                        screen.handle_picture(lease, now_ns)
-            now_ns = clock.now_ns()
-            for screen in screens.values():
-                screen.handle_time(now_ns)
+                        picture.handle_picture(lease, now_ns)
+            showing.handle_time(clock.now_ns())
+            while (drawing := showing.next_event()) is not None:
+                pictures[drawing.stream].draw(drawing.stale_ns)
         del waiter

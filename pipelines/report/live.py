@@ -14,8 +14,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
 from kontur_av.streams.staleness import State
 from pipelines.cores.figures import DisplayGauges, HapticCounters, ReceptionCounters
+from pipelines.cores.marking import age_words
 from pipelines.cores.probe import FLUSH_NS
-from pipelines.parts.marking import age_words
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.session_report import haptic_cap_bps, latency_ms

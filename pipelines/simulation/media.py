@@ -30,7 +30,7 @@ from pipelines.setup.table import (
 from pipelines.simulation.agenda import Agenda
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.inputs import Camera, Microphone, ShowPicture, Stereo
-from pipelines.simulation.receivers import VideoReceiveProcess, VoiceReceiveProcess
+from pipelines.simulation.receivers import Display, VideoReceiveProcess, VoiceReceiveProcess
 from pipelines.simulation.senders import VideoSendProcess, VoiceSendProcess
 from pipelines.simulation.studio import (
     Picture,
@@ -89,7 +89,7 @@ class Media:
         self._on_confirmed = on_confirmed
         self._receivers: list[VideoReceiveProcess | VoiceReceiveProcess] = []
         #: By display.
-        self._showings: dict[str, Showing] = {}
+        self._displays: dict[str, Display] = {}
         #: Everything shown up to this instant is known.
         self._settled_ns = scene.start_ns
         setup = scene.setup
@@ -113,6 +113,8 @@ class Media:
         for receiver in self._receivers:
             receiver.settle(until_ns)
         self._settled_ns = min(until_ns, now_ns)
+        for display in self._displays.values():
+            display.handle_time(self._settled_ns)
 
     def _send_uplink_video(self) -> None:
         setup, stream = self._scene.setup, self._scene.setup.uplink_video
@@ -210,7 +212,7 @@ class Media:
         scene.telling.add(microphone.tell)
 
     def _receive_video(self, stream: VideoStream) -> VideoReceiveProcess:
-        scene, showing = self._scene, self._showing(stream.name)
+        scene, display = self._scene, self._display(stream.name)
         probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
         far = scene.space if stream is scene.setup.uplink_video else scene.ground
         watched = (stream.width, stream.height) if stream.name in OPERATORS else None
@@ -219,7 +221,7 @@ class Media:
             stream.name,
             video_receiver(stream, ssrc=ssrc, wall_offset_ns=_WALL_OFFSET_NS),
             probe,
-            showing,
+            display,
             agenda=scene.agenda,
             decoder=scene.workers.start(partial(VideoDecoding, watched)),
             costs=scene.costs,
@@ -229,13 +231,13 @@ class Media:
         return receiver
 
     def _receive_voice(self, stream: VoiceStream, pictures: VideoReceiveProcess | None) -> None:
-        scene, showing = self._scene, self._showing(stream.name)
+        scene, display = self._scene, self._display(stream.name)
         probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
         receiver = VoiceReceiveProcess(
             stream.name,
             voice_receiver(scene.topology, stream, wall_offset_ns=_WALL_OFFSET_NS),
             probe,
-            showing,
+            display,
             agenda=scene.agenda,
             decoder=scene.workers.start(partial(VoiceDecoding, watched=stream.name in OPERATORS)),
             costs=scene.costs,
@@ -252,16 +254,16 @@ class Media:
         self._receivers.append(receiver)
         self._scene.telling.add(receiver.tell)
 
-    def _showing(self, stream: str) -> Showing:
+    def _display(self, stream: str) -> Display:
         """The display that shows `stream`."""
         telling, topology = self._scene.telling, self._scene.topology
-        display = topology.media(stream).display
-        if display not in self._showings:
-            streams = [row.stream for row in topology.media_streams if row.display == display]
-            showing = Showing(self._scene.setup, streams, telling.probe(display))
+        name = topology.media(stream).display
+        if name not in self._displays:
+            streams = [row.stream for row in topology.media_streams if row.display == name]
+            showing = Showing(self._scene.setup, streams, telling.probe(name))
             telling.add(lambda: showing.tell(self._settled_ns))
-            self._showings[display] = showing
-        return self._showings[display]
+            self._displays[name] = Display(showing)
+        return self._displays[name]
 
     def _identity(self, stream: str) -> RtpIdentity:
         return RtpIdentity.draw(Random(f"{self._scene.seed} {stream}").getrandbits)

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 
+from kontur_av.media import CaptureStamp
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
@@ -25,6 +26,29 @@ from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.workers import Batch, Worker
 
 
+class Display:
+    """A display whose pictures are never drawn; it is decided all the same when each would be."""
+
+    def __init__(self, showing: Showing) -> None:
+        self._showing = showing
+        self.probe = showing.probe
+
+    def handle_shown(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
+        """A picture or a block of sound is shown."""
+        self._showing.handle_shown(stream, stamp, now_ns)
+        self._draw()
+
+    def handle_time(self, until_ns: int) -> None:
+        """Mark what is stale up to `until_ns`, each time at its instant."""
+        while (due_ns := self._showing.poll_timeout()) is not None and due_ns <= until_ns:
+            self._showing.handle_time(due_ns)
+            self._draw()
+
+    def _draw(self) -> None:
+        while self._showing.next_event() is not None:
+            pass
+
+
 class VideoReceiveProcess:
     """Receives RTP and reports, decodes every access unit, and shows the pictures."""
 
@@ -33,7 +57,7 @@ class VideoReceiveProcess:
         stream: str,
         receiver: VideoReceiver,
         probe: Probe,
-        showing: Showing,
+        display: Display,
         *,
         agenda: Agenda,
         decoder: Worker,
@@ -43,7 +67,7 @@ class VideoReceiveProcess:
         self._stream = stream
         self._receiver = receiver
         self._probe = probe
-        self._showing = showing
+        self._display = display
         self._agenda = agenda
         self._decoder = Batch(decoder)
         self._ask = ask
@@ -99,10 +123,12 @@ class VideoReceiveProcess:
                     of, width, height, capture_ns, corrupt=corrupt
                 )
                 if stamp is not None:
-                    self._showing.handle_shown(self._stream, stamp, shown_ns)
+                    # The marks on the picture before come first.
+                    self._display.handle_time(shown_ns - 1)
+                    self._display.handle_shown(self._stream, stamp, shown_ns)
                     self._recall.add(of, stamp.capture_ns)
             for light in lights:
-                tell_light(self._showing.probe, self._stream, light, self._recall.captured_ns)
+                tell_light(self._display.probe, self._stream, light, self._recall.captured_ns)
 
     def tell(self) -> None:
         """Put the counters into the probe."""
@@ -118,7 +144,7 @@ class VoiceReceiveProcess:
         stream: str,
         receiver: VoiceReceiver,
         probe: Probe,
-        showing: Showing,
+        display: Display,
         *,
         agenda: Agenda,
         decoder: Worker,
@@ -127,7 +153,7 @@ class VoiceReceiveProcess:
         self._stream = stream
         self._receiver = receiver
         self._probe = probe
-        self._showing = showing
+        self._display = display
         self._agenda = agenda
         self._decoder = Batch(decoder)
         self._cost_ns = costs.ns("voice_decode")
@@ -167,7 +193,7 @@ class VoiceReceiveProcess:
             decoded, clicks = self._decoder.next_result()
             stamp = self._receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
             if stamp is not None:
-                self._showing.handle_shown(self._stream, stamp, heard_ns)
+                self._display.handle_shown(self._stream, stamp, heard_ns)
                 self._recall.add(block.timestamp, stamp.capture_ns)
             for click in clicks:
-                tell_click(self._showing.probe, self._stream, click, self._recall.captured_ns)
+                tell_click(self._display.probe, self._stream, click, self._recall.captured_ns)

@@ -200,6 +200,7 @@ LIBRARIES = {
     "pipelines/bench/video/quality.py": ({"cv2"}, "compares pictures"),
     "pipelines/cores/probe.py": ({"pickle"}, "a message as octets"),
     "pipelines/setup/setup_file.py": ({"pathlib"}, "a file"),
+    "pipelines/cores/marking.py": ({"cv2"}, "draws"),
     "pipelines/cores/requests.py": ({"msgspec"}, "requests and answers as JSON"),
     "pipelines/report/": ({"msgspec", "rich"}, "the report as JSON and as text"),
     "pipelines/report/keys.py": ({"inspect"}, "reads docstrings"),

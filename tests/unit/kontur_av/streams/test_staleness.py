@@ -9,9 +9,9 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp, Quality, empty_picture, planes
 from kontur_av.streams.staleness import Staleness, State
 from pipelines.cores.figures import DisplayCounters, DisplayGauges
+from pipelines.cores.marking import age_words, mark_stale
 from pipelines.cores.probe import Probe
 from pipelines.cores.showing import Showing
-from pipelines.parts.marking import age_words, mark_stale
 from pipelines.setup.built_in import BUILT_IN
 
 MS = NS_PER_MS
