@@ -17,7 +17,7 @@ from telepresence.world.backdrop import Backdrop
 from telepresence.world.board import blend
 from telepresence.world.brush import Body, Brush, Points, Yuv, capsule, disc, finish, yuv
 from telepresence.world.lettering import Caption
-from telepresence.world.speech import loudness_at
+from telepresence.world.speech import Speech
 from telepresence.world.state import WorldState
 
 Image = NDArray[np.uint8]
@@ -79,9 +79,13 @@ _SLOW_NS = NS_PER_S // 10
 
 
 class CabinView:
-    """The picture of the cabin in one size. `draw` writes a whole picture."""
+    """The picture of the cabin in one size. `draw` writes a whole picture.
 
-    def __init__(self, width: int, height: int) -> None:
+    speech: what the cosmonaut says, which moves the mouth.
+    """
+
+    def __init__(self, width: int, height: int, speech: Speech) -> None:
+        self._speech = speech
         self._scale = min(width / 640, height / 480)
         self._origin = complex(width - 640 * self._scale, height - 480 * self._scale) / 2
         still = _draw_still(width, height, self._scale, self._origin)
@@ -144,7 +148,7 @@ class CabinView:
     def _head(self, brush: Brush, time_ns: int) -> None:
         t = time_ns / NS_PER_S
         # The head sways slowly, nods slightly while it talks, and looks down at the hand.
-        stress = sum(loudness_at("cabin", time_ns - k * _SLOW_NS) for k in range(5)) / 5
+        stress = sum(self._speech.loudness_at(time_ns - k * _SLOW_NS) for k in range(5)) / 5
         self._tilt = tilt = complex(math.cos(a := 0.05 * math.sin(t / 1.9)), math.sin(a))
         self._place = place = _NECK + complex(
             4 * math.sin(t / 2.7), 2 * math.sin(t / 1.3) + 3 * stress
@@ -173,7 +177,7 @@ class CabinView:
         return np.asarray(shapes * self._tilt + self._place)
 
     def _mouth(self, brush: Brush, time_ns: int) -> None:
-        loud = loudness_at("cabin", time_ns)
+        loud = self._speech.loudness_at(time_ns)
         ovals = ((1, 40, 17, 4.5 + 8 * loud), (1, 40, 13, 1.2 + 7 * loud))
         self._shapes(brush, self._on_face(ovals), _MOUTH_COLOURS)
 

@@ -1,4 +1,4 @@
-"""The scenes behind `scene:NAME`, and the factories of their sources."""
+"""The scenes behind `scene:NAME`, and the factories of their sources. A shell: it reads speech."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -16,6 +16,7 @@ from kontur_av.sources.source import (
 from telepresence.world.cabin import CabinView
 from telepresence.world.ground_views import GroundView
 from telepresence.world.sound import Room
+from telepresence.world.speech_files import read_speech
 from telepresence.world.state import StateAt, WorldState, scripted_state
 
 #: Each camera, and its capture phase within a period. The stereo pair captures together; the
@@ -50,7 +51,9 @@ def _view(view: str, width: int, height: int) -> GroundView | CabinView:
     if view not in VIEWS:
         raise ConfigError(f"no scene {view!r}: choose one of {', '.join(sorted(VIEWS))}")
     check_size(width, height)
-    return CabinView(width, height) if view == "cabin" else GroundView(view, width, height)
+    if view == "cabin":
+        return CabinView(width, height, read_speech("cabin"))
+    return GroundView(view, width, height)
 
 
 def render(view: str, state: WorldState, into: I420, frame: int = 0) -> None:
@@ -93,6 +96,10 @@ def audio_scenes(state_at: StateAt = scripted_state) -> dict[str, AudioSceneFact
         return make
 
     return {
-        "ground_voice": factory(lambda: Room("ground", fan=False, state_at=state_at, seed=21)),
-        "cabin_voice": factory(lambda: Room("cabin", fan=True, state_at=None, seed=22)),
+        "ground_voice": factory(
+            lambda: Room(read_speech("ground"), fan=False, state_at=state_at, seed=21)
+        ),
+        "cabin_voice": factory(
+            lambda: Room(read_speech("cabin"), fan=True, state_at=None, seed=22)
+        ),
     }

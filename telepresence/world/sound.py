@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import AUDIO_CLOCK_HZ, Pcm
-from telepresence.world.speech import Speaker, position_at, speech
+from telepresence.world.speech import Speech
 from telepresence.world.state import StateAt
 
 #: RMS levels of the room and the fan, and the peak of the click, all in counts of int16.
@@ -25,12 +25,12 @@ _Number = TypeVar("_Number", np.int16, np.float64)
 class Room:
     """The sound of one place, block by block; it depends only on time and on the world's state.
 
-    speaker: whose voice. fan: add ventilation, as in the station.
+    speech: the voice in it. fan: add ventilation, as in the station.
     state_at: where the stylus's clicks come from; None for a place without clicks.
     """
 
-    def __init__(self, speaker: Speaker, *, fan: bool, state_at: StateAt | None, seed: int) -> None:
-        self._speaker = speaker
+    def __init__(self, speech: Speech, *, fan: bool, state_at: StateAt | None, seed: int) -> None:
+        self._speech = speech
         self._state_at = state_at
         self._noise = _ventilation(seed) if fan else _hiss(seed)
         self._click = _click(seed)
@@ -43,8 +43,8 @@ class Room:
     def fill(self, samples: Pcm, sequence: int, capture_ns: int) -> None:
         """Fill `samples` (int16) with the block whose first sample is captured at `capture_ns`."""
         count = len(samples)
-        voice = speech(self._speaker)
-        mixed = _looped(voice, position_at(self._speaker, capture_ns), count).astype(np.float64)
+        begin = self._speech.position_at(capture_ns)
+        mixed = _looped(self._speech.samples, begin, count).astype(np.float64)
         at = capture_ns * AUDIO_CLOCK_HZ // NS_PER_S % _NOISE_SAMPLES
         mixed += _looped(self._noise, at, count)
         if self._state_at is not None:

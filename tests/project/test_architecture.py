@@ -106,7 +106,7 @@ FILES = {
     "pipelines/setup/setup_file.py",
     "telepresence/link/radio/profile_file.py",
     "telepresence/toml_file.py",
-    "telepresence/world/speech.py",
+    "telepresence/world/speech_files.py",
 }
 
 #: Modules without a door of their own that use shells, and why.
@@ -128,9 +128,7 @@ USERS_OF_SHELLS = {
     "pipelines/simulation/session.py": "starts workers",
     "pipelines/simulation/studio.py": "what a worker does",
     "telepresence/haptics/device/spec.py": "opens devices",
-    "telepresence/world/cabin.py": "its speaker moves with recorded speech",
-    "telepresence/world/scenes.py": "opens scenes",
-    "telepresence/world/sound.py": "plays recorded speech",
+    "telepresence/world/scenes.py": "opens scenes, and reads recorded speech",
 }
 
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
@@ -195,9 +193,9 @@ LIBRARIES = {
     "telepresence/link/radio/profile_file.py": ({"pathlib"}, "a file"),
     "telepresence/toml_file.py": ({"msgspec", "pathlib", "tomllib"}, "a file"),
     "telepresence/world/": ({"cv2"}, "draws"),
-    "telepresence/world/speech.py": ({"av", "pathlib"}, "files"),
     "pipelines/bench/result.py": ({"pathlib"}, "writes a path as text"),
     "pipelines/bench/video/quality.py": ({"cv2"}, "compares pictures"),
+    "telepresence/world/speech_files.py": ({"av", "pathlib"}, "files"),
     "pipelines/cores/probe.py": ({"pickle"}, "a message as octets"),
     "pipelines/setup/setup_file.py": ({"pathlib"}, "a file"),
     "pipelines/cores/marking.py": ({"cv2"}, "draws"),

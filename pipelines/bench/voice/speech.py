@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
-from telepresence.world.speech import Speaker, speech
+from telepresence.world.speech import Speaker
+from telepresence.world.speech_files import read_speech
 
 #: The sample rate of wide-band PESQ (ITU-T P.862.2).
 _PESQ_HZ = 16_000
@@ -40,7 +41,7 @@ def speech_track(seconds: float) -> Track:
     turns: list[tuple[int, int]] = []
     at = len(pieces[0])
     while at < seconds * AUDIO_CLOCK_HZ or not turns:
-        said = speech(_SPEAKERS[len(turns) % len(_SPEAKERS)])
+        said = read_speech(_SPEAKERS[len(turns) % len(_SPEAKERS)]).samples
         said = said[: len(said) // BLOCK_SAMPLES * BLOCK_SAMPLES]
         turns.append((at, at + len(said)))
         pieces.append(said)

@@ -13,7 +13,7 @@ from kontur_av.detect import ClickDetector, LightDetector, Roi
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from telepresence.world import LEDS_M, WorldState, render
 from telepresence.world.sound import Room
-from telepresence.world.speech import speech
+from telepresence.world.speech_files import read_speech
 
 RATE = 48_000
 
@@ -64,7 +64,7 @@ def test_noise_tones_and_silence_are_no_clicks():
 
 
 def test_voice_is_weaker_than_a_click():
-    voice = speech("ground")[: 6 * RATE]
+    voice = read_speech("ground").samples[: 6 * RATE]
     loudest = max((strength for _, strength in found_clicks(voice)), default=0)
     ((_, strength),) = found_clicks(with_click(np.zeros(RATE), 24_000, peak=16_000))
     assert loudest < 0.5 * strength
@@ -79,7 +79,7 @@ def test_a_click_amid_a_voice_is_found_through_the_codec(cap_bps, least, most):
         newest = past[-1] if past else None
         return WorldState(now_ns, contact=bool(past), contact_since_ns=newest, touched_ns=newest)
 
-    room = Room("ground", fan=False, state_at=state_at, seed=21)
+    room = Room(read_speech("ground"), fan=False, state_at=state_at, seed=21)
     encoder, decoder = OpusEncoder(bitrate_bps=bitrate_under_cap(cap_bps)), OpusDecoder()
     heard = []
     for number in range(13 * 50):

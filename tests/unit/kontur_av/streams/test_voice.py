@@ -9,7 +9,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.rtp.payload_opus import holds_copy
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.streams.voice_player import VoicePlayer
-from telepresence.world.speech import speech
+from telepresence.world.speech_files import read_speech
 
 BLOCK = 960
 
@@ -43,7 +43,7 @@ def voiced(sound):
 
 @pytest.mark.parametrize("bitrate_bps", [7_600, 61_200])
 def test_one_lost_packet_is_never_silence(bitrate_bps):
-    sound = speech("ground")
+    sound = read_speech("ground").samples
     sent = packets(bitrate_bps, sound)
     chosen = voiced(sound)[::7]
     assert len(chosen) > 5
@@ -73,7 +73,7 @@ def test_a_block_is_played_in_exactly_the_time_it_is_given(played):
 
 
 def test_invalid_opus_is_concealed_with_any_length():
-    sent = packets(61_200, speech("cabin")[:48_000])
+    sent = packets(61_200, read_speech("cabin").samples[:48_000])
     player = VoicePlayer()
     for packet in sent[:20]:
         player.play(block(packet))
@@ -85,7 +85,7 @@ def test_invalid_opus_is_concealed_with_any_length():
 
 
 def test_a_copy_in_the_next_packet_is_better_than_a_guess():
-    sound = speech("ground")
+    sound = read_speech("ground").samples
     sent = packets(24_000, sound, copies=True)
     assert sum(map(holds_copy, sent)) > len(sent) // 2
     assert not any(map(holds_copy, packets(7_600, sound, copies=True))), "libopus makes none"

@@ -24,7 +24,7 @@ from telepresence.world import (
 )
 from telepresence.world.ground_views import GroundView, targets_px
 from telepresence.world.sound import Room
-from telepresence.world.speech import media_folder, speech
+from telepresence.world.speech_files import media_folder, read_speech
 
 SIZE = (640, 480)
 
@@ -175,7 +175,9 @@ def test_voices_are_heard_in_real_time(scene, speaker):
     assert clock.now_ns() >= blocks[-1].stamp.capture_ns + 20 * NS_PER_MS
     heard = np.concatenate([b.samples for b in blocks]).astype(float)
     begin = blocks[0].stamp.capture_ns * 48 // 1_000_000
-    said = np.take(speech(speaker), np.arange(begin, begin + len(heard)), mode="wrap").astype(float)
+    said = np.take(
+        read_speech(speaker).samples, np.arange(begin, begin + len(heard)), mode="wrap"
+    ).astype(float)
     assert np.corrcoef(heard, said)[0, 1] > 0.95
 
 
@@ -206,7 +208,7 @@ def heard_of(states, blocks=20, begin_ns=2 * NS_PER_S):
     """Return what a room adds to its silence for these states, reported at each block's end."""
 
     def sound(state_at):
-        room = Room("ground", fan=False, state_at=state_at, seed=21)
+        room = Room(read_speech("ground"), fan=False, state_at=state_at, seed=21)
         samples = np.zeros((blocks, 960), np.int16)
         for number, block in enumerate(samples):
             room.fill(block, number, begin_ns + number * 20 * NS_PER_MS)
