@@ -92,7 +92,6 @@ class PictureFeed:
             clock=clock,
             scenes=_scenes("video") if args.video.startswith("scene:") else None,
         )
-        switch_threads_often()
         self._encoding = EncodingThread(encoder, clock)
         self._wait_set = WaitSet([], [self._encoding.fileno()])
 
@@ -169,6 +168,8 @@ class SoundFeed:
 @contextmanager
 def open_feed(args: argparse.Namespace, clock: MonotonicClock) -> Iterator[PictureFeed | SoundFeed]:
     """The source, encoder and sender that the options name."""
+    if args.video is not None:
+        switch_threads_often()
     feed = (PictureFeed if args.video is not None else SoundFeed)(args, clock)
     try:
         yield feed

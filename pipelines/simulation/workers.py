@@ -46,7 +46,7 @@ class Job:
 
 
 class Worker:
-    """A process that does jobs: `submit` each, and call its `result`."""
+    """A process that does jobs: `start` it, `submit` each, and call its `result`."""
 
     def __init__(self, make: Callable[[], Coder], others: list[Connection]) -> None:
         context = multiprocessing.get_context("fork")
@@ -55,6 +55,11 @@ class Worker:
         self._process = context.Process(
             target=_work, args=(make, theirs, list(others)), daemon=True
         )
+        self._theirs = theirs
+        self._open: deque[Job] = deque()
+
+    def start(self) -> None:
+        """Fork the process. Call it once, before the first job."""
         # A forked process has no threads of OpenCV, but would wait for them: end them before the
         # fork. OpenCV starts them again when it needs them.
         threads = cv2.getNumThreads()
@@ -66,8 +71,7 @@ class Worker:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
             cv2.setNumThreads(threads)
-        theirs.close()
-        self._open: deque[Job] = deque()
+        self._theirs.close()
 
     def submit(self, job: Any) -> Job:
         """Begin `job`, anything that can be pickled."""
@@ -136,6 +140,7 @@ class Workers:
     def start(self, make: Callable[[], Coder]) -> Worker:
         """Start a process. make: called there to make its coder."""
         worker = Worker(make, self._links)
+        worker.start()
         self._workers.append(worker)
         return worker
 

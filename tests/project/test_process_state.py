@@ -1,0 +1,116 @@
+"""Signals, threads and memory of the whole process are set by named functions of shells only.
+
+A constructor or an import that sets them would surprise the program that uses the packages.
+"""
+
+import ast
+from collections.abc import Iterator
+
+from places import ROOT
+
+PACKAGES = ("kontur_av", "telepresence", "pipelines")
+
+#: Calls that change the whole process, by the end of their dotted names.
+SETTERS = {
+    "catch_warnings",
+    "chdir",
+    "gc.collect",
+    "gc.disable",
+    "gc.enable",
+    "gc.freeze",
+    "gc.set_threshold",
+    "gc.unfreeze",
+    "mallopt",
+    "mlockall",
+    "nice",
+    "np.random.seed",
+    "np.seterr",
+    "os.putenv",
+    "os.umask",
+    "prctl",
+    "pthread_sigmask",
+    "random.seed",
+    "sched_setaffinity",
+    "sched_setscheduler",
+    "set_start_method",
+    "set_wakeup_fd",
+    "setNumThreads",
+    "setUseOptimized",
+    "setdefaulttimeout",
+    "setitimer",
+    "setlocale",
+    "setpriority",
+    "setprofile",
+    "setrecursionlimit",
+    "setrlimit",
+    "setswitchinterval",
+    "settrace",
+    "signal.signal",
+    "simplefilter",
+    "stack_size",
+}
+
+#: Who may call them: a command, the launcher, and what runs first in a process of its own.
+ALLOWED = {
+    # For the time of an import whose warnings are not ours.
+    "kontur_av/codecs/libopus.py": {"_import_with"},
+    "kontur_av/streams/encoding_thread.py": {"switch_threads_often"},
+    "pipelines/bench/children.py": {"ended_alike"},
+    "pipelines/bench/fanout/run.py": {"_publish", "_read"},
+    "pipelines/bench/video/command.py": {"run"},
+    "pipelines/bench/video/ends.py": {"_become"},
+    "pipelines/commands/common.py": {"stopped_by_signals"},
+    "pipelines/commands/simulate.py": {"simulate"},
+    "pipelines/runtime/launcher.py": {
+        "Launcher.run",
+        "Launcher._start",
+        "Launcher._become_child",
+        "load_libraries",
+        "keep_memory",
+    },
+    "pipelines/runtime/process.py": {"become", "_take_realtime"},
+    "pipelines/simulation/workers.py": {"Worker.start", "_work"},
+}
+#: Functions among them that others call by these names.
+CALLED = {"switch_threads_often", "load_libraries", "keep_memory", "become", "stopped_by_signals"}
+CONSTRUCTORS = {"__init__", "__new__", "__post_init__"}
+
+
+def calls(node: ast.AST, place: str = "") -> Iterator[tuple[str, str]]:
+    """(function in which it stands, dotted name) of every call; "" outside of functions."""
+    for child in ast.iter_child_nodes(node):
+        inner = place
+        if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            inner = f"{place}.{child.name}" if place else child.name
+        elif isinstance(child, ast.Call):
+            yield place, ast.unparse(child.func)
+        yield from calls(child, inner)
+
+
+def found(names: set[str]) -> dict[str, set[str]]:
+    """By module: the functions that call one of these."""
+    result: dict[str, set[str]] = {}
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            for place, name in calls(ast.parse(path.read_text(encoding="utf-8"))):
+                if any(f".{name}".endswith(f".{setter}") for setter in names):
+                    result.setdefault(path.relative_to(ROOT).as_posix(), set()).add(place)
+    return result
+
+
+def test_only_named_functions_set_what_belongs_to_the_process():
+    assert found(SETTERS) == ALLOWED
+
+
+def test_no_constructor_and_no_import_sets_what_belongs_to_the_process():
+    places = [*found(SETTERS).values(), *found(CALLED).values()]
+    # A class's body runs at its import; a method's name has a dot, a class's begins with a capital.
+    wrong = {
+        place
+        for each in places
+        for place in each
+        if not place
+        or (place[0].isupper() and "." not in place)
+        or CONSTRUCTORS & {*place.split(".")}
+    }
+    assert not wrong
