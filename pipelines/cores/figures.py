@@ -97,9 +97,15 @@ class HapticCounters(Counters):
     late: int = 0
     #: Samples that came twice.
     repeated: int = 0
-    #: Datagrams that are no sample.
+    #: Samples of another session: of an earlier life of an end, or replayed.
+    strays: int = 0
+    #: Greetings received, with which sessions begin.
+    greetings: int = 0
+    #: Datagrams that are neither sample nor greeting.
     garbage: int = 0
-    #: How often the peer began to number anew.
+    #: Sessions begun; there is a new one every 30 s.
+    sessions: int = 0
+    #: How often a session began with a new life of the peer.
     restarts: int = 0
     #: Samples that the deadband left out; only with a deadband.
     left_out: int | None = None

@@ -45,7 +45,10 @@ class _End(Generic[Side]):
                 lost=samples.lost,
                 late=samples.late,
                 repeated=samples.repeated,
+                strays=samples.strays,
+                greetings=samples.greetings,
                 garbage=samples.garbage,
+                sessions=samples.sessions,
                 restarts=samples.restarts,
                 left_out=samples.left_out,
                 energy_in_uj=port.energy_in_uj,
@@ -66,10 +69,12 @@ class RobotEnd(_End[RobotSide]):
 
     `next_event` returns a state every 10 cycles, and at once when a contact begins or ends. Each
     beginning is a `ContactRow`.
+
+    life: 1 to 2^24-1; no earlier life of this end had it.
     """
 
-    def __init__(self, probe: Probe, *, deadband: bool = False) -> None:
-        super().__init__(RobotSide(link=robot_link(deadband=deadband)), probe)
+    def __init__(self, probe: Probe, *, life: int, deadband: bool = False) -> None:
+        super().__init__(RobotSide(link=robot_link(life=life, deadband=deadband)), probe)
         self._contact_since_ns: int | None = None
         self._touched_ns: int | None = None
         self._contacts = probe.series(ContactRow)
@@ -113,16 +118,19 @@ class JoystickEnd(_End[JoystickSide]):
 
     handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
         is reported in `JoystickGauges`.
+    life: as in `RobotEnd`.
     """
 
     def __init__(
         self,
         probe: Probe,
         *,
+        life: int,
         deadband: bool = False,
         handle: Handle | OperatedHandle | None = None,
     ) -> None:
-        super().__init__(JoystickSide(link=joystick_link(deadband=deadband), handle=handle), probe)
+        link = joystick_link(life=life, deadband=deadband)
+        super().__init__(JoystickSide(link=link, handle=handle), probe)
         self._operated = handle if isinstance(handle, OperatedHandle) else None
         self._latest = self.side.link.latest
         self._steps = StepDetector()

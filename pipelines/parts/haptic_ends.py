@@ -1,5 +1,6 @@
 """The processes of robot (ground) and joystick (space), each a 1 kHz loop."""
 
+import secrets
 import select
 from collections.abc import Callable
 from itertools import count
@@ -16,6 +17,7 @@ from telepresence.haptics.device.spec import SIMULATED, open_device
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.haptics.schedule import PeriodicSchedule
+from telepresence.haptics.session import LIVES
 from telepresence.world import WorldState
 
 #: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
@@ -32,7 +34,8 @@ def run_robot(context: Context) -> None:
             stamp = CaptureStamp(state.time_ns, next(numbers), "robot")
             writer.publish_octets(pack_state(state), stamp)
 
-        end = RobotEnd(context.probe, deadband=context.setup.deadband != "off")
+        deadband = context.setup.deadband != "off"
+        end = RobotEnd(context.probe, life=_new_life(), deadband=deadband)
         _run_loop(context, end, "robot", publish)
 
 
@@ -41,10 +44,15 @@ def run_joystick(context: Context, spec: str = SIMULATED) -> None:
     device = open_device(spec, hand=Hand())
     try:
         handle = OperatedHandle(device)
-        end = JoystickEnd(context.probe, deadband=context.setup.deadband != "off", handle=handle)
+        deadband = context.setup.deadband != "off"
+        end = JoystickEnd(context.probe, life=_new_life(), deadband=deadband, handle=handle)
         _run_loop(context, end, "joystick")
     finally:
         device.close()
+
+
+def _new_life() -> int:
+    return 1 + secrets.randbelow(LIVES - 1)
 
 
 def _run_loop(

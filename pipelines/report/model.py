@@ -159,6 +159,12 @@ class HapticReport(Report, frozen=True, kw_only=True):
     lost: int
     #: Samples that came after a newer one.
     late: int
+    #: Samples of another session, which are not used.
+    strays: int
+    #: Greetings that arrived in the place of samples.
+    greetings: int
+    #: Sessions that the receiver began; about one in 30 s.
+    sessions: int
     #: Datagrams that are no sample.
     garbage: int
     #: From one end's loop to the other's.

@@ -32,6 +32,7 @@ from pipelines.simulation.media import Consumer, Media, Scene
 from pipelines.simulation.telling import Telling
 from pipelines.simulation.workers import Workers
 from pipelines.topology import TELECOMMAND, TELEMETRY, Segment, topology_of
+from telepresence.haptics.session import LIVES
 from telepresence.link.gateway import Gateway
 from telepresence.link.receiver import HapticReceived, PacketReceived
 from telepresence.link.slots import GatewaySlots
@@ -97,8 +98,12 @@ class Simulation:
         self._down_timeout = self._space.radio.poll_timeout
         up, telemetry = self.topology.haptic("up"), self.topology.stream(TELEMETRY)
         assert telemetry.sender is not None and telemetry.receiver is not None
-        self._robot = RobotEnd(self._probe(up.sender), deadband=setup.deadband != "off")
-        self._joystick = JoystickEnd(self._probe(up.receiver), deadband=setup.deadband != "off")
+        lives = [
+            self._random(f"{row} life").randrange(1, LIVES) for row in (up.sender, up.receiver)
+        ]
+        deadband = setup.deadband != "off"
+        self._robot = RobotEnd(self._probe(up.sender), life=lives[0], deadband=deadband)
+        self._joystick = JoystickEnd(self._probe(up.receiver), life=lives[1], deadband=deadband)
         self._add(self._robot, self._joystick)
         self._choice = CameraChoice(setup, self._probe(telemetry.sender), now_ns=_START_NS)
         self._console = Console(

@@ -69,7 +69,6 @@ class _Side:
 
     def __init__(self) -> None:
         self.force_x_n = self.force_y_n = 0.0
-        self._restarts = 0
         self._acted = 0
         # Bound once, because they are called a thousand times a second.
         self.handle_datagram = self.link.handle_datagram
@@ -82,9 +81,6 @@ class _Side:
     def _advance(self, now_ns: int, advance_ns: int) -> bool:
         """Advance by `advance_ns`, at most 50 ms; return whether the controller acted."""
         link, controller = self.link, self.controller
-        if link.restarts != self._restarts:
-            self._restarts = link.restarts
-            controller.handle_restart()
         heard = link.latest(now_ns)
         if advance_ns > NS_PER_MS:
             advance_ns = min(advance_ns, _MAX_ADVANCE_NS)

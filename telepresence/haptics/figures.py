@@ -16,9 +16,15 @@ class HapticLinkFigures:
     late: int
     #: Samples that came twice.
     repeated: int
-    #: Datagrams that are no sample.
+    #: Samples of another session: of an earlier life of an end, or replayed.
+    strays: int
+    #: Greetings received, with which sessions begin.
+    greetings: int
+    #: Datagrams that are neither sample nor greeting.
     garbage: int
-    #: How often the peer began to number anew.
+    #: Sessions begun; there is a new one every 30 s.
+    sessions: int
+    #: How often a session began with a new life of the peer.
     restarts: int
     #: Samples that the deadband left out; null without a deadband.
     left_out: int | None = None

@@ -103,10 +103,6 @@ class JoystickController(PortController):
         """The part of the present force (N, N) that is the robot's; the rest is damping."""
         return self._gx, self._gy
 
-    def handle_restart(self) -> None:
-        """The peer restarted."""
-        self.port.handle_restart()
-
     def step(
         self, feedback: Feedback | None, x_m: float, y_m: float, dt_ns: int
     ) -> tuple[float, float]:

@@ -14,12 +14,16 @@ from telepresence.haptics.sample import (
     SEQUENCE_MODULUS,
     Command,
     Feedback,
+    is_greeting,
     pack_command,
     pack_feedback,
+    pack_greeting,
     read_command,
     read_feedback,
+    read_greeting,
 )
 from telepresence.haptics.schedule import PeriodicSchedule
+from telepresence.haptics.session import JoystickSession, RobotSession
 
 __all__ = [
     "HapticLink",
@@ -31,8 +35,8 @@ __all__ = [
     "robot_link",
 ]
 
-Out = TypeVar("Out")
-In = TypeVar("In")
+Out = TypeVar("Out", bound=Command | Feedback)
+In = TypeVar("In", bound=Command | Feedback)
 
 #: Without a sample for this long, the peer counts as silent: 20 slots.
 MAX_AGE_NS = 20 * NS_PER_MS
@@ -44,9 +48,8 @@ _WINDOW_MASK = (1 << _WINDOW) - 1
 #: How far a number may run ahead of the time that passed, because paths deliver in bursts.
 _SLACK = 1000
 
-#: After this many consecutive samples outside every plausible delay, assume that the peer restarted
-#: (RFC 3550 appendix A.1 asks for two; a third costs 1 ms and avoids false alarms).
-_RESTART_RUN = 3
+#: Skips the NamedTuple's own `__new__`, which is one more Python call a thousand times a second.
+_tuple = tuple.__new__
 
 #: Stamps kept for a latency meter; beyond that the oldest are dropped.
 _STAMPS_DEPTH = 8192
@@ -69,7 +72,7 @@ class PeerLost:
 
 @dataclass(frozen=True, slots=True)
 class PeerRestarted:
-    """The peer's sequence numbers began again; noticed at `now_ns`."""
+    """A session began with a new life of the peer; noticed at `now_ns`."""
 
     now_ns: int
 
@@ -83,16 +86,22 @@ class HapticLink(Generic[Out, In]):
     In each cycle: call `handle_datagram` for every datagram received, pass `latest` to the
     controller, pass its answer to `handle_local`, then send what `poll_transmit` returns.
 
+    Samples are sent and used only in a session (`session.py`). Until one has begun, a greeting goes
+    in the place of each sample.
+
+    session: this end of the session.
     deadband: leaves out samples whose difference the peer would not feel. A sample left out has no
-    sequence number, so it does not count as lost.
+    sequence number, so it does not count as lost. Neither has a greeting.
 
     Counters:
-    sent: samples sent.
+    sent: samples sent, without greetings.
     received: samples that were the newest when they arrived.
-    late: samples older than the newest; not used.
+    late: samples older than the newest, or too far ahead of it; not used.
     repeated: samples seen before, or older than the first.
-    garbage: datagrams that are no valid sample.
-    restarts: restarts of the peer.
+    strays: samples of another session; not used.
+    greetings: greetings received.
+    garbage: datagrams that are neither sample nor greeting.
+    sessions: sessions begun. restarts: restarts of the peer.
     lost: sequence numbers not received so far; a late arrival reduces it.
 
     peer_holds: the newest sample says that the peer receives nothing from this end.
@@ -100,31 +109,39 @@ class HapticLink(Generic[Out, In]):
 
     def __init__(
         self,
-        pack: Callable[[int, Out, bool], bytes],
-        unpack: Callable[[bytes], tuple[int, int, In]],
+        pack: Callable[[int, Out, bool, int, int], bytes],
+        unpack: Callable[[bytes], tuple[int, int, int, In]],
+        session: JoystickSession | RobotSession,
         *,
         max_age_ns: int = MAX_AGE_NS,
         deadband: Deadband | None = None,
     ) -> None:
         self.max_age_ns = max_age_ns
         self.deadband = deadband
+        self.session = session
         self.sent = 0
         self.received = 0
         self.late = 0
         self.repeated = 0
+        self.strays = 0
+        self.greetings = 0
         self.garbage = 0
-        self.restarts = 0
+        self.sessions = 0
         self.lost = 0
         self.peer_holds = False
-        self._pack: Callable[[int, Out, bool], bytes] = pack
-        self._unpack: Callable[[bytes], tuple[int, int, In]] = unpack
+        self._pack: Callable[[int, Out, bool, int, int], bytes] = pack
+        self._unpack: Callable[[bytes], tuple[int, int, int, In]] = unpack
+        self._robot = isinstance(session, RobotSession)
+        # Energies in µJ. Sent: of all sessions, and what of it was sent in earlier ones. Received:
+        # the most of all sessions, and what of it came in earlier ones.
+        self._granted_uj = self._granted_before_uj = 0
+        self._heard_uj = self._heard_before_uj = 0
+        self._sending = 0
         self._local: Out | None = None
         self._newest: In | None = None
         self._newest_ns = 0
         self._newest_sequence = 0
         self._seen = 0
-        self._strange_sequence = -1
-        self._strange_run = 0
         self._hearing = False
         self._events: deque[HapticEvent] = deque(maxlen=64)
         # Each kept object would take memory that no cache holds, so keep few: numbers sent follow
@@ -139,23 +156,33 @@ class HapticLink(Generic[Out, In]):
     def handle_datagram(self, data: bytes, now_ns: int) -> None:
         """A datagram arrived. Garbage is counted; this never raises."""
         try:
-            sequence, flags, value = self._unpack(data)
+            if is_greeting(data):
+                self.session.handle_greeting(read_greeting(data, feedback=not self._robot))
+                self.greetings += 1
+                return
+            number, sequence, flags, value = self._unpack(data)
         except ProtocolError:
             self.garbage += 1
             return
+        if number != self.session.receiving and not self._begin(number, sequence, now_ns):
+            self.strays += 1
+            return
         due = (self._newest_sequence + 1) % SEQUENCE_MODULUS
-        if sequence == due and self._newest is not None:
+        if sequence == due:
             self._newest_sequence = sequence
             if self._seen != _WINDOW_MASK:
                 self._seen = (self._seen << 1 | 1) & _WINDOW_MASK
-            self._strange_run = 0
             accepted = True
         else:
             accepted = self._accept(sequence, now_ns)
+        self.session.strays = 0
         if accepted:
             self.received += 1
             self.peer_holds = bool(flags & FLAG_HOLDING)
-            self._newest = value
+            heard_uj = self._heard_before_uj + value.energy_uj
+            if heard_uj > self._heard_uj:
+                self._heard_uj = heard_uj
+            self._newest = _tuple(type(value), (value[0], value[1], heard_uj, *value[3:]))
             self._newest_ns = now_ns
             stamps = self._received_stamps
             stamps.append(sequence)
@@ -171,7 +198,7 @@ class HapticLink(Generic[Out, In]):
         return self._newest
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """Return the 12 octets to send now, or None.
+        """Return the 12 octets to send now, a sample or a greeting, or None.
 
         None: there is nothing new since the last call, or nothing that the peer would feel.
         """
@@ -181,6 +208,17 @@ class HapticLink(Generic[Out, In]):
         local = self._local
         if local is None:
             return None
+        session = self.session
+        here_uj = self._granted_uj - self._granted_before_uj
+        there_uj = self._heard_uj - self._heard_before_uj
+        greeting = session.poll_greeting(max(here_uj, there_uj), now_ns)
+        if greeting is not None:
+            self._local = None
+            return pack_greeting(greeting, feedback=self._robot, holding=not self._hearing)
+        if session.sending != self._sending:
+            # Each joule is granted in one session only.
+            self._sending = session.sending
+            self._granted_before_uj = self._granted_uj
         deadband = self.deadband
         if deadband is not None:
             local = deadband.handle_sample(local, not self._hearing, now_ns)
@@ -188,7 +226,10 @@ class HapticLink(Generic[Out, In]):
                 self._local = None
                 return None
         sequence = self.sent % SEQUENCE_MODULUS
-        data = self._pack(sequence, local, not self._hearing)
+        self._granted_uj = local.energy_uj
+        data = self._pack(
+            sequence, local, not self._hearing, self._sending, self._granted_before_uj
+        )
         self._local = None
         self.sent += 1
         self._sent_ns.append(now_ns)
@@ -230,16 +271,20 @@ class HapticLink(Generic[Out, In]):
             lost=self.lost,
             late=self.late,
             repeated=self.repeated,
+            strays=self.strays,
+            greetings=self.greetings,
             garbage=self.garbage,
+            sessions=self.sessions,
             restarts=self.restarts,
             left_out=None if self.deadband is None else self.deadband.left_out,
         )
 
+    @property
+    def restarts(self) -> int:
+        return self.session.restarts
+
     def _accept(self, sequence: int, now_ns: int) -> bool:
         """Whether to use a sample whose number is not the next one."""
-        if self._newest is None:
-            self._begin(sequence)
-            return True
         ahead = (sequence - self._newest_sequence) % SEQUENCE_MODULUS
         if ahead == 0:
             self.repeated += 1
@@ -247,20 +292,34 @@ class HapticLink(Generic[Out, In]):
         if ahead > SEQUENCE_MODULUS - _WINDOW:
             self._count_late(SEQUENCE_MODULUS - ahead)
             return False
-        # The peer sends at most one sample a millisecond, so time bounds how far it can be ahead.
-        if ahead <= (now_ns - self._newest_ns) // NS_PER_MS + _SLACK:
-            self.lost += ahead - 1
-            self._newest_sequence = sequence
-            self._seen = ((self._seen << ahead) | 1) & _WINDOW_MASK if ahead < _WINDOW else 1
-            self._strange_run = 0
-            return True
-        return self._probe(sequence, now_ns)
-
-    def _begin(self, sequence: int) -> None:
+        if ahead > self._furthest(now_ns):
+            self.late += 1
+            return False
+        self.lost += ahead - 1
         self._newest_sequence = sequence
-        # Nothing before the first sample is missing, so all of it counts as seen.
-        self._seen = _WINDOW_MASK
-        self._strange_run = 0
+        self._seen = ((self._seen << ahead) | 1) & _WINDOW_MASK if ahead < _WINDOW else 1
+        return True
+
+    def _begin(self, number: int, sequence: int, now_ns: int) -> bool:
+        """Whether session `number` begins with this sample."""
+        restarts = self.restarts
+        if not self.session.handle_change(number):
+            return False
+        self.sessions += 1
+        self._heard_before_uj = self._heard_uj
+        ahead = (sequence - self._newest_sequence) % SEQUENCE_MODULUS
+        restarted = self.restarts != restarts
+        if restarted:
+            self._events.append(PeerRestarted(now_ns))
+        if self._newest is None or restarted or not 0 < ahead <= self._furthest(now_ns):
+            # Numbers begin anew. Nothing before the first sample is missing: it counts as seen.
+            self._newest_sequence = sequence - 1
+            self._seen = _WINDOW_MASK
+        return True
+
+    def _furthest(self, now_ns: int) -> int:
+        """How far a number can be ahead: the peer sends at most one sample a millisecond."""
+        return (now_ns - self._newest_ns) // NS_PER_MS + _SLACK
 
     def _count_late(self, behind: int) -> None:
         bit = 1 << behind
@@ -271,30 +330,22 @@ class HapticLink(Generic[Out, In]):
             self.late += 1
             self.lost -= 1
 
-    def _probe(self, sequence: int, now_ns: int) -> bool:
-        follows = sequence == (self._strange_sequence + 1) % SEQUENCE_MODULUS
-        self._strange_run = self._strange_run + 1 if follows and self._strange_run else 1
-        self._strange_sequence = sequence
-        if self._strange_run < _RESTART_RUN:
-            self.late += 1
-            return False
-        self._begin(sequence)
-        self.restarts += 1
-        self._events.append(PeerRestarted(now_ns))
-        return True
-
 
 def joystick_link(
-    *, max_age_ns: int = MAX_AGE_NS, deadband: bool = False
+    *, life: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False
 ) -> HapticLink[Command, Feedback]:
     """Return the joystick's end: it sends commands and receives feedback."""
     band = command_deadband() if deadband else None
-    return HapticLink(pack_command, read_feedback, max_age_ns=max_age_ns, deadband=band)
+    return HapticLink(
+        pack_command, read_feedback, JoystickSession(life), max_age_ns=max_age_ns, deadband=band
+    )
 
 
 def robot_link(
-    *, max_age_ns: int = MAX_AGE_NS, deadband: bool = False
+    *, life: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False
 ) -> HapticLink[Feedback, Command]:
     """Return the robot's end: it sends feedback and receives commands."""
     band = feedback_deadband() if deadband else None
-    return HapticLink(pack_feedback, read_command, max_age_ns=max_age_ns, deadband=band)
+    return HapticLink(
+        pack_feedback, read_command, RobotSession(life), max_age_ns=max_age_ns, deadband=band
+    )

@@ -20,11 +20,8 @@ the limit, an hour of free motion would pay for a minute of instability.
 
 from math import inf
 
-from telepresence.haptics.sample import ENERGY_MODULUS_UJ
-
 _UJ_PER_J = 1e6
 _J_PER_UJ = 1e-6
-_MASK = ENERGY_MODULUS_UJ - 1
 _NS_PER_S = 1e9
 
 
@@ -39,12 +36,13 @@ class Port:
     returned_j: credit granted back to the peer.
     credit_j: received + kept - forgotten - returned - out, the passivity observer of this port.
     least_j: lowest value of `credit_j` so far.
-    refused: totals that no peer could have reached in the time; they give no credit.
+    refused: totals that no peer could have reached in the time, or that fell; they give no credit.
 
     reserve_j: incoming energy is kept until the credit reaches this value.
     limit_j: credit above this value is dropped.
-    peer_power_w, patience_ns: a total may grow by at most this power over the time since the last
-    total plus `patience_ns`. The patience allows for a path that compresses time.
+    peer_power_w, patience_ns: a token bucket bounds how fast totals may grow. It fills with this
+    power and holds what flows in `patience_ns`, because a path may compress time. While no total is
+    accepted, it fills beyond that.
     """
 
     def __init__(
@@ -69,8 +67,10 @@ class Port:
         self.credit_j = 0.0
         self.least_j = 0.0
         self.refused = 0
+        #: The highest total that gave credit, and the last one looked at.
+        self._counted_uj: int | None = None
         self._total_uj: int | None = None
-        self._silent_ns = 0
+        self._bucket_j = self._depth_j = peer_power_w * patience_ns / _NS_PER_S
 
     @classmethod
     def observing(cls) -> "Port":
@@ -103,25 +103,24 @@ class Port:
                 self.granted_j -= energy_j + lack
 
     def handle_total(self, total_uj: int, dt_ns: int) -> None:
-        """Take the total of the peer's newest sample, 0 to 2^32-1 µJ; `dt_ns` have passed.
+        """Take the total (µJ) of all that the peer granted, as heard so far; `dt_ns` have passed.
 
-        The first total only starts the count. So does a total that the peer cannot have reached in
-        the time: the peer restarted, or the total is garbage.
+        The first total only starts the count. A total counts as far as it is above the highest one
+        before. One that rises faster than the peer's power is left until there was time for it.
         """
-        silent_ns = self._silent_ns + dt_ns
-        self._silent_ns = 0
-        before_uj = self._total_uj
-        if total_uj == before_uj:
+        self._bucket_j += self.peer_power_w * dt_ns / _NS_PER_S
+        counted_uj = self._counted_uj
+        if counted_uj is None:
+            self._counted_uj = self._total_uj = counted_uj = total_uj
+        gained_j = (total_uj - counted_uj) * _J_PER_UJ
+        if not 0.0 <= gained_j <= self._bucket_j:
+            if total_uj != self._total_uj:
+                self._total_uj = total_uj
+                self.refused += 1
             return
-        self._total_uj = total_uj
-        if before_uj is None:
-            return
-        gained_uj = (total_uj - before_uj) & _MASK
-        most_j = self.peer_power_w * (silent_ns + self.patience_ns) / _NS_PER_S
-        gained_j = gained_uj * _J_PER_UJ
-        # After a silence long enough for the total to wrap, its growth is ambiguous.
-        if gained_j > most_j or most_j >= ENERGY_MODULUS_UJ * _J_PER_UJ:
-            self.refused += 1
+        self._counted_uj = self._total_uj = total_uj
+        self._bucket_j = min(self._bucket_j - gained_j, self._depth_j)
+        if gained_j == 0.0:
             return
         self.received_j += gained_j
         self.credit_j = credit = self.credit_j + gained_j
@@ -137,11 +136,7 @@ class Port:
 
     def handle_silence(self, dt_ns: int) -> None:
         """`dt_ns` have passed without a fresh sample."""
-        self._silent_ns += dt_ns
-
-    def handle_restart(self) -> None:
-        """The peer restarted: its next total starts the count again."""
-        self._total_uj = None
+        self._bucket_j += self.peer_power_w * dt_ns / _NS_PER_S
 
 
 class PortController:

@@ -88,10 +88,6 @@ class RobotController(PortController):
             model.half_height_m,
         )
 
-    def handle_restart(self) -> None:
-        """The peer restarted."""
-        self.port.handle_restart()
-
     def release(self, x_m: float, y_m: float) -> None:
         """Another mode drives the robot: move the reference to the tip at (x_m, y_m).
 

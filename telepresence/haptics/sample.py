@@ -10,12 +10,13 @@ All numbers are big-endian (network order), signed ones in two's complement.
 | 3, high 4 bits | command: buttons, a bit each; feedback: lit LED + 1, 0 for none | | 0..15 |
 | 4..5 | command: position x, signed; feedback: force x | 20 µm; 2 mN | ±0.65534 m; ±65.534 N |
 | 6..7 | command: position y; feedback: force y, signed | 20 µm; 2 mN | as above |
-| 8..11 | energy granted by the sender's port, unsigned, wraps | 1 µJ | 0..4294.967295 J |
+| 8 | session number | 1 | 1..255 |
+| 9..11 | energy granted by the sender's port in this session, unsigned | 1 µJ | 0..16.777215 J |
 
 Flags, from the most significant bit:
 
 - 0x80: the sample is a feedback, else a command.
-- 0x40: sent as 0 and ignored.
+- 0x40: no sample but a greeting, see below.
 - 0x20: the sender is halted or has a fault.
 - 0x10: the dead-man button is pressed (command).
 - 0x08: the sender's passivity controller acted since its last sample.
@@ -23,11 +24,23 @@ Flags, from the most significant bit:
 - 0x02: a value was out of range and was cut to its limit.
 - 0x01: the robot touches something (feedback).
 
-A flag of the other direction is ignored.
+A flag of the other direction is ignored. A state above 7, a mode above 3 and a session number of 0
+are never sent. They are refused, as is the count -32768.
 
-A position or a force is rounded to the nearest count and saturates at ±32767 counts; -32768 is
-never sent. The energy is rounded down, so that no energy is promised that does not exist.
+A position or a force is rounded to the nearest count and saturates at ±32767 counts. The energy is
+rounded down, so that no energy is promised that does not exist. It saturates and never wraps.
 Positions and energies are running totals, so any sample makes up for the loss of those before it.
+
+A greeting has 12 octets, too, and goes in the place of a sample. `session.py` says what it is for.
+
+| octets | joystick's greeting: a request | robot's greeting |
+|---|---|---|
+| 0 | 0 | 0 |
+| 1 | the session number that it sends with, 0 for none | the number that it offers, 0 for none |
+| 2 | flags: 0x40, 0x04 | flags: 0x80, 0x40, 0x04 |
+| 3 | 0 | 0 |
+| 4..7 | number of this request, unsigned, not 0 | number of the robot's life, unsigned, not 0 |
+| 8..11 | the robot's number as heard last, 0 for none | the request's number, 0 for none |
 
 The layout is this project's own: the Kontur-2 papers give the size of a sample, not its fields.
 """
@@ -39,13 +52,16 @@ from kontur_av.errors import ProtocolError
 
 SAMPLE_OCTETS = 12
 SEQUENCE_MODULUS = 1 << 16
-#: Energy totals wrap at this value.
-ENERGY_MODULUS_UJ = 1 << 32
+#: A sample carries at most this total (µJ); a session is renewed long before.
+MOST_ENERGY_UJ = (1 << 24) - 1
+#: Session numbers are 1 to this.
+LAST_SESSION = 255
 
 POSITION_M = 20e-6
 FORCE_N = 2e-3
 
 FLAG_FEEDBACK = 0x80
+FLAG_GREETING = 0x40
 FLAG_HALTED = 0x20
 FLAG_DEAD_MAN = 0x10
 FLAG_ACTED = 0x08
@@ -71,21 +87,22 @@ MODE_IMPEDANCE = 3
 
 _LAYOUT = struct.Struct(">HBBhhI")
 _pack, _unpack = _LAYOUT.pack, _LAYOUT.unpack
+_GREETING = struct.Struct(">BBBBII")
 #: Skips the NamedTuple's own `__new__`, which is one more Python call a thousand times a second.
 _tuple = tuple.__new__
 _LIMIT = 32767
 _NEVER = -32768
 #: Counts from here on would round beyond the limit.
 _EDGE = 32767.5
-_ENERGY_MASK = ENERGY_MODULUS_UJ - 1
+_SESSION_SHIFT = 24
 
 
 class Command(NamedTuple):
     """The joystick's state, sent to the robot.
 
     x_m, y_m: position of the handle (m).
-    energy_uj: energy that the joystick's port has granted so far (µJ). To send: any integer >= 0;
-    as received: 0 to 2^32-1.
+    energy_uj: energy that the joystick's port has granted so far (µJ), an integer >= 0. As read
+    from a sample: in the sample's session. From `HapticLink.latest`: in all sessions heard.
     dead_man: the dead-man button is pressed.
     state: one of STATE_..., 0 to 7.
     buttons: 4 bits.
@@ -125,25 +142,44 @@ class Feedback(NamedTuple):
 
 
 class CommandSample(NamedTuple):
-    """A received command with its sequence number (0 to 65535) and its flags octet."""
+    """A received command with session number, sequence number (0 to 65535) and flags octet."""
 
+    session: int
     sequence: int
     flags: int
     value: Command
 
 
 class FeedbackSample(NamedTuple):
-    """A received feedback with its sequence number (0 to 65535) and its flags octet."""
+    """A received feedback with session number, sequence number (0 to 65535) and flags octet."""
 
+    session: int
     sequence: int
     flags: int
     value: Feedback
 
 
-def pack_command(sequence: int, command: Command, holding: bool = False) -> bytes:
-    """Return the 12 octets of `command`; `sequence` and the energy wrap.
+class Greeting(NamedTuple):
+    """Sent in the place of a sample, to begin a session.
 
-    Raises ValueError for a value that is not a number, which is a bug of the caller.
+    session: from the joystick, the number that it sends with; from the robot, the number that it
+    offers; 0 for none.
+    number: of the joystick's request, or of the robot's life; 1 to 2^32-1.
+    answers: the peer's `number` that it answers, 0 for none.
+    """
+
+    session: int
+    number: int
+    answers: int = 0
+
+
+def pack_command(
+    sequence: int, command: Command, holding: bool = False, session: int = 1, base_uj: int = 0
+) -> bytes:
+    """Return the 12 octets of `command` in session 1 to 255; `sequence` wraps.
+
+    base_uj: the part of its energy that was granted before this session.
+    Raises ValueError for a state above 7 or a value that is not a number: bugs of the caller.
     """
     x_m, y_m, energy_uj, dead_man, state, buttons, acted, halted = command
     flags = FLAG_HOLDING if holding else 0
@@ -158,16 +194,28 @@ def pack_command(sequence: int, command: Command, holding: bool = False) -> byte
     if not (-_EDGE < a < _EDGE and -_EDGE < b < _EDGE):
         flags |= FLAG_SATURATED
         a, b = _saturated(a), _saturated(b)
-    octet = (state & 15) | (buttons & 15) << 4
+    if state > STATE_FATAL_ERROR:
+        raise ValueError(f"haptic sample: a joystick has no state {state}")
+    granted_uj = energy_uj - base_uj
+    if granted_uj > MOST_ENERGY_UJ:
+        granted_uj = MOST_ENERGY_UJ
     return _pack(
-        sequence % SEQUENCE_MODULUS, flags, octet, round(a), round(b), energy_uj & _ENERGY_MASK
+        sequence % SEQUENCE_MODULUS,
+        flags,
+        state | (buttons & 15) << 4,
+        round(a),
+        round(b),
+        session << _SESSION_SHIFT | granted_uj,
     )
 
 
-def pack_feedback(sequence: int, feedback: Feedback, holding: bool = False) -> bytes:
-    """Return the 12 octets of `feedback`; `sequence` and the energy wrap.
+def pack_feedback(
+    sequence: int, feedback: Feedback, holding: bool = False, session: int = 1, base_uj: int = 0
+) -> bytes:
+    """Return the 12 octets of `feedback` in session 1 to 255; `sequence` wraps.
 
-    Raises ValueError for a value that is not a number, which is a bug of the caller.
+    base_uj: the part of its energy that was granted before this session.
+    Raises ValueError for a mode above 3 or a value that is not a number: bugs of the caller.
     """
     fx_n, fy_n, energy_uj, contact, mode, lit, acted, halted = feedback
     flags = FLAG_FEEDBACK | FLAG_HOLDING if holding else FLAG_FEEDBACK
@@ -181,10 +229,26 @@ def pack_feedback(sequence: int, feedback: Feedback, holding: bool = False) -> b
     if not (-_EDGE < a < _EDGE and -_EDGE < b < _EDGE):
         flags |= FLAG_SATURATED
         a, b = _saturated(a), _saturated(b)
-    octet = mode & 15 if lit is None else (mode & 15) | (lit + 1 & 15) << 4
+    if mode > MODE_IMPEDANCE:
+        raise ValueError(f"haptic sample: a robot has no mode {mode}")
+    granted_uj = energy_uj - base_uj
+    if granted_uj > MOST_ENERGY_UJ:
+        granted_uj = MOST_ENERGY_UJ
     return _pack(
-        sequence % SEQUENCE_MODULUS, flags, octet, round(a), round(b), energy_uj & _ENERGY_MASK
+        sequence % SEQUENCE_MODULUS,
+        flags,
+        mode if lit is None else mode | (lit + 1 & 15) << 4,
+        round(a),
+        round(b),
+        session << _SESSION_SHIFT | granted_uj,
     )
+
+
+def pack_greeting(greeting: Greeting, *, feedback: bool, holding: bool) -> bytes:
+    """Return the 12 octets of `greeting`; feedback: it is the robot's."""
+    flags = FLAG_GREETING | (FLAG_FEEDBACK if feedback else 0) | (FLAG_HOLDING if holding else 0)
+    session, number, answers = greeting
+    return _GREETING.pack(0, session, flags, 0, number, answers)
 
 
 def unpack_command(data: bytes) -> CommandSample:
@@ -197,48 +261,78 @@ def unpack_feedback(data: bytes) -> FeedbackSample:
     return FeedbackSample(*read_feedback(data))
 
 
-def read_command(data: bytes) -> tuple[int, int, Command]:
+def read_command(data: bytes) -> tuple[int, int, int, Command]:
     """Like `unpack_command`, but returns a plain tuple for the loop at 1 kHz."""
     if len(data) != SAMPLE_OCTETS:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
-    sequence, flags, octet, x, y, energy_uj = _unpack(data)
+    sequence, flags, octet, x, y, energy = _unpack(data)
     if flags & FLAG_FEEDBACK:
         raise ProtocolError("haptic sample: a feedback instead of a command")
     if x == _NEVER or y == _NEVER:
         raise ProtocolError("haptic sample: the count -32768 is never sent")
+    session = energy >> _SESSION_SHIFT
+    if session == 0 or flags & FLAG_GREETING:
+        raise ProtocolError("haptic sample: it belongs to no session")
+    state = octet & 15
+    if state > STATE_FATAL_ERROR:
+        raise ProtocolError(f"haptic sample: there is no state {state}")
     value = (
         x * POSITION_M,
         y * POSITION_M,
-        energy_uj,
+        energy & MOST_ENERGY_UJ,
         flags & FLAG_DEAD_MAN != 0,
-        octet & 15,
+        state,
         octet >> 4,
         flags & FLAG_ACTED != 0,
         flags & FLAG_HALTED != 0,
     )
-    return sequence, flags, _tuple(Command, value)
+    return session, sequence, flags, _tuple(Command, value)
 
 
-def read_feedback(data: bytes) -> tuple[int, int, Feedback]:
+def read_feedback(data: bytes) -> tuple[int, int, int, Feedback]:
     """Like `unpack_feedback`, but returns a plain tuple for the loop at 1 kHz."""
     if len(data) != SAMPLE_OCTETS:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
-    sequence, flags, octet, fx, fy, energy_uj = _unpack(data)
+    sequence, flags, octet, fx, fy, energy = _unpack(data)
     if not flags & FLAG_FEEDBACK:
         raise ProtocolError("haptic sample: a command instead of a feedback")
     if fx == _NEVER or fy == _NEVER:
         raise ProtocolError("haptic sample: the count -32768 is never sent")
+    session = energy >> _SESSION_SHIFT
+    if session == 0 or flags & FLAG_GREETING:
+        raise ProtocolError("haptic sample: it belongs to no session")
+    mode = octet & 15
+    if mode > MODE_IMPEDANCE:
+        raise ProtocolError(f"haptic sample: there is no mode {mode}")
     value = (
         fx * FORCE_N,
         fy * FORCE_N,
-        energy_uj,
+        energy & MOST_ENERGY_UJ,
         flags & FLAG_CONTACT != 0,
-        octet & 15,
+        mode,
         (octet >> 4) - 1 if octet > 15 else None,
         flags & FLAG_ACTED != 0,
         flags & FLAG_HALTED != 0,
     )
-    return sequence, flags, _tuple(Feedback, value)
+    return session, sequence, flags, _tuple(Feedback, value)
+
+
+def is_greeting(data: bytes) -> bool:
+    """Whether `data` is to be read as a greeting, not as a sample."""
+    return len(data) == SAMPLE_OCTETS and data[2] & FLAG_GREETING != 0
+
+
+def read_greeting(data: bytes, *, feedback: bool) -> Greeting:
+    """Parse `data`, for which `is_greeting` holds; ProtocolError unless it is such a greeting.
+
+    feedback: the robot's is expected.
+    """
+    zero, session, flags, none, number, answers = _GREETING.unpack(data)
+    if bool(flags & FLAG_FEEDBACK) is not feedback:
+        raise ProtocolError("haptic greeting: of the other direction")
+    if zero or none or not number:
+        raise ProtocolError("haptic greeting: octets 0 and 3 are 0, and its number is not")
+    return Greeting(session, number, answers)
 
 
 def _saturated(counts: float) -> float:

@@ -5,6 +5,7 @@ from itertools import pairwise
 from math import hypot
 
 import pytest
+from haptic_session import begin_session
 
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.hand import PRESS_AND_SLIDE, TAP_TARGETS, Waypoint
@@ -16,6 +17,7 @@ from telepresence.haptics.sample import (
     STATE_HALTED,
     Command,
     Feedback,
+    pack_command,
     unpack_command,
     unpack_feedback,
 )
@@ -142,10 +144,10 @@ def test_a_restarted_joystick_begins_without_credit_and_continues() -> None:
     session = Session(5)
     session.run(2_000)
     before = session.ground.controller.port.received_j
-    session.space = JoystickSide()
+    session.space = JoystickSide(link=joystick_link(life=2))
     session.run(8_000)
     assert session.ground.link.report().restarts == 1
-    # The new totals begin at 0, which must not count as a gain of 4295 J.
+    # The new totals begin at 0, which must not count as a gain.
     assert before < session.ground.controller.port.received_j < before + 2.0
     assert session.ground.controller.least_observed_uj >= -1.0
     assert session.ground.robot.work_j > 0.1
@@ -183,10 +185,7 @@ def test_a_late_cycle_simulates_the_time_in_small_steps() -> None:
     late.handle_cycle(0, 40 * MS)
     assert (late.handle.x_m, late.handle.y_m) == (even.handle.x_m, even.handle.y_m)
     robot = RobotSide()
-    link = joystick_link()
-    link.handle_local(Command(0.05, 0.0, 0), 0)
-    data = link.poll_transmit(0)
-    assert data is not None
+    data = pack_command(0, Command(0.05, 0.0, 0), session=begin_session(robot.link))
     robot.handle_datagram(data, 0)
     robot.handle_cycle(0, 3_600_000 * MS)
     assert abs(robot.robot.x_m) < 0.06
@@ -205,6 +204,10 @@ def test_delays_are_matched_through_several_wraps() -> None:
             latencies += [ns for _, ns in matcher.take_matches_ns(session.now_ns)]
             session.space.link.take_received_stamps()
             session.ground.link.take_sent_stamps()
-    assert len(latencies) == 70_000 - 25
+    # Greetings begin the session, and renew it twice.
+    assert len(latencies) + session.ground.link.greetings == 70_000 - 25
+    assert 0 < session.ground.link.greetings < 100
+    assert session.ground.link.sessions == session.space.link.sessions == 3
+    assert session.ground.link.lost == session.space.link.lost == session.ground.link.strays == 0
     assert set(latencies) == {25 * MS}
     assert matcher.unmatched == 0

@@ -136,13 +136,14 @@ def test_a_sample_left_out_does_not_count_as_lost():
         if down is not None:
             robot.handle_datagram(down, now_ns + NS_PER_MS // 2)
         felt = joystick.latest(now_ns + NS_PER_MS // 2)
-        assert felt is not None and felt.contact == (push > 0)
+        # Greetings come first.
+        assert k < 5 or (felt is not None and felt.contact == (push > 0))
         while (event := joystick.next_event()) is not None:
             events.append(event)
     report = joystick.report()
     assert report.received == robot.report().sent < 600
     assert report.lost == report.late == report.restarts == report.garbage == 0
-    assert robot.report().left_out + robot.report().sent == 3000
+    assert robot.report().left_out + robot.report().sent + report.greetings == 3000
     assert len(events) == 1, "found once, never lost"
     matcher.handle_sent(robot.take_sent_stamps())
     matcher.handle_received(joystick.take_received_stamps())

@@ -4,6 +4,7 @@ from itertools import pairwise
 from math import pi
 
 import pytest
+from haptic_session import begin_session
 
 from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.board import Board, WallModel, contour_point, led_at
@@ -215,9 +216,11 @@ class Rail:
 def test_a_late_cycle_causes_no_jerk(advances_ns: list[int]) -> None:
     handle, now_ns = Rail(), 0
     side = JoystickSide(handle=handle)
+    session = begin_session(side.link)
     for k in range(400):
         now_ns += advances_ns[k % len(advances_ns)]
-        side.handle_datagram(pack_feedback(k, Feedback(0.0, 0.0, 0, False)), now_ns)
+        feedback = pack_feedback(k, Feedback(0.0, 0.0, 0, False), session=session)
+        side.handle_datagram(feedback, now_ns)
         side.handle_cycle(now_ns, advances_ns[k % len(advances_ns)])
     assert handle.felt[100:] == pytest.approx([-0.8] * len(handle.felt[100:]), rel=1e-3)
 

@@ -1,6 +1,7 @@
 """The ends of the haptic exchange: newest sample wins, restarts, silence, and the schedule."""
 
 import pytest
+from haptic_session import begin_session
 
 from telepresence.haptics.figures import HapticLinkFigures
 from telepresence.haptics.latency import LatencyMatcher
@@ -9,7 +10,10 @@ from telepresence.haptics.sample import (
     FLAG_HOLDING,
     Command,
     Feedback,
+    Greeting,
     pack_command,
+    pack_feedback,
+    pack_greeting,
     unpack_command,
     unpack_feedback,
 )
@@ -24,13 +28,24 @@ def command(x_m: float) -> Command:
 
 def test_the_newest_sample_wins_and_a_late_one_is_not_used() -> None:
     link = robot_link()
+    session = begin_session(link)
     for now_ms, sequence in enumerate([65534, 65535, 1, 0, 1]):
-        link.handle_datagram(pack_command(sequence, command(sequence * 1e-5)), now_ms * MS)
+        data = pack_command(sequence, command(sequence * 1e-5), session=session)
+        link.handle_datagram(data, now_ms * MS)
     newest = link.latest(4 * MS)
     assert newest is not None
     assert newest.x_m == pytest.approx(0.0)  # sequence 1 is half a count
     assert link.report() == HapticLinkFigures(
-        sent=0, received=3, lost=0, late=1, repeated=1, garbage=0, restarts=0
+        sent=0,
+        received=3,
+        lost=0,
+        late=1,
+        repeated=1,
+        strays=0,
+        greetings=0,
+        garbage=0,
+        sessions=1,
+        restarts=0,
     )
     assert [sequence for sequence, _ in link.take_received_stamps()] == [65534, 65535, 1]
     assert link.take_received_stamps() == []
@@ -38,6 +53,7 @@ def test_the_newest_sample_wins_and_a_late_one_is_not_used() -> None:
 
 def test_sent_stamps_survive_a_wrap_of_numbers_and_drop_the_oldest() -> None:
     link = robot_link()
+    link.handle_datagram(pack_command(0, command(0.0), session=begin_session(link)), 0)
     numbers = []
     for now_ns in range(65_530, 65_540):
         link.sent = now_ns
@@ -56,24 +72,32 @@ def test_sent_stamps_survive_a_wrap_of_numbers_and_drop_the_oldest() -> None:
 
 def test_a_long_outage_counts_as_loss() -> None:
     link = robot_link()
-    link.handle_datagram(pack_command(0, command(0.0)), 0)
-    link.handle_datagram(pack_command(30_000, command(0.0)), 30_000 * MS)
+    session = begin_session(link)
+    link.handle_datagram(pack_command(0, command(0.0), session=session), 0)
+    link.handle_datagram(pack_command(30_000, command(0.0), session=session), 30_000 * MS)
     assert (link.received, link.lost, link.restarts) == (2, 29_999, 0)
 
 
 @pytest.mark.parametrize("newest", [100, 20_000, 50_000, 65_500])
 def test_a_restarted_peer_is_heard_within_a_tenth_of_a_second(newest: int) -> None:
     link = robot_link()
+    session = begin_session(link)
     now_ns = 0
     for sequence in range(newest - 50, newest + 1):
         now_ns += MS
-        link.handle_datagram(pack_command(sequence, command(0.0)), now_ns)
+        link.handle_datagram(pack_command(sequence, command(0.0), session=session), now_ns)
     now_ns += 500 * MS
     link.poll_transmit(now_ns)
     heard_after = None
+    peer = joystick_link(life=2)
     for sequence in range(200):
         now_ns += MS
-        link.handle_datagram(pack_command(sequence, command(0.5)), now_ns)
+        peer.handle_local(command(0.5), now_ns)
+        link.handle_local(Feedback(0.0, 0.0, 0, False), now_ns)
+        there, back = peer.poll_transmit(now_ns), link.poll_transmit(now_ns)
+        assert there is not None and back is not None
+        link.handle_datagram(there, now_ns)
+        peer.handle_datagram(back, now_ns)
         if heard_after is None and link.latest(now_ns) == command(0.5):
             heard_after = sequence
     assert heard_after is not None
@@ -83,12 +107,7 @@ def test_a_restarted_peer_is_heard_within_a_tenth_of_a_second(newest: int) -> No
 
 def test_silence_is_reported_once_and_sent_to_the_peer() -> None:
     link = joystick_link(max_age_ns=20 * MS)
-    robot = robot_link()
-    robot.handle_local(Feedback(0.0, 0.0, 0, False), 0)
-    data = robot.poll_transmit(0)
-    assert data is not None
-    assert unpack_feedback(data).flags & FLAG_HOLDING
-
+    data = pack_feedback(0, Feedback(0.0, 0.0, 0, False), True, begin_session(link))
     link.handle_datagram(data, 5 * MS)
     assert link.peer_holds
     assert link.poll_timeout() == 25 * MS + 1
@@ -106,6 +125,8 @@ def test_silence_is_reported_once_and_sent_to_the_peer() -> None:
 
 def test_only_the_newest_sample_is_sent_and_only_once() -> None:
     link = joystick_link()
+    feedback = pack_feedback(0, Feedback(0.0, 0.0, 0, False), session=begin_session(link))
+    link.handle_datagram(feedback, 0)
     assert link.poll_transmit(0) is None
     link.handle_local(command(0.1), 0)
     link.handle_local(command(0.2), 0)
@@ -117,11 +138,42 @@ def test_only_the_newest_sample_is_sent_and_only_once() -> None:
 
 def test_restart_is_an_event() -> None:
     link = robot_link()
-    for sequence in (40_000, 7, 8, 9):
-        link.handle_datagram(pack_command(sequence, command(0.0)), 0)
+    for life, sequence in ((1, 40_000), (2, 7), (2, 8)):
+        session = begin_session(link, request=life << 8)
+        link.handle_datagram(pack_command(sequence, command(0.0), session=session), 0)
     assert link.next_event() == PeerFound(0)
     assert link.next_event() == PeerRestarted(0)
-    assert (link.received, link.late, link.lost) == (2, 2, 0)
+    assert (link.received, link.late, link.lost) == (3, 0, 0)
+
+
+def test_a_greeting_alone_changes_nothing() -> None:
+    """Neither a stale request nor a stale offer touches the session or what the peer is sent."""
+    robot, joystick = robot_link(), joystick_link()
+    sessions = begin_session(robot), begin_session(joystick)
+    robot.handle_datagram(pack_command(0, command(0.1), session=sessions[0]), 0)
+    push = Feedback(1.0, 0.0, 0, True)
+    joystick.handle_datagram(pack_feedback(0, push, session=sessions[1]), 0)
+    for sequence in range(1, 100):
+        request = Greeting(sequence, 0x900 + sequence)
+        robot.handle_datagram(pack_greeting(request, feedback=False, holding=True), sequence * MS)
+        offer = Greeting(sequence, 0x900, sequence)
+        joystick.handle_datagram(pack_greeting(offer, feedback=True, holding=True), sequence * MS)
+        robot.handle_local(push, sequence * MS)
+        joystick.handle_local(command(0.1), sequence * MS)
+        answers = robot.poll_transmit(sequence * MS), joystick.poll_transmit(sequence * MS)
+        assert all(answer is not None for answer in answers)
+    assert (robot.session.receiving, joystick.session.receiving) == sessions
+    assert (robot.session.sending, joystick.session.sending) == sessions
+    # The joystick goes on as before; the robot answers now and then in the place of a sample.
+    assert joystick.sent == 99 and 85 < robot.sent < 99
+
+
+def test_a_number_beyond_its_time_is_not_used() -> None:
+    link = robot_link()
+    session = begin_session(link)
+    for sequence in (0, 30_000, 1, 64_000, 2):
+        link.handle_datagram(pack_command(sequence, command(0.0), session=session), sequence)
+    assert (link.received, link.late) == (3, 2)
 
 
 def test_a_missed_cycle_is_skipped_and_not_made_up() -> None:

@@ -1,0 +1,200 @@
+"""Sessions of the haptic exchange: which samples belong together, and to these two ends.
+
+Samples of an earlier life, or replayed ones, must move nothing and grant no energy. So each sample
+bears a session number, and an end uses only samples of its present session. A session begins with
+an exchange in which each end sees a fresh number of its own come back, like the three-way handshake
+of TCP (RFC 9293 section 3.5):
+
+1. A robot without a session says so with greetings, which tell the number of its life.
+2. The joystick asks with requests, each negotiation with a new number. They name the robot's life
+   and the session number that the joystick knows. To any other life the robot only tells its own.
+3. The robot answers with an offer: the request's number, and the successor of the last session
+   number that one of them knows.
+4. The joystick sends its samples with that session number. With the first of them that arrives, the
+   robot changes over, and so do its samples. With the first of those, the joystick changes over.
+
+Until then both ends go on with the session before, so a renewed session costs no gap.
+
+So the restart of one end reuses no session number before 255 others. If both ends restart at once,
+the first number follows from those of their lives. In 1 of 255 cases a sample under way bears it.
+
+The joystick renews a session before its sequence numbers or energies run out.
+"""
+
+from kontur_av.clock import NS_PER_S
+from telepresence.haptics.sample import LAST_SESSION, MOST_ENERGY_UJ, Greeting
+
+#: Renew after half the time in which sequence numbers at 1 kHz wrap (65.5 s).
+_RENEW_NS = 30 * NS_PER_S
+#: Renew when half the energy that a sample can carry was granted.
+_RENEW_UJ = MOST_ENERGY_UJ // 2
+#: A joystick that has a session to send with puts a request in the place of every 20th sample.
+_REQUEST_EVERY = 20
+#: A robot in a session answers at most in the place of every 8th sample.
+_ANSWER_EVERY = 8
+#: After this many samples of another session and none of its own, the joystick asks anew, because
+#: reordered offers can leave the ends in different sessions.
+_STRAYS = 20
+#: Offers that the robot remembers. More only come about by requests from more than one life.
+_OFFERS = 8
+#: Numbers of lives are below this.
+LIVES = 1 << 24
+_REQUESTS = 1 << 8
+
+
+def _life(number: int) -> int:
+    if not 0 < number < LIVES:
+        raise ValueError(f"the number of a life is 1 to {LIVES - 1}, not {number}")
+    return number * _REQUESTS
+
+
+def _after(session: int) -> int:
+    return session % LAST_SESSION + 1
+
+
+class JoystickSession:
+    """The joystick's end; it asks.
+
+    life: a number from 1 to 2^24-1 that no earlier life of this end had; for the shell to draw.
+
+    sending, receiving: session numbers of the samples that it sends and uses, 0 for none.
+    restarts: how often the robot's life changed.
+    strays: samples of other sessions since the last one of its own, for the caller to reset.
+    """
+
+    def __init__(self, life: int) -> None:
+        self.sending = self.receiving = 0
+        self.restarts = self.strays = 0
+        self._life = _life(life)
+        self._requests = 0
+        self._asking = True
+        self._wait = 0
+        self._renew_at_ns: int | None = None
+        #: Numbers of the robot's life: in this session, in the offer, in the newest greeting.
+        self._peer = self._offering = self._greeted = 0
+
+    def handle_greeting(self, greeting: Greeting) -> None:
+        """The robot has no session, or makes an offer."""
+        self._greeted = greeting.number
+        if not greeting.session:
+            self._ask()
+        elif self._asking and greeting.answers == self._number:
+            self.sending, self._offering = greeting.session, greeting.number
+
+    def handle_change(self, session: int) -> bool:
+        """A sample with another number than `receiving` came; return whether to change over."""
+        if not self._asking or session != self.sending:
+            self.strays += 1
+            if self.strays >= _STRAYS:
+                self._ask()
+            return False
+        self.receiving = session
+        self._asking = False
+        self._renew_at_ns = None
+        if self._peer not in (0, self._offering):
+            self.restarts += 1
+        self._peer = self._offering
+        return True
+
+    def poll_greeting(self, granted_uj: int, now_ns: int) -> Greeting | None:
+        """Return the request to send in the place of a sample, or None. Call it for each sample.
+
+        granted_uj: the larger of the totals of both directions in this session.
+        """
+        if not self._asking:
+            if self._renew_at_ns is None:
+                self._renew_at_ns = now_ns + _RENEW_NS
+            if now_ns >= self._renew_at_ns or granted_uj > _RENEW_UJ:
+                self._ask()
+            else:
+                return None
+        if self.sending and self._wait:
+            self._wait -= 1
+            return None
+        self._wait = _REQUEST_EVERY - 1
+        return Greeting(self.sending, self._number, self._greeted)
+
+    @property
+    def _number(self) -> int:
+        return self._life + self._requests
+
+    def _ask(self) -> None:
+        if not self._asking:
+            self._asking = True
+            self._requests = (self._requests + 1) % _REQUESTS
+            self._wait = 0
+
+
+class RobotSession:
+    """The robot's end; it answers. Parameters and attributes as in `JoystickSession`."""
+
+    def __init__(self, life: int) -> None:
+        self.sending = self.receiving = 0
+        self.restarts = self.strays = 0
+        self._life = _life(life)
+        #: Session numbers by the number of the request.
+        self._offers: dict[int, int] = {}
+        self._offered = 0
+        self._answer: Greeting | None = None
+        self._wait = 0
+        self._peer = 0
+
+    def handle_greeting(self, greeting: Greeting) -> None:
+        """The joystick asks for a session."""
+        number = greeting.number
+        if greeting.answers != self._life:
+            # Meant for an earlier life, or from a joystick that has heard none.
+            self._answer = Greeting(0, self._life, number)
+            return
+        offer = self._offers.get(number)
+        # One that asks again for the session that it has, and does not know it, lost its memory.
+        if offer is None or (offer == self.receiving and offer != greeting.session):
+            offer = self._new_session(greeting)
+            self._offers.pop(number, None)
+            self._offers[number] = offer
+            if len(self._offers) > _OFFERS:
+                del self._offers[next(iter(self._offers))]
+        self._answer = Greeting(offer, self._life, number)
+
+    def handle_change(self, session: int) -> bool:
+        """A sample with another number than `receiving` came; return whether to change over."""
+        for number, offer in self._offers.items():
+            if offer == session:
+                self.sending = self.receiving = self._offered = session
+                self._offers = {number: offer}
+                life = number // _REQUESTS
+                if self._peer not in (0, life):
+                    self.restarts += 1
+                self._peer = life
+                return True
+        return False
+
+    def poll_greeting(self, granted_uj: int, now_ns: int) -> Greeting | None:
+        """Return the greeting to send in the place of a sample, or None. Call it for each sample.
+
+        The joystick watches totals and time for both ends.
+        """
+        answer = self._answer
+        if self.sending:
+            if self._wait:
+                self._wait -= 1
+                return None
+            if answer is None:
+                return None
+            self._wait = _ANSWER_EVERY - 1
+        self._answer = None
+        return answer or Greeting(0, self._life)
+
+    def _new_session(self, greeting: Greeting) -> int:
+        """Return a session number that no sample under way should have."""
+        if self.receiving:
+            session = _after(self._offered)
+        elif greeting.session:
+            session = _after(greeting.session)
+        else:
+            # Both ends began a life, so neither knows what was used before.
+            session = _after((greeting.number + self._life) // _REQUESTS)
+        while session in (greeting.session, self.receiving) or session in self._offers.values():
+            session = _after(session)
+        self._offered = session
+        return session
