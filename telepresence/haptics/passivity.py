@@ -9,8 +9,8 @@ ensure its half of that alone.
 Sources: J. Artigas, C. Preusche, G. Hirzinger, "Time domain passivity for delayed haptic
 telepresence with energy reference", IROS 2007; J.-H. Ryu, J. Artigas, C. Preusche, "A passive
 bilateral control scheme for a teleoperator with time-varying communication delay", Mechatronics 20,
-2010; J. Artigas et al., "Kontur-2: force-feedback teleoperation from the International Space
-Station", ICRA 2016.
+2010. Kontur-2's own controller differs: four channels with time delay power networks (J. Artigas et
+al., "KONTUR-2: Force-feedback teleoperation from the International Space Station", ICRA 2016).
 
 Two things here are additions to the papers. A port keeps the first energy that enters until it has
 a small reserve, and grants only the rest. A hand that rests against a wall thus keeps its force,
