@@ -10,11 +10,10 @@ import importlib
 import importlib.util
 import sys
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal
+from typing import Literal
 
 from kontur_av.errors import ConfigError
 
@@ -50,14 +49,6 @@ def opuslib() -> ModuleType:
     """Return the imported opuslib, with its libopus loaded."""
     load()
     return sys.modules["opuslib"]
-
-
-def function(name: str, *arguments: Any) -> Callable[..., int]:
-    """Return a function of libopus with arguments of these ctypes, which returns an int."""
-    found = opuslib().api.libopus[name]
-    found.argtypes, found.restype = arguments, ctypes.c_int
-    call: Callable[..., int] = found
-    return call
 
 
 def _load() -> LibOpus:

@@ -1,6 +1,5 @@
 """Blocks of sound to Opus packets of one constant size, and back (RFC 6716, RFC 7587)."""
 
-import ctypes
 import weakref
 from typing import Any
 
@@ -74,15 +73,6 @@ def heard_stamp(stamp: CaptureStamp) -> CaptureStamp:
     )
 
 
-#: State, samples, samples a channel, packet, its most octets.
-_ENCODE = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p, ctypes.c_int32)
-#: State, packet, its octets, samples, most samples a channel, whether to decode the copy.
-_DECODE = (
-    *(ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int32),
-    *(ctypes.c_void_p, ctypes.c_int, ctypes.c_int),
-)
-
-
 class OpusEncoder:
     """Opus in voice mode: mono, 48 kHz, constant bit rate. Every packet has `packet_octets` octets.
 
@@ -107,14 +97,8 @@ class OpusEncoder:
             complexity = 5 if bitrate_bps >= _AMPLE_BPS else 8
         self.frame_samples = frame_samples
         self.packet_octets = bitrate_bps * frame_samples // (8 * AUDIO_CLOCK_HZ)
-        opuslib = libopus.opuslib()
-        self._encoder = opuslib.Encoder(AUDIO_CLOCK_HZ, 1, "voip")
+        self._encoder = libopus.opuslib().Encoder(AUDIO_CLOCK_HZ, 1, "voip")
         weakref.finalize(self, _free, self._encoder, "encoder_state")
-        # opuslib's own method allocates 2 kB a packet and copies the packet three times.
-        self._encode = libopus.function("opus_encode", *_ENCODE)
-        self._error: type[Exception] = opuslib.OpusError
-        # More than any packet of the highest rate.
-        self._packet = ctypes.create_string_buffer(2 * frame_samples)
         self._encoder.vbr = 0
         # The rate of whole octets, because libopus rounds the octets to the nearest.
         self._encoder.bitrate = self.packet_octets * 8 * AUDIO_CLOCK_HZ // frame_samples
@@ -128,16 +112,8 @@ class OpusEncoder:
         """
         if samples.shape != (self.frame_samples,) or samples.dtype != np.int16:
             raise ValueError(f"{samples.dtype}{samples.shape}, not int16({self.frame_samples},)")
-        octets = self._encode(
-            self._encoder.encoder_state,
-            samples.tobytes(),
-            self.frame_samples,
-            self._packet,
-            len(self._packet),
-        )
-        if octets < 0:
-            raise self._error(octets)
-        return ctypes.string_at(self._packet, octets)
+        packet: bytes = self._encoder.encode(samples.tobytes(), self.frame_samples)
+        return packet
 
 
 class OpusDecoder:
@@ -149,10 +125,6 @@ class OpusDecoder:
         self._error: type[Exception] = opuslib.OpusError
         self._decoder = opuslib.Decoder(AUDIO_CLOCK_HZ, 1)
         weakref.finalize(self, _free, self._decoder, "decoder_state")
-        # opuslib's own method makes an int of every sample, which takes longer than libopus.
-        self._decode = libopus.function("opus_decode", *_DECODE)
-        self._sound: Pcm = np.empty(MAX_PACKET_SAMPLES, np.int16)
-        self._address = self._sound.ctypes.data
 
     def decode(self, packet: bytes) -> Pcm:
         """Return the packet's samples, int16, shape (n,), n at most 5760.
@@ -184,27 +156,14 @@ class OpusDecoder:
         """
         # libopus takes an empty packet for a lost one (opus_decode).
         wanted = self.frame_samples if samples is None else samples
-        return self._made(b"", wanted)
+        return np.frombuffer(self._decoder.decode(b"", wanted), np.int16)
 
     def _received(self, packet: bytes, most_samples: int, *, decode_fec: bool = False) -> Pcm:
         try:
-            return self._made(packet, most_samples, decode_fec=decode_fec)
+            octets = self._decoder.decode(packet, most_samples, decode_fec)
         except self._error as error:
             raise ProtocolError(f"no Opus packet: {error}") from error
-
-    def _made(self, packet: bytes, most_samples: int, *, decode_fec: bool = False) -> Pcm:
-        """Return what libopus makes of `packet`; its error if it cannot."""
-        samples = self._decode(
-            self._decoder.decoder_state,
-            packet,
-            len(packet),
-            self._address,
-            min(most_samples, MAX_PACKET_SAMPLES),
-            decode_fec,
-        )
-        if samples < 0:
-            raise self._error(samples)
-        return self._sound[:samples].copy()
+        return np.frombuffer(octets, np.int16)
 
 
 def _free(coder: Any, state: str) -> None:

@@ -2,24 +2,21 @@
 
 import struct
 
-from kontur_av.errors import ProtocolError
-from kontur_av.rtp.modules import package_not_run
+from aiortc.rtp import (
+    RTCP_PSFB_PLI,
+    RTCP_SDES,
+    AnyRtcpPacket,
+    RtcpByePacket,
+    RtcpPacket,
+    RtcpPsfbPacket,
+    RtcpRrPacket,
+    RtcpSenderInfo,
+    RtcpSrPacket,
+    RtpPacket,
+    pack_rtcp_packet,
+)
 
-# aiortc itself would load all of WebRTC: 0.2 s, 15 MB and 160 modules.
-with package_not_run("aiortc"):
-    from aiortc.rtp import (
-        RTCP_PSFB_PLI,
-        RTCP_SDES,
-        AnyRtcpPacket,
-        RtcpByePacket,
-        RtcpPacket,
-        RtcpPsfbPacket,
-        RtcpRrPacket,
-        RtcpSenderInfo,
-        RtcpSrPacket,
-        RtpPacket,
-        pack_rtcp_packet,
-    )
+from kontur_av.errors import ProtocolError
 
 __all__ = [
     "RTCP_PSFB_PLI",
