@@ -1,0 +1,356 @@
+"""Make small faults in modules, one at a time, and count those that the nearest tests notice.
+
+    python tests/mutate.py kontur_av/streams/budget.py --mutations 12 --seed 1
+
+Not part of CI. Without a module: all modules of NEAR. The tests run on a copy of the tree.
+"""
+
+import argparse
+import ast
+import contextlib
+import multiprocessing
+import os
+import random
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+UNIT = "tests/unit"
+LINK = f"{UNIT}/telepresence/link"
+FREE_TIME = "tests/sim/test_link_priorities.py"
+
+#: The tests of a module that its folder in tests/unit does not hold, or those of the folder that
+#: suffice. Quick ones first, because the first failure ends a run.
+NEAR: dict[str, tuple[str, ...]] = {
+    "kontur_av/rtp/receiver.py": (
+        f"{UNIT}/kontur_av/rtp/test_rtp_stream.py",
+        "tests/vectors/test_rtp_vectors.py",
+        "tests/fuzz/test_rtp_fuzz.py",
+    ),
+    "kontur_av/rtp/playout.py": (
+        f"{UNIT}/kontur_av/rtp/test_rtp_playout.py",
+        f"{UNIT}/kontur_av/streams/test_voice.py",
+        "tests/fuzz/test_rtp_fuzz.py",
+    ),
+    "kontur_av/rtp/payload_h264.py": (
+        f"{UNIT}/kontur_av/rtp/test_payload_h264.py",
+        f"{UNIT}/kontur_av/rtp/test_rtp_stream.py",
+        "tests/vectors/test_rtp_vectors.py",
+        "tests/fuzz/test_rtp_fuzz.py",
+    ),
+    "kontur_av/rtp/sdp.py": (
+        f"{UNIT}/kontur_av/rtp/test_sdp.py",
+        "tests/vectors/test_rtp_vectors.py",
+        "tests/fuzz/test_rtp_fuzz.py",
+    ),
+    "kontur_av/streams/budget.py": (
+        f"{UNIT}/kontur_av/streams/test_budget.py",
+        f"{UNIT}/kontur_av/streams/test_encode_scheduler.py",
+        "tests/sim/test_caps.py",
+    ),
+    "kontur_av/streams/encode_scheduler.py": (
+        f"{UNIT}/kontur_av/streams/test_encode_scheduler.py",
+        f"{UNIT}/kontur_av/streams/test_video_stream.py",
+    ),
+    "telepresence/link/queues.py": (
+        f"{LINK}/test_link_queues.py",
+        f"{LINK}/test_link_gateway.py",
+        f"{LINK}/test_link_backlog.py",
+        "tests/fuzz/test_link_reader.py",
+        FREE_TIME,
+    ),
+    "telepresence/link/sender.py": (
+        "tests/vectors/test_link_frames.py",
+        f"{LINK}/test_link_receiver.py",
+        f"{LINK}/test_link_gateway.py",
+        f"{LINK}/test_link_arithmetic.py",
+        "tests/fuzz/test_link_reader.py",
+        "tests/fuzz/test_link_fuzz.py",
+        FREE_TIME,
+    ),
+    "telepresence/link/receiver.py": (
+        f"{LINK}/test_link_receiver.py",
+        "tests/vectors/test_link_frames.py",
+        f"{LINK}/test_link_gateway.py",
+        "tests/fuzz/test_link_fuzz.py",
+        "tests/fuzz/test_link_loss.py",
+        FREE_TIME,
+    ),
+    "telepresence/link/compression/header_compression.py": (
+        f"{LINK}/compression",
+        "tests/vectors/test_link_header_forms.py",
+        "tests/sim/test_link_headers.py",
+    ),
+    "telepresence/link/supervision/supervisor.py": (
+        f"{LINK}/supervision",
+        f"{LINK}/test_link_gateway.py",
+        "tests/vectors/test_supervision_messages.py",
+        "tests/fuzz/test_link_supervision_fuzz.py",
+        "tests/sim/test_link_supervision.py",
+        "tests/sim/test_link_supervision_loss.py",
+        "tests/sim/test_link_supervision_application.py",
+    ),
+    "telepresence/haptics/passivity.py": (
+        f"{UNIT}/telepresence/haptics/test_haptics_ends.py",
+        f"{UNIT}/telepresence/haptics/test_passivity.py",
+        "tests/sim/test_haptics_passivity.py",
+    ),
+    "telepresence/haptics/robot_controller.py": (
+        f"{UNIT}/telepresence/haptics/test_haptics_ends.py",
+        "tests/sim/test_haptics_direction.py",
+        "tests/sim/test_haptics_passivity.py",
+    ),
+    "pipelines/report/collector.py": (
+        f"{UNIT}/pipelines/report/test_collector.py",
+        f"{UNIT}/pipelines/report",
+    ),
+    "pipelines/cores/restarts.py": (f"{UNIT}/pipelines/cores/test_restarts.py",),
+}
+
+#: A run may take this many times as long as without a fault, and these seconds more.
+PATIENCE = (4.0, 30.0)
+OTHERS = {
+    ast.Lt: (ast.LtE, ast.Gt),
+    ast.LtE: (ast.Lt, ast.GtE),
+    ast.Gt: (ast.GtE, ast.Lt),
+    ast.GtE: (ast.Gt, ast.LtE),
+    ast.Eq: (ast.NotEq,),
+    ast.NotEq: (ast.Eq,),
+    ast.Is: (ast.IsNot,),
+    ast.IsNot: (ast.Is,),
+    ast.In: (ast.NotIn,),
+    ast.NotIn: (ast.In,),
+}
+SIGNS = {ast.Add: ast.Sub, ast.Sub: ast.Add}
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One fault: `source` is the whole module with it."""
+
+    line: int
+    was: str
+    now: str
+    source: str
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A node that can be changed, and how; `change` returns how to take the change back."""
+
+    node: ast.expr | ast.stmt
+    change: Callable[[], Callable[[], None]]
+
+
+def mutations(source: str) -> list[Mutation]:
+    """Return every mutation of a module that this script knows."""
+    tree = ast.parse(source)
+    plain = ast.unparse(tree)
+    found = []
+    for place in _places(tree):
+        undo = place.change()
+        text = ast.unparse(tree)
+        undo()
+        pairs = zip(plain.splitlines(), text.splitlines(), strict=False)
+        was, now = next((was, now) for was, now in pairs if was != now)
+        found.append(Mutation(place.node.lineno, was.strip(), now.strip(), text))
+    return found
+
+
+def _places(tree: ast.Module) -> Iterator[_Place]:
+    for node in _code(tree):
+        yield from _expressions(node)
+        if isinstance(node, ast.AugAssign) and type(node.op) in SIGNS:
+            yield _Place(node, _setting(node, "op", SIGNS[type(node.op)]()))
+    functions = (ast.FunctionDef, ast.If, ast.For, ast.While, ast.With, ast.Try)
+    inside = {
+        id(part)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+        for part in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if not isinstance(node, functions) or id(node) not in inside:
+            continue
+        for field in ("body", "orelse", "finalbody"):
+            statements = getattr(node, field, [])
+            for index, statement in enumerate(statements):
+                if _is_removable(statement):
+                    yield _Place(statement, _removing(statements, index))
+
+
+def _code(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield nodes that run: no annotation, assertion, import or raised message."""
+    stack: list[ast.AST] = [tree]
+    while stack:
+        node = stack.pop()
+        if isinstance(node, (ast.Assert, ast.Raise, ast.Import, ast.ImportFrom, ast.JoinedStr)):
+            continue
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            continue
+        yield node
+        for name, value in ast.iter_fields(node):
+            if name in ("annotation", "returns", "decorator_list", "bases", "keywords") and not (
+                name == "keywords" and isinstance(node, ast.Call)
+            ):
+                continue
+            parts = value if isinstance(value, list) else [value]
+            stack += reversed([part for part in parts if isinstance(part, ast.AST)])
+
+
+def _expressions(node: ast.AST) -> Iterator[_Place]:
+    if isinstance(node, ast.Compare):
+        for other in OTHERS[type(node.ops[0])]:
+            yield _Place(node, _setting(node, "ops", [other(), *node.ops[1:]]))
+    elif isinstance(node, ast.BoolOp):
+        swapped = ast.Or() if isinstance(node.op, ast.And) else ast.And()
+        yield _Place(node, _setting(node, "op", swapped))
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+        yield _Place(node, _setting(node, "operand", ast.UnaryOp(ast.Not(), node.operand)))
+    elif isinstance(node, ast.BinOp) and type(node.op) in SIGNS:
+        yield _Place(node, _setting(node, "op", SIGNS[type(node.op)]()))
+    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        swapped_name = {"min": "max", "max": "min"}.get(node.func.id)
+        if swapped_name:
+            yield _Place(node, _setting(node.func, "id", swapped_name))
+    elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        # One more of a nanosecond or of a rate changes nothing: a large number is doubled.
+        by = 1 if abs(node.value) <= 100 else node.value
+        yield _Place(node, _setting(node, "value", node.value + by))
+    # Comparisons, `and`, `or` and `not` are changed in themselves.
+    if isinstance(node, (ast.If, ast.While)) and not isinstance(
+        node.test, (ast.Compare, ast.BoolOp, ast.UnaryOp)
+    ):
+        negated = ast.UnaryOp(ast.Not(), node.test)
+        yield _Place(node, _setting(node, "test", negated))
+
+
+def _setting(node: ast.AST, field: str, value: object) -> Callable[[], Callable[[], None]]:
+    def change() -> Callable[[], None]:
+        old = getattr(node, field)
+        setattr(node, field, value)
+        return lambda: setattr(node, field, old)
+
+    return change
+
+
+def _removing(statements: list[ast.stmt], index: int) -> Callable[[], Callable[[], None]]:
+    def change() -> Callable[[], None]:
+        old = statements[index]
+        statements[index] = ast.Pass()
+        return lambda: statements.__setitem__(index, old)
+
+    return change
+
+
+def _is_removable(statement: ast.stmt) -> bool:
+    if isinstance(statement, ast.Expr):
+        return not isinstance(statement.value, ast.Constant)
+    if isinstance(statement, ast.Assign):
+        return any(isinstance(t, (ast.Attribute, ast.Subscript)) for t in statement.targets)
+    if isinstance(statement, ast.Return):
+        return statement.value is None
+    return isinstance(statement, (ast.AugAssign, ast.Continue, ast.Break, ast.Delete))
+
+
+def tests_near(module: str) -> list[str]:
+    """Return the test files and folders for a module, those that exist."""
+    mirror = f"{UNIT}/{Path(module).parent.as_posix()}"
+    return [place for place in NEAR.get(module, (mirror,)) if (ROOT / place).exists()]
+
+
+def _run_tests(tree: str, places: list[str]) -> None:
+    """In a process of its own: run tests on a copy, and exit with pytest's code."""
+    os.chdir(tree)
+    os.setpgrp()
+    quiet = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(quiet, 1)
+    os.dup2(quiet, 2)
+    sys.path.insert(0, tree)
+    os.environ["PYTHONPATH"] = tree
+    import hypothesis
+    import pytest
+
+    # A failure needs no smallest example.
+    phases = [hypothesis.Phase.explicit, hypothesis.Phase.generate]
+    hypothesis.settings.register_profile("mutate", phases=phases, database=None, deadline=None)
+    hypothesis.settings.load_profile("mutate")
+    options = ["-x", "-q", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
+    os._exit(int(pytest.main([*options, *places])))
+
+
+def noticed(tree: Path, places: list[str], limit_s: float) -> str | None:
+    """Return how a fault was noticed, or None. An endless loop is noticed, too."""
+    # A forked process has the large libraries loaded.
+    run = multiprocessing.get_context("fork").Process(target=_run_tests, args=(str(tree), places))
+    run.start()
+    run.join(limit_s)
+    if run.is_alive():
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(run.pid or 0, 9)
+        run.kill()
+        run.join()
+        return "no end"
+    return f"exit code {run.exitcode}" if run.exitcode else None
+
+
+def _copy_tree(to: Path) -> Path:
+    tree = to / "tree"
+    ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".hypothesis", ".*_cache")
+    shutil.copytree(ROOT, tree, ignore=ignored)
+    return tree
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("modules", nargs="*", help="paths from the root; none: all of NEAR")
+    parser.add_argument("--mutations", type=int, default=12, help="of each module (12)")
+    parser.add_argument("--seed", type=int, default=1, help="which mutations (1)")
+    parser.add_argument("--line", type=int, help="only mutations of this line, all of them")
+    options = parser.parse_args()
+    # Loaded once, for all runs; nothing of the project itself.
+    for library in ("numpy", "av", "cv2", "hypothesis", "pytest", "spacepackets"):
+        with contextlib.suppress(ImportError):
+            __import__(library)
+    sys.dont_write_bytecode = True
+    total = missed = 0
+    with tempfile.TemporaryDirectory(prefix="mutate-") as folder:
+        tree = _copy_tree(Path(folder))
+        for module in options.modules or NEAR:
+            source = (ROOT / module).read_text(encoding="utf-8")
+            places = tests_near(module)
+            begun = time.monotonic()
+            if wrong := noticed(tree, places, 3600.0):
+                print(f"{module}: its tests fail without a fault ({wrong})")
+                return 1
+            limit_s = PATIENCE[0] * (time.monotonic() - begun) + PATIENCE[1]
+            found = mutations(source)
+            if options.line is None:
+                rng = random.Random(f"{options.seed} {module}")
+                found = rng.sample(found, min(options.mutations, len(found)))
+            else:
+                found = [mutation for mutation in found if mutation.line == options.line]
+            seen = 0
+            for mutation in sorted(found, key=lambda mutation: mutation.line):
+                (tree / module).write_text(mutation.source, encoding="utf-8")
+                if noticed(tree, places, limit_s):
+                    seen += 1
+                else:
+                    print(f"  {module}:{mutation.line}: {mutation.was}  ->  {mutation.now}")
+                sys.stdout.flush()
+            (tree / module).write_text(source, encoding="utf-8")
+            print(f"{module}: {seen} of {len(found)} noticed", flush=True)
+            total += len(found)
+            missed += len(found) - seen
+    if total:
+        print(f"{total - missed} of {total} noticed: {100 * (total - missed) / total:.1f} %")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
