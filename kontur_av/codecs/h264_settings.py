@@ -75,6 +75,8 @@ _WIDE = _Effort(
 )
 #: Twice the time, and 0.8 to 1.4 dB more at 512 kbit/s, where pictures have 36 to 46 dB.
 _WIDE_THOROUGH = replace(_WIDE, parameters=f"{_ALWAYS}:{_BLOCKS}:me=hex:subme=6:trellis=1")
+#: The fill rate of the model over the cap is at most this.
+_MOST_OVER_CAP = Fraction(102, 100)
 #: The largest quantiser where no picture may be late.
 _PUNCTUAL = 51
 #: Up to this many macroblocks a second, there is time for the thin channel's search.
@@ -135,16 +137,24 @@ class H264Settings:
             effort = _THIN
         coarsest = _PUNCTUAL if self.punctual else effort.coarsest
         rate = int(self.cap_bps * effort.rate_over_cap)
-        buffer = int(self.cap_bps * effort.buffer_over_share / self.rate)
-        # x264 rounds both to whole kbit. It holds each picture to the buffer only if 1.1 times the
-        # share of a picture is more than the buffer.
-        least = int(buffer // 1000 * 1000 * self.rate * 10 / 11 / 1000 + 1) * 1000
+        most = int(self.cap_bps * _MOST_OVER_CAP)
+        # x264 rounds both to whole kbit. A buffer of 0 would be none, and pictures of any size.
+        buffer = max(int(self.cap_bps * effort.buffer_over_share / self.rate), 1000)
+        while (least := self._least_fill_bps(buffer)) > most and buffer >= 2000:
+            buffer -= 1000
         return {
             "preset": self.preset,
             "tune": "zerolatency",
             "intra-refresh": "1",
             "crf": str(effort.crf),
-            "maxrate": str(max(rate, min(least, self.cap_bps))),
+            "maxrate": str(max(rate, min(least, most))),
             "bufsize": str(buffer),
             "x264-params": f"{effort.parameters}:qpmax={coarsest}",
         }
+
+    def _least_fill_bps(self, buffer: int) -> int:
+        """Return the fill rate from which on x264 holds each picture to a buffer of these bits.
+
+        1.1 times the share of a picture must be more than the buffer.
+        """
+        return int(buffer // 1000 * self.rate * 10 / 11 + 1) * 1000
