@@ -227,6 +227,9 @@ class PlayoutBuffer:
             self.counts.dropped += 1
             self._next = self._played_up_to = media + samples
         self._offset_ns = offset_ns
+        if self._beginning and not self._blocks:
+            # All that was to begin is gone: begin with the next packet.
+            self._beginning, self._next = False, None
         if self._next is not None and self._free_ns is not None:
             self._offset_ns = max(offset_ns, self._free_ns - _ns(self._next))
 

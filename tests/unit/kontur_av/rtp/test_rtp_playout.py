@@ -173,6 +173,68 @@ def test_a_queue_before_the_start_does_not_delay_later_blocks():
     assert delays[30:] == [10 * NS_PER_MS] * (len(delays) - 30)
 
 
+def test_a_burst_at_the_start_is_played_from_its_newest_blocks():
+    # Fifteen blocks at once, 300 ms of sound: more than the largest delay.
+    arrivals = [max(n * 20, 290) * NS_PER_MS + n for n in range(60)]
+    line = Line()
+    blocks = line.run(arrivals, until_ns=arrivals[-1] + 5 * NS_PER_MS)
+    numbers = [n for n in heard(blocks) if n is not None]
+    assert numbers == list(range(numbers[0], numbers[-1] + 1))
+    assert numbers[0] == line.buffer.counts.dropped >= 5
+    # It is played 200 ms after the media time, the largest delay, and 0.5 ms less with each block.
+    assert numbers[-1] >= 48
+    assert max(assert_gapless(blocks)) < 1000
+
+
+def test_packets_that_are_reordered_after_a_silence_are_played_in_order():
+    sequences = [*range(20), *range(60, 80)]
+    arrivals = [s * BLOCK_NS for s in sequences]
+    arrivals[20] = arrivals[21] + NS_PER_MS
+    line = Line()
+    assert [n for n in heard(line.run(arrivals, sequences)) if n is not None] == list(range(40))
+    assert line.buffer.counts.late == line.buffer.counts.dropped == 0
+
+
+def test_a_voice_begins_after_a_burst_in_which_all_was_too_old():
+    # After a silence two blocks come 300 ms late, the later one first.
+    sequences = [*range(20), 60, 61, *range(80, 95)]
+    arrivals = [s * BLOCK_NS for s in sequences]
+    arrivals[20:22] = [arrivals[20] + late_ms * NS_PER_MS for late_ms in (305, 300)]
+    line = Line(max_delay_ns=60 * NS_PER_MS)
+    blocks = line.run(arrivals, sequences)
+    assert [n for n in heard(blocks) if n is not None] == [*range(20), *range(22, 37)]
+    assert (line.buffer.counts.dropped, line.buffer.counts.late) == (1, 1)
+    list(assert_gapless(blocks))
+
+
+def test_every_block_counts_once_as_what_it_was_played_as():
+    rng = random.Random(11)
+    arrivals = [None if n % 17 == 5 else at for n, at in enumerate(jittery(rng, 400, 90))]
+    line = Line()
+    blocks = line.run(arrivals)
+    counts = line.buffer.counts
+    gaps = [block for block in blocks if block.payload is None]
+    assert counts.played == len(blocks) - len(gaps)
+    assert counts.inserted + counts.concealed == len(gaps)
+    longer = [b for b in blocks if b.played_samples > b.samples]
+    shorter = [b for b in blocks if b.played_samples < b.samples]
+    assert (counts.stretched, counts.shortened) == (len(longer), len(shorter))
+    came = len([at for at in arrivals if at is not None])
+    assert counts.played + counts.late + counts.dropped == came
+    assert min(counts.inserted, counts.concealed, counts.late, len(longer), len(shorter)) > 0
+
+
+def test_a_concealment_after_a_silence_counts_from_the_voice():
+    """Two silences: after each, five concealments at most."""
+    sequences = [*range(20), *range(60, 80), *range(120, 140)]
+    line = Line(max_concealed=3)
+    blocks = line.run([s * BLOCK_NS for s in sequences], sequences)
+    heard_all = heard(blocks)
+    assert heard_all[20:23] == [None] * 3 and heard_all[43:46] == [None] * 3
+    assert line.buffer.counts.concealed == 9
+    assert line.buffer.poll_timeout() is None
+
+
 def test_a_pause_takes_the_delay_down_at_once():
     late = dict.fromkeys(range(60, 310), 60)
     arrivals = [(n * 20 + late.get(n, 0)) * NS_PER_MS for n in range(400)]

@@ -248,6 +248,143 @@ def test_a_jump_of_the_sequence_is_a_restart_and_no_loss():
     assert (receiver.counts.lost, receiver.counts.sources) == (0, 2)
 
 
+def test_a_jump_delivers_what_waits_behind_a_gap():
+    receiver = make_receiver()
+    before, after = singles(5), singles(3, first_sequence=30_000)
+    for index in (0, 1, 4):
+        receiver.handle_packet(before[index], index)
+    for index, packet in enumerate(after):
+        receiver.handle_packet(packet, 5 + index)
+    events = drain(receiver)
+    assert [event.extended_sequence for event in events] == [
+        65_530, 65_531, 65_534, 30_000, 30_001, 30_002
+    ]  # fmt: skip
+    assert [event.lost_before for event in events] == [0, 0, 2, 0, 0, 0]
+    assert (receiver.counts.lost, receiver.counts.sources, receiver.waiting) == (2, 2, 0)
+    assert receiver.poll_timeout() is None
+
+
+def test_losses_of_the_old_source_stay_lost_after_a_takeover():
+    receiver = make_receiver()
+    packets = singles(6)
+    for index in (0, 1, 4):
+        receiver.handle_packet(packets[index], index)
+    receiver.handle_timeout(NS_PER_S)
+    assert receiver.counts.lost == 2
+    start_ns = 2 * NS_PER_S
+    restarted = singles(6, ssrc=2)
+    for index in (0, 1, 2, 2, 3, 3):
+        receiver.handle_packet(restarted[index], start_ns + index)
+    # The numbers are those that the old source lost.
+    assert (receiver.counts.lost, receiver.counts.duplicates, receiver.counts.late) == (2, 2, 0)
+
+
+def test_jitter_begins_anew_with_a_new_source():
+    receiver = make_receiver()
+    for index, packet in enumerate(singles(60)):
+        receiver.handle_packet(packet, index * FRAME_NS + (index % 2) * 10 * NS_PER_MS)
+    assert receiver.jitter_ns > 5 * NS_PER_MS
+    for index, packet in enumerate(singles(60, ssrc=2, timestamp_offset=77)):
+        receiver.handle_packet(packet, 9 * NS_PER_S + index * FRAME_NS)
+    assert receiver.jitter_ns < 50_000
+
+
+def test_packets_and_octets_of_the_source_are_counted():
+    receiver = make_receiver()
+    rtp = make_sender()
+    for number in range(4):
+        (packet,) = rtp.video_packets(picture(number, octets=100 + number)).packets
+        receiver.handle_packet(packet, number)
+        receiver.handle_packet(packet, number)
+    # Two octets begin each slice.
+    assert receiver.counts.payload_octets == 4 * 102 + 6
+    assert (receiver.counts.received, receiver.counts.duplicates) == (4, 3)
+
+
+@pytest.mark.parametrize(("ahead", "sources"), [(2999, 1), (3000, 2)])
+def test_a_step_of_less_than_3000_is_a_loss_and_a_larger_one_a_jump(ahead, sources):
+    """RFC 3550 appendix A.1: MAX_DROPOUT."""
+    receiver = make_receiver()
+    packets = singles(2, first_sequence=0) + singles(2, first_sequence=1 + ahead)
+    for index, packet in enumerate(packets):
+        receiver.handle_packet(packet, index * FRAME_NS)
+    receiver.handle_timeout(NS_PER_S)
+    assert (receiver.counts.sources, receiver.counts.lost) == (sources, (2 - sources) * (ahead - 1))
+    assert len(drain(receiver)) == 4
+
+
+@pytest.mark.parametrize(("behind", "late"), [(100, 1), (101, 0)])
+def test_a_packet_up_to_100_behind_is_late_and_an_older_one_is_foreign(behind, late):
+    """RFC 3550 appendix A.1: MAX_MISORDER."""
+    receiver = make_receiver()
+    packets = singles(300, first_sequence=0)
+    for index in (0, 1, 250, 251):
+        receiver.handle_packet(packets[index], index)
+    receiver.handle_timeout(NS_PER_S)
+    receiver.handle_packet(packets[251 - behind], NS_PER_S)
+    receiver.handle_packet(packets[252], NS_PER_S)
+    counts = receiver.counts
+    assert (counts.late, counts.garbage) == (late, 1 - late)
+    assert counts.lost == 248 - late
+
+
+def test_no_more_packets_wait_than_allowed():
+    receiver = make_receiver(reorder_depth_ns=NS_PER_S)
+    packets = singles(600, first_sequence=0)
+    most = 0
+    for index in (0, 1, *range(3, 518)):
+        receiver.handle_packet(packets[index], index)
+        most = max(most, receiver.waiting)
+    assert most == 512
+    assert (receiver.waiting, receiver.counts.lost) == (0, 1)
+    assert len(drain(receiver)) == 517
+
+
+def test_a_second_gap_has_the_deadline_of_its_own_packets():
+    receiver = make_receiver()
+    packets = singles(10)
+    for index, now_ms in ((0, 0), (1, 0), (3, 2), (5, 6)):
+        receiver.handle_packet(packets[index], now_ms * NS_PER_MS)
+    assert receiver.poll_timeout() == 12 * NS_PER_MS
+    receiver.handle_packet(packets[2], 7 * NS_PER_MS)
+    assert receiver.poll_timeout() == 16 * NS_PER_MS
+    receiver.handle_packet(packets[4], 8 * NS_PER_MS)
+    assert receiver.poll_timeout() is None
+
+
+def test_a_report_vouches_for_200_ms_and_silence_is_500_ms():
+    for wait_ms, count in ((200, 1), (201, 0)):
+        packet, report = reported()
+        receiver = make_receiver()
+        receiver.handle_packet(packet, 0)
+        receiver.handle_report(report, wait_ms * NS_PER_MS)
+        assert len(drain(receiver)) == count
+    for silence_ms, ssrc in ((499, 1), (500, 2)):
+        receiver = make_receiver()
+        for index, packet in enumerate(singles(2)):
+            receiver.handle_packet(packet, index)
+        for packet in singles(2, ssrc=2):
+            receiver.handle_packet(packet, 1 + silence_ms * NS_PER_MS)
+        assert receiver.ssrc == ssrc
+
+
+def test_only_the_source_keeps_its_report_and_one_candidate():
+    receiver = make_receiver()
+    own, other, third = reported(), reported(ssrc=2), reported(ssrc=3)
+    receiver.handle_report(own[1], 0)
+    receiver.handle_packet(own[0], 0)
+    (event,) = drain(receiver)
+    for _, report in (other, third):
+        receiver.handle_report(report, 1)
+    assert receiver.capture_ns(event.timestamp) is not None
+    # Of two strangers only the last one is remembered.
+    receiver.handle_packet(other[0], NS_PER_S)
+    assert receiver.ssrc == 1
+    receiver.handle_packet(third[0], NS_PER_S)
+    assert receiver.ssrc == 3
+    assert receiver.counts.reports == 2
+
+
 def test_garbage_is_counted():
     receiver = make_receiver()
     other_type = make_sender(payload_type=97).video_packets(picture(0)).packets[0]

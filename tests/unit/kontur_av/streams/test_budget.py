@@ -87,6 +87,63 @@ def test_packets_leave_exactly_when_due():
     assert pacer.longest_wait_ns == 10 * MS
 
 
+def test_packets_after_an_idle_time_are_spaced_as_the_channel_carries_them():
+    pacer = Pacer(cap_bps=80_000, channel_bps=100_000)
+    now_ns, left = 10 * NS_PER_S, []
+    pacer.handle_access_unit([bytes(100)] * 5, [100] * 5, now_ns)
+    while (due_ns := pacer.poll_timeout()) is not None:
+        now_ns = max(now_ns, due_ns)
+        assert pacer.poll_transmit(now_ns) is not None
+        left.append(now_ns - 10 * NS_PER_S)
+        assert pacer.poll_transmit(now_ns) is None
+    # 100 octets take 8 ms of the channel.
+    assert left == [0, 8 * MS, 16 * MS, 24 * MS, 32 * MS]
+    assert (pacer.released_packets, pacer.longest_wait_ns) == (5, 32 * MS)
+    assert pacer.released.last_ns == now_ns
+
+
+def test_the_queue_tells_its_depth_and_its_oldest_age():
+    pacer = Pacer(cap_bps=80_000)
+    assert pacer.oldest_age_ns(7 * MS) == 0
+    pacer.handle_access_unit([bytes(100)] * 2, [100] * 2, 5 * MS)
+    pacer.handle_access_unit([bytes(50)], [50], 6 * MS)
+    assert (pacer.depth, pacer.backlog_octets) == (3, 250)
+    assert pacer.poll_transmit(5 * MS) is not None
+    assert (pacer.depth, pacer.backlog_octets) == (2, 150)
+    assert pacer.oldest_age_ns(9 * MS) == 4 * MS
+
+
+def test_room_is_back_exactly_when_the_window_has_passed():
+    # 1500 octets in 100 ms: 15 packets of 100, and each is free again 110 ms after it left.
+    pacer = Pacer(cap_bps=80_000, channel_bps=80_000_000)
+    assert pacer.max_payload_octets == 1500
+    pacer.handle_access_unit([bytes(100)] * 16, [100] * 16, 0)
+    step_ns = 10_000
+    for number in range(15):
+        assert pacer.poll_timeout() == number * step_ns
+        assert pacer.poll_transmit(number * step_ns) is not None
+    assert pacer.poll_timeout() == 110 * MS
+    assert pacer.poll_transmit(110 * MS - 1) is None
+    assert pacer.poll_transmit(110 * MS) is not None
+
+
+def test_another_cap_counts_from_now_on():
+    pacer = Pacer(cap_bps=80_000, picture_ns=100 * MS)
+    assert pacer.picture_octets == 1000
+    pacer.follow(cap_bps=160_000, channel_bps=320_000)
+    assert (pacer.cap_bps, pacer.channel_bps, pacer.picture_octets) == (160_000, 320_000, 2000)
+    # Packets stay small, 1500 octets of payload; two of them take 75 ms of the new channel.
+    assert pacer.max_payload_octets == 1500
+    pacer.handle_access_unit([bytes(1500)] * 2, [1500] * 2, 0)
+    assert pacer.poll_transmit(0) is not None
+    assert pacer.poll_timeout() == 37_500_000
+    assert pacer.poll_transmit(37_500_000) is not None
+    pacer.follow(cap_bps=80_000, channel_bps=80_000)
+    for cap_bps, channel_bps in ((79_999, 80_000), (80_001, 80_000)):
+        with pytest.raises(ValueError, match="at least 80000"):
+            pacer.follow(cap_bps=cap_bps, channel_bps=channel_bps)
+
+
 def test_the_next_picture_starts_when_the_channel_has_taken_those_before_it():
     pacer = Pacer(cap_bps=80_000, picture_ns=33 * MS)
     assert pacer.start_ns(0) == 0

@@ -88,6 +88,68 @@ def test_nothing_is_encoded_while_the_link_is_behind_its_cap():
     assert clock.poll_encode(31 * MS)
 
 
+def test_the_coding_time_is_measured():
+    pacer = Pacer(cap_bps=80_000)
+    clock = EncodeScheduler(pacer, fps=30)
+    clock.handle_picture(0, 0)
+    assert clock.poll_encode(0)
+    clock.handle_encoded(11 * MS)
+    pacer.handle_access_unit([bytes(300)], [300], 40 * MS)  # 30 ms of the channel
+    assert pacer.poll_transmit(40 * MS)
+    clock.handle_picture(60 * MS, 65 * MS)
+    # 3 ms were assumed; one part in eight of the difference counts.
+    assert clock.poll_timeout() == 66 * MS
+
+
+def test_a_picture_that_is_not_to_be_encoded_cannot_be_encoded():
+    clock = clock_with()
+    with pytest.raises(ValueError, match="no picture"):
+        clock.handle_encoded(0)
+
+
+def test_pictures_left_out_and_the_last_one_are_refused():
+    clock = clock_with()
+    clock.handle_picture(0, 0, skipped=2)
+    assert (clock.captured, clock.refused) == (3, 2)
+    clock.handle_picture(PERIOD, PERIOD)
+    assert (clock.captured, clock.refused) == (4, 3)
+    clock.finish()
+    clock.finish()
+    assert clock.refused == 4
+    assert clock.poll_timeout() is None
+
+
+def test_a_picture_may_be_22_parts_of_a_hundred_of_a_period_old():
+    for age_ms, waits in ((7, False), (8, True)):
+        clock = clock_with(300)
+        came_ns = 27 * MS - age_ms * MS
+        clock.handle_picture(0, came_ns)
+        # An older one waits for the next picture, and an eighth of a period more.
+        give_up_ns = came_ns + PERIOD + PERIOD // 8
+        assert clock.poll_timeout() == (give_up_ns if waits else 27 * MS)
+
+
+def test_a_channel_that_is_behind_is_looked_at_again_after_2_ms():
+    clock = clock_with()
+    share = 80_000 // 8 // 30
+    for octets, due_ms in ((share, 0), (share + 1, 2)):
+        clock.handle_channel(octets, 80_000_000, -10 * MS)
+        clock.handle_picture(0, 0)
+        assert clock.poll_timeout() == due_ms * MS
+
+
+def test_a_slower_camera_is_told_after_45_pictures_and_a_faster_one_after_15():
+    clock, now_ns = EncodeScheduler(Pacer(cap_bps=80_000), fps=60), 0
+    clock.handle_picture(0, 0)
+    for hz, pictures in ((15, 45), (60, 15)):
+        for _ in range(pictures):
+            assert clock.next_rate_hz() is None
+            now_ns += 1_000_000_000 // hz
+            clock.handle_picture(now_ns, now_ns)
+        assert clock.next_rate_hz() == pytest.approx(hz, rel=0.01)
+        assert clock.next_rate_hz() is None
+
+
 @pytest.mark.parametrize("hz", [25, 15, 7])
 def test_a_regular_camera_that_is_slower_is_followed_and_back_again(hz):
     clock, now_ns, rates = clock_with(), 0, []

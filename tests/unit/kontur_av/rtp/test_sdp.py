@@ -1,0 +1,139 @@
+"""What is written into a session description, and what is read from those of other programs."""
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
+
+SPS, PPS = b"\x67\x42\xc0\x1e", b"\x68\xce\x3c\x80"
+HEAD = "v=0\ns=Room\nc=IN IP4 10.0.0.1\nt=0 0\n"
+VIDEO = "m=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n"
+
+
+def stream(**changes) -> StreamDescription:
+    values = {"kind": "video", "host": "10.0.0.1", "port": 5004, "payload_type": 96} | changes
+    return StreamDescription(**values)
+
+
+def test_sdp_of_a_voice():
+    voice = stream(kind="audio", host="::1", payload_type=97, rtcp_port=6001, bandwidth_bps=8_001)
+    assert write_sdp(voice).splitlines() == [
+        "v=0",
+        "o=- 0 0 IN IP6 ::1",
+        "s=kontur-av",
+        "c=IN IP6 ::1",
+        "t=0 0",
+        "m=audio 5004 RTP/AVP 97",
+        "b=AS:9",
+        "a=rtcp:6001",
+        "a=rtpmap:97 opus/48000/2",
+        "a=fmtp:97 stereo=0;sprop-stereo=0;cbr=1",
+        "a=ptime:20",
+        "a=recvonly",
+    ]
+    assert (voice.clock_rate_hz, voice.control_port) == (48_000, 6001)
+
+
+def test_the_usual_control_port_is_not_written():
+    assert "a=rtcp" not in write_sdp(stream(rtcp_port=5005))
+    assert (stream().clock_rate_hz, stream().control_port) == (90_000, 5005)
+
+
+@pytest.mark.parametrize(
+    ("sets", "level"),
+    [((PPS, SPS), "42C01E"), ((SPS[:3], PPS), None), ((b"\x67\x64\x00\x28\x01",), "640028")],
+)
+def test_the_level_is_that_of_the_first_whole_sps(sets, level):
+    text = write_sdp(stream(parameter_sets=sets))
+    assert (f";profile-level-id={level};" in text) == ("profile-level-id" in text) == bool(level)
+    assert parse_sdp(text).parameter_sets == sets
+    assert "packetization-mode=1\r\n" in write_sdp(stream())
+
+
+def test_an_address_of_the_media_goes_before_that_of_the_session():
+    assert parse_sdp(HEAD + VIDEO) == stream(name="Room")
+    own = parse_sdp(HEAD + VIDEO + "c=IN IP4 224.1.1.1/127\n")
+    assert own.host == "224.1.1.1"
+    # The address of a stream that is left out is not that of the next one.
+    other = "m=text 5000 RTP/AVP 98\nc=IN IP4 10.0.0.9\n"
+    assert parse_sdp(HEAD + other + VIDEO).host == "10.0.0.1"
+    with pytest.raises(ConfigError, match="c= line"):
+        parse_sdp("v=0\n" + VIDEO)
+
+
+def test_the_first_known_payload_type_counts_with_its_own_parameters():
+    text = (
+        "m=video 5004/2 RTP/AVPF 96 97\r\na=rtpmap:96 VP8/90000\r\n"
+        "a=rtpmap:97 H264/90000\r\na=fmtp:96 packetization-mode=2\r\n"
+        'a=fmtp:97 packetization-mode=0; Sprop-Parameter-Sets="Z0LAHg==,aM48gA=="\r\n'
+        "a=rtcp:7000 IN IP4 10.0.0.1\r\n"
+    )
+    assert parse_sdp(HEAD + text) == stream(
+        name="Room", payload_type=97, rtcp_port=7000, parameter_sets=(SPS, PPS)
+    )
+
+
+@pytest.mark.parametrize("encoding", ["opus/48000/2", "OPUS/48000", "opus/48000/1"])
+def test_a_voice_is_read_in_mono_too(encoding):
+    text = f"{HEAD}m=audio 5004 RTP/AVP 97\na=rtpmap:97 {encoding}\n"
+    if encoding.endswith("/1"):
+        with pytest.raises(ConfigError, match="no stream"):
+            parse_sdp(text)
+    else:
+        assert parse_sdp(text).kind == "audio"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        VIDEO.replace("video", "audio"),
+        VIDEO.replace("RTP/AVP", "UDP"),
+        "m=video 5004 RTP/AVP\n",
+        "m=video 5004 RTP/AVP 96\na=rtpmap:97 H264/90000\n",
+        "",
+    ],
+)
+def test_what_is_no_stream_of_ours_is_refused(text):
+    with pytest.raises(ConfigError, match="no stream"):
+        parse_sdp(HEAD + text)
+
+
+@pytest.mark.parametrize(
+    ("port", "payload_type", "rtcp", "rate"),
+    [(1, 0, 1, 1), (65534, 127, 65535, 10**9)],
+)
+def test_numbers_are_read_up_to_their_limits(port, payload_type, rtcp, rate):
+    def described(port, payload_type, rtcp, rate):
+        return parse_sdp(
+            f"{HEAD}m=video {port} RTP/AVP {payload_type}\na=rtpmap:{payload_type} H264/90000\n"
+            f"a=rtcp:{rtcp}\nb=AS:{rate}\n"
+        )
+
+    right = (port, payload_type, rtcp, rate)
+    found = described(*right)
+    assert (found.port, found.payload_type) == (port, payload_type)
+    assert (found.rtcp_port, found.bandwidth_bps) == (rtcp, 1000 * rate)
+    step = 1 if port > 1 else -1
+    for field in range(4):
+        wrong = list(right)
+        wrong[field] += step
+        with pytest.raises(ConfigError, match="must be a whole number"):
+            described(*wrong)
+
+
+@pytest.mark.parametrize("sets", ["!", "Z0LAHg==,", "QQ==", ","])
+def test_parameter_sets_that_are_none_are_refused(sets):
+    with pytest.raises(ConfigError, match="SPS and PPS in base64"):
+        parse_sdp(f"{HEAD}{VIDEO}a=fmtp:96 sprop-parameter-sets={sets}\n")
+
+
+def test_a_malformed_line_is_named():
+    with pytest.raises(ConfigError, match="line 6: 'colour'"):
+        parse_sdp(f"{HEAD}\ncolour\n")
+    for line in ("a", "=x", "ab=x"):
+        with pytest.raises(ConfigError, match="line 5"):
+            parse_sdp(f"{HEAD}{line}\n")
+    with pytest.raises(ConfigError, match="no SDP"):
+        parse_sdp(VIDEO)
+    # As ffmpeg prints it, and as Windows stores it.
+    assert parse_sdp("\ufeff SDP:\n" + HEAD + VIDEO) == stream(name="Room")
