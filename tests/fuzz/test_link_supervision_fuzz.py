@@ -15,6 +15,8 @@ from telepresence.link.flows import tmtc_flow, video_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.supervision.supervisor import (
     Configuration,
+    ContextsHeld,
+    Encounter,
     LinkState,
     StateChanged,
     Supervisor,
@@ -98,3 +100,41 @@ def test_mutated_messages():
     counts = victim.report(0).counts
     assert counts["messages_malformed"] + counts["messages_mismatched"] > MESSAGES // 2
     talk(victim, peer, 100 + MESSAGES, 4000)
+
+
+def test_whatever_strangers_say_a_live_connection_stays():
+    """Mutated messages of the peer, of another life, and random octets, in long streams."""
+    random = Random(6)
+    victim, peer = begun(master=True), begun(master=False)
+    talk(victim, peer, 0, 3000)
+    stranger = Supervisor(master=False, configuration=SPACE, life=777, now_ns=0, secret=9)
+    stranger.handle_local_check(None, 0)
+    sent, seen = 0, [bytes(12)]
+    for slot in range(3000, 3000 + MESSAGES):
+        now_ns = slot * MS
+        for sender, receiver in ((victim, peer), (peer, victim)):
+            message = sender.poll_transmit(now_ns)
+            receiver.handle_frame(now_ns)
+            receiver.handle_application(now_ns)
+            if message is not None:
+                sent += sender is victim
+                seen.append(message)
+                receiver.handle_message(message, now_ns)
+        told = random.choice(
+            (stranger.poll_transmit(now_ns), None, random.choice(seen), random.randbytes(12))
+        )
+        if told is not None and random.random() < 0.5:
+            octets = bytearray(told)
+            octets[random.randrange(12)] ^= 1 << random.randrange(8)
+            told = bytes(octets)
+        frames = random.choice((0, 1, 50, 5000))
+        found = victim.handle_stranger(told, now_ns, frames=frames, lasts_ns=frames * MS)
+        assert found is Encounter.IGNORE
+        assert not [event for event in drain(victim) if not isinstance(event, ContextsHeld)]
+        drain(peer)
+        assert victim.state is LinkState.CONNECTED
+    # At most an answer each 20 ms, and the regular messages.
+    assert sent <= MESSAGES // 20 + MESSAGES // 200
+    counts = victim.report(0).counts
+    assert counts["messages_malformed"] > 0 < counts["messages_mismatched"]
+    assert counts["signals_lost"] == counts["peer_restarts"] == 0
