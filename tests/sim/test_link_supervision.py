@@ -1,12 +1,16 @@
 """How two ends of the link find each other, what they send then, and how a restart is handled."""
 
-import pytest
-from link_supervision_pair import CONNECTED, MS, Pair, S, connected
+from itertools import pairwise
 
+import pytest
+from link_supervision_pair import CONNECTED, MS, SPACE, Pair, S, connected
+
+from telepresence.link.supervision.message import MessageKind, parse_message
 from telepresence.link.supervision.proof import Proof
 from telepresence.link.supervision.supervisor import (
     ApplicationReset,
     ContextsHeld,
+    Encounter,
     LinkState,
     PeerDeaf,
     PeerDoubted,
@@ -149,3 +153,75 @@ def test_contexts_are_reported_at_once_and_again():
         pair.space.supervisor.handle_contexts((1 + number % 255,), pair.slot * MS)
         pair.step()
     assert len(pair.space.sent) - sent <= 51
+
+
+@pytest.mark.parametrize(
+    ("silent_ms", "frames", "lasts_ms", "hears", "followed"),
+    [
+        (None, 8, 20, False, True),
+        (None, 7, 20, False, False),
+        (None, 8, 19, False, False),
+        (None, 5000, 5000, True, False),
+        (2000, 8, 1000, False, True),
+        (1999, 8, 1000, False, False),
+        (2000, 8, 999, False, False),
+        (2000, 7, 1000, False, False),
+        (60_000, 5000, 5000, True, False),
+    ],
+)
+def test_when_a_stranger_that_hears_nobody_is_followed(
+    silent_ms, frames, lasts_ms, hears, followed
+):
+    """silent_ms: how long the peer has been silent; None: no peer was ever met."""
+    pair = Pair()
+    pair.start()
+    if silent_ms is None:
+        now_ns = 0
+    else:
+        pair.run(200)
+        now_ns = pair.ground.supervisor._frame_ns + silent_ms * MS
+        pair.ground.supervisor.poll_transmit(now_ns)
+    stranger = Supervisor(master=False, configuration=SPACE, life=0x5555, now_ns=now_ns, secret=1)
+    stranger.handle_local_check(None, now_ns)
+    if hears:
+        stranger.handle_frame(now_ns)
+    message = stranger.poll_transmit(now_ns)
+    supervisor = pair.ground.supervisor
+    found = supervisor.handle_stranger(message, now_ns, frames=frames, lasts_ns=lasts_ms * MS)
+    assert found is (Encounter.RESTART if followed else Encounter.IGNORE)
+
+
+def test_a_stranger_beside_a_live_peer_is_asked_ten_times_a_second():
+    """Also one without any message: it may be the peer, whose delay has fallen."""
+    pair = connected()
+    pair.run(3 * S)
+    supervisor, asked = pair.ground.supervisor, []
+    for slot in range(2000):
+        lasts_ns = (slot + 1) * MS if slot < 1000 else 4 * MS
+        supervisor.handle_stranger(None, pair.slot * MS, frames=slot + 1, lasts_ns=lasts_ns)
+        sent = len(pair.ground.sent)
+        pair.step()
+        for at, message in pair.ground.sent[sent:]:
+            told = parse_message(message)
+            if told.kind is MessageKind.HELLO:
+                asked.append(at)
+                assert told.number
+    assert len(asked) in (10, 11)
+    assert min(b - a for a, b in pairwise(asked)) == 100
+    # The peer's answers change nothing.
+    assert pair.states == CONNECTED
+    assert not pair.ground.of(PeerDoubted) + pair.ground.of(SignalLost)
+    # Afterwards nobody asks and answers any more.
+    sent = [len(end.sent) for end in pair.ends]
+    pair.run(10 * S)
+    assert max(len(end.sent) - n for end, n in zip(pair.ends, sent, strict=True)) <= 21
+
+
+def test_a_refusal_ends_with_the_frames_that_caused_it():
+    pair = Pair(masters=(True, True))
+    pair.start()
+    pair.run(500)
+    assert pair.states == ("REFUSED", "REFUSED")
+    pair.blocked = dict.fromkeys(pair.blocked, True)
+    pair.run(200)
+    assert pair.states == ("SEARCH", "SEARCH")
