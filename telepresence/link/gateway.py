@@ -206,8 +206,7 @@ class Gateway:
         self._follow_supervision()
         if found is Encounter.IGNORE:
             return False
-        self.receiver.follow_stranger(new_life=found is Encounter.RESTART)
-        return True
+        return self.receiver.follow_stranger(new_life=found is Encounter.RESTART)
 
     def _follow_supervision(self) -> None:
         """Apply the events of supervision to sender and receiver."""

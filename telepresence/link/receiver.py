@@ -250,28 +250,31 @@ class LinkReceiver:
         """The next event in the order of reception, or None. Call until None."""
         return self.events.popleft() if self.events else None
 
-    def follow_stranger(self, *, new_life: bool) -> None:
-        """Follow the stream of `stranger`, and take what its frame carries.
+    def follow_stranger(self, *, new_life: bool) -> bool:
+        """Follow the stream of `stranger`, and take what its frame carries; return whether it can.
 
-        new_life: another life of the peer sends it, with contexts of its own.
+        new_life: another life of the peer sends it, with contexts of its own. A stream of the same
+        life that is behind the one before would bring frames again, so it is a late copy.
         """
         other = self._candidate
         if other is None:
-            return
+            return False
+        ahead = other._count - self._count & COUNT_MASK
+        behind = ahead == 0 or ahead >= COUNT_MODULUS >> 1
+        if behind and not new_life and other._last_ns - self._last_ns <= _LONGEST_SILENCE_NS:
+            return False
         self._other = self._candidate = self.stranger = None
         self._count_dropped(other, -1)
         self._drop_partials()
-        ahead = other._count - self._count & COUNT_MASK
         if new_life:
             self.restarts += self._begun
             self._count = other._count
             self._decompressors = other._decompressors
             self._note_contexts()
-        elif ahead < COUNT_MODULUS >> 1:
-            self.frames_lost += max(0, ahead - 1)
-            self._count += ahead
         else:
-            self._count += ahead - COUNT_MODULUS
+            self.frames_lost += 0 if behind else ahead - 1
+            # After hours the count may have gone through half its range.
+            self._count += ahead or COUNT_MODULUS
         self._begun = True
         self._partials, self._on_air = other._partials, other._on_air
         self._next24, self._due_ns = other._next24, other._due_ns
@@ -288,6 +291,7 @@ class LinkReceiver:
             else:
                 self.packets_received[self.flows.index(event.flow)] += 1
             self.events.append(event)
+        return True
 
     def leave(self) -> None:
         """Follow no stream until `follow_stranger`."""

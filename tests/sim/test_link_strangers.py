@@ -28,8 +28,8 @@ class Path(RadioPath):
 
     shut = False
 
-    def __init__(self, delay_ns):
-        super().__init__(delay_ns=delay_ns)
+    def __init__(self, delay_ns, loss=0.0):
+        super().__init__(delay_ns=delay_ns, loss=loss)
         self.sent = []
 
     def handle_frame(self, frame, now_ns):
@@ -197,6 +197,27 @@ def test_strange_frames_in_a_live_pair_change_nothing(kind, seed):
         assert after.supervision.state == "connected"
         # What strangers make this end send stays below 5 % of its slots.
         assert after.supervision.counts["messages_sent"] <= 5000 // 20 + 50
+
+
+def test_late_copies_of_all_frames_change_nothing():
+    """As by a second route that is 30 ms longer, also of frames that the first one loses."""
+    pair = Pair()
+    for side in ("ground", "space"):
+        getattr(pair.link, side).radio = pair.paths[side] = Path(12 * MS, loss=0.1)
+
+    def copies(slot):
+        for side, path in (("ground", pair.paths["space"]), ("space", pair.paths["ground"])):
+            if len(path.sent) > 42:
+                yield side, path.sent[-42]
+
+    pair.run(10_000, copies)
+    for side in pair.got:
+        pair.check_genuine(side)
+        assert len(pair.got[side]) > 0.85 * len(pair.sent[side])
+        report = getattr(pair.link, side).report(pair.link.now_ns)
+        assert report.receive.restarts == report.supervision.counts["peer_restarts"] == 0
+        assert report.supervision.counts["signals_lost"] == 0
+        assert report.receive.frames > 0.88 * 10_000
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,7 +1,7 @@
 """Packets and frames against spacepackets, an independent implementation of the CCSDS books.
 
-It knows space packets (CCSDS 133.0-B-2) and the CRC-16 of CCSDS 732.0-B, clause 4.1.6. It has no
-AOS transfer frames; tests/vectors/test_link_frames.py has vectors of those.
+It knows space packets (CCSDS 133.0-B-2) and the CRC-16 of CCSDS 732.0-B-5, clause 4.1.6. It has
+no AOS transfer frames; tests/vectors/test_aos_issue5.py has a decoder of those.
 """
 
 import pytest

@@ -156,7 +156,7 @@ def test_digest_is_the_crc_of_the_text_at_both_ends():
 
 
 def crc16(data):
-    """Return the CRC with x^16 + x^12 + x^5 + 1 from all ones (CCSDS 732.0-B 4.1.6.2), by bits."""
+    """Return the CRC with x^16 + x^12 + x^5 + 1 from all ones, by bits (732.0-B-5, 4.1.6.2)."""
     register = 0xFFFF
     for octet in data:
         for bit in range(7, -1, -1):

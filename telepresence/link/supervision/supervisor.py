@@ -237,7 +237,10 @@ class Supervisor:
         if told is not None and frames:
             self._stranger = told
         if told is not None and self._proof.answers(told.echo, now_ns):
-            return self._meet(told, now_ns, proven=True)
+            if not (self.signal and told.life == self.peer_life):
+                return self._meet(told, now_ns, proven=True)
+            # A late copy of the answer, which itself was lost. The peer's stream is there.
+            self._proof.proven = True
         known = self._stranger
         if known is not None and self._may_be_deaf(known, now_ns, frames, lasts_ns):
             return self._meet(known, now_ns, proven=False)

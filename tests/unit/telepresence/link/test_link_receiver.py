@@ -131,14 +131,30 @@ def test_the_time_of_a_stream_is_that_of_its_earliest_frames():
 
 def test_the_same_life_goes_on_at_another_count():
     """Contexts and the count of 24 bits go on; the frames between are lost."""
-    for former, first, lost in ((100, 9_100, 8_995), (0xFFFFF0, 0x1000, 0x1010 - 5), (9_100, 0, 0)):
+    for former, first, lost in ((100, 9_100, 8_995), (0xFFFFF0, 0x1000, 0x1010 - 5)):
         receiver = LinkReceiver(UPLINK, FLOWS)
         now_ns = feed(receiver, frames(5, former))
         feed(receiver, frames(1, first), now_ns)
-        receiver.follow_stranger(new_life=False)
+        assert receiver.follow_stranger(new_life=False)
         feed(receiver, frames(5, first)[1:], now_ns + MS)
         assert (receiver.frames_received, receiver.restarts) == (10, 0)
         assert receiver.frames_lost == lost
+
+
+def test_late_copies_of_the_same_life_are_not_followed():
+    receiver = LinkReceiver(UPLINK, FLOWS)
+    now_ns = feed(receiver, frames(5, 9_100))
+    for first in (9_104, 9_000, 0):
+        feed(receiver, frames(1, first), now_ns)
+        assert not receiver.follow_stranger(new_life=False)
+    assert (receiver.frames_received, sum(receiver.frames_dropped.values())) == (5, 3)
+    assert feed(receiver, frames(5, 9_105), now_ns)
+    assert (receiver.frames_received, receiver.frames_lost) == (10, 0)
+    # After hours a lower count is one that has wrapped.
+    now_ns += 3 * 3600 * 1000 * MS
+    feed(receiver, frames(1, 9_000), now_ns)
+    assert receiver.follow_stranger(new_life=False)
+    assert (receiver.frames_received, receiver.frames_lost) == (11, 0)
 
 
 def test_an_answer_is_followed_beside_a_busy_stranger():
