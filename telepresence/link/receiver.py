@@ -171,7 +171,10 @@ class LinkReceiver:
         self._other: LinkReceiver | None = None
         #: The one to follow if asked to: it has handled the stranger's last frame.
         self._candidate: LinkReceiver | None = None
-        self._reason = "stray"
+        #: It handles a stranger's stream, and no strangers beside that.
+        self._strange = False
+        #: Of a stranger's stream: how its frames were counted as dropped, until it is followed.
+        self._dropped_as: dict[str, int] = {}
         self._begun_ns = 0
         self.frames_received = 0
         self.frames_lost = 0
@@ -198,7 +201,8 @@ class LinkReceiver:
         if count24 == self._next24:
             self._count += 1
         elif (skipped := self._find_skipped(count24, now_ns)) is None:
-            self._handle_stranger(frame, count24, now_ns)
+            if not self._strange:
+                self._handle_stranger(frame, count24, now_ns)
             return False
         else:
             self.frames_lost += skipped
@@ -264,22 +268,28 @@ class LinkReceiver:
         if behind and not new_life and other._last_ns - self._last_ns <= _LONGEST_SILENCE_NS:
             return False
         self._other = self._candidate = self.stranger = None
-        self._count_dropped(other, -1)
+        for reason, frames in other._dropped_as.items():
+            _add(self.frames_dropped, reason, -frames)
+        if self._next24 < 0:
+            for event in other.events:
+                self._count_unapproved(event, -1)
         self._drop_partials()
         if new_life:
             self.restarts += self._begun
             self._count = other._count
             self._decompressors = other._decompressors
             self._note_contexts()
+            self.frames_lost += other.frames_lost
         else:
-            self.frames_lost += 0 if behind else ahead - 1
+            self.frames_lost += 0 if behind else ahead - other.frames_received
             # After hours the count may have gone through half its range.
             self._count += ahead or COUNT_MODULUS
         self._begun = True
         self._partials, self._on_air = other._partials, other._on_air
         self._next24, self._due_ns = other._next24, other._due_ns
         self._last_ns = other._last_ns
-        self.frames_received += 1
+        # The peer's first frames were good ones, though what they carried was dropped.
+        self.frames_received += other.frames_received
         for event in other.events:
             if isinstance(event, SupervisionReceived):
                 self.supervision_received += 1
@@ -322,22 +332,33 @@ class LinkReceiver:
     def _handle_stranger(self, frame: bytes, count24: int, now_ns: int) -> None:
         """Drop a frame that is not of the stream, and note it if it may be of another one."""
         late = 0 < self._next24 - count24 & COUNT_MASK <= _LATE_FRAMES
-        self._reason = "late" if late and self._next24 >= 0 else "stray"
+        reason = "late" if late and self._next24 >= 0 else "stray"
         other = self._other
         if other is None or now_ns - other._last_ns >= _STRANGER_SILENCE_NS:
-            other = self._other = LinkReceiver(self.profile, self.flows)
+            other = self._other = self._begin_other()
         other.events.clear()
         message = self._message(frame)
         frames = lasts_ns = 0
-        if other.handle_frame(frame, now_ns):
+        taken = other.handle_frame(frame, now_ns)
+        if taken:
             frames, lasts_ns = other.frames_received, now_ns - other._begun_ns
         elif message is not None:
             # It is of yet another stream, which its message may prove.
-            other = LinkReceiver(self.profile, self.flows)
-            other.handle_frame(frame, now_ns)
-        self._candidate = other
-        self._count_dropped(other, 1)
+            other = self._begin_other()
+            taken = other.handle_frame(frame, now_ns)
+        _add(self.frames_dropped, reason, 1)
+        self._candidate = other if taken else None
+        if taken:
+            _add(other._dropped_as, reason, 1)
+            if self._next24 < 0:
+                for event in other.events:
+                    self._count_unapproved(event, 1)
         self.stranger = StrangerFrame(message, frames, lasts_ns)
+
+    def _begin_other(self) -> "LinkReceiver":
+        other = LinkReceiver(self.profile, self.flows)
+        other._strange = True
+        return other
 
     def _message(self, frame: bytes) -> bytes | None:
         """Return the supervision message of a good frame, or None."""
@@ -345,13 +366,6 @@ class LinkReceiver:
         if isinstance(parsed, str) or parsed[2] != self._pointers.supervision:
             return None
         return parsed[3][:SUPERVISION_OCTETS]
-
-    def _count_dropped(self, other: "LinkReceiver", frames: int) -> None:
-        """Count the frame that the stranger sent as dropped: 1; or as taken after all: -1."""
-        _add(self.frames_dropped, self._reason, frames)
-        if self._next24 < 0:
-            for event in other.events:
-                self._count_unapproved(event, frames)
 
     def _count_unapproved(self, event: LinkEvent, events: int) -> None:
         if isinstance(event, HapticReceived):

@@ -2,6 +2,7 @@
 
 import struct
 from binascii import crc_hqx
+from random import Random
 
 import pytest
 
@@ -52,10 +53,11 @@ def test_another_stream_is_followed_only_when_told():
         assert (receiver.frames_received, sum(receiver.frames_dropped.values())) == (20, 40)
         assert receiver.stranger == StrangerFrame(None, 40, 39 * MS)
         receiver.follow_stranger(new_life=True)
-        assert (receiver.frames_received, receiver.restarts) == (21, 1)
+        # They were frames of the peer, though what they carried was dropped.
+        assert (receiver.frames_received, receiver.restarts) == (60, 1)
         feed(receiver, others[40:], now_ns)
-        assert (receiver.frames_received, receiver.restarts, receiver.frames_lost) == (31, 1, 0)
-        assert sum(receiver.frames_dropped.values()) == 39
+        assert (receiver.frames_received, receiver.restarts, receiver.frames_lost) == (70, 1, 0)
+        assert receiver.frames_dropped == {}
 
 
 def test_the_frame_with_which_a_stream_is_followed_is_taken():
@@ -71,7 +73,7 @@ def test_the_frame_with_which_a_stream_is_followed_is_taken():
     assert [event[0] for event in receiver.events if not hasattr(event, "data")] == [b"\2" * 12]
     assert [event.data for event in receiver.events if hasattr(event, "data")] == [b"\2"]
     # Each frame, sample and packet is counted once.
-    assert (receiver.frames_received, receiver.frames_dropped) == (1, {"stray": 2})
+    assert (receiver.frames_received, receiver.frames_dropped) == (3, {})
     assert receiver.haptic_unapproved == receiver.packets_dropped["unapproved"] == 2
     assert (receiver.haptic_received, receiver.packets_received[0]) == (1, 1)
     assert receiver.restarts == 0
@@ -139,6 +141,17 @@ def test_the_same_life_goes_on_at_another_count():
         feed(receiver, frames(5, first)[1:], now_ns + MS)
         assert (receiver.frames_received, receiver.restarts) == (10, 0)
         assert receiver.frames_lost == lost
+
+
+def test_a_flood_of_stray_frames_costs_no_more_than_one():
+    """Each may begin a stream of its own; only one of them is kept beside the peer's."""
+    receiver, codec, random = LinkReceiver(UPLINK, FLOWS), FrameCodec(UPLINK), Random(1)
+    now_ns = feed(receiver, frames(20, 100))
+    for k in range(3000):
+        receiver.handle_frame(codec.pack(random.getrandbits(24), None, 30, bytes(24)), now_ns + k)
+    assert receiver.frames_dropped == {"stray": 3000}
+    feed(receiver, frames(5, 120), now_ns)
+    assert (receiver.frames_received, receiver.frames_lost) == (25, 0)
 
 
 def test_late_copies_of_the_same_life_are_not_followed():
