@@ -22,7 +22,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 UNIT = "tests/unit"
 LINK = f"{UNIT}/telepresence/link"
-FREE_TIME = "tests/sim/test_link_priorities.py"
+PRIORITIES = "tests/sim/test_link_priorities.py"
 
 #: The tests of a module that its folder in tests/unit does not hold, or those of the folder that
 #: suffice. Quick ones first, because the first failure ends a run.
@@ -59,10 +59,12 @@ NEAR: dict[str, tuple[str, ...]] = {
     ),
     "telepresence/link/queues.py": (
         f"{LINK}/test_link_queues.py",
+        f"{LINK}/test_link_bucket.py",
         f"{LINK}/test_link_gateway.py",
         f"{LINK}/test_link_backlog.py",
+        "tests/sim/test_link_ages.py",
         "tests/fuzz/test_link_reader.py",
-        FREE_TIME,
+        PRIORITIES,
     ),
     "telepresence/link/sender.py": (
         "tests/vectors/test_link_frames.py",
@@ -71,7 +73,7 @@ NEAR: dict[str, tuple[str, ...]] = {
         f"{LINK}/test_link_arithmetic.py",
         "tests/fuzz/test_link_reader.py",
         "tests/fuzz/test_link_fuzz.py",
-        FREE_TIME,
+        PRIORITIES,
     ),
     "telepresence/link/receiver.py": (
         f"{LINK}/test_link_receiver.py",
@@ -79,7 +81,8 @@ NEAR: dict[str, tuple[str, ...]] = {
         f"{LINK}/test_link_gateway.py",
         "tests/fuzz/test_link_fuzz.py",
         "tests/fuzz/test_link_loss.py",
-        FREE_TIME,
+        "tests/sim/test_link_strangers.py",
+        PRIORITIES,
     ),
     "telepresence/link/compression/header_compression.py": (
         f"{LINK}/compression",
@@ -87,18 +90,20 @@ NEAR: dict[str, tuple[str, ...]] = {
         "tests/sim/test_link_headers.py",
     ),
     "telepresence/link/supervision/supervisor.py": (
-        f"{LINK}/supervision",
+        "tests/sim/test_link_supervision_counts.py",
         f"{LINK}/test_link_gateway.py",
         "tests/vectors/test_supervision_messages.py",
         "tests/fuzz/test_link_supervision_fuzz.py",
         "tests/sim/test_link_supervision.py",
         "tests/sim/test_link_supervision_loss.py",
         "tests/sim/test_link_supervision_application.py",
+        "tests/sim/test_link_strangers.py",
     ),
     "telepresence/haptics/passivity.py": (
         f"{UNIT}/telepresence/haptics/test_haptics_ends.py",
         f"{UNIT}/telepresence/haptics/test_passivity.py",
         "tests/sim/test_haptics_passivity.py",
+        "tests/sim/test_haptics_replay.py",
     ),
     "telepresence/haptics/robot_controller.py": (
         f"{UNIT}/telepresence/haptics/test_haptics_ends.py",
