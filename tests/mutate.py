@@ -119,6 +119,7 @@ NEAR: dict[str, tuple[str, ...]] = {
 
 #: A run may take this many times as long as without a fault, and these seconds more.
 PATIENCE = (4.0, 30.0)
+ENDLESS = "no end"
 OTHERS = {
     ast.Lt: (ast.LtE, ast.Gt),
     ast.LtE: (ast.Lt, ast.GtE),
@@ -300,7 +301,7 @@ def noticed(tree: Path, places: list[str], limit_s: float) -> str | None:
             os.killpg(run.pid or 0, 9)
         run.kill()
         run.join()
-        return "no end"
+        return ENDLESS
     return f"exit code {run.exitcode}" if run.exitcode else None
 
 
@@ -340,16 +341,18 @@ def main() -> int:
                 found = rng.sample(found, min(options.mutations, len(found)))
             else:
                 found = [mutation for mutation in found if mutation.line == options.line]
-            seen = 0
+            seen = endless = 0
             for mutation in sorted(found, key=lambda mutation: mutation.line):
                 (tree / module).write_text(mutation.source, encoding="utf-8")
-                if noticed(tree, places, limit_s):
+                if how := noticed(tree, places, limit_s):
                     seen += 1
+                    endless += how == ENDLESS
                 else:
                     print(f"  {module}:{mutation.line}: {mutation.was}  ->  {mutation.now}")
                 sys.stdout.flush()
             (tree / module).write_text(source, encoding="utf-8")
-            print(f"{module}: {seen} of {len(found)} noticed", flush=True)
+            ends = f", {endless} of them by their time-out" if endless else ""
+            print(f"{module}: {seen} of {len(found)} noticed{ends}", flush=True)
             total += len(found)
             missed += len(found) - seen
     if total:

@@ -133,9 +133,9 @@ def test_a_channel_that_is_behind_is_looked_at_again_after_2_ms():
     clock = clock_with()
     share = 80_000 // 8 // 30
     for octets, due_ms in ((share, 0), (share + 1, 2)):
-        clock.handle_channel(octets, 80_000_000, -10 * MS)
-        clock.handle_picture(0, 0)
-        assert clock.poll_timeout() == due_ms * MS
+        clock.handle_channel(octets, 80_000_000, 0)
+        clock.handle_picture(0, 10 * MS)
+        assert clock.poll_timeout() == (10 + due_ms) * MS
 
 
 def test_a_slower_camera_is_told_after_45_pictures_and_a_faster_one_after_15():
