@@ -1,7 +1,7 @@
-"""Puts together what the processes of a session tell: the one source of its report.
+"""Joins what the processes of a session report. The session's report has no other source.
 
-A core: it is told the time. Stamps of one session are of one clock, so a latency is a difference;
-the two ends of a stream are joined by the RTP timestamp, those of the haptics by their sequence.
+A core. All stamps of a session are of one clock, so a latency is a difference of two. The RTP
+timestamp joins the two ends of a stream, the sequence number those of the haptics.
 """
 
 from __future__ import annotations
@@ -46,22 +46,22 @@ from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.link.figures import GatewayFigures
 
-#: How long an access unit waits for what its other end has to say about it.
+#: How long an access unit waits for the report of its other end.
 _JOIN_NS = 10 * NS_PER_S
 _JOIN_DEPTH = 2000
 #: Of a thousand haptic samples a second, one of these is enough to compare other senses with.
 _FELT_EVERY_NS = 20 * NS_PER_MS
-#: What shows or feels nothing for longer pauses.
+#: Shorter gaps are no pauses.
 _SHOWN_PAUSE_NS = NS_PER_S
 _FELT_PAUSE_NS = NS_PER_S // 5
-#: A process tells twice a second: this is half a minute.
+#: Half a minute, because a process reports twice a second.
 _LATELY_BATCHES = 60
 #: Half a turn of the samples' sequence numbers at 1 kHz: beyond that a match would be a guess.
 _TURN_NS = 30 * NS_PER_S
 
 STAGES = ("capture_to_encoded", "encoded_to_sent", "sent_to_received", "received_to_displayed")
 
-#: An input that tells twice a second has paused if its captures lie this far apart.
+#: An input reports twice a second. It has paused if its captures lie this far apart.
 _PAUSE_NS = 3 * FLUSH_NS
 #: At most this many pauses are remembered.
 _PAUSES_DEPTH = 1000
@@ -125,7 +125,7 @@ class StreamFigures:
 
     def __init__(self) -> None:
         self.rate = RateMeter()
-        #: The largest rate over a sliding second, less the cap that held at its end; and that rate.
+        #: The largest excess of the rate over a sliding second above the cap at its end; that rate.
         self.above_cap_bps = 0.0, 0.0
         self.latency = Histogram()
         self.stages = {stage: Histogram() for stage in STAGES}
@@ -135,9 +135,9 @@ class StreamFigures:
         self.fresh: deque[tuple[int, int]] = deque(maxlen=RECENT_DEPTH)
         #: From when to when nothing was displayed.
         self.pauses = Pauses(_SHOWN_PAUSE_NS)
-        #: How far the capture time that travelled by RTCP lies beside the one that was stamped.
+        #: Difference of the capture time that travelled by RTCP from the stamp itself.
         self.stamp_error = Histogram()
-        #: Of pictures: what their time is made of.
+        #: Of pictures: the terms of their latency.
         self.way = DelaySums()
         self._captured_ns: int | None = None
         self._journeys: OrderedDict[int, _Journey] = OrderedDict()
@@ -148,7 +148,7 @@ class StreamFigures:
         return self.pauses.last_ns
 
     def handle_rows(self, kind: type[Row], rows: NDArray[np.int64], now_ns: int) -> None:
-        """Rows of one `kind`, shape (n, columns), which its sender, receiver or display tells."""
+        """Rows of one `kind`, shape (n, columns), from its sender, receiver or display."""
         if kind is OutRow:
             self.handle_out(rows)
         elif kind is TxRow:
@@ -249,7 +249,7 @@ class StreamFigures:
         del self._journeys[timestamp]
 
     def negative(self) -> dict[str, int]:
-        """How many latencies came out below 0, by stage: a stamp must have been wrong."""
+        """The number of latencies below 0, by stage. Each means a wrong stamp."""
         every = {"capture_to_displayed": self.latency, **self.stages}
         return {name: histogram.negative for name, histogram in every.items() if histogram.negative}
 
@@ -288,7 +288,7 @@ class HapticFigures:
         self._match(now_ns)
 
     def sent_ns_at(self, instant_ns: int) -> int | None:
-        """When the sample was sent that was the newest at `instant_ns`; None if that is unknown."""
+        """When the newest sample at `instant_ns` was sent; None if that is unknown."""
         for rows in reversed(self._lately):
             if rows[0, 1] <= instant_ns:
                 index = int(np.searchsorted(rows[:, 1], instant_ns, "right")) - 1
@@ -298,7 +298,7 @@ class HapticFigures:
         return None
 
     def _match(self, now_ns: int) -> None:
-        """Take the latency of each sample of which both stamps are there by now."""
+        """Take the latency of each sample whose two stamps have come."""
         matches = np.array(self._matcher.take_matches_ns(now_ns), np.int64).reshape(-1, 2)
         if not len(matches):
             return
@@ -314,7 +314,7 @@ GaugesT = TypeVar("GaugesT", bound=Gauges)
 
 @dataclass
 class ProcessFigures:
-    """What one process of the session has told, over all its lives."""
+    """What one process of the session reported, over all its lives."""
 
     #: `fifo` with real-time priority, `other` without the permission for it.
     scheduler: str | None = None
@@ -325,19 +325,19 @@ class ProcessFigures:
     sending: Histogram = field(default_factory=Histogram)
     #: The link's counters of the lives that have ended.
     ended_links: list[GatewayFigures] = field(default_factory=list)
-    #: When it told something for the first and for the last time.
+    #: Its first and its last report.
     began_ns: int | None = None
     told_ns: int = 0
-    #: Since when the camera is selected that is; of the selector.
+    #: When the present camera was selected; of the selector.
     selected_ns: int = 0
-    #: Since when there was no pause in what it captures; of an input.
+    #: When the last pause in its captures ended; of an input.
     gives_since_ns: int = 0
     _counters: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
     _ended: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
     _gauges: dict[tuple[type[Gauges], str], Gauges] = field(default_factory=dict)
 
     def handle_message(self, message: Message, now_ns: int) -> None:
-        """Take what it tells of itself."""
+        """Take a report of the process."""
         self.told_ns = now_ns
         if self.began_ns is None:
             self.began_ns = now_ns
@@ -355,24 +355,24 @@ class ProcessFigures:
             self.gives_since_ns = newest_ns
 
     def gauges(self, kind: type[GaugesT], stream: str = "") -> GaugesT | None:
-        """The newest values of one kind; None if no life has told any."""
+        """The newest values of one kind; None if no life reported any."""
         found = self._gauges.get((kind, stream))
         assert found is None or isinstance(found, kind)
         return found
 
     def counted(self, kind: type[CountersT], stream: str = "") -> CountersT | None:
-        """Counters of one kind, over all lives; None if no life has told any."""
+        """Counters of one kind, over all lives; None if no life reported any."""
         ended, counters = self._ended.get((kind, stream)), self._counters.get((kind, stream))
         found = counters if ended is None else ended if counters is None else ended.plus(counters)
         assert found is None or isinstance(found, kind)
         return found
 
     def total(self, kind: type[CountersT], stream: str = "") -> CountersT:
-        """Counters of one kind, over all lives; all 0 if no life has told any."""
+        """Counters of one kind, over all lives; all 0 if no life reported any."""
         return self.counted(kind, stream) or kind()
 
     def counts_by_name(self) -> dict[str, int]:
-        """All counters, over all lives, by name; in front of it the stream that they are about."""
+        """All counters, over all lives, by name, with the name of their stream in front."""
         found: dict[str, int] = {}
         for kind, stream in {**self._ended, **self._counters}:
             about = f"{stream}." if stream else ""
@@ -394,25 +394,25 @@ class ProcessFigures:
 
     @property
     def selected(self) -> str | None:
-        """The camera that the selector has selected."""
+        """The selected camera; of the selector."""
         gauges = self.gauges(SelectorGauges)
         return None if gauges is None else gauges.selected
 
     @property
     def link(self) -> GatewayFigures | None:
-        """The link as a gateway of this life has told."""
+        """The link, as this life of a gateway reported it."""
         gauges = self.gauges(GatewayGauges)
         return None if gauges is None else gauges.link
 
     def silent_ns(self, now_ns: int | None = None) -> int:
-        """How long an input has given nothing by `now_ns`, or by when it told something last."""
+        """How long an input has captured nothing by `now_ns`, or by its last report."""
         since_ns = self.began_ns if self.captured_ns is None else self.captured_ns
         if since_ns is None:
             return 0
         return max(0, (self.told_ns if now_ns is None else now_ns) - since_ns)
 
     def handle_end(self) -> None:
-        """The process has ended: what it counted is kept, the next one begins at 0."""
+        """The process has ended. Its counts are kept, because the next life begins at 0."""
         for key, counters in self._counters.items():
             ended = self._ended.get(key)
             self._ended[key] = counters if ended is None else ended.plus(counters)
@@ -447,7 +447,7 @@ class Collector:
         self.processes: dict[str, ProcessFigures] = {}
         self.skews = {name: Skew() for name in ("video_haptic", "audio_haptic", "audio_video")}
         self.lip_sync = LipSyncShare()
-        #: The same out of content: contacts, and what was seen, heard and felt of them.
+        #: The same by content: contacts, and when each was seen, heard and felt.
         self.sync = SyncFigures()
 
     def process(self, name: str) -> ProcessFigures:
@@ -458,21 +458,21 @@ class Collector:
         return figures
 
     def shown(self, stream: str) -> DisplayCounters:
-        """What the display of a stream has counted of it."""
+        """The counts of the display that shows a stream."""
         return self.process(self.topology.media(stream).display).total(DisplayCounters, stream)
 
     def handle_message(self, process: str, message: Message, now_ns: int) -> None:
-        """A process has told something."""
+        """A process has reported."""
         figures = self.process(process)
         figures.handle_message(message, now_ns)
         for series in message.series:
             self._handle_series(process, figures, series, now_ns)
-        # By then the other senses' messages about that instant have come.
+        # A second later the messages of all senses about an instant have come.
         self._compare(now_ns - NS_PER_S)
         self.sync.handle_time(now_ns, self.haptics["up"].sent_ns_at)
 
     def handle_exit(self, process: str, error: str) -> None:
-        """A process has ended: its next life counts from 0.
+        """A process has ended, and its next life counts from 0.
 
         error: why, in one line; "" if none of its lives has ended unasked.
         """
@@ -481,7 +481,7 @@ class Collector:
         figures.last_error = error or None
 
     def handle_end(self) -> None:
-        """The session is over: compare what still waits."""
+        """The session is over. Compare what still waits."""
         self._compare(None)
 
     def _handle_series(
@@ -504,7 +504,7 @@ class Collector:
             self.streams[series.stream or self._ends[process]].handle_rows(kind, rows, now_ns)
 
     def _compare(self, until_ns: int | None) -> None:
-        """The skews at the operator in space: who sees, hears and feels the ground."""
+        """The skews at the operator in space, who sees, hears and feels the ground."""
         force = self.haptics["up"].recent
         video, audio = self.streams.get("uplink_video"), self.streams.get("uplink_voice")
         for figures, name in ((video, "video_haptic"), (audio, "audio_haptic")):

@@ -55,7 +55,7 @@ class StreamReport(Report, frozen=True, kw_only=True):
 
     #: The largest rate of RTP payload over any second.
     cap_bps: int
-    #: By how much the cap was higher, on average, because of haptic samples that were left out.
+    #: What haptic samples that were left out added to the cap, on average.
     gained_bps: int | None = None
     #: How often that changed.
     gain_changes: int | None = None
@@ -135,7 +135,7 @@ class PortReport(Report, frozen=True, kw_only=True):
     energy_out_uj: int
     #: Cycles in which the passivity controller acted.
     passivity_acted: int
-    #: Totals of the peer's energy that could not be right.
+    #: Refused totals of the peer's energy.
     totals_refused: int
     #: Energy that this end may still give out.
     credit_uj: int | None = None
@@ -212,7 +212,7 @@ class DirectionReport(Report, frozen=True, kw_only=True):
     arithmetic: list[LineReport]
     #: Frames sent.
     frames: int
-    #: What slots without a sample left for the levels below haptics, on average.
+    #: What slots without a sample gave to the levels below haptics, on average.
     freed_bps: int
     frames_lost: int
     #: Frames that were received and dropped, by reason.
@@ -344,7 +344,7 @@ class SenseReport(Report, frozen=True, kw_only=True):
     latency_ms: Ranks
     #: The same by the stamps that travelled with the stream.
     stamped_latency_ms: Ranks
-    #: How much later than the contact the stamps say that it was captured.
+    #: The captured instant by the stamps, less the contact's.
     stamp_error_ms: Ranks
     #: Number of the clearest perceptions, by which the stamps are judged.
     judged: int
@@ -352,7 +352,7 @@ class SenseReport(Report, frozen=True, kw_only=True):
     judged_error_ms: float | None
     #: Where that median lies with 95 % confidence.
     confident_ms: tuple[float, float] | None
-    #: Where it is explained.
+    #: Where it may lie.
     allowed_error_ms: tuple[float, float]
     #: Whether the stamps agree with the content; null if there is too little to say.
     agrees: bool | None
@@ -463,7 +463,7 @@ class Warning(Report, frozen=True, kw_only=True):
 
 
 class CostsReport(Report, frozen=True, kw_only=True):
-    """What the simulation lets coding cost on virtual time."""
+    """The time of each coding step on virtual time."""
 
     capture_ms: float
     encode_ms: float
@@ -473,7 +473,7 @@ class CostsReport(Report, frozen=True, kw_only=True):
 
 
 class SimulationReport(Report, frozen=True, kw_only=True):
-    """What made this simulation what it is."""
+    """The inputs of this simulation."""
 
     seed: int
     #: The radio profile.
@@ -542,7 +542,7 @@ class LinkReport(Report, frozen=True, kw_only=True):
     gateways: dict[str, GatewayReport]
     cpu: CpuReport
     processes: dict[str, ProcessReport]
-    #: What went wrong by the project's own measure; with any, the exit code is 1.
+    #: What broke a promise of the project; with any, the exit code is 1.
     failures: list[str]
     #: What made the link worse than it has to be, with what mends it.
     warnings: list[Warning]

@@ -1,4 +1,4 @@
-"""One report for every run: what each stream got, as plain values for JSON."""
+"""Builds the report of a session from the collected figures."""
 
 from collections.abc import Mapping
 
@@ -109,7 +109,7 @@ def _radio_epoch_ns(collector: Collector) -> int:
 
 
 def _pauses_s(pauses: Pauses, collector: Collector) -> list[tuple[float, float]]:
-    """From when to when, in seconds of the session: from its begin to the last that was told."""
+    """Begin and end of each pause, in seconds of the session, until its last report."""
     epoch_ns = _radio_epoch_ns(collector)
     end_ns = max((told.told_ns for told in collector.processes.values()), default=epoch_ns)
     return [
@@ -192,7 +192,7 @@ def _ms(value_ns: int) -> float:
 
 
 def _joystick(collector: Collector) -> JoystickFigures | None:
-    """A real joystick, as its process has told."""
+    """A real joystick, as its process reported it."""
     gauges = collector.process("joystick").gauges(JoystickGauges)
     return None if gauges is None else gauges.joystick
 
@@ -231,7 +231,7 @@ def _haptic(row: HapticRow, setup: Setup, collector: Collector, seconds: float) 
 
 
 def haptic_cap_bps(profile: LinkProfile) -> int:
-    """What the insert zone of every frame makes."""
+    """The rate of the insert zones of all frames."""
     return profile.insert_octets * 8 * NS_PER_S // profile.slot_ns
 
 
@@ -265,10 +265,10 @@ def _process(
 def failures(
     setup: Setup, collector: Collector, seconds: float, *, media: bool = True
 ) -> list[str]:
-    """What went wrong by the project's own measure; an empty list is a run that went well."""
+    """What broke a promise of the project; empty for a good run."""
     found = []
     delay_ns = setup.radio_profile.longest_delay_ns
-    # What the radio keeps back is its own affair: only what was missed with a signal counts.
+    # The radio may keep all back. So only what is missed while there is a signal counts.
     signals_ns = {segment: signal_ns(segment, collector) for segment in ("ground", "space")}
     whole_ns = round(seconds * NS_PER_S)
     for stream in setup.streams if media else ():
@@ -295,17 +295,17 @@ def failures(
         if long_enough and receiver.total(HapticCounters).received == 0:
             found.append(f"haptic_{row.key}: no sample was received")
         port = collector.process(row.sender).gauges(PortGauges)
-        # A count of the energy in a sample is rounding.
+        # One count of energy in a sample is rounding.
         if port is not None and port.least_uj < -1:
             found.append(
-                f"{row.sender}: its port gave out {-port.least_uj} µJ that nobody had granted"
+                f"{row.sender}: its port gave out {-port.least_uj} µJ that the peer had not granted"
             )
     joystick = _joystick(collector)
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")
     found += disagreements(sync_section(setup, collector.sync, media=media))
-    for process, told in collector.processes.items():
-        dropped = told.total(ProbeCounters).probe_values_dropped
+    for process, reported in collector.processes.items():
+        dropped = reported.total(ProbeCounters).probe_values_dropped
         if dropped:
             found.append(f"{process}: {dropped} values for this report were lost")
     return found
