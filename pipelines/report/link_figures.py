@@ -87,6 +87,8 @@ def _merged_queues(lives: list[dict[str, QueueFigures]]) -> dict[str, QueueFigur
                     queue,
                     accepted=before.accepted + queue.accepted,
                     drops=_sum_tables([before.drops, queue.drops]),
+                    delayed=before.delayed + queue.delayed,
+                    max_packets=max(before.max_packets, queue.max_packets),
                     max_octets=max(before.max_octets, queue.max_octets),
                     max_age_ns=max(before.max_age_ns, queue.max_age_ns),
                 )

@@ -14,18 +14,26 @@ class QueueFigures:
 
     #: Which packet goes when the queue is full: `reject_newest` or `drop_oldest`.
     policy: str
-    #: Packets that wait.
+    #: How many octets may wait.
+    depth_octets: int
+    #: How many packets may wait.
+    depth_packets: int
+    #: Packets that wait, without the one of which a part was sent.
     packets: int
-    #: Sum of the lengths of the waiting packets.
+    #: Sum of their lengths; each counts as 8 octets at least.
     octets: int
-    #: For how long the oldest packet has waited.
+    #: The age of the oldest packet, also of one of which a part was sent.
     oldest_age_ns: int
+    #: The most packets that ever waited.
+    max_packets: int
     #: The most octets that ever waited.
     max_octets: int
-    #: The longest time that a packet has waited.
+    #: The longest time from a packet's arrival until its last octet was sent, or it was dropped.
     max_age_ns: int
     #: Packets that were put into the queue.
     accepted: int
+    #: Packets that waited because their level's rate is limited.
+    delayed: int
     #: Packets that were dropped, by reason.
     drops: dict[str, int]
 

@@ -45,10 +45,10 @@ from telepresence.link.supervision.events import (
 )
 from telepresence.link.supervision.supervisor import Encounter, Supervisor
 
-#: Longest wait of a packet while the peer may not hear it. It keeps old packets from being sent
-#: after a loss of signal. It suffices for the last packet of a large picture, because the peer may
-#: hear all of it although it is not heard itself.
-LOST_PATIENCE_NS = 80 * NS_PER_MS
+#: Largest age of a packet while the peer may not hear it. It keeps old packets from being sent
+#: after a loss of signal. A picture of three periods (1200 octets) takes up to 115 ms beside voice
+#: on the uplink; it shall get through, because the peer may hear it although it is not heard.
+LOST_PATIENCE_NS = 120 * NS_PER_MS
 #: Events within this time after the peer was found belong to the same contact.
 SAME_CONTACT_NS = 100 * NS_PER_MS
 #: Shift from the life number to its first frame count, so that two lives begin far apart.

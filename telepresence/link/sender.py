@@ -27,11 +27,15 @@ from telepresence.link.profile import (
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
 from telepresence.tmtc.packets import is_ours
 
+#: Largest number of packets of which a slot sends a part. It bounds the work of a slot at both
+#: ends; packets of six octets or more fill the largest zone with fewer.
+MOST_PIECES = 64
+
 
 class _InFlight:
     """A packet of which a part was sent. Its body is header and payload as on the link."""
 
-    __slots__ = ("body", "header_octets", "kind", "level", "offset", "since_ns", "tag")
+    __slots__ = ("body", "header_octets", "kind", "level", "offset", "tag")
 
     def __init__(self, tag: int, body: bytes, header_octets: int, level: int, kind: str) -> None:
         self.tag = tag
@@ -40,8 +44,6 @@ class _InFlight:
         self.level = level
         self.kind = kind
         self.offset = 0
-        #: When it was interrupted.
-        self.since_ns = 0
 
 
 class LinkSender:
@@ -72,13 +74,15 @@ class LinkSender:
         self._plain_zone_octets = profile.largest_zone_octets
         limits = {**DEFAULT_LIMITS, **(limits or {})}
         self._queues = [PacketQueue(limits[level]) for level in Level]
-        self._queued = [queue.items for queue in self._queues]
+        #: Levels whose rate is limited.
+        self._limited = [level for level in Level if limits[level].rate_bps is not None]
         #: Nothing is queued or in flight, so a slot needs no search. True in most slots.
         self._nothing_queued = True
         self._numbers = {flow.name: number for number, flow in enumerate(self.flows)}
         self._kinds = [
             "rtcp" if flow.kind is FlowKind.RTCP else flow.level.name.lower() for flow in self.flows
         ]
+        self._rtcp = [flow.kind is FlowKind.RTCP for flow in self.flows]
         self._compressors = [
             RtpCompressor(flow, profile.slot_ns) if flow.kind is FlowKind.RTP else None
             for flow in self.flows
@@ -128,14 +132,15 @@ class LinkSender:
             self.refused["garbage"] += 1
             return False
         self._nothing_queued = False
-        return self._queues[known.level].handle_packet(number, data, now_ns)
+        queue = self._queues[known.level]
+        return queue.handle_packet(number, data, now_ns, rtcp=self._rtcp[number])
 
     def queue(self, level: Level) -> PacketQueue:
         """The queue of `level`, read-only: its packets were not sent yet, not even in part."""
         return self._queues[level]
 
     def waiting_octets(self, level: Level) -> int:
-        """Octets of the level's packets of which nothing was sent yet."""
+        """Octets of the level's packets of which nothing was sent yet, as the queue counts them."""
         return self._queues[level].octets
 
     def flush(self, now_ns: int) -> None:
@@ -146,14 +151,11 @@ class LinkSender:
         on_air, self._on_air = self._on_air, None
         self._on_air_dropped = self._on_air_dropped or on_air is not None
         for level, queue in enumerate(self._queues):
-            begun = (self._waiting[level] is not None) + (
-                on_air is not None and on_air.level == level
-            )
             self._waiting[level] = None
-            queue.flush(begun, now_ns)
+            queue.flush(now_ns)
 
     def set_patience(self, max_age_ns: int | None) -> None:
-        """Limit the waiting time of all packets; older ones are dropped as `signal_lost`."""
+        """Limit the age of all packets; older ones are dropped as `signal_lost`."""
         for queue in self._queues:
             queue.set_patience(max_age_ns)
 
@@ -203,22 +205,24 @@ class LinkSender:
     def _fill_zone(self, size: int, now_ns: int) -> tuple[int, bytes]:
         """Return the first header pointer and a packet zone of `size` octets."""
         pointers = self._pointers
-        packet = self._on_air
+        queues, packet = self._queues, self._on_air
         parts: list[bytes] = []
         position = 0
         pointer = 0
+        if packet is not None and not queues[packet.level].continues(now_ns):
+            packet = self._on_air = None
+            self._on_air_dropped = True
         if packet is not None:
-            queues, queued = self._queues, self._queued
             for level in range(packet.level):
-                if queued[level] and queues[level].waiting(now_ns):
+                if queues[level].octets and queues[level].waiting(now_ns):
                     pointer = pointers.preempt
-                    packet.since_ns = now_ns
                     self._waiting[packet.level] = packet
                     break
             else:
                 remaining = len(packet.body) - packet.offset
                 if remaining > size:
                     return pointers.no_start, self._piece(packet, size)
+                queues[packet.level].finish(now_ns)
                 if remaining == size:
                     self._on_air = None
                     return size, self._piece(packet, size)
@@ -231,9 +235,11 @@ class LinkSender:
             pointer = pointers.preempt
         while position < size:
             rest = size - position
-            packet = self._next_packet(now_ns)
+            packet = self._next_packet(now_ns) if len(parts) < MOST_PIECES else None
             if packet is None:
-                self._nothing_queued = True
+                # Packets remain if there are too many for the work of one slot.
+                left = any(self._waiting) or any(queue.octets for queue in queues)
+                self._nothing_queued = not left
                 self._idle += rest
                 if not position and not pointer:
                     return pointers.idle, bytes(size)
@@ -253,15 +259,17 @@ class LinkSender:
             if remaining >= rest:
                 self._on_air = packet
                 packet.tag = TAG_RESUME + packet.level
+            else:
+                self._queues[packet.level].finish(now_ns)
             # The next frame's pointer shows that the packet ended with this zone.
             return segment
         short = remaining <= LARGEST_SHORT_LENGTH
         if not short and remaining + 3 > rest:
             # Too short to fill the zone, too long with its two length octets: insert a pad octet.
             self._carried["framing"] += 1
-            packet.since_ns = now_ns
             self._waiting[packet.level] = packet
             return bytes((TAG_PAD,))
+        self._queues[packet.level].finish(now_ns)
         self._carried[key] += 1
         tag = packet.tag | CLOSED
         if short:
@@ -286,23 +294,31 @@ class LinkSender:
 
     def _next_packet(self, now_ns: int) -> _InFlight | None:
         """Return the next packet by priority; one begun before goes first in its level."""
-        waiting = self._waiting
-        for level, queued in enumerate(self._queued):
+        waiting, queues = self._waiting, self._queues
+        for level, queue in enumerate(queues):
             begun = waiting[level]
             if begun is not None:
                 waiting[level] = None
-                if self._queues[level].interrupted(begun.since_ns, now_ns):
+                if queue.continues(now_ns):
                     return begun
-            if queued and self._queues[level].waiting(now_ns):
-                number, data = self._queues[level].take(now_ns)
-                compressor = self._compressors[number]
-                if compressor is None:
-                    kind, body, header_octets = KIND_RAW, data, 0
-                else:
-                    kind, body, header_octets = compressor.compress(data, self._count)
-                tag = kind << KIND_SHIFT | number
-                return _InFlight(tag, body, header_octets, level, self._kinds[number])
+            if queue.octets and queue.waiting(now_ns):
+                return self._begin(level, now_ns)
+        for level in self._limited:
+            # Nothing else waits, so what exceeds the rate costs nobody anything.
+            if queues[level].octets and queues[level].held(now_ns):
+                return self._begin(level, now_ns)
         return None
+
+    def _begin(self, level: int, now_ns: int) -> _InFlight:
+        """Take the next packet of `level`, and compress its header."""
+        number, data = self._queues[level].take(now_ns)
+        compressor = self._compressors[number]
+        if compressor is None:
+            kind, body, header_octets = KIND_RAW, data, 0
+        else:
+            kind, body, header_octets = compressor.compress(data, self._count)
+        tag = kind << KIND_SHIFT | number
+        return _InFlight(tag, body, header_octets, level, self._kinds[number])
 
     @property
     def frames_sent(self) -> int:

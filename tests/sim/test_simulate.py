@@ -119,7 +119,8 @@ def test_voice_waits_little_more_than_its_slots(spacejustin):
         assert stages.sent_to_received.p95 < DELAY_MS + 2
         assert stages.sent_to_received.max < DELAY_MS + 5
         assert report.streams[name].frames_concealed == 0
-    assert report.link["uplink"].queue["voice"].max_age_ns <= 2_000_000
+    # Until the last octet is sent, so with the slots just named.
+    assert report.link["uplink"].queue["voice"].max_age_ns <= 5_000_000
 
 
 def test_every_octet_is_counted(session):

@@ -14,6 +14,10 @@ contexts, one a second, with the number 0. Both ends discard them `FLEETING_LIFE
 packet was sent, so the possible ones are those that have not expired. After a few whole headers the
 sender assumes that one was received; a receiver without a context drops packets until the next one.
 Contexts from a two-way time stay possible until they expire as well (`LIFE_NS`).
+
+**Sources that do not gain.** A context costs more than the raw header in its place. If the latest
+contexts have cost more than they saved, no further one is sent until the sender, which can restore
+headers too, has seen that one would have served for several packets in a row.
 """
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -65,6 +69,11 @@ _OCTETS = (0, 1, 1, 2, 2)
 #: Cost of a context over the raw header that it replaces; the tag is needed either way.
 _CONTEXT_COST_OCTETS = CONTEXT_OCTETS - 2
 _CANDIDATE_NS = NS_PER_S
+#: Contexts may have cost this many octets more than they saved; what earlier ones saved counts up
+#: to the same number. It suffices for the retries of the first second.
+_TRUST_OCTETS = 4 * _CONTEXT_COST_OCTETS
+#: After that, a context would have had to serve for this many packets in a row.
+_REHEARSALS = 8
 
 
 class RtpCompressor:
@@ -87,6 +96,10 @@ class RtpCompressor:
         # A context that was not sent, and the octets that it would have saved since the last one.
         self._candidate: HeaderContext | None = None
         self._missed_octets = 0
+        #: Octets that contexts saved, less those that they cost; within `_TRUST_OCTETS`.
+        self._balance = 0
+        #: Packets in a row for which the candidate would have served.
+        self._rehearsed = 0
         self._life, self._fleeting_life, self._round_trip, self._candidate_life = (
             ns // slot_ns for ns in (LIFE_NS, FLEETING_LIFE_NS, ROUND_TRIP_NS, _CANDIDATE_NS)
         )
@@ -143,7 +156,7 @@ class RtpCompressor:
         if source is None or ssrc != self._ssrc:
             source = self._source = RtpSource(self._flow, self._forms, sequence, timestamp)
             self._ssrc = ssrc
-            self._candidate = None
+            self._candidate, self._rehearsed = None, 0
         source.handle_packet(sequence, timestamp, count)
         self._drop_expired(count)
         fields = (second >> 7, sequence, timestamp)
@@ -153,15 +166,21 @@ class RtpCompressor:
             self._whole_headers = 0
         elif not self._may_hold_none():
             header = self._header(payload_type, fields, count)
+        if header is None and not self._trusted:
+            self._rehearse(payload_type, fields, count)
         if not self._context_due(header, payload_type, fields, count):
             if header is None:
                 return self._raw(data)
             kind, residue = header
+            saved = RTP_HEADER_OCTETS - len(residue)
+            self._balance = min(self._balance + saved, _TRUST_OCTETS)
             self._count_header(_name(kind), len(residue))
             return kind, residue + data[RTP_HEADER_OCTETS:], len(residue)
         context = source.context(self._next_number(), count, fields[0], payload_type, ssrc)
         self._possible.append(context)
         self._candidate, self._missed_octets = context, 0
+        self._balance = max(self._balance - _CONTEXT_COST_OCTETS, -_TRUST_OCTETS)
+        self._rehearsed = 0
         self._whole_headers += 1
         self._count_header("context", CONTEXT_OCTETS)
         return KIND_CONTEXT, context.pack() + data[RTP_HEADER_OCTETS:], CONTEXT_OCTETS
@@ -220,6 +239,8 @@ class RtpCompressor:
         """Whether to send this packet as a new context."""
         possible = self._possible
         assert self._source is not None
+        if not self._trusted and self._rehearsed < _REHEARSALS:
+            return False
         if not self._peer_heard and not self._source.known:
             # Without acknowledgements a bad context would serve for its whole lifetime.
             return False
@@ -247,6 +268,22 @@ class RtpCompressor:
         if not least <= self._sequence_error <= most:
             return True
         return not pending and self._renewal_pays(len(header[1]), payload_type, fields, count)
+
+    @property
+    def _trusted(self) -> bool:
+        """Whether the latest contexts have saved enough, so that another one may be sent."""
+        return self._balance > -_TRUST_OCTETS
+
+    def _rehearse(self, payload_type: int, fields: Fields, count: int) -> None:
+        """Count for how many packets in a row a context would have served if it had been sent."""
+        candidate = self._candidate
+        if candidate is not None and not self._serves(candidate, payload_type, fields, count):
+            self._rehearsed = 0
+        elif candidate is not None:
+            self._rehearsed += 1
+        if candidate is None or count - candidate.count >= self._candidate_life:
+            assert self._source is not None
+            self._candidate = self._source.context(0, count, fields[0], payload_type, self._ssrc)
 
     def _serves(
         self, context: HeaderContext, payload_type: int, fields: Fields, count: int

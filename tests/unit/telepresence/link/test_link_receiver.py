@@ -9,6 +9,7 @@ import pytest
 from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow
 from telepresence.link.frame import FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.queues import DropPolicy, QueueLimits
 from telepresence.link.receiver import (
     LinkReceiver,
     PacketReceived,
@@ -266,9 +267,13 @@ def test_flushed_packets_are_never_sent_and_counted_by_level():
 
 
 def test_patience_ends_waiting_and_interrupted_packets():
-    """A packet on air does not age; an interrupted packet does."""
+    """A packet ages until its last octet is sent, also while others interrupt it."""
+    endless = QueueLimits(
+        depth_octets=8_192, max_age_ns=10_000 * MS, policy=DropPolicy.REJECT_NEWEST
+    )
     for patience_ns, reason, age in ((None, "expired", 700), (50 * MS, "signal_lost", 60)):
-        sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
+        sender = LinkSender(UPLINK, FLOWS, limits={Level.TMTC: endless})
+        receiver = LinkReceiver(UPLINK, FLOWS)
         sender.set_patience(patience_ns)
         sender.handle_packet("rtcp", b"\x80\xc8" + bytes(98), 0)
         for slot in range(age):

@@ -183,14 +183,74 @@ def test_a_number_that_may_still_be_acknowledged_is_not_reused():
     compressor = RtpCompressor(VOICE, SLOT_NS)
     compressor.handle_peer(heard=True)
     given = []
-    for number in range(1000):
+    for number in range(9000):
         count = number * 3300
-        kind, body, _ = compressor.compress(rtp(number, count * 48), count)
+        # A packet of each 165th block; the others were left out.
+        kind, body, _ = compressor.compress(rtp(number * 165, count * 48), count)
         if kind == KIND_CONTEXT:
             given.append(body[0])
         compressor.handle_acknowledgement(given[0], count)
     assert len(given) > 900
     assert set(given[1:]) == set(range(1, 256)) - {given[0]}
+
+
+def plain(timestamp, *, hz=30, seconds=60, ssrc=7, first_octet=0x80):
+    """Return (count, packet) of `hz` packets a second, each a millisecond after its instant."""
+    random = Random(1)
+    for number in range(hz * seconds):
+        packet = rtp(number, timestamp(number, random), ssrc=ssrc)
+        yield 1000 + number * 1000 // hz, bytes([first_octet]) + packet[1:]
+
+
+def alternating(hz, seconds=60):
+    """Two sources of one flow, packet by packet."""
+    one = plain(lambda number, _: number * 3000, hz=hz // 2, seconds=seconds)
+    other = plain(lambda number, _: 77_777 + number * 3000, hz=hz // 2, seconds=seconds, ssrc=8)
+    for first, second in zip(one, other, strict=True):
+        yield first
+        yield first[0] + 500 // hz, second[1]
+
+
+def some_plain():
+    """Random timestamps, and nine packets of ten with an extension."""
+    for number, (count, packet) in enumerate(plain(lambda _, random: random.randrange(1 << 32))):
+        yield count, b"\x90" + packet[1:] if number % 10 else packet
+
+
+NEVER_GAINING = {
+    "constant timestamps": (VIDEO, lambda: plain(lambda *_: 12_345)),
+    "random timestamps": (VIDEO, lambda: plain(lambda _, random: random.randrange(1 << 32))),
+    "random timestamps, voice": (
+        VOICE,
+        lambda: plain(lambda _, random: random.randrange(1 << 32), hz=50),
+    ),
+    "two SSRCs": (VOICE, lambda: alternating(50)),
+    "extensions": (VIDEO, some_plain),
+    "8 kHz in a voice flow": (VOICE, lambda: plain(lambda number, _: number * 160, hz=50)),
+    "8 kHz in a video flow": (VIDEO, lambda: plain(lambda number, _: number * 160, hz=50)),
+}
+
+
+@pytest.mark.parametrize(("heard", "delay_slots"), [(True, 40), (True, 800), (False, 0)])
+@pytest.mark.parametrize(("flow", "source"), NEVER_GAINING.values(), ids=NEVER_GAINING)
+def test_a_source_that_never_gains_costs_its_raw_headers(flow, source, heard, delay_slots):
+    path = Path(flow, heard=heard)
+    for count, packet in source():
+        path.send(count, packet, delay_slots=delay_slots)
+    assert path.octets_a_packet() <= 13.05
+    assert all(exact for _, _, exact in path.outcomes)
+
+
+@pytest.mark.parametrize("heard", [True, False])
+def test_a_source_that_becomes_regular_gets_contexts_again(heard):
+    path = Path(VIDEO, heard=heard)
+    for count, packet in plain(lambda _, random: random.randrange(1 << 32)):
+        path.send(count, packet)
+    later = count
+    kinds = [path.send(later + count, packet) for count, packet in video(Random(2), 60)]
+    contexts = [number for number, kind in enumerate(kinds) if kind == KIND_CONTEXT]
+    assert contexts[0] < 30 * 2
+    assert all(kind >= KIND_BARE or kind == KIND_CONTEXT for kind in kinds[30 * 20 :])
 
 
 def test_an_acknowledgement_shows_which_contexts_did_not_arrive():
