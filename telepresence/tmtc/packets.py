@@ -10,7 +10,8 @@ follows:
 | SelectAck | 0x81 done or 0x82 refused, token (16 bits), name (1..10 ASCII) |
 | Housekeeping | 0x83, flags (0x01 contact), force (signed 16 bits, 2 mN), name (1..10 ASCII) |
 
-A telecommand has type 1 and the APID `COMMAND_APID`, telemetry type 0 and `TELEMETRY_APID`.
+A telecommand has type 1 and the APID `COMMAND_APID`, telemetry type 0 and `TELEMETRY_APID`. Walls
+for model-mediated haptics have `WALL_APID` and a module of their own.
 All numbers are big-endian. The layout of the messages is this project's own.
 """
 
@@ -21,6 +22,8 @@ from kontur_av.errors import ConfigError, ProtocolError
 
 COMMAND_APID = 0x101
 TELEMETRY_APID = 0x102
+#: Telemetry that `telepresence.haptics.mediated.wall` packs and reads.
+WALL_APID = 0x103
 
 MAX_PACKET_OCTETS = 20
 MAX_NAME_OCTETS = 10
@@ -112,7 +115,7 @@ def is_ours(data: bytes) -> bool:
         return False
     identification, sequence, length = _HEADER.unpack_from(data)
     return (
-        identification in (_TELECOMMAND | COMMAND_APID, TELEMETRY_APID)
+        identification in (_TELECOMMAND | COMMAND_APID, TELEMETRY_APID, WALL_APID)
         and sequence & 0xC000 == _UNSEGMENTED
         and length == len(data) - _HEADER.size - 1
     )
@@ -123,6 +126,8 @@ def parse_packet(data: bytes) -> SpacePacket:
     if not is_ours(data):
         raise ProtocolError(f"{len(data)} octets that are no space packet of this protocol")
     identification, sequence, _ = _HEADER.unpack_from(data)
+    if identification == WALL_APID:
+        raise ProtocolError("a wall instead of a telecommand or its telemetry")
     body = data[_HEADER.size :]
     is_command = identification == _TELECOMMAND | COMMAND_APID
     message = _parse_command(body) if is_command else _parse_telemetry(body)

@@ -1,0 +1,65 @@
+"""The joystick's controller for model-mediated haptics: damping as before, force from the model.
+
+The robot's delayed force is not displayed. Two energies are bounded, each alone: the motors never
+give the hand more than they took from it (`WallRenderer`), and the robot never gets more than the
+hand put in. What the hand puts into the rendered spring is granted to the robot, too, or it could
+not press. The spring still gives it back to the hand. So the robot's own power stands for the
+energy of its contact, and the network as a whole is not passive. No delayed force is in the loop.
+"""
+
+from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
+from telepresence.haptics.mediated.renderer import RendererModel, WallRenderer
+from telepresence.haptics.mediated.wall import WallMessage
+from telepresence.haptics.sample import Feedback
+
+_tuple = tuple.__new__
+
+
+class MediatedController(JoystickController):
+    """A `JoystickController` whose force is that of the newest wall. Call `handle_wall` for each.
+
+    renderer: what it renders with.
+    """
+
+    def __init__(
+        self,
+        model: JoystickControllerModel | None = None,
+        *,
+        passive: bool = True,
+        rendering: RendererModel | None = None,
+    ) -> None:
+        super().__init__(model, passive=passive)
+        self.renderer = WallRenderer(rendering)
+        self._damping_n = (0.0, 0.0)
+        self._before: tuple[float, float] | None = None
+
+    @property
+    def robot_force_n(self) -> tuple[float, float]:
+        """The part of the present force (N, N) that is the wall's; the rest is damping."""
+        return self.renderer.force_n
+
+    def handle_wall(self, message: WallMessage) -> None:
+        """A message of the ground's estimator."""
+        self.renderer.handle_wall(message)
+
+    def step(
+        self, feedback: Feedback | None, x_m: float, y_m: float, dt_ns: int
+    ) -> tuple[float, float]:
+        """As in `JoystickController`; of `feedback` all but the force counts."""
+        renderer, limit_n = self.renderer, self.limit_n
+        before, self._before = self._before, (x_m, y_m)
+        if before is not None:
+            bx, by = self._damping_n
+            renderer.handle_flow(bx * (x_m - before[0]) + by * (y_m - before[1]))
+        renderer.limit_n = limit_n
+        felt = feedback is None or not feedback[7]
+        wall_x, wall_y = renderer.step(x_m, y_m, dt_ns, felt=felt)
+        if renderer.taken_j:
+            self.port.handle_flow(-renderer.taken_j)
+        if feedback is not None:
+            feedback = _tuple(Feedback, (0.0, 0.0, *feedback[2:]))
+        # The wall has one axis, so its force is the larger of the two numbers.
+        self.limit_n = limit_n - abs(wall_x) - abs(wall_y)
+        self._damping_n = bx, by = super().step(feedback, x_m, y_m, dt_ns)
+        self.limit_n = limit_n
+        return wall_x + bx, wall_y + by

@@ -1,0 +1,172 @@
+"""Renders the newest wall at the operator's handle, at 1 kHz and passively.
+
+The wall is a spring in series with the robot's own, so that the hand feels what the robot presses
+with. The force of a cycle is held while the handle moves by `d`, so exactly `f d` has flowed out.
+
+An energy tank bounds what a change of the wall may add. It holds what the motors took from the hand
+(damping and spring) less what they gave. A part of it is the spring's own energy f^2 / 2k. That
+part moves in and out with the handle, so an unchanged spring is always paid for. Only the rest may
+pay for a wall that appears under the hand, comes nearer or becomes softer under load. A wall that
+goes away leaves its energy in the tank.
+
+M. Franken et al., "Bilateral telemanipulation with time delays: a two-layer approach combining
+passivity and transparency", IEEE Trans. Robotics 27, 2011, has such tanks. P. Mitra, G. Niemeyer,
+"Model-mediated telemanipulation", Int. J. Robotics Research 27, 2008, has the transitions.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.mediated.wall import STAMP_MODULUS_MS, Wall, WallMessage
+
+_CYCLE_S = NS_PER_MS / NS_PER_S
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RendererModel:
+    """Parameters of the rendering; all of them chosen.
+
+    robot_n_m: stiffness between the robot's reference and its tip (`RobotControllerModel`).
+    start_j, limit_j: what the tank holds at first and at most. Without a limit, an hour of free
+    motion would pay for a minute of instability.
+    rate_n_s: fastest rise and fall of the force where the wall changes.
+    most_rate_n_s: fastest rise and fall of the force for any reason.
+    soften_s: the stiffness under load follows a new one with this time constant.
+    acceleration_m_s2: greatest acceleration of the handle; it bounds the next cycle's distance.
+    old_ns: a wall that nobody has repeated for so long fades out.
+    """
+
+    robot_n_m: float = 1000.0
+    start_j: float = 0.02
+    limit_j: float = 0.3
+    rate_n_s: float = 100.0
+    most_rate_n_s: float = 1000.0
+    soften_s: float = 0.1
+    acceleration_m_s2: float = 150.0
+    old_ns: int = 5 * NS_PER_S
+
+
+class WallRenderer:
+    """Call `handle_wall` for each message, and `step` once a millisecond for the force.
+
+    limit_n: the greatest force (N) now; set it before a step.
+    tank_j: energy taken from the hand less energy given to it, bounded by `limit_j`.
+    least_j: the lowest value of `tank_j` so far.
+    taken_j: energy that the spring took from the hand in the last step; 0 if it gave some.
+    used, stale: messages taken, and messages that were not newer than one before.
+    """
+
+    def __init__(self, model: RendererModel | None = None) -> None:
+        self.model = model = model or RendererModel()
+        self.limit_n = 12.0
+        self.tank_j = self.least_j = model.start_j
+        self.taken_j = 0.0
+        self.used = self.stale = 0
+        self._goal: Wall | None = None
+        self._stamp_ms: int | None = None
+        self._age_ns = 0
+        #: The plane that is rendered, its stiffness, and the coordinate where its force begins.
+        self._axis, self._inward, self._stiffness, self._from_m = 0, 1, 0.0, 0.0
+        #: The present force against the motion into the wall, at least 0.
+        self._force_n = 0.0
+        self._last: tuple[float, float] | None = None
+
+    @property
+    def force_n(self) -> tuple[float, float]:
+        """The present force on the handle (N, N)."""
+        push = -self._inward * self._force_n
+        return (0.0, push) if self._axis else (push, 0.0)
+
+    def handle_wall(self, message: WallMessage) -> None:
+        """Take a message. One that is not newer than the last counts as stale and changes nothing.
+
+        After a silence as long as the age limit any stamp counts: the ground's clock began anew.
+        """
+        stamp_ms = self._stamp_ms
+        if stamp_ms is not None and self._age_ns <= self.model.old_ns:
+            ahead_ms = (message.stamp_ms - stamp_ms) % STAMP_MODULUS_MS
+            if ahead_ms == 0 or ahead_ms >= STAMP_MODULUS_MS // 2:
+                self.stale += 1
+                return
+        self.used += 1
+        self._stamp_ms, self._age_ns, self._goal = message.stamp_ms, 0, message.wall
+
+    def handle_flow(self, energy_j: float) -> None:
+        """Count energy that the motors gave to the hand, or took if negative."""
+        self.tank_j = tank_j = min(self.tank_j - energy_j, self.model.limit_j)
+        if tank_j < self.least_j:
+            self.least_j = tank_j
+
+    def step(
+        self, x_m: float, y_m: float, dt_ns: int, *, felt: bool = True
+    ) -> tuple[float, float]:
+        """Return the force (N, N) on the handle at (x_m, y_m) until the next step.
+
+        dt_ns: since the last step. felt: False fades the force out; the wall stays known.
+        The first step returns no force.
+        """
+        dt_s = dt_ns / NS_PER_S
+        self._age_ns += dt_ns
+        last, self._last = self._last, (x_m, y_m)
+        self.taken_j = 0.0
+        if last is None:
+            return 0.0, 0.0
+        held_n, stiffness = self._force_n, self._stiffness
+        at_m = self._inward * (y_m if self._axis else x_m)
+        moved_m = at_m - self._inward * (last[1] if self._axis else last[0])
+        self.handle_flow(-held_n * moved_m)
+        self.taken_j = max(0.0, held_n * moved_m)
+        # What the spring does by itself.
+        force = stiffness * (at_m - self._from_m) if stiffness else 0.0
+        goal = self._goal if felt and self._age_ns <= self.model.old_ns else None
+        if force <= 0.0:
+            force = 0.0
+            self._place(goal, x_m, y_m)
+            at_m = self._inward * (y_m if self._axis else x_m)
+        wanted = 0.0
+        if goal is not None and (goal.axis, goal.inward) == (self._axis, self._inward):
+            if force:
+                self._soften(self._series(goal), force, dt_s)
+            wanted = max(0.0, self._stiffness * goal.depth_m(x_m, y_m))
+        most = self.model.rate_n_s * dt_s
+        force = min(force + most, wanted) if wanted > force else max(force - most, wanted)
+        self._force_n = force = self._bounded(force, held_n, moved_m / dt_s, dt_s)
+        if force:
+            self._from_m = at_m - force / self._stiffness
+        return self.force_n
+
+    def _series(self, wall: Wall) -> float:
+        robot = self.model.robot_n_m
+        return wall.stiffness_n_m * robot / (wall.stiffness_n_m + robot)
+
+    def _place(self, goal: Wall | None, x_m: float, y_m: float) -> None:
+        """Take the newest wall while there is no force. It begins at a handle that is inside."""
+        if goal is None:
+            self._stiffness = 0.0
+            return
+        self._axis, self._inward = goal.axis, goal.inward
+        self._stiffness = self._series(goal)
+        at_m = goal.inward * (y_m if goal.axis else x_m)
+        self._from_m = max(at_m, goal.inward * goal.surface_m)
+
+    def _soften(self, stiffness: float, force: float, dt_s: float) -> None:
+        """Let the stiffness follow at the same force; a softer spring stores more energy."""
+        before = self._stiffness
+        after = before + (stiffness - before) * dt_s / (dt_s + self.model.soften_s)
+        if force * force <= 2.0 * after * self.tank_j:
+            self._stiffness = after
+
+    def _bounded(self, force: float, held_n: float, in_m_s: float, dt_s: float) -> float:
+        """Return the force within the bounds of its rate, the tank and the motors."""
+        most = self.model.most_rate_n_s * dt_s
+        force = max(held_n - most, min(held_n + most, force))
+        if force <= 0.0:
+            return 0.0
+        tank_j = max(0.0, self.tank_j)
+        force = min(force, self.limit_n, sqrt(2.0 * self._stiffness * tank_j))
+        # The next cycle is held, and the handle may accelerate.
+        out_m = (self.model.acceleration_m_s2 * _CYCLE_S - in_m_s) * _CYCLE_S
+        if force * out_m > tank_j:
+            force = tank_j / out_m
+        return force
