@@ -15,6 +15,8 @@ from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
 from telepresence.haptics.joystick import Joystick, JoystickModel
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
+from telepresence.haptics.mediated.controller import MediatedController
+from telepresence.haptics.mediated.estimator import WallEstimator
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
 from telepresence.haptics.sample import MODE_IMPEDANCE, STATE_HALTED, Command, Feedback
@@ -112,6 +114,7 @@ class JoystickSide(_Side):
     script, hand: intended movement and muscles of the simulated hand.
     handle: used instead of the simulated joystick in that hand.
     model: parameters of the controller.
+    mediated: the force is that of the newest wall of `handle_wall`, not the robot's delayed one.
 
     force_x_n, force_y_n: the force displayed now (N). For `handle`, see `Handle` and `Joystick`.
     """
@@ -125,9 +128,11 @@ class JoystickSide(_Side):
         handle: Handle | None = None,
         model: JoystickControllerModel | None = None,
         link: HapticLink[Command, Feedback] | None = None,
+        mediated: bool = False,
     ) -> None:
         self.handle: Handle = handle or HeldJoystick(hand=Hand(hand, script=script))
-        self.controller: JoystickController = JoystickController(model, passive=passive)
+        make = MediatedController if mediated else JoystickController
+        self.controller: JoystickController = make(model, passive=passive)
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
         self._last_ns = NS_PER_MS
         super().__init__()
@@ -149,6 +154,11 @@ class JoystickSide(_Side):
         )
         self.link.handle_local(_tuple(Command, command), now_ns)
 
+    def handle_wall(self, datagram: bytes) -> None:
+        """A wall of the robot's side arrived. Garbage is counted; this never raises."""
+        if isinstance(self.controller, MediatedController):
+            self.controller.handle_wall(datagram)
+
     def _cycle(self, feedback: Feedback | None, dt_ns: int) -> None:
         if dt_ns <= 0:
             return
@@ -168,6 +178,7 @@ class RobotSide(_Side):
     board: what the tip can touch.
     robot: used instead of the default robot.
     model: parameters of the controller.
+    mediated: the wall is estimated; send what `poll_wall` returns as telemetry.
 
     force_x_n, force_y_n: the coordinating force (N). For `robot`, see `Robot`.
     Outside impedance mode the robot follows its own mode, and the operator feels nothing.
@@ -181,8 +192,10 @@ class RobotSide(_Side):
         robot: Robot | None = None,
         model: RobotControllerModel | None = None,
         link: HapticLink[Feedback, Command] | None = None,
+        mediated: bool = False,
     ) -> None:
         self.robot = robot = robot or Robot(board=board)
+        self.estimator = WallEstimator() if mediated else None
         self.controller: RobotController = RobotController(
             model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
         )
@@ -192,9 +205,13 @@ class RobotSide(_Side):
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """Run one cycle, which advances the robot by `advance_ns`, at most 50 ms."""
-        acted = self._advance(now_ns, advance_ns)
         robot, controller = self.robot, self.controller
+        # The force that a step measures belongs to the position before it.
+        x_m, y_m = robot.x_m, robot.y_m
+        acted = self._advance(now_ns, advance_ns)
         contact = robot.contact
+        if self.estimator is not None:
+            self.estimator.handle_sample(now_ns, x_m, y_m, robot.push_x_n, robot.push_y_n, contact)
         self.lit = lit = led_at(robot.x_m, robot.y_m) if contact else None
         mode = robot.mode
         feedback = (
@@ -208,6 +225,10 @@ class RobotSide(_Side):
             mode != MODE_IMPEDANCE,
         )
         self.link.handle_local(_tuple(Feedback, feedback), now_ns)
+
+    def poll_wall(self, now_ns: int) -> bytes | None:
+        """Return the message with the wall to send now, or None."""
+        return None if self.estimator is None else self.estimator.poll_transmit(now_ns)
 
     def _cycle(self, command: Command | None, dt_ns: int) -> None:
         if dt_ns <= 0:

@@ -7,9 +7,10 @@ not press. The spring still gives it back to the hand. So the robot's own power 
 energy of its contact, and the network as a whole is not passive. No delayed force is in the loop.
 """
 
+from kontur_av.errors import ProtocolError
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.mediated.renderer import RendererModel, WallRenderer
-from telepresence.haptics.mediated.wall import WallMessage
+from telepresence.haptics.mediated.wall import parse_wall
 from telepresence.haptics.sample import Feedback
 
 _tuple = tuple.__new__
@@ -18,7 +19,7 @@ _tuple = tuple.__new__
 class MediatedController(JoystickController):
     """A `JoystickController` whose force is that of the newest wall. Call `handle_wall` for each.
 
-    renderer: what it renders with.
+    renderer: what it renders with. garbage: messages that were none of a wall.
     """
 
     def __init__(
@@ -30,6 +31,7 @@ class MediatedController(JoystickController):
     ) -> None:
         super().__init__(model, passive=passive)
         self.renderer = WallRenderer(rendering)
+        self.garbage = 0
         self._damping_n = (0.0, 0.0)
         self._before: tuple[float, float] | None = None
 
@@ -38,8 +40,13 @@ class MediatedController(JoystickController):
         """The part of the present force (N, N) that is the wall's; the rest is damping."""
         return self.renderer.force_n
 
-    def handle_wall(self, message: WallMessage) -> None:
-        """A message of the ground's estimator."""
+    def handle_wall(self, datagram: bytes) -> None:
+        """A message of the robot's side arrived. Garbage is counted; this never raises."""
+        try:
+            message = parse_wall(datagram)
+        except ProtocolError:
+            self.garbage += 1
+            return
         self.renderer.handle_wall(message)
 
     def step(

@@ -20,6 +20,11 @@ from telepresence.haptics.mediated.wall import (
     pack_wall,
 )
 
+#: A standard deviation of velocity below which damping does not matter.
+_SLOW_M_S = 0.0005
+#: Position and velocity are told apart if their correlation, squared, is below 1 less this.
+_APART = 0.05
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EstimatorModel:
@@ -91,10 +96,12 @@ class WallEstimator:
             self._inward = -1 if (fy_n if self._axis else fx_n) > 0.0 else 1
             self._sums, self._used_m = _Sums(self.model.keep), None
         # Along the motion that meets the wall, so that depth and force are positive.
+        at_m, before_m, push_n = (y_m, last[2], fy_n) if self._axis else (x_m, last[1], fx_n)
         at_m, before_m, push_n = (
-            (y_m, last[2], fy_n) if self._axis else (x_m, last[1], fx_n)
+            at_m * self._inward,
+            before_m * self._inward,
+            -push_n * self._inward,
         )
-        at_m, before_m, push_n = at_m * self._inward, before_m * self._inward, -push_n * self._inward
         if self._used_m is not None and abs(at_m - self._used_m) < self.model.step_m:
             return
         self._used_m = at_m
@@ -173,13 +180,15 @@ class _Sums:
         if xx < self._weight * spread_m * spread_m:
             return None
         x, v, f = self._mean
-        whole = xx * vv - xv * xv
-        if whole > 0.05 * xx * vv:
+        if vv < self._weight * _SLOW_M_S * _SLOW_M_S:
+            stiffness, damping = xf / xx, 0.0
+        else:
+            whole = xx * vv - xv * xv
+            if whole < _APART * xx * vv:
+                # Position and velocity went together, so their shares cannot be told apart.
+                return None
             stiffness = (xf * vv - vf * xv) / whole
             damping = (vf * xx - xf * xv) / whole
-        else:
-            # Position and velocity went together, so their shares cannot be told apart.
-            stiffness, damping = xf / xx, 0.0
         if stiffness <= 0.0:
             return None
         return stiffness, x - (f - damping * v) / stiffness

@@ -98,9 +98,7 @@ class WallRenderer:
         if tank_j < self.least_j:
             self.least_j = tank_j
 
-    def step(
-        self, x_m: float, y_m: float, dt_ns: int, *, felt: bool = True
-    ) -> tuple[float, float]:
+    def step(self, x_m: float, y_m: float, dt_ns: int, *, felt: bool = True) -> tuple[float, float]:
         """Return the force (N, N) on the handle at (x_m, y_m) until the next step.
 
         dt_ns: since the last step. felt: False fades the force out; the wall stays known.
