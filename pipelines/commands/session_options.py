@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from kontur_av.errors import ConfigError
-from pipelines.setup.table import DEADBANDS, NO_RADIO
+from pipelines.setup.table import DEADBANDS, HAND_MODES, NO_RADIO
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile_file import load_radio
 
@@ -85,6 +85,21 @@ def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
 def deadband_changes(args: argparse.Namespace) -> dict[str, Any]:
     """Return the fields of a setup that `--deadband` changes."""
     return {} if args.deadband is None else {"deadband": args.deadband}
+
+
+def add_hand_argument(parser: argparse.ArgumentParser) -> None:
+    """`--hand`."""
+    parser.add_argument(
+        "--hand",
+        choices=HAND_MODES,
+        help="what the hand feels: the robot's delayed force (direct, the default), or a wall "
+        "rendered at the joystick as the robot's side has estimated it (mediated)",
+    )
+
+
+def hand_changes(args: argparse.Namespace) -> dict[str, str]:
+    """Return the fields of a setup that `--hand` changes."""
+    return {} if args.hand is None else {"hand": args.hand}
 
 
 def port_changes(args: argparse.Namespace) -> dict[str, Any]:

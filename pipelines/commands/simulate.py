@@ -11,9 +11,11 @@ from kontur_av.errors import ConfigError
 from pipelines.commands.common import output_that_may_fail, stopped_by_signals
 from pipelines.commands.session_options import (
     add_deadband_argument,
+    add_hand_argument,
     add_radio_arguments,
     add_setup_argument,
     deadband_changes,
+    hand_changes,
     radio_changes,
 )
 from pipelines.commands.stream import check_sources, parse_sources
@@ -37,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, required=True, metavar="S", help="of virtual time")
     add_radio_arguments(parser)
     add_deadband_argument(parser)
+    add_hand_argument(parser)
     parser.add_argument(
         "--source",
         action="append",
@@ -74,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     """
     if not 0 < args.seconds < 1e6:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0 and below 1000000")
-    changes = {**radio_changes(args), **deadband_changes(args)}
+    changes = {**radio_changes(args), **deadband_changes(args), **hand_changes(args)}
     setup = load_setup(
         args.setup,
         sources=parse_sources(args.source),

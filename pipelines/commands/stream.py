@@ -13,9 +13,11 @@ from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.doctor import NEEDED_SHM_OCTETS, check_shared_memory
 from pipelines.commands.session_options import (
     add_deadband_argument,
+    add_hand_argument,
     add_radio_arguments,
     add_setup_argument,
     deadband_changes,
+    hand_changes,
     port_changes,
     radio_changes,
 )
@@ -49,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
     add_radio_arguments(parser)
     add_deadband_argument(parser)
+    add_hand_argument(parser)
     parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
     parser.add_argument(
         "--joystick",
@@ -125,7 +128,12 @@ def _live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[
 
 def chosen_setup(args: argparse.Namespace) -> Setup:
     """The setup that the options name, with what they change; ConfigError if it cannot work."""
-    changes = {**radio_changes(args), **port_changes(args), **deadband_changes(args)}
+    changes = {
+        **radio_changes(args),
+        **port_changes(args),
+        **deadband_changes(args),
+        **hand_changes(args),
+    }
     return load_setup(
         args.setup,
         sources=parse_sources(args.source),

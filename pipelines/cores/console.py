@@ -8,6 +8,7 @@ from pipelines.cores.figures import ConsoleCounters
 from pipelines.cores.probe import Probe
 from pipelines.cores.requests import MAX_LINE_OCTETS, Answer, Request, pack_line, parse_request
 from pipelines.setup.table import Setup
+from telepresence.haptics.mediated.wall import is_wall
 from telepresence.tmtc import Housekeeping, SelectDone, SelectFailed, TelecommandSender
 
 #: The most terminals that may ask at once; others are refused.
@@ -36,6 +37,7 @@ class Console:
         self._cameras = setup.cameras
         self._probe = probe
         self._housekeeping = 0
+        self._wall: bytes | None = None
         self._sender = telecommand_sender(setup, first_token=first_token)
         #: By terminal: what it has sent so far of its request.
         self._lines: dict[int, bytes] = {}
@@ -80,7 +82,15 @@ class Console:
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
         """A datagram of the telemetry port."""
-        self._sender.handle_packet(datagram, now_ns)
+        if is_wall(datagram):
+            self._wall = datagram
+        else:
+            self._sender.handle_packet(datagram, now_ns)
+
+    def poll_wall(self) -> bytes | None:
+        """Return the newest message with a wall, once, for the joystick; or None."""
+        wall, self._wall = self._wall, None
+        return wall
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """The next telecommand. Call until None."""

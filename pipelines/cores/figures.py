@@ -120,6 +120,18 @@ class HapticCounters(Counters):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class WallCounters(Counters):
+    """A joystick that renders the wall of the robot's side (`--hand mediated`)."""
+
+    #: Messages with a wall, or with none, that were taken.
+    walls: int = 0
+    #: Messages that were not newer than one before.
+    walls_stale: int = 0
+    #: Datagrams that are no such message.
+    walls_garbage: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PortGauges(Gauges):
     """The haptic port of an end: energy that it may still give out, and the least ever seen."""
 

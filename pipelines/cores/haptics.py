@@ -3,12 +3,13 @@
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.cores.figures import HapticCounters, JoystickGauges, PortGauges
+from pipelines.cores.figures import HapticCounters, JoystickGauges, PortGauges, WallCounters
 from pipelines.cores.probe import Probe
 from pipelines.cores.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.loop import joystick_link, robot_link
+from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
 
@@ -68,13 +69,18 @@ class RobotEnd(_End[RobotSide]):
     """Follows the commands, measures the force, and returns the state of the robot.
 
     `next_event` returns a state every 10 cycles, and at once when a contact begins or ends. Each
-    beginning is a `ContactRow`.
+    beginning is a `ContactRow`. With `mediated`, send as telemetry what `poll_wall` returns in a
+    cycle.
 
     life: 1 to 2^24-1; no earlier life of this end had it.
     """
 
-    def __init__(self, probe: Probe, *, life: int, deadband: bool = False) -> None:
-        super().__init__(RobotSide(link=robot_link(life=life, deadband=deadband)), probe)
+    def __init__(
+        self, probe: Probe, *, life: int, deadband: bool = False, mediated: bool = False
+    ) -> None:
+        link = robot_link(life=life, deadband=deadband)
+        super().__init__(RobotSide(link=link, mediated=mediated), probe)
+        self.poll_wall = self.side.poll_wall
         self._contact_since_ns: int | None = None
         self._touched_ns: int | None = None
         self._contacts = probe.series(ContactRow)
@@ -119,6 +125,7 @@ class JoystickEnd(_End[JoystickSide]):
     handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
         is reported in `JoystickGauges`.
     life: as in `RobotEnd`.
+    mediated: the hand feels the wall that `handle_wall` takes.
     """
 
     def __init__(
@@ -127,10 +134,12 @@ class JoystickEnd(_End[JoystickSide]):
         *,
         life: int,
         deadband: bool = False,
+        mediated: bool = False,
         handle: Handle | OperatedHandle | None = None,
     ) -> None:
         link = joystick_link(life=life, deadband=deadband)
-        super().__init__(JoystickSide(link=link, handle=handle), probe)
+        super().__init__(JoystickSide(link=link, handle=handle, mediated=mediated), probe)
+        self.handle_wall = self.side.handle_wall
         self._operated = handle if isinstance(handle, OperatedHandle) else None
         self._latest = self.side.link.latest
         self._steps = StepDetector()
@@ -148,6 +157,16 @@ class JoystickEnd(_End[JoystickSide]):
     def tell(self) -> None:
         """Put the counters and stamps into the probe, and the instants of the force's steps."""
         super().tell()
+        controller = self.side.controller
+        if isinstance(controller, MediatedController):
+            renderer = controller.renderer
+            self._probe.count(
+                WallCounters(
+                    walls=renderer.used,
+                    walls_stale=renderer.stale,
+                    walls_garbage=controller.garbage,
+                )
+            )
         if self._operated is not None:
             self._probe.gauge(JoystickGauges(joystick=self._operated.report()))
         while (step := self._steps.next_event()) is not None:

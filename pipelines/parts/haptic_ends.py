@@ -11,7 +11,7 @@ from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.cores.rows import LatenessRow
 from pipelines.parts.robot_state import STATE_OCTETS, pack_state
 from pipelines.runtime.process import PATIENCE_NS, Context
-from pipelines.topology import ROBOT_TOPIC
+from pipelines.topology import ROBOT_TOPIC, TELEMETRY, WALL_TOPIC
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.spec import SIMULATED, open_device
 from telepresence.haptics.hand import Hand
@@ -22,6 +22,8 @@ from telepresence.world import WorldState
 
 #: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
 _PHASE = 0.5
+#: In so many cycles the joystick looks once for a wall; there are at most ten a second.
+_LOOK_EVERY = 10
 
 
 def run_robot(context: Context) -> None:
@@ -34,9 +36,22 @@ def run_robot(context: Context) -> None:
             stamp = CaptureStamp(state.time_ns, next(numbers), "robot")
             writer.publish_octets(pack_state(state), stamp)
 
-        deadband = context.setup.deadband != "off"
-        end = RobotEnd(context.probe, life=_new_life(), deadband=deadband)
-        _run_loop(context, end, "robot", publish)
+        setup, topology = context.setup, context.topology
+        mediated = setup.hand == "mediated"
+        end = RobotEnd(
+            context.probe,
+            life=_new_life(),
+            deadband=setup.deadband != "off",
+            mediated=mediated,
+        )
+        to_gateway = context.sender(topology.entry_port(TELEMETRY)) if mediated else None
+
+        def tell_wall(now_ns: int) -> None:
+            wall = end.poll_wall(now_ns)
+            if wall is not None and to_gateway is not None:
+                to_gateway(wall)
+
+        _run_loop(context, end, "robot", publish, walls=tell_wall if mediated else None)
 
 
 def run_joystick(context: Context, spec: str = SIMULATED) -> None:
@@ -44,9 +59,31 @@ def run_joystick(context: Context, spec: str = SIMULATED) -> None:
     device = open_device(spec, hand=Hand())
     try:
         handle = OperatedHandle(device)
-        deadband = context.setup.deadband != "off"
-        end = JoystickEnd(context.probe, life=_new_life(), deadband=deadband, handle=handle)
-        _run_loop(context, end, "joystick")
+        setup = context.setup
+        mediated = setup.hand == "mediated"
+        end = JoystickEnd(
+            context.probe,
+            life=_new_life(),
+            deadband=setup.deadband != "off",
+            mediated=mediated,
+            handle=handle,
+        )
+        if not mediated:
+            _run_loop(context, end, "joystick")
+            return
+        with context.open_bus() as bus:
+            reader = bus.reader(WALL_TOPIC)
+            cycles = count()
+
+            def take_wall(now_ns: int) -> None:
+                if next(cycles) % _LOOK_EVERY:
+                    return
+                lease = reader.latest()
+                if lease is not None:
+                    with lease:
+                        end.handle_wall(lease.octets())
+
+            _run_loop(context, end, "joystick", walls=take_wall)
     finally:
         device.close()
 
@@ -60,7 +97,10 @@ def _run_loop(
     end: RobotEnd | JoystickEnd,
     process: str,
     publish: Callable[[WorldState], None] | None = None,
+    *,
+    walls: Callable[[int], None] | None = None,
 ) -> None:
+    """walls: called once a cycle with its instant, where the hand is mediated."""
     clock, probe = context.clock, context.probe
     rows = context.topology.haptics
     (taken,) = (row for row in rows if row.receiver == process)
@@ -115,6 +155,8 @@ def _run_loop(
             state = next_event()
             if state is not None:
                 publish(state)
+        if walls is not None:
+            walls(now_ns)
         if now_ns >= tick_ns:
             tick_ns = now_ns + PATIENCE_NS
             context.tick(now_ns)

@@ -62,6 +62,7 @@ class _File:
     radio: str = NO_RADIO
     radio_delay_ms: float = 0.0
     deadband: str = "off"
+    hand: str = "direct"
     base_port: int = 27_000
 
 

@@ -16,6 +16,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
 from kontur_av.streams.budget import Pacer
 from pipelines.setup.segments import Direction
+from telepresence.haptics.mediated.wall import WALL_OCTETS
 from telepresence.link.arithmetic import (
     ChannelNeed,
     StreamNeed,
@@ -136,6 +137,13 @@ def _check_stale_after(stream: VideoStream | VoiceStream) -> None:
 Deadband = Literal["off", "picture", "latency"]
 DEADBANDS: tuple[Deadband, ...] = get_args(Deadband)
 
+#: What the operator's hand feels. `direct`: the robot's delayed force. `mediated`: a wall that the
+#: robot's side estimates and the joystick's side renders.
+HandMode = Literal["direct", "mediated"]
+HAND_MODES: tuple[HandMode, ...] = get_args(HandMode)
+#: Walls are told this often on average. Uplink capacity is kept for them.
+_WALLS_PER_S = 2
+
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
@@ -150,6 +158,8 @@ class Setup:
     radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
     deadband: unless `off`, haptic samples are left out while nobody would feel the difference. The
         uplink video gets the room: as a higher rate, or a lower delay (docs/deadband.md).
+    hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
+        joystick (docs/haptics-mediated.md).
     """
 
     name: str
@@ -164,6 +174,7 @@ class Setup:
     radio: RadioProfile | str = NO_RADIO
     radio_delay_ms: float = 0.0
     deadband: Deadband = "off"
+    hand: HandMode = "direct"
     #: Below 32768, where Linux takes the ports of sockets that ask for any port.
     base_port: int = 27_000
 
@@ -180,6 +191,8 @@ class Setup:
                 )
         if self.deadband not in DEADBANDS:
             raise ConfigError(f"deadband {self.deadband!r}: take one of {', '.join(DEADBANDS)}")
+        if self.hand not in HAND_MODES:
+            raise ConfigError(f"hand {self.hand!r}: take one of {', '.join(HAND_MODES)}")
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
         radio = self._named_radio
@@ -297,22 +310,42 @@ class Setup:
 
     def need_up(self) -> ChannelNeed:
         """What the uplink carries with all streams at their caps; ConfigError if too much."""
-        return check_fit(self.uplink, _needs(self.uplink_voice, self.uplink_video))
+        return check_fit(self.uplink, self._needs_up())
 
     def need_down(self) -> ChannelNeed:
         """What the downlink carries with all streams at their caps; ConfigError if too much."""
         return check_fit(self.downlink, _needs(self.downlink_voice, self.downlink_video))
 
+    def _needs_up(self) -> list[StreamNeed]:
+        return [*_needs(self.uplink_voice, self.uplink_video), *self._walls]
+
+    @property
+    def _walls(self) -> tuple[StreamNeed, ...]:
+        """What the messages with walls need of the uplink."""
+        if self.hand == "direct":
+            return ()
+        payload_bps = 8 * WALL_OCTETS * _WALLS_PER_S
+        return (
+            StreamNeed(
+                name="walls",
+                payload_bps=payload_bps,
+                packets_per_s=_WALLS_PER_S,
+                level=Level.TMTC,
+            ),
+        )
+
     def freed_need_bps(self, stream: VideoStream, gain_bps: int) -> int:
         """The rate that left-out samples must free before `stream`'s cap can rise by `gain_bps`."""
         grown = replace(stream, cap_bps=stream.cap_bps + gain_bps)
         voice = self.uplink_voice if stream == self.uplink_video else self.downlink_voice
-        return max(gain_bps, freed_need_bps(self.profile_of(stream), _needs(voice, grown)))
+        walls = self._walls if stream == self.uplink_video else ()
+        needs = [*_needs(voice, grown), *walls]
+        return max(gain_bps, freed_need_bps(self.profile_of(stream), needs))
 
     def channel_table(self, direction: Direction) -> tuple[TableLine, ...]:
         """The arithmetic of `need_up` or `need_down`, line by line."""
         if direction is Direction.UPLINK:
-            return channel_table(self.uplink, _needs(self.uplink_voice, self.uplink_video))
+            return channel_table(self.uplink, self._needs_up())
         return channel_table(self.downlink, _needs(self.downlink_voice, self.downlink_video))
 
 

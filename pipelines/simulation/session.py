@@ -101,9 +101,13 @@ class Simulation:
         lives = [
             self._random(f"{row} life").randrange(1, LIVES) for row in (up.sender, up.receiver)
         ]
-        deadband = setup.deadband != "off"
-        self._robot = RobotEnd(self._probe(up.sender), life=lives[0], deadband=deadband)
-        self._joystick = JoystickEnd(self._probe(up.receiver), life=lives[1], deadband=deadband)
+        deadband, mediated = setup.deadband != "off", setup.hand == "mediated"
+        self._robot = RobotEnd(
+            self._probe(up.sender), life=lives[0], deadband=deadband, mediated=mediated
+        )
+        self._joystick = JoystickEnd(
+            self._probe(up.receiver), life=lives[1], deadband=deadband, mediated=mediated
+        )
         self._add(self._robot, self._joystick)
         self._choice = CameraChoice(setup, self._probe(telemetry.sender), now_ns=_START_NS)
         self._console = Console(
@@ -158,6 +162,7 @@ class Simulation:
         feedback, command = ground.handle_haptic, space.handle_haptic
         next_state, advance = robot.next_event, self._advance
         samples_down, samples_up = self._samples_down, self._samples_up
+        mediated = self.setup.hand == "mediated"
         half_ns = CYCLE_NS // 2
         slot_ns = self._next_slot_ns
         while slot_ns < until_ns:
@@ -176,6 +181,8 @@ class Simulation:
             samples_up.clear()
             robot_cycle(now_ns, CYCLE_NS)
             joystick_cycle(now_ns, CYCLE_NS)
+            if mediated and (wall := robot.poll_wall(now_ns)) is not None:
+                ground.handle_datagram(TELEMETRY, wall, now_ns)
             sent = robot_sends(now_ns)
             if sent is not None:
                 feedback(sent, now_ns)
@@ -310,6 +317,8 @@ class Simulation:
 
     def _take_telemetry(self, data: bytes, now_ns: int) -> None:
         self._console.handle_packet(data, now_ns)
+        if (wall := self._console.poll_wall()) is not None:
+            self._joystick.handle_wall(wall)
         self._console_sends(now_ns)
 
     def _take_telecommand(self, data: bytes, now_ns: int) -> None:

@@ -12,7 +12,12 @@ lists the processes with their topics. A new process is a new row there and a mo
 
 from pipelines.setup.segments import Direction, Segment
 from pipelines.topology.build import topology_of
-from pipelines.topology.processes import FOLLOWED_TOPIC, ROBOT_TOPIC, SELECTED_TOPIC
+from pipelines.topology.processes import (
+    FOLLOWED_TOPIC,
+    ROBOT_TOPIC,
+    SELECTED_TOPIC,
+    WALL_TOPIC,
+)
 from pipelines.topology.rows import (
     LOOP_PRIORITY,
     VOICE_PRIORITY,
@@ -39,6 +44,7 @@ __all__ = [
     "TELECOMMAND",
     "TELEMETRY",
     "VOICE_PRIORITY",
+    "WALL_TOPIC",
     "CameraRow",
     "Direction",
     "HapticRow",

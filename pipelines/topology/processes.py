@@ -23,6 +23,8 @@ ROBOT_TOPIC = "robot/state"
 #: The camera that the sender of the uplink video must follow, and the choice that it has confirmed.
 SELECTED_TOPIC = "selected/uplink_video"
 FOLLOWED_TOPIC = "followed/uplink_video"
+#: The newest message with the wall that the joystick renders, where the hand is mediated.
+WALL_TOPIC = "received/wall"
 
 
 def process_rows(session: Topology, *, joystick: str, snapshots: bool) -> tuple[ProcessRow, ...]:
@@ -40,6 +42,7 @@ def topic_rows(session: Topology) -> Iterable[TopicRow]:
         ROBOT_TOPIC: "instant, place of the tip, force and contact",
         STEREO_TOPIC: "two pictures side by side",
         SELECTED_TOPIC: "name of the selected camera, number of the choice",
+        WALL_TOPIC: "message with the wall that the robot touched",
         FOLLOWED_TOPIC: "number of the choice that the sender has confirmed",
     }
     for row in session.inputs:
@@ -110,6 +113,7 @@ def _ground(session: Topology) -> Iterable[ProcessRow]:
 
 def _space(session: Topology, joystick: str) -> Iterable[ProcessRow]:
     setup = session.setup
+    wall = (WALL_TOPIC,) if setup.hand == "mediated" else ()
     yield _gateway(session, Segment.SPACE)
     yield ProcessRow(
         name="joystick",
@@ -118,6 +122,7 @@ def _space(session: Topology, joystick: str) -> Iterable[ProcessRow]:
         run="pipelines.parts.haptic_ends:run_joystick",
         arguments={"spec": joystick},
         priority=LOOP_PRIORITY,
+        reads=wall,
         what="1 kHz loop of the operator's joystick",
     )
     yield ProcessRow(
@@ -125,6 +130,7 @@ def _space(session: Topology, joystick: str) -> Iterable[ProcessRow]:
         segment=Segment.SPACE,
         stage=Stage.LINK,
         run="pipelines.parts.console:run_console",
+        writes=wall,
         what="sends telecommands, answers `kontur-av select`",
     )
     yield from _end(session, Segment.SPACE)
