@@ -38,7 +38,7 @@ class RendererModel:
     """
 
     robot_n_m: float = 1000.0
-    start_j: float = 0.02
+    start_j: float = 0.05
     limit_j: float = 0.3
     rate_n_s: float = 100.0
     most_rate_n_s: float = 1000.0

@@ -1,0 +1,70 @@
+"""Both sides of mediated haptics on virtual time, with a delay for samples and for walls."""
+
+from collections import deque
+
+import numpy as np
+
+from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
+from telepresence.haptics.board import Board, WallModel
+from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
+
+MS = 1_000_000
+
+
+class MediatedPair:
+    """round_trip_ms: half of it each way. garble: changes a wall's datagram on its way.
+
+    `rows`, one a millisecond: the handle's x (m), the motors' force along x (N), work of the motors
+    at the handle (J).
+    """
+
+    def __init__(
+        self,
+        round_trip_ms: int,
+        grip: HandModel,
+        *,
+        mediated: bool = True,
+        stiffness_n_m: float = 1500.0,
+        script: tuple[Waypoint, ...] = TAP_TARGETS,
+        garble=lambda datagram: (datagram,),
+    ) -> None:
+        self.handle = HeldJoystick(hand=Hand(grip, script=script))
+        self.space = JoystickSide(handle=self.handle, mediated=mediated)
+        self.ground = RobotSide(
+            board=Board(WallModel(stiffness_n_m=stiffness_n_m)), mediated=mediated
+        )
+        self.half_ns = round_trip_ms * MS // 2
+        self.now_ns = 0
+        self._down, self._up, self._walls = deque(), deque(), deque()
+        self._garble = garble
+        self._rows = []
+
+    @property
+    def rows(self) -> np.ndarray:
+        return np.array(self._rows)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * 1000)):
+            self._cycle()
+
+    def _cycle(self) -> None:
+        now_ns, space, ground = self.now_ns, self.space, self.ground
+        for path, handle in (
+            (self._down, lambda data: ground.handle_datagram(data, now_ns)),
+            (self._up, lambda data: space.handle_datagram(data, now_ns)),
+            (self._walls, space.handle_wall),
+        ):
+            while path and path[0][0] <= now_ns:
+                handle(path.popleft()[1])
+        ground.handle_cycle(now_ns, MS)
+        space.handle_cycle(now_ns, MS)
+        due_ns = now_ns + self.half_ns
+        if (command := space.poll_transmit(now_ns)) is not None:
+            self._down.append((due_ns, command))
+        if (feedback := ground.poll_transmit(now_ns)) is not None:
+            self._up.append((due_ns, feedback))
+        if (wall := ground.poll_wall(now_ns)) is not None:
+            self._walls += [(due_ns, each) for each in self._garble(wall)]
+        handle = self.handle
+        self._rows.append((handle.x_m, handle.motor_x_n, handle.work_j))
+        self.now_ns += MS

@@ -1,0 +1,93 @@
+"""Mediated haptics with long delays: the wall is felt as at no delay, calmly and passively."""
+
+import numpy as np
+import pytest
+from mediated_pair import MediatedPair
+
+from pipelines.commands.simulate import simulate
+from pipelines.setup.setup_file import load_setup
+from telepresence.haptics.board import WALL_X_M, WallModel
+from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, HandModel, Waypoint
+from telepresence.haptics.mediated.renderer import RendererModel
+
+MS = 1_000_000
+HEAVY_ARM = HandModel(stiffness_n_m=800.0, damping_n_s_m=24.0, mass_kg=2.0)
+#: Touches the wall for 2 s, leaves it for 1 s.
+PRESS = (
+    Waypoint(0.04, 0.0, 300 * MS, 700 * MS),
+    Waypoint(0.085, 0.0, 500 * MS, 2500 * MS),
+)
+
+
+def pressed(rows: np.ndarray) -> np.ndarray:
+    """Rows of the last second of each press."""
+    return rows.reshape(-1, 4000, 3)[:, 3000:]
+
+
+def felt_n_m(rows: np.ndarray) -> np.ndarray:
+    """Force over penetration of the handle, at the end of each press."""
+    last = pressed(rows)[:, -500:].mean(axis=1)
+    return -last[:, 1] / (last[:, 0] - WALL_X_M)
+
+
+@pytest.mark.parametrize("round_trip_ms", [300, 800])
+@pytest.mark.parametrize("grip", [SOFT_GRIP, FIRM_GRIP, HEAVY_ARM], ids=["soft", "firm", "arm"])
+def test_a_wall_is_felt_as_without_delay_and_does_not_swing(grip, round_trip_ms):
+    near = MediatedPair(0, grip, mediated=False, script=PRESS)
+    far = MediatedPair(round_trip_ms, grip, script=PRESS)
+    near.run(8)
+    far.run(16)
+    assert felt_n_m(far.rows) == pytest.approx(felt_n_m(near.rows)[-1], rel=0.2)
+    # The first press ends on a wall that has just come.
+    swing_n = np.ptp(pressed(far.rows)[1:, -500:, 1], axis=1)
+    assert swing_n.max() < 0.1
+    assert np.abs(np.diff(far.rows[:, 1])).max() < 1.0
+    assert far.rows[:, 2].max() <= RendererModel().start_j
+    assert far.ground.controller.port.least_j > -1e-9
+
+
+def test_the_robot_presses_as_the_hand_feels():
+    far = MediatedPair(300, SOFT_GRIP, script=PRESS)
+    far.run(8)
+    assert far.ground.robot.force_n == pytest.approx(-far.rows[-1, 1], rel=0.1)
+
+
+@pytest.mark.parametrize("wall", [WallModel(x_m=0.09), WallModel(x_m=0.052), WallModel(x_m=0.2)])
+def test_a_wall_that_moves_or_vanishes_makes_no_jump_and_no_energy(wall):
+    far = MediatedPair(300, SOFT_GRIP, script=PRESS)
+    far.run(7.3)
+    board = far.ground.robot.board
+    board.wall, board._wall_x = wall, wall.x_m
+    far.run(4.7)
+    rows = far.rows
+    assert np.abs(np.diff(rows[:, 1])).max() < 1.0
+    assert rows[:, 2].max() <= RendererModel().start_j
+    pen_m = far.handle.x_m - wall.x_m
+    expected_n = 600.0 * pen_m if pen_m > 0.0 else 0.0
+    assert -rows[-1, 1] == pytest.approx(expected_n, rel=0.05, abs=0.1)
+
+
+def test_garbage_changes_nothing():
+    clean = MediatedPair(300, SOFT_GRIP, script=PRESS)
+    spoilt = MediatedPair(
+        300,
+        SOFT_GRIP,
+        script=PRESS,
+        garble=lambda wall: (wall, b"", wall[:-1], wall[:6] + b"\x02" + wall[7:], bytes(16), wall),
+    )
+    clean.run(6)
+    spoilt.run(6)
+    assert np.array_equal(clean.rows, spoilt.rows)
+    renderer = spoilt.space.controller.renderer
+    assert spoilt.space.controller.garbage == 4 * renderer.used
+    assert renderer.stale == renderer.used
+
+
+def test_a_session_carries_walls_as_telemetry():
+    setup = load_setup("spacejustin", changes={"hand": "mediated", "radio_delay_ms": 150.0})
+    report = simulate(setup, seconds=6, seed=1, media=False)
+    assert not report.failures
+    counts = report.processes["joystick"].counts
+    assert counts["walls"] >= 4
+    assert counts["walls_garbage"] == counts["walls_stale"] == 0
+    assert report.processes["console"].counts["garbage"] == 0

@@ -1,0 +1,110 @@
+"""What the handle feels of a wall that comes, moves, goes or grows old: bounded and passive."""
+
+import pytest
+
+from telepresence.haptics.mediated.renderer import RendererModel, WallRenderer
+from telepresence.haptics.mediated.wall import Wall, WallMessage
+
+MS = 1_000_000
+WALL = Wall(0, 1, 0.06, 1500.0)
+
+
+def steps(renderer, places, *, felt=True):
+    """Forces along x at `places`, one a millisecond; the largest change must be within bounds."""
+    forces = []
+    for x_m in places:
+        before = renderer.force_n[0]
+        forces.append(-renderer.step(x_m, 0.0, MS, felt=felt)[0])
+        assert abs(-forces[-1] - before) <= 1.0 + 1e-9
+        assert renderer.tank_j >= 0.0
+    return forces
+
+
+def from_to(start_m, end_m, ms=200):
+    return [start_m + (end_m - start_m) * (k + 1) / ms for k in range(ms)]
+
+
+def in_contact(model=None, depth_m=0.01):
+    """A renderer whose wall was known before the handle went into it."""
+    renderer = WallRenderer(model)
+    renderer.handle_wall(WallMessage(1, WALL))
+    steps(renderer, [0.05, *from_to(0.05, 0.06 + depth_m)])
+    return renderer
+
+
+def test_a_known_wall_is_a_spring_in_series_with_the_robots():
+    renderer = in_contact()
+    assert -renderer.force_n[0] == pytest.approx(600.0 * 0.01)
+    assert steps(renderer, from_to(0.07, 0.0599))[-1] == 0.0
+
+
+def test_a_wall_under_the_hand_comes_as_far_as_the_tank_pays_for():
+    renderer = WallRenderer(RendererModel(start_j=0.005))
+    steps(renderer, [0.08] * 10)
+    renderer.handle_wall(WallMessage(1, WALL))
+    forces = steps(renderer, [0.08] * 300)
+    assert forces[9] == pytest.approx(1.0, abs=0.11)
+    # 0.005 J is what a spring of 600 N/m holds at 2.45 N.
+    assert forces[-1] == pytest.approx((2 * 600.0 * 0.005) ** 0.5, rel=1e-6)
+    renderer.handle_flow(-0.5)
+    assert steps(renderer, [0.08] * 300)[-1] == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize(
+    "after", [None, Wall(0, 1, 0.08, 1500.0), Wall(0, 1, 0.05, 5000.0), Wall(1, -1, 0.0, 200.0)]
+)
+def test_a_change_takes_time_and_gives_no_energy(after):
+    renderer = in_contact()
+    tank_j = renderer.tank_j
+    renderer.handle_wall(WallMessage(2, after))
+    forces = steps(renderer, [0.07] * 40)
+    assert forces[0] == pytest.approx(6.0, abs=0.2)
+    assert max(abs(b - a) for a, b in zip(forces, forces[1:], strict=False)) <= 0.1 + 1e-9
+    # The hand has not moved, so the energy taken from it is what it was.
+    assert renderer.tank_j == pytest.approx(tank_j)
+    forces = steps(renderer, [0.07] * 200)
+    expected = {None: 0.0, 0.08: 0.0, 0.05: 12.0, 0.0: 0.0}[after and after.surface_m]
+    assert forces[-1] <= expected
+    # The spring holds no more than the tank.
+    series_n_m = 5000.0 / 6.0 if after and after.surface_m == 0.05 else 600.0
+    assert 0.5 * forces[-1] ** 2 / series_n_m <= tank_j + 1e-9
+
+
+def test_an_old_wall_fades_out_and_its_repetition_brings_it_back():
+    renderer = in_contact()
+    renderer.handle_wall(WallMessage(2, WALL))
+    old_ms = renderer.model.old_ns // MS
+    assert steps(renderer, [0.07] * old_ms)[-1] == pytest.approx(6.0)
+    assert steps(renderer, [0.07] * 100)[-1] == 0.0
+    # After the silence a lower stamp counts: the robot's clock began anew.
+    renderer.handle_wall(WallMessage(1, WALL))
+    assert steps(renderer, [0.07] * 100)[-1] == pytest.approx(6.0, rel=0.01)
+
+
+def test_a_message_that_is_not_newer_changes_nothing():
+    renderer = in_contact()
+    renderer.handle_wall(WallMessage(1, None))
+    renderer.handle_wall(WallMessage((1 << 32) - 5, None))
+    assert renderer.stale == 2
+    assert steps(renderer, [0.07] * 100)[-1] == pytest.approx(6.0)
+
+
+def test_a_robot_that_is_not_felt_fades_out():
+    assert steps(in_contact(), [0.07] * 100, felt=False)[-1] == 0.0
+
+
+def test_no_motion_in_and_out_of_walls_that_jump_gains_energy():
+    renderer = WallRenderer()
+    given_j = 0.0
+    x_m = 0.05
+    renderer.step(x_m, 0.0, MS)
+    for k in range(20_000):
+        if k % 50 == 0:
+            wall = Wall(0, 1, 0.04 + 0.03 * ((k // 50) % 3) / 2, 100.0 + 2000.0 * (k // 100 % 2))
+            renderer.handle_wall(WallMessage(k + 1, wall))
+        force = renderer.force_n[0]
+        step_m = 0.00015 if (k // 200) % 2 else -0.00015
+        x_m += step_m
+        given_j += force * step_m
+        assert given_j <= renderer.model.start_j + 1e-9
+        renderer.step(x_m, 0.0, MS)
