@@ -1,6 +1,7 @@
 """The wall is found from positions and forces, told on a change, and taken back by free motion."""
 
 import random
+from itertools import pairwise
 
 import pytest
 
@@ -73,6 +74,19 @@ def test_a_change_is_told_at_most_ten_times_a_second_and_no_change_once_a_second
             now += 1
         estimator.handle_sample(now * MS, 0.05, 0.0, 0.0, 0.0, False)
     assert len(sent) > 10
-    assert min(b - a for a, b in zip(sent, sent[1:], strict=False)) >= 100
+    assert min(b - a for a, b in pairwise(sent)) >= 100
     quiet = [ms for ms in range(now, now + 5000) if estimator.poll_transmit(ms * MS) is not None]
     assert len(quiet) in (5, 6)
+
+
+def test_a_tip_that_only_slows_down_tells_no_wrong_wall():
+    """Position and velocity then go together, and the damping looks like stiffness."""
+    source = random.Random(1)
+    estimator = WallEstimator()
+    for k in range(60):
+        fall = 0.95**k
+        depth, speed = 0.003 * (1.0 - fall), 0.15 * fall
+        force = -(1500.0 * depth + 20.0 * speed + source.gauss(0.0, 0.02))
+        estimator.handle_sample(k * MS, 0.06 + depth, 0.0, force, 0.0, True)
+        found = estimator.wall
+        assert found is None or found.stiffness_n_m == pytest.approx(1500.0, rel=0.2)

@@ -1,5 +1,7 @@
 """What the handle feels of a wall that comes, moves, goes or grows old: bounded and passive."""
 
+from itertools import pairwise
+
 import pytest
 
 from telepresence.haptics.mediated.renderer import RendererModel, WallRenderer
@@ -59,7 +61,7 @@ def test_a_change_takes_time_and_gives_no_energy(after):
     renderer.handle_wall(WallMessage(2, after))
     forces = steps(renderer, [0.07] * 40)
     assert forces[0] == pytest.approx(6.0, abs=0.2)
-    assert max(abs(b - a) for a, b in zip(forces, forces[1:], strict=False)) <= 0.1 + 1e-9
+    assert max(abs(b - a) for a, b in pairwise(forces)) <= 0.1 + 1e-9
     # The hand has not moved, so the energy taken from it is what it was.
     assert renderer.tank_j == pytest.approx(tank_j)
     forces = steps(renderer, [0.07] * 200)
@@ -108,3 +110,12 @@ def test_no_motion_in_and_out_of_walls_that_jump_gains_energy():
         given_j += force * step_m
         assert given_j <= renderer.model.start_j + 1e-9
         renderer.step(x_m, 0.0, MS)
+
+
+def test_a_wall_that_softens_under_load_waits_for_energy_instead_of_dropping():
+    renderer = in_contact(RendererModel(start_j=0.0005))
+    renderer.handle_wall(WallMessage(2, Wall(0, 1, 0.03, 200.0)))
+    forces = steps(renderer, [0.07] * 300)
+    assert min(forces) >= forces[0] - 0.2
+    renderer.handle_flow(-0.5)
+    assert steps(renderer, [0.07] * 500)[-1] == pytest.approx(0.04 * 1000.0 / 6.0, rel=0.03)
