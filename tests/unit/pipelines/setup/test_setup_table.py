@@ -23,6 +23,7 @@ cameras = ["wrist", "stereo"]
 radio = "cable"
 radio_delay_ms = 12.5
 deadband = "latency"
+hand = "mediated"
 base_port = 21000
 
 [uplink_video]
@@ -65,6 +66,7 @@ def test_every_field_of_a_file_reaches_the_setup(tmp_path):
     assert (setup.name, setup.cameras) == ("wrist", ("wrist", "stereo"))
     assert (setup.radio, setup.radio_delay_ms, setup.base_port) == ("cable", 12.5, 21_000)
     assert setup.deadband == "latency"
+    assert setup.hand == "mediated"
     video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
     assert asdict(setup.uplink_video) == video | {"stale_after_ms": 250.5, "coded": (160, 120)}
     down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
@@ -234,3 +236,13 @@ def test_a_direction_has_its_own_radio_from_the_same_seed():
         for profile in (setup.uplink, setup.downlink)
     )
     assert (one.channel.direction, other.channel.direction) == ("uplink", "downlink")
+
+
+def test_a_mediated_hand_keeps_uplink_capacity_for_its_walls():
+    direct = load_setup("spacejustin")
+    mediated = load_setup("spacejustin", changes={"hand": "mediated"})
+    # Two a second of 16 octets, with tag and resume tag.
+    assert direct.need_up().spare_bps - mediated.need_up().spare_bps == 8 * 2 * (16 + 1 + 1)
+    assert mediated.need_down() == direct.need_down()
+    with pytest.raises(ConfigError, match="hand 'soft': take one of direct, mediated"):
+        load_setup("spacejustin", changes={"hand": "soft"})

@@ -22,7 +22,7 @@ SPACEJUSTIN = topology_of(BUILT_IN["spacejustin"], snapshots=True)
 
 
 def every_setup() -> list[Setup]:
-    """The built-in setups, and one setup without each optional stream."""
+    """The built-in setups, one without each optional stream, and one with a mediated hand."""
     whole = BUILT_IN["spacejustin"]
     return [
         *BUILT_IN.values(),
@@ -30,6 +30,7 @@ def every_setup() -> list[Setup]:
         replace(whole, downlink_video=None),
         replace(whole, downlink_voice=None),
         replace(whole, cameras=("static",)),
+        replace(whole, hand="mediated"),
     ]
 
 
