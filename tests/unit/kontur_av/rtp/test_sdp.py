@@ -61,6 +61,12 @@ def test_an_address_of_the_media_goes_before_that_of_the_session():
         parse_sdp("v=0\n" + VIDEO)
 
 
+def test_only_the_bandwidth_with_headers_is_the_cap():
+    other = "b=TIAS:64000\nb=RR:0\na=AS:9\n"
+    assert parse_sdp(HEAD + VIDEO + other).bandwidth_bps is None
+    assert parse_sdp(HEAD + VIDEO + other + "b=AS:85\n").bandwidth_bps == 85_000
+
+
 def test_the_first_known_payload_type_counts_with_its_own_parameters():
     text = (
         "m=video 5004/2 RTP/AVPF 96 97\r\na=rtpmap:96 VP8/90000\r\n"
