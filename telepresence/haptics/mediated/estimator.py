@@ -2,7 +2,8 @@
 
 In contact, force = stiffness * (position - surface) + damping * velocity. The three unknowns are
 found by least squares over the samples of a contact in which the tip moved; older ones count less
-and less. The free tip contradicts a wall when it stands behind its surface.
+and less. A tip that only slows down does not tell them; then the place where the contact began is
+taken for the surface. The free tip contradicts a wall when it stands behind its surface.
 
 Model-mediated teleoperation: P. Mitra, G. Niemeyer, "Model-mediated telemanipulation", Int. J.
 Robotics Research 27, 2008; C. Passenberg, A. Peer, M. Buss, "A survey of environment-, operator-,
@@ -24,6 +25,8 @@ from telepresence.haptics.mediated.wall import (
 _SLOW_M_S = 0.0005
 #: Position and velocity are told apart if their correlation, squared, is below 1 less this.
 _APART = 0.05
+#: The place where a contact began is coarse: the mean depth must be so many times the least spread.
+_DEEP = 5.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -69,6 +72,9 @@ class WallEstimator:
         self._last: tuple[int, float, float] | None = None
         #: Axis and inward sign of the present contact.
         self._axis = self._inward = 0
+        #: Where this contact began, if the tip was free before.
+        self._entered: tuple[float, float] | None = None
+        self._free = False
         self._used_m: float | None = None
         self._sums = _Sums(self.model.keep)
 
@@ -82,12 +88,16 @@ class WallEstimator:
         last, self._last = self._last, (now_ns, x_m, y_m)
         if not contact:
             self._axis = self._inward = 0
+            self._free, self._entered = True, None
             wall = self.wall
             if wall is not None and wall.depth_m(x_m, y_m) > self.model.behind_m:
                 self.wall, self._changed = None, self._told is not None
             return
         if last is None or now_ns <= last[0]:
             return
+        if self._free:
+            # The surface lies between the last free place and the first one in contact.
+            self._free, self._entered = False, ((last[1] + x_m) / 2.0, (last[2] + y_m) / 2.0)
         force = max(abs(fx_n), abs(fy_n))
         if force < self.model.least_n:
             return
@@ -124,7 +134,9 @@ class WallEstimator:
         model = self.model
         if self._sums.number < model.samples:
             return
-        found = self._sums.solve(model.spread_m)
+        entered = self._entered
+        entered_m = None if entered is None else self._inward * entered[self._axis]
+        found = self._sums.solve(model.spread_m, entered_m)
         if found is None:
             return
         stiffness, surface_m = found
@@ -174,8 +186,12 @@ class _Sums:
             keep * vf + gain * dv * df,
         ]
 
-    def solve(self, spread_m: float) -> tuple[float, float] | None:
-        """Return stiffness (N/m) and surface (m), or None if the samples do not tell them."""
+    def solve(self, spread_m: float, entered_m: float | None) -> tuple[float, float] | None:
+        """Return stiffness (N/m) and surface (m), or None if the samples do not tell them.
+
+        entered_m: where the contact began; it is taken for the surface if the samples alone do not
+        tell the shares of stiffness and damping, as while a tip only slows down.
+        """
         xx, xv, vv, xf, vf = self._products
         if xx < self._weight * spread_m * spread_m:
             return None
@@ -185,10 +201,27 @@ class _Sums:
         else:
             whole = xx * vv - xv * xv
             if whole < _APART * xx * vv:
-                # Position and velocity went together, so their shares cannot be told apart.
-                return None
+                return None if entered_m is None else self._solve_from(spread_m, entered_m)
             stiffness = (xf * vv - vf * xv) / whole
             damping = (vf * xx - xf * xv) / whole
         if stiffness <= 0.0:
             return None
         return stiffness, x - (f - damping * v) / stiffness
+
+    def _solve_from(self, spread_m: float, entered_m: float) -> tuple[float, float] | None:
+        """Like `solve`, with the surface where the contact began."""
+        weight, (x, v, f) = self._weight, self._mean
+        depth = x - entered_m
+        if depth < _DEEP * spread_m:
+            return None
+        xx, xv, vv, xf, vf = self._products
+        xx += weight * depth * depth
+        xv += weight * depth * v
+        vv += weight * v * v
+        xf += weight * depth * f
+        vf += weight * v * f
+        whole = xx * vv - xv * xv
+        if whole < _APART * xx * vv:
+            return None
+        stiffness = (xf * vv - vf * xv) / whole
+        return (stiffness, entered_m) if stiffness > 0.0 else None

@@ -79,10 +79,12 @@ def test_a_change_is_told_at_most_ten_times_a_second_and_no_change_once_a_second
     assert len(quiet) in (5, 6)
 
 
-def test_a_tip_that_only_slows_down_tells_no_wrong_wall():
-    """Position and velocity then go together, and the damping looks like stiffness."""
+@pytest.mark.parametrize("free_before", [True, False])
+def test_a_tip_that_only_slows_down_tells_no_wrong_wall(free_before):
+    """Position and velocity go together then: the beginning of the contact says the rest."""
     source = random.Random(1)
     estimator = WallEstimator()
+    estimator.handle_sample(-1 * MS, 0.05985, 0.0, 0.0, 0.0, not free_before)
     for k in range(60):
         fall = 0.95**k
         depth, speed = 0.003 * (1.0 - fall), 0.15 * fall
@@ -90,3 +92,4 @@ def test_a_tip_that_only_slows_down_tells_no_wrong_wall():
         estimator.handle_sample(k * MS, 0.06 + depth, 0.0, force, 0.0, True)
         found = estimator.wall
         assert found is None or found.stiffness_n_m == pytest.approx(1500.0, rel=0.2)
+    assert (found is not None) is free_before
