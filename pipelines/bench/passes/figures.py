@@ -11,6 +11,8 @@ USABLE_SHARE = 0.99
 #: A stream that shows nothing, or a channel that moves no sample, is stuck after this time with a
 #: signal in the predicted window.
 LONGEST_PAUSE_S = {"shown": 3.0, "felt": 1.0}
+#: One-way delays that a session of samples takes to begin (docs/haptics-sample.md).
+HAPTIC_BEGIN_DELAYS = 5
 #: Rounding down at both ports makes the observed energy too small by this at most (µJ).
 ROUNDING_UJ = 2
 #: The largest rate over 100 ms, as a share of the cap (docs/video.md).
@@ -289,7 +291,8 @@ def faults(session: Session) -> list[str]:
     ):
         found.append("unusable")
     pauses = session.longest_pause_s
-    if pauses.shown > LONGEST_PAUSE_S["shown"] or pauses.felt > LONGEST_PAUSE_S["felt"]:
+    felt_s = LONGEST_PAUSE_S["felt"] + HAPTIC_BEGIN_DELAYS * session.longest_delay_s
+    if pauses.shown > LONGEST_PAUSE_S["shown"] or pauses.felt > felt_s:
         found.append("stuck")
     if session.least_energy_uj is not None and session.least_energy_uj < -ROUNDING_UJ:
         found.append("unstable")
