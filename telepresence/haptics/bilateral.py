@@ -239,6 +239,7 @@ class RobotSide(_Side):
             controller.release(robot.x_m, robot.y_m)
             self.force_x_n = self.force_y_n = 0.0
             return
-        fx, fy = controller.step(command, robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s, dt_ns)
+        x, y, vx, vy = robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s
+        fx, fy = controller.step(command, x, y, vx, vy, dt_ns, touching=robot.contact)
         self.force_x_n, self.force_y_n = fx, fy
         robot.step(fx, fy, dt_ns)

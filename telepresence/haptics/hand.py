@@ -8,6 +8,7 @@ damper between the handle and the intended position. The hand is passive around 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import hypot, inf
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -52,7 +53,9 @@ class HandModel:
     """Parameters of the arm behind the hand.
 
     stiffness_n_m, damping_n_s_m: muscles.
-    mass_kg: the part of the hand that moves with the handle.
+    mass_kg: the part of the hand or arm that moves with the handle.
+    push_n: greatest force of the muscles' spring (N). A hand that is held back beyond it pushes
+    with this constant force.
 
     The range follows T. Tsuji et al., "Human hand impedance characteristics during maintained
     posture", Biol. Cybern. 72, 1995: about 100 to 800 N/m, damping ratio 0.2 to 0.9. The mass of a
@@ -62,13 +65,18 @@ class HandModel:
     stiffness_n_m: float
     damping_n_s_m: float
     mass_kg: float
+    push_n: float = inf
 
 
-#: A hand that yields, and one that holds tight.
+#: A hand that hardly holds, one that yields, and one that holds tight.
+LOOSE_GRIP = HandModel(stiffness_n_m=100.0, damping_n_s_m=8.0, mass_kg=0.2)
 SOFT_GRIP = HandModel(stiffness_n_m=250.0, damping_n_s_m=15.0, mass_kg=0.2)
 FIRM_GRIP = HandModel(stiffness_n_m=700.0, damping_n_s_m=35.0, mass_kg=0.4)
-
-GRIPS = {"soft": SOFT_GRIP, "firm": FIRM_GRIP}
+#: Arms behind a rigid grip, with a damping ratio of 0.3.
+LIGHT_ARM = HandModel(stiffness_n_m=500.0, damping_n_s_m=13.0, mass_kg=1.0)
+HEAVY_ARM = HandModel(stiffness_n_m=800.0, damping_n_s_m=24.0, mass_kg=2.0)
+#: A constant push, as against a button.
+PUSH = HandModel(stiffness_n_m=1000.0, damping_n_s_m=20.0, mass_kg=0.4, push_n=4.5)
 
 
 class Hand:
@@ -89,6 +97,7 @@ class Hand:
         self.x_m, self.y_m = script[-1].x_m, script[-1].y_m
         self.vx_m_s = self.vy_m_s = 0.0
         self._stiffness, self._damping = model.stiffness_n_m, model.damping_n_s_m
+        self._push_n = model.push_n
         self._index = 0
         self._into_ns = 0
         #: Duration of the current waypoint.
@@ -122,7 +131,11 @@ class Hand:
             self.x_m, self.y_m = before.x_m + way_x * share, before.y_m + way_y * share
             self.vx_m_s, self.vy_m_s = way_x * rate, way_y * rate
         stiffness, damping = self._stiffness, self._damping
+        pull_x, pull_y = stiffness * (self.x_m - x_m), stiffness * (self.y_m - y_m)
+        if self._push_n < inf and (pull := hypot(pull_x, pull_y)) > self._push_n:
+            pull_x *= self._push_n / pull
+            pull_y *= self._push_n / pull
         return (
-            stiffness * (self.x_m - x_m) + damping * (self.vx_m_s - vx_m_s),
-            stiffness * (self.y_m - y_m) + damping * (self.vy_m_s - vy_m_s),
+            pull_x + damping * (self.vx_m_s - vx_m_s),
+            pull_y + damping * (self.vy_m_s - vy_m_s),
         )

@@ -4,15 +4,22 @@ The port is the handle. Its energy in one cycle is the force that the motors hol
 distance that the handle moves. Both are known exactly one cycle later, so the observer is exact in
 sampled time.
 
-The energy of the next cycle is bounded in advance. The handle moves on at its present velocity,
-plus or minus what its greatest acceleration can change in one cycle. If that could cost more than
-the credit, the part of the force along the motion is scaled down. This is a passivity controller
-of the impedance type. It only scales and adds no damping, so no gain grows at low speed. The force
-that was cut returns slowly, and only towards the force that is wanted by then.
+The credit bounds the force as the energy of a spring bounds its force: |g| <= sqrt(2 k credit). A
+hand that is pushed back uses up the credit, and the force fades like that of a spring of stiffness
+k. A hand that pushes back in fills it again, and the force returns the same way. So nothing is
+switched, and nothing can chatter. The force falls by at most `rate_n_s`, because a spring that is
+soft enough for the present speed pays for its fall in advance. (A bound from energy: J.-P. Kim and
+J. Ryu, "Robustly stable haptic interaction control using an energy-bounding algorithm", Int. J.
+Robotics Research 29, 2010; a margin of the credit for the whole fade is this project's own.)
 
-The robot's force and the damping are bounded one after the other. If only their sum were bounded, a
-hand that leaves a wall would lose its damping to pay for the force that still pushes it. The robot
-would then receive no energy with which to follow.
+The hand can move otherwise than its speed says. So the force of the next cycle is also bounded by
+what the greatest acceleration could make it cost. This bound cuts at once: passivity goes first.
+
+The damping is the energy's source. It grows when the credit lacks, or when the robot says that its
+own does (M. Franken et al., "Bilateral telemanipulation with time delays: a two-layer approach
+combining passivity and transparency", IEEE Trans. Robotics 27, 2011: a modulated damper fills the
+tank). The robot's force and the damping are bounded one after the other. If only their sum were
+bounded, a hand that leaves a wall would lose its damping to pay for the force that still pushes it.
 """
 
 from dataclasses import dataclass
@@ -26,6 +33,10 @@ _CYCLE_S = NS_PER_MS / NS_PER_S
 #: Half a count of the energy in a sample, too little for anybody to measure. Without it a hand that
 #: starts slowly would feel no damping, grant no energy, and never start to move the robot.
 _ROUNDING_J = 0.5e-6
+#: How fast a lack of the robot counts.
+_STARVED_S = 0.1
+#: A force this near to the wanted one has returned.
+_RETURNED_N = 0.05
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -33,35 +44,37 @@ class JoystickControllerModel:
     """Parameters of the controller at the joystick; all of them chosen.
 
     force_scale: displayed force over the robot's force.
-    damping_n_s_m: damping that the hand always feels. The energy that it takes out of the hand
-    moves the robot in free space.
-    rate_n_s: fastest rise of the displayed force, so that it does not jump after an interruption.
+    damping_n_s_m, most_damping_n_s_m: damping that the hand feels while the credit is whole, and
+    while it lacks. The energy that it takes out of the hand moves the robot and pays for its force.
+    damping_s: time constant with which the damping follows the credit.
+    starved_s: the damping stays this long after the robot's credit has lacked.
+    rate_n_s, damping_rate_n_s: fastest change of the displayed force and of the damping force.
     relax_s: time constant with which the force decays without samples.
+    patience_s: it does not decay before this; bursts of losses are shorter.
     acceleration_m_s2: greatest acceleration of the handle; it bounds the next cycle's distance.
-    horizon: number of cycles at the present speed for which the credit must last. A force that
-    becomes too expensive then fades instead of breaking off.
-    reserved: share of the reserve that may pay for the force over a horizon. The damping uses the
-    rest.
-    regain_n_s: how fast the force returns after a cut; a faster return would buzz.
-    velocity_s: time constant of the velocity that the damping uses.
-    reserve_j, limit_j: see `Port`.
-    keep_j, return_s: credit above `keep_j` returns to the robot with this time constant, because a
-    hand at rest has no use for it.
+    fade_n_m: stiffness with which a force fades when its credit is used up.
+    regain_n_s: how fast the force returns after a fade.
+    velocity_s: time constant of the velocity that damping and fade use.
+    reserve_j, limit_j: see `Port`. Credit above the reserve returns to the robot with the time
+    constant `return_s`; so does all that the present force does not need, when the robot lacks it.
     """
 
     force_scale: float = 1.0
     damping_n_s_m: float = 4.0
-    rate_n_s: float = 1000.0
+    most_damping_n_s_m: float = 20.0
+    damping_s: float = 0.2
+    starved_s: float = 1.0
+    rate_n_s: float = 800.0
+    damping_rate_n_s: float = 250.0
     relax_s: float = 0.1
+    patience_s: float = 0.08
     acceleration_m_s2: float = 150.0
-    horizon: float = 5.0
-    velocity_s: float = 0.003
-    reserved: float = 0.2
+    fade_n_m: float = 2000.0
     regain_n_s: float = 30.0
-    reserve_j: float = 0.004
+    velocity_s: float = 0.003
+    reserve_j: float = 0.03
     limit_j: float = 0.5
-    keep_j: float = 0.02
-    return_s: float = 0.5
+    return_s: float = 0.1
 
 
 class JoystickController(PortController):
@@ -69,7 +82,8 @@ class JoystickController(PortController):
 
     passive: if False, the controller only observes.
     limit_n: the force (N) that the motors can exert now; set it before a step.
-    acted: number of cycles in which the passivity controller cut the force.
+    acted: number of cycles in which the credit bounded the force.
+    damping_n_s_m: the present damping.
     """
 
     def __init__(
@@ -82,17 +96,21 @@ class JoystickController(PortController):
         )
         self.limit_n = 12.0
         self.acted = 0
+        self.damping_n_s_m = model.damping_n_s_m
         self._last: tuple[float, float] | None = None
         self._goal_x = self._goal_y = 0.0
         self._fx = self._fy = 0.0
-        #: The robot's share of the force.
+        #: The robot's share of the force, and the damping's.
         self._gx = self._gy = 0.0
+        self._bx = self._by = 0.0
         self._regaining = False
         self._vx = self._vy = 0.0
+        self._silent_s = 0.0
+        #: From 0 to 1: how much the robot has lacked credit of late.
+        self._starved = 0.0
         # Unpacked in one step, because `step` is called a thousand times a second.
         self._constants = (
             model.force_scale,
-            model.damping_n_s_m,
             model.rate_n_s,
             model.velocity_s,
             model.acceleration_m_s2 * _CYCLE_S * _CYCLE_S,
@@ -112,7 +130,7 @@ class JoystickController(PortController):
         x_m, y_m: position of the handle (m).
         The first step returns no force.
         """
-        scale, damping, rate, velocity_s, margin = self._constants
+        scale, rate, velocity_s, margin = self._constants
         dt_s = dt_ns / NS_PER_S
         port, last = self.port, self._last
         self._last = (x_m, y_m)
@@ -120,40 +138,51 @@ class JoystickController(PortController):
             # The velocity is not known yet, so neither is the energy that a force would cost.
             return 0.0, 0.0
         dx, dy = x_m - last[0], y_m - last[1]
-        fx, fy = self._fx, self._fy
-        port.handle_flow(fx * dx + fy * dy)
+        port.handle_flow(self._fx * dx + self._fy * dy)
         if feedback is None:
             port.handle_silence(dt_ns)
+            self._silent_s += dt_s
         else:
             port.handle_total(feedback[2], dt_ns)
-            surplus_j = port.credit_j - self.model.keep_j
-            if surplus_j > 0.0 and self.passive:
-                port.return_credit(surplus_j * dt_s / (dt_s + self.model.return_s))
-        if feedback is None or feedback[7]:
+            self._silent_s = 0.0
+        if self._silent_s > self.model.patience_s or (feedback is not None and feedback[7]):
             keep = max(0.0, 1.0 - dt_s / self.model.relax_s)
             self._goal_x *= keep
             self._goal_y *= keep
-        else:
+        elif feedback is not None:
             self._goal_x, self._goal_y = scale * feedback[0], scale * feedback[1]
+        goal_x, goal_y = self._goal_x, self._goal_y
+        goal = sqrt(goal_x * goal_x + goal_y * goal_y)
 
         share = dt_s / (dt_s + velocity_s)
         self._vx = vx = self._vx + (dx / dt_s - self._vx) * share
         self._vy = vy = self._vy + (dy / dt_s - self._vy) * share
         gx, gy = self._gx, self._gy
-        change_x, change_y = self._goal_x - gx, self._goal_y - gy
+        now = sqrt(gx * gx + gy * gy)
+        if self.passive:
+            self._follow_credit(feedback, dt_s)
+            outward = max(0.0, (gx * vx + gy * vy) / now) if now > 0.0 else 0.0
+            most = self._payable_n(port.credit_j + _ROUNDING_J, outward)
+            if most < goal:
+                share, goal = most / goal, most
+                goal_x *= share
+                goal_y *= share
+                self.acted += 1
+                self._regaining = True
+            if self._regaining and goal > now:
+                rate = self.model.regain_n_s
+        change_x, change_y = goal_x - gx, goal_y - gy
         change = sqrt(change_x * change_x + change_y * change_y)
-        most = rate * dt_s
-        if self._regaining:
-            slow = self.model.regain_n_s * dt_s
-            self._regaining = change > slow
-            gx, gy = self._regained(gx, gy, most, slow)
-        else:
-            if change > most:
-                change_x *= most / change
-                change_y *= most / change
-            gx += change_x
-            gy += change_y
-        bx, by = -damping * vx, -damping * vy
+        if change > rate * dt_s:
+            share = rate * dt_s / change
+            change_x *= share
+            change_y *= share
+        gx += change_x
+        gy += change_y
+        lacking_x, lacking_y = self._goal_x - gx, self._goal_y - gy
+        if lacking_x * lacking_x + lacking_y * lacking_y < _RETURNED_N * _RETURNED_N:
+            self._regaining = False
+        bx, by = self._damped(vx, vy, dt_s)
         fx, fy = gx + bx, gy + by
         force = sqrt(fx * fx + fy * fy)
         if force > self.limit_n:
@@ -172,63 +201,61 @@ class JoystickController(PortController):
                     share = left_j / need_j if left_j > 0.0 else 0.0
                     bx, by, need_j = bx * share, by * share, need_j * share
                 left_j -= need_j
-            force = sqrt(gx * gx + gy * gy)
-            flow_j = gx * dx + gy * dy
-            reserved_j = (1.0 - self.model.reserved) * min(left_j, self.model.reserve_j)
-            if (
-                flow_j + force * margin > left_j
-                or flow_j * self.model.horizon > left_j - reserved_j
-            ) and force > 0.0:
-                gx, gy = self._cut(gx, gy, dx, dy, left_j, left_j - reserved_j)
+            need_j = gx * dx + gy * dy + sqrt(gx * gx + gy * gy) * margin
+            if need_j > left_j:
+                share = left_j / need_j if left_j > 0.0 else 0.0
+                gx *= share
+                gy *= share
                 self.acted += 1
                 self._regaining = True
-        self._gx, self._gy = gx, gy
+            if feedback is not None:
+                self._return_surplus(feedback, dt_s)
+        self._gx, self._gy, self._bx, self._by = gx, gy, bx, by
         self._fx, self._fy = gx + bx, gy + by
         return self._fx, self._fy
 
-    def _regained(self, gx: float, gy: float, most: float, slow: float) -> tuple[float, float]:
-        """Move (gx, gy) back to the goal: along the goal by at most `slow`, else by at most `most`.
+    def _payable_n(self, credit_j: float, outward_m_s: float) -> float:
+        """Return the largest force that can fade on this credit.
 
-        The second limit removes the part across the goal or beyond it. If that part stayed, a cut
-        would turn the force instead of reducing it. It would remain across the motion while the
-        goal changes, and finally push into the wall.
+        outward_m_s: speed of the handle along the force. The fade is a spring's, softened so that
+        at this speed the force falls by `rate_n_s` at most. The next cycle comes first: its force
+        is held, and the handle may accelerate.
         """
-        goal_x, goal_y = self._goal_x, self._goal_y
-        size = goal_x * goal_x + goal_y * goal_y
-        share = (gx * goal_x + gy * goal_y) / size if size > 0.0 else 0.0
-        share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share
-        near_x, near_y = share * goal_x, share * goal_y
-        off_x, off_y = near_x - gx, near_y - gy
-        off = sqrt(off_x * off_x + off_y * off_y)
-        less = most / off if off > most else 1.0
-        lacking = (1.0 - share) * sqrt(size)
-        more = slow / lacking if lacking > slow else 1.0
-        return (
-            gx + off_x * less + (goal_x - near_x) * more,
-            gy + off_y * less + (goal_y - near_y) * more,
-        )
+        if credit_j <= 0.0:
+            return 0.0
+        cycle_m = outward_m_s * _CYCLE_S + self._constants[3]
+        yielding = 1.0 / self.model.fade_n_m + outward_m_s / self.model.rate_n_s
+        # The root of force * cycle_m + force^2 * yielding / 2 = credit.
+        return (sqrt(cycle_m * cycle_m + 2.0 * yielding * credit_j) - cycle_m) / yielding
 
-    def _cut(
-        self, gx: float, gy: float, dx: float, dy: float, left_j: float, spend_j: float
-    ) -> tuple[float, float]:
-        """Scale the force down so that the credit pays for it.
+    def _follow_credit(self, feedback: Feedback | None, dt_s: float) -> None:
+        """Let the damping follow what either end lacks; without samples it returns to normal."""
+        model = self.model
+        lack = 0.0
+        if feedback is not None:
+            starved = 1.0 if feedback[6] else 0.0
+            after_s = _STARVED_S if starved else model.starved_s
+            self._starved += (starved - self._starved) * dt_s / (dt_s + after_s)
+            lack = min(1.0, max(1.0 - self.port.credit_j / model.reserve_j, self._starved))
+        wanted = model.damping_n_s_m + (model.most_damping_n_s_m - model.damping_n_s_m) * lack
+        self.damping_n_s_m += (wanted - self.damping_n_s_m) * dt_s / (dt_s + model.damping_s)
 
-        Its part along (dx, dy) is cut to what `spend_j` pays for over the horizon. The whole force
-        is then cut so that no movement within the margin of (dx, dy) costs more than `left_j`.
-        """
-        margin = self._constants[4]
-        flow_j = gx * dx + gy * dy
-        if flow_j > 0.0 and flow_j * self.model.horizon > spend_j:
-            lacking = 1.0 - max(0.0, spend_j) / (flow_j * self.model.horizon)
-            size = dx * dx + dy * dy
-            if size > 0.0:
-                along = lacking * flow_j / size
-                gx -= along * dx
-                gy -= along * dy
-                flow_j *= 1.0 - lacking
-        need_j = flow_j + sqrt(gx * gx + gy * gy) * margin
-        if need_j > left_j:
-            share = max(0.0, left_j) / need_j if need_j > 0.0 else 0.0
-            gx *= share
-            gy *= share
-        return gx, gy
+    def _damped(self, vx: float, vy: float, dt_s: float) -> tuple[float, float]:
+        """Return the damping force (N, N), which changes by `damping_rate_n_s` at most."""
+        damping, bx, by = self.damping_n_s_m, self._bx, self._by
+        change_x, change_y = -damping * vx - bx, -damping * vy - by
+        change = sqrt(change_x * change_x + change_y * change_y)
+        most = self.model.damping_rate_n_s * dt_s
+        share = most / change if change > most else 1.0
+        return bx + change_x * share, by + change_y * share
+
+    def _return_surplus(self, feedback: Feedback, dt_s: float) -> None:
+        """Return credit beyond the reserve; if the robot lacks it, all that no force needs."""
+        model, port = self.model, self.port
+        keep_j = model.reserve_j
+        if feedback[6]:
+            goal_2 = self._goal_x * self._goal_x + self._goal_y * self._goal_y
+            keep_j = min(keep_j, goal_2 / (2.0 * model.fade_n_m))
+        surplus_j = port.credit_j - keep_j
+        if surplus_j > 0.0:
+            port.return_credit(surplus_j * dt_s / (dt_s + model.return_s))

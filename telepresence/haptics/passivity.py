@@ -32,7 +32,7 @@ class Port:
     granted_j: the part of `in_j` that the peer may give out.
     kept_j: the part of `in_j` that this port may give out.
     received_j: credit from the peer's totals.
-    forgotten_j: credit dropped above the limit.
+    forgotten_j: credit dropped above the limit, or discarded.
     returned_j: credit granted back to the peer.
     credit_j: received + kept - forgotten - returned - out, the passivity observer of this port.
     least_j: lowest value of `credit_j` so far.
@@ -133,6 +133,11 @@ class Port:
         self.credit_j -= energy_j
         self.returned_j += energy_j
         self.granted_j += energy_j
+
+    def discard_credit(self, energy_j: float) -> None:
+        """Count `energy_j` of this port's credit as dissipated; nobody gives it out."""
+        self.credit_j -= energy_j
+        self.forgotten_j += energy_j
 
     def handle_silence(self, dt_ns: int) -> None:
         """`dt_ns` have passed without a fresh sample."""

@@ -8,6 +8,9 @@ the reference moves.
 A step that would cost more than the credit is scaled down to what the credit pays. Only its part
 along the force is scaled. This is a passivity controller of the admittance type. The reference
 catches up when there is credit again, because samples carry positions, not velocities.
+
+In contact, credit that is left over is discarded. Otherwise what the approach has paid in would
+keep a delayed loop swinging for as long as it lasts.
 """
 
 from dataclasses import dataclass
@@ -32,9 +35,14 @@ class RobotControllerModel:
     speed_m_s, acceleration_m_s2: limits of the reference, also while it catches up.
     relax_s: without commands the reference moves to the tip with this time constant, so that the
     tip's pressure decays.
+    patience_s: before this it stands still; bursts of losses are shorter.
     half_width_m, half_height_m: the reference stays within the board.
     reserve_j, limit_j: see `Port`. The reserve is about the energy of the moving tip; the energy
-    recovered by braking pays for the next movement.
+    recovered by braking pays for the next movement. The limit lets an approach through a long delay
+    pay for a press.
+    spare_j, return_s: while the joystick lacks credit, credit above `spare_j` returns to it with
+    this time constant.
+    discard_s: in contact, credit above `spare_j` is discarded with this time constant.
     """
 
     stiffness_n_m: float = 1000.0
@@ -44,10 +52,14 @@ class RobotControllerModel:
     speed_m_s: float = 0.5
     acceleration_m_s2: float = 50.0
     relax_s: float = 0.2
+    patience_s: float = 0.08
     half_width_m: float = 0.15
     half_height_m: float = 0.10
     reserve_j: float = 0.020
-    limit_j: float = 0.1
+    limit_j: float = 0.3
+    spare_j: float = 0.005
+    return_s: float = 0.1
+    discard_s: float = 0.4
 
 
 class RobotController(PortController):
@@ -76,6 +88,7 @@ class RobotController(PortController):
         self.holding = True
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
+        self._silent_s = 0.0
         # Unpacked in one step, because `step` is called a thousand times a second.
         self._constants = (
             model.stiffness_n_m,
@@ -105,12 +118,15 @@ class RobotController(PortController):
         vx_m_s: float,
         vy_m_s: float,
         dt_ns: int,
+        *,
+        touching: bool = False,
     ) -> tuple[float, float]:
         """Return the force on the tip (N, N) from now on, `dt_ns` after the previous step.
 
         command: the newest sample, or None if no sample is fresh. A command moves nothing unless
         its dead-man button is pressed and its joystick is in the application.
         x_m, y_m, vx_m_s, vy_m_s: position and velocity of the tip.
+        touching: the tip touches something.
         """
         stiffness, damping, limit, follow_s, speed, acceleration, width, height = self._constants
         dt_s = dt_ns / NS_PER_S
@@ -118,9 +134,14 @@ class RobotController(PortController):
         reference_x, reference_y = self.reference_x_m, self.reference_y_m
         if command is None:
             port.handle_silence(dt_ns)
+            self._silent_s += dt_s
         else:
             port.handle_total(command[2], dt_ns)
-        if command is None or not command[3] or command[4] != STATE_APPLICATION or command[7]:
+            self._silent_s = 0.0
+        if command is None and self._silent_s <= self.model.patience_s:
+            self.holding = True
+            vx = vy = 0.0
+        elif command is None or not command[3] or command[4] != STATE_APPLICATION or command[7]:
             self.holding = True
             share = 1.0 / self.model.relax_s
             vx, vy = (x_m - reference_x) * share, (y_m - reference_y) * share
@@ -164,6 +185,12 @@ class RobotController(PortController):
         port.handle_flow(fx * dx + fy * dy)
         self._vx, self._vy = vx, vy
         self.reference_x_m, self.reference_y_m = reference_x + dx, reference_y + dy
+        surplus_j = port.credit_j - self.model.spare_j
+        if surplus_j > 0.0 and self.passive:
+            if command is not None and command[6]:
+                port.return_credit(surplus_j * dt_s / (dt_s + self.model.return_s))
+            if touching:
+                port.discard_credit(surplus_j * dt_s / (dt_s + self.model.discard_s))
         return fx, fy
 
     def _cut(

@@ -1,10 +1,12 @@
-"""One cell of the grid of `kontur-av bench haptics`: a channel and a wall."""
+"""One cell of the grid of `kontur-av bench haptics`: a channel, a wall and a hand."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from itertools import product
+from typing import Any
 
 from kontur_av.errors import ConfigError
+from pipelines.bench.haptics.hands import DEFAULT_HAND, HANDS
 
 #: The names in a cell's text, with least and largest value and the unit.
 _LIMITS = {
@@ -19,13 +21,13 @@ _LIMITS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cell:
-    """The channel between hand and wall, and the wall.
+    """The channel between hand and wall, the wall, and the hand.
 
     delay: of the round trip (ms), half of it each way. jitter: largest random addition to the delay
     of a sample (ms, uniform), so samples overtake each other. loss: of samples each way (%), in
     bursts of `burst` samples on average (1: independent). blackout: length (s) of each of three
     outages, of both ways, of the commands alone and of the feedback alone; 0: none. wall: its
-    stiffness (N/m).
+    stiffness (N/m). hand: one of `HANDS`.
     """
 
     delay: float = 0.0
@@ -34,16 +36,19 @@ class Cell:
     burst: float = 1.0
     blackout: float = 0.0
     wall: float = 5000.0
+    hand: str = DEFAULT_HAND
 
     def __post_init__(self) -> None:
         for name, (least, most, unit) in _LIMITS.items():
             value = getattr(self, name)
             if not least <= value <= most:
                 raise ConfigError(f"cell: {name}={value:g} is out of {least:g} to {most:g} {unit}")
+        if self.hand not in HANDS:
+            raise ConfigError(f"cell: hand={self.hand} is none of {', '.join(HANDS)}")
 
     @property
     def channel(self) -> str:
-        """The cell without its delay and its wall, for tables."""
+        """The cell without its delay, its wall and its hand, for tables."""
         parts = [f"jitter {self.jitter:g} ms"] if self.jitter else []
         if self.loss:
             bursts = f" in bursts of {self.burst:g}" if self.burst > 1 else ""
@@ -55,7 +60,8 @@ class Cell:
     @property
     def name(self) -> str:
         """The cell, for tables and charts."""
-        return f"{self.delay:g} ms, wall {self.wall / 1000:g} kN/m, {self.channel}"
+        hand = "" if self.hand == DEFAULT_HAND else f", {self.hand}"
+        return f"{self.delay:g} ms, wall {self.wall / 1000:g} kN/m, {self.channel}{hand}"
 
 
 def read_cell(text: str) -> Cell:
@@ -64,37 +70,69 @@ def read_cell(text: str) -> Cell:
     ConfigError for an unknown name, no number, or a value out of range.
     """
     known = [field.name for field in fields(Cell)]
-    values: dict[str, float] = {}
+    values: dict[str, Any] = {}
     for part in text.split(","):
         name, equals, number = part.strip().partition("=")
         if not equals or name not in known:
-            raise ConfigError(f"--cell {text}: give NAME=NUMBER of {', '.join(known)}")
+            raise ConfigError(f"--cell {text}: give NAME=VALUE of {', '.join(known)}")
+        if name == "hand":
+            values[name] = number
+            continue
         try:
             values[name] = float(number)
         except ValueError:
             raise ConfigError(f"--cell {text}: {name} wants a number") from None
-    return replace(Cell(), **values)
+    return Cell(**values)
 
 
-#: Loss (%) and burst of the grids: none, independent, and in bursts.
-_CALM, _CHANCE, _BURSTS = (0.0, 1.0), (30.0, 1.0), (30.0, 10.0)
+#: Loss (%) and burst of the full grid: none, independent, and in bursts.
+_LOSSES = ((0.0, 1.0), (10.0, 1.0), (30.0, 1.0), (30.0, 10.0))
+_JITTERS = (0.0, 10.0, 50.0)
+_BLACKOUTS = (0.0, 0.5, 5.0)
 
 
 def small_grid() -> Iterator[Cell]:
-    """The corners and a middle: 36 cells."""
+    """The corners and a middle with the default hand, and three channels with each other: 54."""
     for delay, wall in product((0.0, 50.0, 250.0, 1000.0), (500.0, 1500.0, 5000.0)):
         yield Cell(delay=delay, wall=wall)
         yield Cell(delay=delay, wall=wall, jitter=50.0, loss=30.0)
         yield Cell(delay=delay, wall=wall, jitter=50.0, loss=30.0, burst=10.0, blackout=5.0)
+    for hand in HANDS:
+        if hand != DEFAULT_HAND:
+            yield Cell(delay=50.0, wall=5000.0, hand=hand)
+            yield Cell(delay=250.0, wall=1500.0, hand=hand)
+            yield Cell(delay=20.0, wall=5000.0, loss=30.0, burst=10.0, hand=hand)
+
+
+_DELAYS = (0.0, 20.0, 50.0, 100.0, 300.0, 1000.0)
+_WALLS = (500.0, 1500.0, 5000.0)
 
 
 def full_grid() -> Iterator[Cell]:
-    """Every combination of the values in the claims: 648 cells."""
-    for delay, wall, jitter, (loss, burst), blackout in product(
-        (0.0, 20.0, 50.0, 100.0, 300.0, 1000.0),
-        (500.0, 1500.0, 5000.0),
-        (0.0, 10.0, 50.0),
-        (_CALM, (10.0, 1.0), _CHANCE, _BURSTS),
-        (0.0, 0.5, 5.0),
+    """Every hand on a clean channel, then every other channel with the hands in turn: 756 cells.
+
+    The hands turn so that each meets each value of each axis about equally often. With every hand
+    in every cell it would be 4536.
+    """
+    for delay, wall, hand in product(_DELAYS, _WALLS, HANDS):
+        yield Cell(delay=delay, wall=wall, hand=hand)
+    hands = tuple(HANDS)
+    for (a, delay), (b, wall), (c, jitter), (d, (loss, burst)), (e, blackout) in product(
+        enumerate(_DELAYS),
+        enumerate(_WALLS),
+        enumerate(_JITTERS),
+        enumerate(_LOSSES),
+        enumerate(_BLACKOUTS),
     ):
-        yield Cell(delay=delay, wall=wall, jitter=jitter, loss=loss, burst=burst, blackout=blackout)
+        if not (jitter or loss or blackout):
+            continue
+        yield Cell(
+            delay=delay,
+            wall=wall,
+            jitter=jitter,
+            loss=loss,
+            burst=burst,
+            blackout=blackout,
+            # Another factor for each axis, so that no axis decides the hand.
+            hand=hands[(a + 2 * b + 3 * c + 4 * d + 5 * e) % len(hands)],
+        )

@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 
 from rich.table import Table
 
@@ -15,6 +16,7 @@ from pipelines.bench.haptics.charts import chart
 from pipelines.bench.haptics.claims import Claim, claims, needed
 from pipelines.bench.haptics.figures import CellFigures
 from pipelines.bench.haptics.grid import processors, run_grid
+from pipelines.bench.haptics.hands import HANDS
 from pipelines.bench.haptics.map import StabilityMap
 from pipelines.bench.haptics.plan import plan
 from pipelines.bench.haptics.run import run_cell
@@ -72,14 +74,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of each run, more where delay and blackouts need it (default 10)",
     )
     parser.add_argument(
-        "--grid", choices=sorted(_GRIDS), default="small", help="of 36 or 648 cells"
+        "--grid", choices=sorted(_GRIDS), default="small", help="of 54 or 756 cells"
     )
     parser.add_argument(
         "--cell",
         action="append",
-        metavar="NAME=NUMBER,...",
+        metavar="NAME=VALUE,...",
         help="this cell instead of a grid, and again: of delay (ms, round trip), jitter (ms), "
-        "loss (%%), burst (samples), blackout (s), wall (N/m)",
+        "loss (%%), burst (samples), blackout (s), wall (N/m), "
+        f"hand ({', '.join(HANDS)})",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of losses and jitter")
     parser.add_argument(
@@ -111,6 +114,8 @@ def run(args: argparse.Namespace) -> int:
         console.print(_map_table(_WITHOUT, StabilityMap(without)))
         console.print(_map_table(_WITH, StabilityMap(with_)))
         console.print(_channel_table(with_))
+        console.print(_hand_table(without, with_))
+        console.print(_felt_table(with_))
     found = claims(with_)
     if not chosen:
         found.append(needed(without))
@@ -140,8 +145,17 @@ def _headlines(
             ("energy made, largest", "µJ", max(f.given_uj for f in of)),
             ("contact force, largest", "N", max(f.contact_peak_n for f in of)),
             ("growth of the force on the hand, largest", "N/ms", max(f.rise_n_ms for f in of)),
+            ("fall of the force on the hand, largest", "N/ms", max(f.drop_n_ms for f in of)),
         ):
             headlines.append(Headline(what=what, who=who, unit=unit, value=value))
+    group = "clean channel: median of walls and hands"
+    for delay, rows in _clean(with_).items():
+        for what, unit, values in (
+            ("felt stiffness over the ideal", "%", [100.0 * f.felt for f in rows]),
+            ("drag of a free hand", "N s/m", [f.drag_n_s_m for f in rows]),
+        ):
+            who, value = f"{delay:g} ms", median(values)
+            headlines.append(Headline(group=group, what=what, who=who, unit=unit, value=value))
     headlines.append(
         Headline(
             group="claims",
@@ -153,6 +167,15 @@ def _headlines(
         )
     )
     return headlines
+
+
+def _clean(with_: Sequence[CellFigures]) -> dict[float, list[CellFigures]]:
+    """The rows of a clean channel by delay."""
+    rows = [f for f in with_ if f.cell.channel == "clean"]
+    return {
+        delay: [f for f in rows if f.cell.delay == delay]
+        for delay in sorted({f.cell.delay for f in rows})
+    }
 
 
 def _plot(
@@ -191,7 +214,7 @@ def _map_table(title: str, found: StabilityMap) -> Table:
 
 _HEADINGS = (
     *("least energy µJ", "given µJ", "contact N", "handle N"),
-    *("swing N", "felt %", "rise N/ms", "drift mm", "touches"),
+    *("swing N", "felt %", "step N/ms", "drift mm", "touches"),
 )
 
 
@@ -208,10 +231,54 @@ def _channel_table(with_: Sequence[CellFigures]) -> Table:
             f"{max(f.displayed_peak_n for f in rows):.1f}",
             f"{max(f.swing_n for f in rows):.2f}",
             f"{100 * min(f.felt for f in rows):.0f}",
-            f"{max(f.rise_n_ms for f in rows):.2f}",
+            f"{max(max(f.rise_n_ms, f.drop_n_ms) for f in rows):.2f}",
             f"{max(f.drift_mm for f in rows):.1f}",
             str(min(f.touches for f in rows)),
         )
+    return table
+
+
+def _hand_table(without: Sequence[CellFigures], with_: Sequence[CellFigures]) -> Table:
+    """What each hand does, over all its cells."""
+    table = Table(title=f"by hand, {_WITH}", title_justify="left")
+    headings = ("swing on", "without", "swing N", "cells with drops", "drop N/ms", "rise N/ms")
+    for heading in ("hand", *headings):
+        table.add_column(heading, justify="left" if heading == "hand" else "right")
+    for hand in HANDS:
+        rows = [f for f in with_ if f.cell.hand == hand]
+        if rows:
+            table.add_row(
+                hand,
+                f"{sum(f.unstable for f in rows)} of {len(rows)}",
+                str(sum(f.unstable for f in without if f.cell.hand == hand)),
+                f"{max(f.swing_n for f in rows):.2f}",
+                str(sum(f.drops > 0 for f in rows)),
+                f"{max(f.drop_n_ms for f in rows):.2f}",
+                f"{max(f.rise_n_ms for f in rows):.2f}",
+            )
+    return table
+
+
+def _felt_table(with_: Sequence[CellFigures]) -> Table:
+    """The stiffness that each hand feels on a clean channel, by delay: median of the walls."""
+    by_delay = _clean(with_)
+    table = Table(
+        title="clean channel: felt stiffness over the ideal (%), drag (N s/m); median of the walls",
+        title_justify="left",
+    )
+    table.add_column("hand")
+    for delay in by_delay:
+        table.add_column(f"{delay:g} ms", justify="right")
+    for hand in HANDS:
+        texts = []
+        for rows in by_delay.values():
+            found = [f for f in rows if f.cell.hand == hand]
+            if found:
+                felt, drag = median(f.felt for f in found), median(f.drag_n_s_m for f in found)
+                texts.append(f"{100 * felt:.0f}; {drag:.1f}")
+            else:
+                texts.append("")
+        table.add_row(hand, *texts)
     return table
 
 
@@ -228,7 +295,7 @@ def _cell_table(without: Sequence[CellFigures], with_: Sequence[CellFigures]) ->
                 f"{figures.displayed_peak_n:.1f}",
                 f"{figures.swing_n:.2f}",
                 f"{100 * figures.felt:.0f}",
-                f"{figures.rise_n_ms:.2f}",
+                f"{max(figures.rise_n_ms, figures.drop_n_ms):.2f}",
                 f"{figures.drift_mm:.1f}",
                 str(figures.touches),
             )

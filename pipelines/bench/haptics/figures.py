@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from pipelines.bench.haptics.cell import Cell
 from pipelines.bench.haptics.plan import DEPTH_M, CellPlan
+from telepresence.haptics.board import WALL_X_M
 from telepresence.haptics.robot import RobotModel
 from telepresence.haptics.robot_controller import RobotControllerModel
 
@@ -17,6 +18,13 @@ from telepresence.haptics.robot_controller import RobotControllerModel
 SWING_N = 2.0
 #: A swing fades if it is less than this share of the middle third in the last third of the hold.
 FADES = 0.7
+
+#: A smaller penetration (m) counts as this one, so that no stiffness is infinite.
+_LEAST_M = 1e-4
+#: Slower than this (m/s) a hand feels no drag.
+_MOVES_M_S = 0.05
+#: The largest change of the force on the hand in 1 ms that counts as smooth (N).
+STEP_N = 1.1
 
 Values = NDArray[np.float64]
 
@@ -29,7 +37,8 @@ class Trace:
     drive: (n, 2), the forces of the network on the handle and on the tip. contact_n: force of the
     wall. joystick_observed_j, robot_observed_j: energy by the passivity observers.
     joystick_given_j, robot_given_j: net energy that the network has given out at its ends, from
-    force and displacement of handle and tip, without the observers.
+    force and displacement of handle and tip, without the observers. damping_n_s_m: of the
+    controller at the joystick.
     """
 
     handle: Values
@@ -41,6 +50,7 @@ class Trace:
     robot_observed_j: Values
     joystick_given_j: Values
     robot_given_j: Values
+    damping_n_s_m: Values
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -52,9 +62,12 @@ class CellFigures:
     out at any instant; above 0, it made energy. contact_peak_n, displayed_peak_n: the largest
     forces of the wall and on the handle; contact_bound_n: see the function of that name. swing_n,
     middle_swing_n: peak to peak of both forces in the last and in the middle third of the hold.
-    felt: mean force on the handle over that of the wall in the last third. rise_n_ms, drop_n_ms:
-    the largest growth and fall of the force on the handle from one cycle to the next. drift_mm:
-    distance of handle and tip at the end, at rest and free. touches: number of contacts.
+    felt_n_m: mean force on the handle over the handle's penetration of the wall, in the last third.
+    ideal_n_m: the same for a coupling without delay, its spring and the wall in series. drag_n_s_m:
+    mean damping while the hand moves and the tip is free. rise_n_ms, drop_n_ms: the largest growth
+    and fall of the force on the handle from one cycle to the next. drops: falls by more than
+    `STEP_N`. drift_mm: distance of handle and tip at the end, at rest and free. touches: number of
+    contacts.
     acted_joystick, acted_robot: cycles in which a passivity controller dissipated energy.
     """
 
@@ -68,9 +81,12 @@ class CellFigures:
     displayed_peak_n: float
     swing_n: float
     middle_swing_n: float
-    felt: float
+    felt_n_m: float
+    ideal_n_m: float
+    drag_n_s_m: float
     rise_n_ms: float
     drop_n_ms: float
+    drops: int
     drift_mm: float
     touches: int
     acted_joystick: int
@@ -80,6 +96,11 @@ class CellFigures:
     def unstable(self) -> bool:
         """Whether a force keeps oscillating although the hand keeps still."""
         return self.swing_n > SWING_N and self.swing_n > FADES * self.middle_swing_n
+
+    @property
+    def felt(self) -> float:
+        """The felt stiffness over the ideal one."""
+        return self.felt_n_m / self.ideal_n_m
 
 
 def figures(
@@ -93,7 +114,11 @@ def figures(
     apart = trace.handle[-100:] - trace.tip[-100:]
     sizes = np.hypot(*trace.displayed.T)
     changes = np.diff(sizes)
-    pressed_n = float(trace.contact_n[end - third : end].mean())
+    last = slice(end - third, end)
+    penetration_m = float(trace.handle[last, 0].mean()) - WALL_X_M
+    pressed_n = -float(trace.displayed[last, 0].mean())
+    speeds = np.hypot(*np.diff(trace.handle, axis=0).T) * 1000.0
+    free = (speeds > _MOVES_M_S) & ~contact[1:]
     return CellFigures(
         cell=cell,
         passive=passive,
@@ -105,9 +130,12 @@ def figures(
         displayed_peak_n=float(sizes.max()),
         swing_n=_swing(trace, end - third, end),
         middle_swing_n=_swing(trace, end - 2 * third, end - third),
-        felt=float(sizes[end - third : end].mean()) / pressed_n if pressed_n else 0.0,
+        felt_n_m=pressed_n / max(penetration_m, _LEAST_M),
+        ideal_n_m=series_n_m(cell.wall),
+        drag_n_s_m=float(trace.damping_n_s_m[1:][free].mean()),
         rise_n_ms=float(changes.max()),
         drop_n_ms=float(-changes.min()),
+        drops=int(np.count_nonzero(changes < -STEP_N)),
         drift_mm=1e3 * float(np.hypot(*apart.T).max()),
         touches=int(np.count_nonzero(contact[1:] & ~contact[:-1])),
         acted_joystick=acted[0],
@@ -129,5 +157,11 @@ def contact_bound_n(wall_n_m: float) -> float:
     tip's mass at the largest speed of the reference: v * sqrt(k * m) of an undamped wall.
     """
     robot_side, robot = RobotControllerModel(), RobotModel()
-    spring = robot_side.stiffness_n_m * wall_n_m / (robot_side.stiffness_n_m + wall_n_m)
-    return DEPTH_M * spring + robot_side.speed_m_s * sqrt(wall_n_m * robot.mass_kg)
+    impact_n = robot_side.speed_m_s * sqrt(wall_n_m * robot.mass_kg)
+    return DEPTH_M * series_n_m(wall_n_m) + impact_n
+
+
+def series_n_m(wall_n_m: float) -> float:
+    """The stiffness (N/m) of the controller's spring and the wall in series."""
+    coupling_n_m = RobotControllerModel().stiffness_n_m
+    return coupling_n_m * wall_n_m / (coupling_n_m + wall_n_m)

@@ -1,15 +1,16 @@
 """The schedule of a run of a cell: the motion of the hand, and the blackouts. A core.
 
-First the hand touches the three targets in turn, then it presses the first one and holds it, then
-it goes back to the middle. One blackout of both ways falls into the touches. While the hand
-presses, one blackout of the commands and one of the feedback follow. The hold begins after the
-last one, with time to recover.
+First the hand touches the three targets in turn, or taps the first one at 4 Hz. Then it presses the
+first one and holds it, then it goes back to the middle. One blackout of both ways falls into the
+touches. While the hand presses, one blackout of the commands and one of the feedback follow. The
+hold begins after the last one, with time to recover.
 """
 
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.bench.haptics.cell import Cell
+from pipelines.bench.haptics.hands import HANDS
 from telepresence.haptics.board import WALL_X_M
 from telepresence.haptics.hand import Waypoint
 
@@ -46,8 +47,10 @@ def plan(cell: Cell, seconds: float) -> CellPlan:
         touch_s += cell.blackout + recovery_s
     script: list[Waypoint] = []
     while _duration_s(script) < touch_s:
-        y_m = _TARGETS_Y_M[len(script) // 2 % 3]
-        script += _touch(y_m)
+        if HANDS[cell.hand].taps:
+            script += _tap(_TARGETS_Y_M[0])
+        else:
+            script += _touch(_TARGETS_Y_M[len(script) // 2 % 3])
     touched_s = _duration_s(script)
 
     press_s = touched_s + 1.0 + recovery_s
@@ -77,6 +80,13 @@ def _touch(y_m: float) -> list[Waypoint]:
     return [
         _waypoint(WALL_X_M + DEPTH_M, y_m, 0.6, 0.5),
         _waypoint(WALL_X_M - _AWAY_M, y_m, 0.5, 0.2),
+    ]
+
+
+def _tap(y_m: float) -> list[Waypoint]:
+    return [
+        _waypoint(WALL_X_M + DEPTH_M, y_m, 0.125, 0.0),
+        _waypoint(WALL_X_M - DEPTH_M, y_m, 0.125, 0.0),
     ]
 
 

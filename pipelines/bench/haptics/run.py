@@ -6,6 +6,7 @@ from kontur_av.clock import NS_PER_MS
 from pipelines.bench.haptics.cell import Cell
 from pipelines.bench.haptics.channel import SampleChannel
 from pipelines.bench.haptics.figures import CellFigures, Trace, figures
+from pipelines.bench.haptics.hands import HANDS
 from pipelines.bench.haptics.plan import CellPlan, plan
 from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
@@ -18,7 +19,7 @@ def run_cell(cell: Cell, *, seconds: float, seed: int, passive: bool) -> tuple[C
     passive: with the passivity controllers.
     """
     planned = plan(cell, seconds)
-    joystick_handle = HeldJoystick(hand=Hand(script=planned.script))
+    joystick_handle = HeldJoystick(hand=Hand(HANDS[cell.hand].model, script=planned.script))
     joystick_side = JoystickSide(passive=passive, handle=joystick_handle)
     robot_side = RobotSide(passive=passive, board=Board(WallModel(stiffness_n_m=cell.wall)))
     trace = _run(cell, planned, seed, joystick_side, joystick_handle, robot_side)
@@ -38,7 +39,7 @@ def _run(
     up = _channel(cell, f"{seed} {cell.name} up", planned.up_dark)
     robot, controller = robot_side.robot, robot_side.controller
     joystick_port, robot_port = joystick_side.controller.port, controller.port
-    rows = np.empty((planned.end_ns // NS_PER_MS, 13))
+    rows = np.empty((planned.end_ns // NS_PER_MS, 14))
     for number, row in enumerate(rows):
         now_ns = number * NS_PER_MS
         while (data := down.poll_transmit(now_ns)) is not None:
@@ -55,7 +56,7 @@ def _run(
             *(handle.x_m, handle.y_m, handle.motor_x_n, handle.motor_y_n),
             *(robot.x_m, robot.y_m, robot_side.force_x_n, robot_side.force_y_n),
             *(robot.force_n, joystick_port.credit_j, robot_port.credit_j),
-            *(handle.work_j, robot.work_j),
+            *(handle.work_j, robot.work_j, joystick_side.controller.damping_n_s_m),
         )
     return Trace(
         handle=rows[:, 0:2],
@@ -67,6 +68,7 @@ def _run(
         robot_observed_j=rows[:, 10],
         joystick_given_j=rows[:, 11],
         robot_given_j=rows[:, 12],
+        damping_n_s_m=rows[:, 13],
     )
 
 

@@ -1,5 +1,6 @@
 """`kontur-av bench haptics`: cells, channel, schedule and the command."""
 
+from collections import Counter
 from itertools import pairwise
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from kontur_av.errors import ConfigError
 from pipelines.bench.haptics.cell import Cell, full_grid, read_cell, small_grid
 from pipelines.bench.haptics.channel import SampleChannel
+from pipelines.bench.haptics.hands import HANDS
 from pipelines.bench.haptics.plan import plan
 from pipelines.cli import main
 
@@ -53,13 +55,15 @@ def test_an_outage_loses_new_datagrams_but_not_those_under_way():
 
 def test_a_cell_is_read_and_a_wrong_one_is_refused():
     assert read_cell("delay=100, wall=2000") == Cell(delay=100.0, wall=2000.0)
+    assert read_cell("hand=arm-2kg,delay=5") == Cell(delay=5.0, hand="arm-2kg")
     for text, mend in (
-        ("delay", "NAME=NUMBER"),
-        ("colour=1", "NAME=NUMBER"),
+        ("delay", "NAME=VALUE"),
+        ("colour=1", "NAME=VALUE"),
         ("delay=far", "a number"),
         ("delay=1001", "0 to 1000 ms"),
         ("delay=nan", "0 to 1000 ms"),
         ("loss=31", "0 to 30 %"),
+        ("hand=third", "loose, soft, firm"),
     ):
         with pytest.raises(ConfigError, match=mend):
             read_cell(text)
@@ -77,6 +81,25 @@ def test_the_grids_reach_the_limits_of_the_claims():
             values = {getattr(cell, name) for cell in grid}
             assert (min(values), max(values)) == (least, most)
         assert max(cell.wall for cell in grid) == 5000
+        assert {cell.hand for cell in grid} == set(HANDS)
+
+
+def test_every_hand_meets_every_value_of_the_full_grid_about_equally_often():
+    """Every hand in every cell would take hours."""
+    cells = [cell for cell in full_grid() if cell.channel != "clean"]
+    axes = (("delay", 6), ("wall", 3), ("jitter", 3), ("blackout", 3))
+    for name, values in axes:
+        counts = Counter((cell.hand, getattr(cell, name)) for cell in cells)
+        even = len(cells) / len(HANDS) / values
+        assert len(counts) == len(HANDS) * values
+        assert all(0.7 * even < count < 1.3 * even for count in counts.values())
+
+
+def test_taps_touch_four_times_a_second_before_the_hold():
+    planned = plan(Cell(hand="taps"), 10.0)
+    moves = [point.move_ns for point in planned.script[:-2]]
+    assert set(moves) == {125 * MS}
+    assert len(moves) == 2 * 4 * 5
 
 
 def test_the_hold_comes_after_all_blackouts_and_is_long_enough_for_an_oscillation():

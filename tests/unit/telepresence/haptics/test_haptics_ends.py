@@ -1,7 +1,7 @@
 """The simulated joystick, hand, robot and board, and both controllers, each alone."""
 
 from itertools import pairwise
-from math import pi
+from math import hypot, pi
 
 import pytest
 from haptic_session import begin_session
@@ -12,7 +12,7 @@ from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, TAP_TARGETS, Hand, W
 from telepresence.haptics.joystick import Joystick, JoystickModel
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.robot import Robot, RobotModel
-from telepresence.haptics.robot_controller import RobotController
+from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
 from telepresence.haptics.sample import (
     STATE_APPLICATION,
     STATE_HALTED,
@@ -215,7 +215,8 @@ class Rail:
 @pytest.mark.parametrize("advances_ns", [[MS], [1_020_000], [980_000, 1_050_000], [MS, MS, 4 * MS]])
 def test_a_late_cycle_causes_no_jerk(advances_ns: list[int]) -> None:
     handle, now_ns = Rail(), 0
-    side = JoystickSide(handle=handle)
+    # With a constant damping.
+    side = JoystickSide(handle=handle, model=JoystickControllerModel(most_damping_n_s_m=4.0))
     session = begin_session(side.link)
     for k in range(400):
         now_ns += advances_ns[k % len(advances_ns)]
@@ -225,22 +226,97 @@ def test_a_late_cycle_causes_no_jerk(advances_ns: list[int]) -> None:
     assert handle.felt[100:] == pytest.approx([-0.8] * len(handle.felt[100:]), rel=1e-3)
 
 
-def moving_along(fx_n: float, fy_n: float, credit_j: float) -> tuple[float, float]:
-    """Return the displayed part of a force on a handle that moves at 0.3 m/s along +x."""
-    joystick_side = JoystickController(JoystickControllerModel(damping_n_s_m=0.0, rate_n_s=1e6))
-    joystick_side.port.credit_j = credit_j
+def displayed(fx_n: float, fy_n: float, credit_j: float, v_m_s: float) -> list[float]:
+    """Return the size of a force that stays on a handle that moves along +x, cycle by cycle."""
+    model = JoystickControllerModel(damping_n_s_m=0.0, most_damping_n_s_m=0.0)
+    joystick_side = JoystickController(model)
     joystick_side.step(None, 0.0, 0.0, MS)
-    return joystick_side.step(Feedback(fx_n, fy_n, 0, True), 3e-4, 0.0, MS)
+    sizes = []
+    for k in range(600):
+        if k < 300:
+            # Enough for any force while the handle rests.
+            joystick_side.port.credit_j = 0.5
+        elif k == 300:
+            joystick_side.port.credit_j = credit_j
+        x_m = max(0, k - 299) * v_m_s * 1e-3
+        fx, fy = joystick_side.step(Feedback(fx_n, fy_n, 0, True), x_m, 0.0, MS)
+        # A bound changes the size of a force, not its direction.
+        assert fx * fy_n == pytest.approx(fy * fx_n)
+        sizes.append(hypot(fx, fy))
+    assert joystick_side.least_observed_uj >= -1.0
+    return sizes[299:]
 
 
-def test_the_joystick_cuts_only_the_force_along_the_motion() -> None:
-    assert moving_along(6.0, 6.0, 0.1) == pytest.approx((6.0, 6.0))
-    fx, fy = moving_along(6.0, 6.0, 0.004)
-    assert fy == pytest.approx(6.0)
-    assert 0.0 <= fx < 3.0
-    # A force against the motion takes energy in, so it needs no credit.
-    assert moving_along(-6.0, 0.0, 0.0) == pytest.approx((-6.0, 0.0))
-    assert moving_along(6.0, 0.0, 0.0) == pytest.approx((0.0, 0.0), abs=0.01)
+def test_a_force_fades_like_a_spring_whose_energy_is_the_credit() -> None:
+    model = JoystickControllerModel()
+    # A hand at rest feels what the credit can let fade.
+    resting = displayed(-6.0, 0.0, 0.004, 0.0)
+    next_cycle_j = resting[-1] * model.acceleration_m_s2 * 1e-6
+    fade_j = resting[-1] ** 2 / (2.0 * model.fade_n_m)
+    assert next_cycle_j + fade_j == pytest.approx(0.004, rel=1e-3)
+    assert displayed(-6.0, 0.0, 0.1, 0.0)[-1] == pytest.approx(6.0)
+    # A hand that gives way uses the credit up: the force fades to nothing, and never suddenly.
+    for speed_m_s in (0.05, 0.3, 1.0):
+        fading = displayed(6.0, 0.0, 0.05, speed_m_s)
+        assert fading[0] == pytest.approx(6.0)
+        assert fading[-1] < 0.1
+        assert max(a - b for a, b in pairwise(fading)) <= model.rate_n_s * 1e-3 + 1e-9
+    # A hand that pushes against the force pays for it.
+    assert displayed(-6.0, 0.0, 0.004, 0.1)[-1] == pytest.approx(6.0)
+    # A force across the motion costs nothing, so it stays.
+    assert displayed(0.0, 6.0, 0.05, 0.3)[-1] == pytest.approx(6.0)
+
+
+def test_the_damping_follows_what_either_end_lacks() -> None:
+    model, joystick_side = JoystickControllerModel(), JoystickController()
+    joystick_side.step(None, 0.0, 0.0, MS)
+
+    def after(feedback: Feedback | None, credit_j: float, cycles: int) -> float:
+        for _ in range(cycles):
+            joystick_side.port.credit_j = credit_j
+            joystick_side.step(feedback, 0.0, 0.0, MS)
+        return joystick_side.damping_n_s_m
+
+    whole, starved = Feedback(0.0, 0.0, 0, False), Feedback(0.0, 0.0, 0, False, acted=True)
+    assert after(whole, model.reserve_j, 2000) == pytest.approx(model.damping_n_s_m)
+    assert after(whole, 0.0, 2000) == pytest.approx(model.most_damping_n_s_m, rel=0.01)
+    assert after(whole, model.reserve_j, 10_000) == pytest.approx(model.damping_n_s_m, rel=0.01)
+    assert after(starved, model.reserve_j, 2000) == pytest.approx(
+        model.most_damping_n_s_m, rel=0.01
+    )
+    # Without samples nobody knows what is lacking.
+    assert after(None, 0.0, 2000) == pytest.approx(model.damping_n_s_m, rel=0.01)
+
+
+def test_each_end_returns_what_it_does_not_need_to_an_end_that_lacks() -> None:
+    def granted_uj(acted: bool, force_n: float) -> int:
+        side = JoystickController()
+        side.port.credit_j = side.model.reserve_j
+        for _ in range(1000):
+            side.step(Feedback(-force_n, 0.0, 0, True, acted=acted), 0.0, 0.0, MS)
+        return side.granted_uj
+
+    model = JoystickControllerModel()
+    assert granted_uj(False, 0.0) == 0
+    assert granted_uj(True, 0.0) == pytest.approx(1e6 * model.reserve_j, rel=0.01)
+    needed_uj = 1e6 * 8.0**2 / (2.0 * model.fade_n_m)
+    assert granted_uj(True, 8.0) == pytest.approx(1e6 * model.reserve_j - needed_uj, rel=0.02)
+
+    def robot_grants_uj(acted: bool, touching: bool) -> tuple[int, float]:
+        side = RobotController()
+        side.port.credit_j = 0.1
+        for _ in range(3000):
+            side.step(Command(0.0, 0.0, 0, acted=acted), 0.0, 0.0, 0.0, 0.0, MS, touching=touching)
+        return side.granted_uj, side.port.credit_j
+
+    spare_j = RobotControllerModel().spare_j
+    assert robot_grants_uj(False, False) == (0, pytest.approx(0.1))
+    assert robot_grants_uj(True, False) == (
+        pytest.approx(1e6 * (0.1 - spare_j), rel=0.01),
+        pytest.approx(spare_j),
+    )
+    # In contact what is left over is lost.
+    assert robot_grants_uj(False, True) == (0, pytest.approx(spare_j, rel=0.1))
 
 
 def test_a_hand_that_yields_at_once_receives_no_more_than_the_credit() -> None:
