@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from itertools import product
-from typing import Any
 
 from kontur_av.errors import ConfigError
 from pipelines.bench.haptics.hands import DEFAULT_HAND, HANDS
@@ -70,19 +69,20 @@ def read_cell(text: str) -> Cell:
     ConfigError for an unknown name, no number, or a value out of range.
     """
     known = [field.name for field in fields(Cell)]
-    values: dict[str, Any] = {}
+    values: dict[str, float] = {}
+    hand = DEFAULT_HAND
     for part in text.split(","):
         name, equals, number = part.strip().partition("=")
         if not equals or name not in known:
             raise ConfigError(f"--cell {text}: give NAME=VALUE of {', '.join(known)}")
         if name == "hand":
-            values[name] = number
+            hand = number
             continue
         try:
             values[name] = float(number)
         except ValueError:
             raise ConfigError(f"--cell {text}: {name} wants a number") from None
-    return Cell(**values)
+    return Cell(hand=hand, **values)
 
 
 #: Loss (%) and burst of the full grid: none, independent, and in bursts.
