@@ -101,7 +101,7 @@ def small_grid() -> Iterator[Cell]:
         if hand != DEFAULT_HAND:
             yield Cell(delay=50.0, wall=5000.0, hand=hand)
             yield Cell(delay=250.0, wall=1500.0, hand=hand)
-            yield Cell(delay=20.0, wall=5000.0, loss=30.0, burst=10.0, hand=hand)
+            yield Cell(delay=50.0, wall=5000.0, loss=30.0, burst=10.0, hand=hand)
 
 
 _DELAYS = (0.0, 20.0, 50.0, 100.0, 300.0, 1000.0)
