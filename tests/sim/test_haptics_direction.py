@@ -23,7 +23,7 @@ TOUCHES = (
 )
 
 
-@pytest.mark.parametrize(("wall_n_m", "delay_ms"), [(5000.0, 0), (1500.0, 25)])
+@pytest.mark.parametrize(("wall_n_m", "delay_ms"), [(5000.0, 10), (1500.0, 25)])
 def test_a_force_that_was_cut_is_not_turned_into_the_wall(wall_n_m, delay_ms):
     space = JoystickSide(handle=HeldJoystick(hand=Hand(script=TOUCHES)))
     ground = RobotSide(board=Board(WallModel(stiffness_n_m=wall_n_m)))
