@@ -182,3 +182,14 @@ def test_a_packet_that_can_never_leave_is_refused_at_once():
 def test_invalid_budgets_are_refused(kwargs, text):
     with pytest.raises(ConfigError, match=text):
         Pacer(**kwargs)
+
+
+def test_a_picture_behind_more_than_a_window_holds_starts_when_the_window_is_empty():
+    pacer = Pacer(cap_bps=85_000, channel_bps=2_000_000)
+    pacer.handle_access_unit([bytes(500)] * 10, [500] * 10, 0)
+    while (due_ns := pacer.poll_timeout()) is not None and due_ns < 50 * MS:
+        assert pacer.poll_transmit(due_ns) is not None
+        last_ns = due_ns
+    assert pacer.depth == 7
+    # 100 ms, and the guard of 10 ms.
+    assert pacer.start_ns(60 * MS) == last_ns + 110 * MS
