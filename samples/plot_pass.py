@@ -11,6 +11,7 @@ from dataclasses import asdict
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import load_radio
 
@@ -73,7 +74,10 @@ def main():
     parser.add_argument("--picture")
     args = parser.parse_args()
 
-    profile = load_radio(args.radio)
+    try:
+        profile = load_radio(args.radio)
+    except ConfigError as error:
+        parser.exit(2, f"{error}\n")
     ways = [watch(profile, link, args.seed, args.seconds) for link in (UPLINK, DOWNLINK)]
     windows = profile.contact_windows()
     for name, value in ({} if windows is None else asdict(windows)).items():

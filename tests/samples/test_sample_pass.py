@@ -25,3 +25,12 @@ def test_sample_shows_the_pass_and_draws_it(tmp_path):
     assert 10 < float(first[-4]) < 90
     assert float(second[-4]) < 1
     assert cv2.imread(str(picture)).shape == (900, 1200, 3)
+
+
+def test_a_profile_that_cannot_be_read_is_one_line(tmp_path):
+    (tmp_path / "mine.toml").write_text('[contact]\nelements = "iss.tle"\n')
+    run = subprocess.run(
+        [sys.executable, SAMPLE, "--radio", tmp_path / "mine.toml"], capture_output=True, text=True
+    )
+    assert (run.returncode, run.stdout, run.stderr.count("\n")) == (2, "", 1)
+    assert "iss.tle" in run.stderr
