@@ -8,8 +8,9 @@ All instants are integer nanoseconds of one clock, most often a `MonotonicClock`
 ask no clock. samples/send_numpy.py and samples/receive_numpy.py show both ends in a loop.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
     from kontur_av.clock import ManualClock, MonotonicClock
@@ -109,17 +110,4 @@ _HOMES = {
     "streams.voice_sender": ("VoiceSender",),
     "topics.bus": ("TopicBus",),
 }
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
-
-
-def __getattr__(name: str) -> object:
-    """Import the module of a name at its first use (PEP 562)."""
-    if name not in _HOME_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value: object = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

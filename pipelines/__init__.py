@@ -4,8 +4,9 @@ What is listed here is the interface for users of the library. Names are loaded 
 used.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
     from pipelines.setup.setup_file import load_setup, setup_from_table
@@ -28,17 +29,4 @@ _HOMES = {
     "setup.table": ("Setup", "VideoStream", "VoiceStream"),
     "topology": ("Topology", "topology_of"),
 }
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
-
-
-def __getattr__(name: str) -> object:
-    """PEP 562: import a name's module when the name is first used."""
-    if name not in _HOME_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value: object = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -5,8 +5,9 @@ used. All are cores: they open no socket and ask no clock. samples/slots_virtual
 ends of the link by hand.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
     from telepresence.haptics.bilateral import JoystickSide, RobotSide
@@ -52,17 +53,4 @@ _HOMES = {
     "link.sender": ("LinkSender",),
     "tmtc": ("TelecommandReceiver", "TelecommandSender"),
 }
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
-
-
-def __getattr__(name: str) -> object:
-    """PEP 562: import a name's module when the name is first used."""
-    if name not in _HOME_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value: object = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)
