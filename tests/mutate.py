@@ -110,10 +110,9 @@ NEAR: dict[str, tuple[str, ...]] = {
         "tests/sim/test_haptics_direction.py",
         "tests/sim/test_haptics_passivity.py",
     ),
-    "pipelines/report/collector.py": (
-        f"{UNIT}/pipelines/report/test_collector.py",
-        f"{UNIT}/pipelines/report",
-    ),
+    "pipelines/report/collector.py": (f"{UNIT}/pipelines/report",),
+    "pipelines/report/journeys.py": (f"{UNIT}/pipelines/report",),
+    "pipelines/report/process_figures.py": (f"{UNIT}/pipelines/report",),
     "pipelines/cores/restarts.py": (f"{UNIT}/pipelines/cores/test_restarts.py",),
 }
 

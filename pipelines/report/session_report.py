@@ -17,7 +17,8 @@ from pipelines.cores.figures import (
     VideoSendingCounters,
     VoiceReceptionCounters,
 )
-from pipelines.report.collector import Collector, Pauses, StreamFigures
+from pipelines.report.collector import Collector
+from pipelines.report.journeys import Pauses, StreamFigures
 from pipelines.report.link_figures import gateway_figures, link_figures, punctuality_us
 from pipelines.report.model import (
     CpuReport,

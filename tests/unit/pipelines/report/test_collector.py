@@ -26,7 +26,8 @@ from pipelines.cores.rows import (
     ShownRow,
     TxRow,
 )
-from pipelines.report.collector import STAGES, Collector
+from pipelines.report.collector import Collector
+from pipelines.report.journeys import STAGES
 from pipelines.report.skew import Skew
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import topology_of

@@ -9,7 +9,8 @@ from told import message
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.cores.figures import CaptureGauges, SelectorGauges
 from pipelines.cores.rows import OutRow, RxRow, ShownRow, TxRow
-from pipelines.report.collector import HapticFigures, Pauses, ProcessFigures, StreamFigures
+from pipelines.report.journeys import HapticFigures, Pauses, StreamFigures
+from pipelines.report.process_figures import ProcessFigures
 
 START_NS = 1_000 * NS_PER_S
 

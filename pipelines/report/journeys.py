@@ -1,0 +1,288 @@
+"""What a media stream and a direction of samples took, from their origin to their display. Cores.
+
+All stamps of a session are of one clock, so a latency is a difference of two. The RTP timestamp
+joins the two ends of a stream, the sequence number those of the haptics.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.meters import Histogram, RateMeter
+from pipelines.cores.rows import (
+    CodingRow,
+    DecodedRow,
+    OutRow,
+    Row,
+    RxRow,
+    ShownRow,
+    TxRow,
+)
+from pipelines.report.skew import RECENT_DEPTH, Recent
+from pipelines.report.terms import LONGEST_GAP_NS, DelaySums
+from telepresence.haptics.latency import LatencyMatcher
+from telepresence.haptics.sample import SAMPLE_OCTETS
+
+#: How long an access unit waits for the report of its other end.
+_JOIN_NS = 10 * NS_PER_S
+_JOIN_DEPTH = 2000
+#: Of a thousand haptic samples a second, one of these is enough to compare other senses with.
+_FELT_EVERY_NS = 20 * NS_PER_MS
+#: Shorter gaps are no pauses.
+_SHOWN_PAUSE_NS = NS_PER_S
+_FELT_PAUSE_NS = NS_PER_S // 5
+#: Half a minute, because a process reports twice a second.
+_LATELY_BATCHES = 60
+#: Half a turn of the samples' sequence numbers at 1 kHz: beyond that a match would be a guess.
+_TURN_NS = 30 * NS_PER_S
+
+STAGES = ("capture_to_encoded", "encoded_to_sent", "sent_to_received", "received_to_displayed")
+
+#: At most this many pauses are remembered.
+_PAUSES_DEPTH = 1000
+
+
+class Pauses:
+    """The pauses of a display or of a haptic channel, each longer than `least_ns`."""
+
+    def __init__(self, least_ns: int) -> None:
+        self.least_ns = least_ns
+        #: Ended pauses: the instants before and after. Beyond 1000 the oldest are dropped.
+        self.ended_ns: deque[tuple[int, int]] = deque(maxlen=_PAUSES_DEPTH)
+        self.first_ns: int | None = None
+        self.last_ns: int | None = None
+
+    def add(self, instant_ns: int) -> None:
+        """Something was shown or felt."""
+        if self.last_ns is None:
+            self.first_ns = instant_ns
+        elif instant_ns - self.last_ns > self.least_ns:
+            self.ended_ns.append((self.last_ns, instant_ns))
+        self.last_ns = instant_ns
+
+    def add_all(self, instants_ns: NDArray[np.int64]) -> None:
+        """Something was shown or felt at each of these instants, shape (n,), n > 0."""
+        self.add(int(instants_ns[0]))
+        for index in np.flatnonzero(np.diff(instants_ns) > self.least_ns).tolist():
+            self.ended_ns.append((int(instants_ns[index]), int(instants_ns[index + 1])))
+        self.last_ns = int(instants_ns[-1])
+
+    def within(self, begin_ns: int, end_ns: int) -> list[tuple[int, int]]:
+        """The pauses of a session, with those before the first instant and after the last one."""
+        if self.first_ns is None or self.last_ns is None:
+            every = [(begin_ns, end_ns)]
+        else:
+            every = [(begin_ns, self.first_ns), *self.ended_ns, (self.last_ns, end_ns)]
+        return [pause for pause in every if pause[1] - pause[0] > self.least_ns]
+
+
+@dataclass(slots=True)
+class _Journey:
+    """What is known so far of one access unit or block of sound."""
+
+    seen_ns: int
+    capture_ns: int | None = None
+    encoded_ns: int = 0
+    sent_ns: int = 0
+    received_ns: int | None = None
+    displayed_ns: int | None = None
+    #: Of pictures: at the encoder, encoding begun, decoded; the capture of the one before it that
+    #: was displayed lies `gap_ns` back; octets and packets.
+    came_ns: int = 0
+    begun_ns: int | None = None
+    decoded_ns: int | None = None
+    gap_ns: int = 0
+    size: tuple[int, int] = (0, 0)
+
+
+class StreamFigures:
+    """One media stream, from capture to display."""
+
+    def __init__(self) -> None:
+        self.rate = RateMeter()
+        #: The largest excess of the rate over a sliding second above the cap at its end; that rate.
+        self.above_cap_bps = 0.0, 0.0
+        self.latency = Histogram()
+        self.stages = {stage: Histogram() for stage in STAGES}
+        self.recent = Recent()
+        self.last_latency_ns: int | None = None
+        #: Displayed instants and latencies that were not compared with the other senses yet.
+        self.fresh: deque[tuple[int, int]] = deque(maxlen=RECENT_DEPTH)
+        #: From when to when nothing was displayed.
+        self.pauses = Pauses(_SHOWN_PAUSE_NS)
+        #: Difference of the capture time that travelled by RTCP from the stamp itself.
+        self.stamp_error = Histogram()
+        #: Of pictures: the terms of their latency.
+        self.way = DelaySums()
+        self._captured_ns: int | None = None
+        self._journeys: OrderedDict[int, _Journey] = OrderedDict()
+
+    @property
+    def last_shown_ns(self) -> int | None:
+        """When a picture or a block of sound was displayed last."""
+        return self.pauses.last_ns
+
+    def handle_rows(self, kind: type[Row], rows: NDArray[np.int64], now_ns: int) -> None:
+        """Rows of one `kind`, shape (n, columns), from its sender, receiver or display."""
+        if kind is OutRow:
+            self.handle_out(rows)
+        elif kind is TxRow:
+            self.handle_tx(rows, now_ns)
+        elif kind is CodingRow:
+            self.handle_coding(rows, now_ns)
+        elif kind is DecodedRow:
+            self.handle_decoded(rows, now_ns)
+        elif kind is RxRow:
+            self.handle_rx(rows, now_ns)
+        else:
+            assert kind is ShownRow
+            self.handle_shown(rows, now_ns)
+
+    def handle_out(self, rows: NDArray[np.int64]) -> None:
+        for instant_ns, octets, cap_bps in rows.tolist():
+            # A restarted sender's first report may overtake its predecessor's last.
+            last_ns = self.rate.last_ns
+            at_ns = instant_ns if last_ns is None else max(instant_ns, last_ns)
+            self.rate.add(at_ns, octets)
+            bps = self.rate.last_bps(at_ns)
+            if bps - cap_bps > self.above_cap_bps[0]:
+                self.above_cap_bps = bps - cap_bps, bps
+
+    def handle_tx(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        for timestamp, capture_ns, encoded_ns, sent_ns in rows.tolist():
+            journey = self._journey(timestamp, now_ns)
+            journey.capture_ns, journey.encoded_ns = capture_ns, encoded_ns
+            journey.sent_ns = sent_ns
+            self._finish(timestamp, journey)
+
+    def handle_coding(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        """Of a picture: when it came to the encoder and when encoding began, octets, packets."""
+        for timestamp, came_ns, begun_ns, octets, packets in rows.tolist():
+            journey = self._journey(timestamp, now_ns)
+            journey.came_ns, journey.begun_ns = came_ns, begun_ns
+            journey.size = octets, packets
+
+    def handle_decoded(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        """When a picture was decoded; without it, that is when it was displayed."""
+        for timestamp, decoded_ns in rows.tolist():
+            self._journey(timestamp, now_ns).decoded_ns = decoded_ns
+
+    def handle_rx(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        for timestamp, received_ns in rows.tolist():
+            journey = self._journey(timestamp, now_ns)
+            journey.received_ns = received_ns
+            self._finish(timestamp, journey)
+
+    def handle_shown(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        for timestamp, capture_ns, displayed_ns in rows.tolist():
+            latency_ns = displayed_ns - capture_ns
+            self.latency.add(latency_ns)
+            self.last_latency_ns = latency_ns
+            self.pauses.add(displayed_ns)
+            self.recent.add(displayed_ns, latency_ns)
+            self.fresh.append((displayed_ns, latency_ns))
+            journey = self._journey(timestamp, now_ns)
+            journey.displayed_ns = displayed_ns
+            if self._captured_ns is not None:
+                journey.gap_ns = capture_ns - self._captured_ns
+            self._captured_ns = capture_ns
+            if journey.capture_ns is not None:
+                self.stamp_error.add(abs(journey.capture_ns - capture_ns))
+            self._finish(timestamp, journey)
+
+    def _journey(self, timestamp: int, now_ns: int) -> _Journey:
+        journey = self._journeys.get(timestamp)
+        if journey is None:
+            journey = self._journeys[timestamp] = _Journey(now_ns)
+            while len(self._journeys) > _JOIN_DEPTH or (
+                now_ns - next(iter(self._journeys.values())).seen_ns > _JOIN_NS
+            ):
+                self._journeys.popitem(last=False)
+        return journey
+
+    def _finish(self, timestamp: int, journey: _Journey) -> None:
+        if journey.capture_ns is None or journey.received_ns is None:
+            return
+        if journey.displayed_ns is None:
+            return
+        instants = (
+            journey.capture_ns,
+            journey.encoded_ns,
+            journey.sent_ns,
+            journey.received_ns,
+            journey.displayed_ns,
+        )
+        for stage, begin_ns, end_ns in zip(STAGES, instants, instants[1:], strict=False):
+            self.stages[stage].add(end_ns - begin_ns)
+        if journey.begun_ns is not None and 0 < journey.gap_ns <= LONGEST_GAP_NS:
+            decoded_ns = journey.decoded_ns
+            if decoded_ns is None:
+                decoded_ns = journey.displayed_ns
+            captured, encoded, _, received, displayed = instants
+            way = captured, journey.came_ns, journey.begun_ns, encoded, received, decoded_ns
+            self.way.add((*way, displayed), journey.gap_ns, journey.size)
+        del self._journeys[timestamp]
+
+    def negative(self) -> dict[str, int]:
+        """The number of latencies below 0, by stage. Each means a wrong stamp."""
+        every = {"capture_to_displayed": self.latency, **self.stages}
+        return {name: histogram.negative for name, histogram in every.items() if histogram.negative}
+
+
+class HapticFigures:
+    """One direction of the haptic samples."""
+
+    def __init__(self) -> None:
+        self.rate = RateMeter(windows_ns=(NS_PER_S,))
+        self.latency = Histogram()
+        self.recent = Recent()
+        #: From when to when no sample was received.
+        self.pauses = Pauses(_FELT_PAUSE_NS)
+        self._matcher = LatencyMatcher()
+        #: The newest batches of (sequence, instant) of what was received.
+        self._lately: deque[NDArray[np.int64]] = deque(maxlen=_LATELY_BATCHES)
+
+    def handle_sent(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        self._matcher.handle_sent(tuple(row) for row in rows.tolist())
+        self._match(now_ns)
+
+    def handle_received(self, rows: NDArray[np.int64], now_ns: int) -> None:
+        if not len(rows):
+            return
+        self._lately.append(rows.copy())
+        self._matcher.handle_received([tuple(row) for row in rows.tolist()])
+        self.pauses.add_all(rows[:, 1])
+        _, first, counts = np.unique(
+            rows[:, 1] // _FELT_EVERY_NS, return_index=True, return_counts=True
+        )
+        for instant_ns, samples in zip(rows[first, 1].tolist(), counts.tolist(), strict=True):
+            last_ns = self.rate.last_ns
+            # A restarted end's first report may overtake its predecessor's last.
+            at_ns = instant_ns if last_ns is None else max(instant_ns, last_ns)
+            self.rate.add(at_ns, samples * SAMPLE_OCTETS)
+        self._match(now_ns)
+
+    def sent_ns_at(self, instant_ns: int) -> int | None:
+        """When the newest sample at `instant_ns` was sent; None if that is unknown."""
+        for rows in reversed(self._lately):
+            if rows[0, 1] <= instant_ns:
+                index = int(np.searchsorted(rows[:, 1], instant_ns, "right")) - 1
+                sent_ns = self._matcher.sent_ns(int(rows[index, 0]))
+                known = sent_ns is not None and abs(instant_ns - sent_ns) < _TURN_NS
+                return sent_ns if known else None
+        return None
+
+    def _match(self, now_ns: int) -> None:
+        """Take the latency of each sample whose two stamps have come."""
+        matches = np.array(self._matcher.take_matches_ns(now_ns), np.int64).reshape(-1, 2)
+        if not len(matches):
+            return
+        self.latency.add(matches[:, 1])
+        _, first = np.unique(matches[:, 0] // _FELT_EVERY_NS, return_index=True)
+        for instant_ns, latency_ns in matches[first].tolist():
+            self.recent.add(instant_ns, latency_ns)
