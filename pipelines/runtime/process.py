@@ -5,7 +5,7 @@ import gc
 import os
 import signal
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from pipelines.cores.probe import Probe
+from pipelines.runtime.page_listener import PageListener
 from pipelines.setup.table import Setup
 from pipelines.topology import LOOP_PRIORITY, ProcessRow, Topology
 
@@ -37,6 +38,7 @@ class Context:
     link: the socket to the launcher; None: nobody takes the figures.
     started_ns: when the session began, the same for all lives of a process.
     seed: of the radio's random events.
+    pages: by process, where its browser pages are served.
     """
 
     session: str
@@ -48,6 +50,7 @@ class Context:
     started_ns: int = 0
     seed: int = 0
     stopping: bool = False
+    pages: Mapping[str, PageListener] = field(default_factory=dict)
     _fill: list[Callable[[], None]] = field(default_factory=list)
 
     @property

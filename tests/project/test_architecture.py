@@ -14,6 +14,7 @@ TIERS = (
     {"topology"},
     {"cores"},
     {"runtime"},
+    {"page"},
     {"parts"},
     {"simulation", "report"},
     {"commands", "bench"},

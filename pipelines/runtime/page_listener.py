@@ -1,0 +1,29 @@
+"""Where a segment's browser pages are served, and who may open them."""
+
+import socket
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageListener:
+    """A bound TCP socket, kept by the launcher, so that a restarted process has the same port.
+
+    scheme: "http" or "https". host, port: as bound.
+    operator_token, viewer_token: whoever has one may command, or only watch.
+    certificate: PEM file with certificate and key, for "https".
+    """
+
+    socket: socket.socket
+    scheme: str
+    host: str
+    port: int
+    operator_token: str = field(repr=False)
+    viewer_token: str = field(repr=False)
+    certificate: Path | None = None
+
+    def url(self, seat: str, *, viewer: bool = False) -> str:
+        """Return the address of the seat "space" or "ground"."""
+        token = self.viewer_token if viewer else self.operator_token
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}/{seat}?token={token}"
