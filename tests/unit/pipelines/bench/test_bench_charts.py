@@ -9,6 +9,9 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.cli import main
 
+# On its first import on a machine it starts a program that lists the fonts.
+pytest.importorskip("matplotlib.font_manager")
+
 
 def test_a_distribution_ends_at_100_percent_and_says_its_unit(tmp_path):
     panels = {"one": {"a": [3.0, 1.0, 2.0, nan], "b": []}, "two": {"c": []}, "three": {"d": [1.0]}}
