@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the table of a setup."""
-    topology = topology_of(replace(load_setup(args.setup), **port_changes(args)))
+    topology = topology_of(replace(load_setup(args.setup), **port_changes(args)), pages=True)
     if args.dot:
         text = dot(topology)
     else:

@@ -14,6 +14,7 @@ from pipelines.setup.segments import Direction, Segment
 from pipelines.topology.build import topology_of
 from pipelines.topology.processes import (
     FOLLOWED_TOPIC,
+    PAGES,
     ROBOT_TOPIC,
     SELECTED_TOPIC,
     WALL_TOPIC,
@@ -39,6 +40,7 @@ from pipelines.topology.table import Topology
 __all__ = [
     "FOLLOWED_TOPIC",
     "LOOP_PRIORITY",
+    "PAGES",
     "ROBOT_TOPIC",
     "SELECTED_TOPIC",
     "TELECOMMAND",

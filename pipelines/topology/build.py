@@ -16,10 +16,13 @@ from pipelines.topology.table import Topology
 from telepresence.haptics.device.spec import SIMULATED
 
 
-def topology_of(setup: Setup, *, joystick: str = SIMULATED, snapshots: bool = False) -> Topology:
+def topology_of(
+    setup: Setup, *, joystick: str = SIMULATED, snapshots: bool = False, pages: bool = False
+) -> Topology:
     """The table of a session of `setup`.
 
     joystick: SPEC of the joystick. snapshots: with the process that keeps pictures as files.
+    pages: with the processes that serve a browser page at each end.
     """
     streams = Topology(
         setup=setup,
@@ -31,7 +34,7 @@ def topology_of(setup: Setup, *, joystick: str = SIMULATED, snapshots: bool = Fa
         cameras=tuple(camera_row(name) for name in setup.cameras),
         launcher_port=setup.base_port + LAUNCHER_OFFSET,
     )
-    processes = process_rows(streams, joystick=joystick, snapshots=snapshots)
+    processes = process_rows(streams, joystick=joystick, snapshots=snapshots, pages=pages)
     return replace(
         streams,
         processes=processes,

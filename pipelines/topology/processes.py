@@ -27,9 +27,17 @@ FOLLOWED_TOPIC = "followed/uplink_video"
 WALL_TOPIC = "received/wall"
 
 
-def process_rows(session: Topology, *, joystick: str, snapshots: bool) -> tuple[ProcessRow, ...]:
+#: By segment: the process that serves its browser pages.
+PAGES = {segment: f"page_{segment.value}" for segment in Segment}
+
+
+def process_rows(
+    session: Topology, *, joystick: str, snapshots: bool, pages: bool
+) -> tuple[ProcessRow, ...]:
     """The processes, in the order in which they are started, of a table that has none yet."""
     rows = [*_ground(session), *_space(session, joystick)]
+    if pages:
+        rows += [_page(session, segment) for segment in Segment]
     if snapshots:
         rows.append(_snapshots(session))
     rows.sort(key=lambda row: row.stage)
@@ -238,6 +246,22 @@ def _snapshots(session: Topology) -> ProcessRow:
         run="pipelines.parts.snapshots:run_snapshots",
         reads=(*(row.displayed_topic for row in rows), *stereo),
         what="keeps what is shown as PNG files",
+    )
+
+
+def _page(session: Topology, segment: Segment) -> ProcessRow:
+    """What a seat shows of its own segment: pictures, sound, the link, and the chosen camera."""
+    rows = [row for row in session.media_streams if row.direction.receiver is segment]
+    sounds = tuple(row.received_topic for row in rows if row.kind is Kind.VOICE)
+    link = (session.link(segment.transmits).backlog_topic,)
+    return ProcessRow(
+        name=PAGES[segment],
+        segment=segment,
+        stage=Stage.SINK,
+        run="pipelines.parts.page:run_page",
+        arguments={"segment": segment},
+        reads=(*sounds, *link, *((SELECTED_TOPIC,) if segment is Segment.GROUND else ())),
+        what="serves the operator's page" if segment is Segment.SPACE else "serves ground's page",
     )
 
 

@@ -24,7 +24,7 @@ def corners(plain, name):
 
 @pytest.mark.parametrize("setup", BUILT_IN.values(), ids=lambda setup: setup.name)
 def test_the_ground_is_left_of_its_gateway_and_space_right_of_its_own(setup):
-    session = topology_of(setup, snapshots=True)
+    session = topology_of(setup, snapshots=True, pages=True)
     done = subprocess.run(
         ["dot", "-Tplain"], input=dot(session), capture_output=True, text=True, timeout=60
     )

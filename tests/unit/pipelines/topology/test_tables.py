@@ -10,7 +10,7 @@ from pipelines.topology import topology_of
 from pipelines.topology.graph import dot
 from pipelines.topology.tables import processes_table, streams_table, topics_table
 
-SESSION = topology_of(BUILT_IN["spacejustin"], snapshots=True)
+SESSION = topology_of(BUILT_IN["spacejustin"], snapshots=True, pages=True)
 EDGE = re.compile(
     r'  "([\w/]+)" -> "([\w/]+)" \[(?:label="[^"]*", )?style=(solid|dashed|bold)'
     r"(?:(, dir=back)|, dir=none)?\];"

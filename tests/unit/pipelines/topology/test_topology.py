@@ -10,6 +10,7 @@ import pytest
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.setup.table import PORTS, Setup
 from pipelines.topology import (
+    PAGES,
     Direction,
     Kind,
     Segment,
@@ -18,7 +19,7 @@ from pipelines.topology import (
     topology_of,
 )
 
-SPACEJUSTIN = topology_of(BUILT_IN["spacejustin"], snapshots=True)
+SPACEJUSTIN = topology_of(BUILT_IN["spacejustin"], snapshots=True, pages=True)
 
 
 def every_setup() -> list[Setup]:
@@ -36,7 +37,7 @@ def every_setup() -> list[Setup]:
 
 @pytest.fixture(params=every_setup(), ids=lambda setup: f"{len(setup.streams)}-{setup.cameras[0]}")
 def session(request) -> Topology:
-    return topology_of(request.param, snapshots=True)
+    return topology_of(request.param, snapshots=True, pages=True)
 
 
 def test_names_are_unique(session):
@@ -107,7 +108,7 @@ def test_a_media_stream_leads_to_its_other_rows(session):
             feedback = session.stream(row.feedback)
             assert (feedback.kind, feedback.direction) == (Kind.FEEDBACK, row.direction.opposite)
             assert (feedback.sender, feedback.receiver) == (row.receiver, row.sender)
-        assert session.topic(row.received_topic).readers == (row.display,)
+        assert session.topic(row.received_topic).readers[0] == row.display
 
 
 def test_the_ports_are_the_documented_ones():
@@ -157,3 +158,15 @@ def test_each_segment_can_be_started_alone():
     names = [{row.name for row in rows} for rows in parts]
     assert names[0] & names[1] == {"snapshots"}
     assert names[0] | names[1] == {row.name for row in SPACEJUSTIN.processes}
+
+
+def test_pages_are_asked_for_and_read_only_what_their_segment_has():
+    setup = SPACEJUSTIN.setup
+    assert set(PAGES.values()) <= {row.name for row in SPACEJUSTIN.processes}
+    assert not set(PAGES.values()) & {row.name for row in topology_of(setup).processes}
+    for segment, name in PAGES.items():
+        row = SPACEJUSTIN.process(name)
+        assert row.segment is segment and row.reads
+        assert {
+            SPACEJUSTIN.process(SPACEJUSTIN.topic(topic).writer).segment for topic in row.reads
+        } == {segment}
