@@ -11,6 +11,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.sources import check_spec
 from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.doctor import NEEDED_SHM_OCTETS, check_shared_memory
+from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
 from pipelines.commands.session_options import (
     add_deadband_argument,
     add_hand_argument,
@@ -59,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SPEC",
         help="sim, evdev or evdev:/dev/input/eventN (default: sim); see `kontur-av joystick list`",
     )
+    add_page_arguments(parser)
     loudness = parser.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
     loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
@@ -75,14 +77,21 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.report)
     clear_dead_sessions()
     check_room(setup)
-    topology = topology_of(setup, joystick=args.joystick, snapshots=snapshots is not None)
+    topology = topology_of(
+        setup,
+        joystick=args.joystick,
+        snapshots=snapshots is not None,
+        pages=not args.no_page,
+    )
     held = hold_ports(topology)
+    wish = bound_pages(args)
     load_libraries()
     clock = MonotonicClock()
     draw_backgrounds(setup, clock)
     collector = Collector(topology)
     with (
         hold_session(setup.name) as session,
+        announced_pages(wish, session, quiet=args.quiet) as pages,
         _live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         launcher = Launcher(
@@ -94,6 +103,7 @@ def run(args: argparse.Namespace) -> int:
             snapshots=snapshots,
             seed=args.seed,
             show=view.show,
+            pages=pages,
         )
         launcher.run(args.seconds)
     held.close()

@@ -14,7 +14,7 @@ import signal
 import socket
 import tempfile
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from pkgutil import resolve_name
@@ -25,6 +25,7 @@ from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.cores.probe import Message
 from pipelines.cores.restarts import RestartPolicy
+from pipelines.runtime.page_listener import PageListener
 from pipelines.runtime.process import LOOPBACK, Context, become
 from pipelines.setup.table import Setup
 from pipelines.topology import ProcessRow, Topology
@@ -87,6 +88,7 @@ class Launcher:
     listener: gets the figures and ends of the processes.
     seed: of the radio's random events.
     show: called about once a second, with this launcher, to show figures to the user.
+    pages: by process, where it serves browser pages.
     """
 
     session: str
@@ -97,6 +99,7 @@ class Launcher:
     snapshots: Path | None = None
     seed: int = 0
     show: Callable[["Launcher"], None] | None = None
+    pages: Mapping[str, PageListener] = field(default_factory=dict)
     children: list[Child] = field(init=False)
     started_ns: int = 0
     ended_ns: int = 0
@@ -255,6 +258,7 @@ class Launcher:
             snapshots=self.snapshots,
             started_ns=self.started_ns,
             seed=self.seed,
+            pages={name: page for name, page in self.pages.items() if name == child.row.name},
         )
         try:
             signal.set_wakeup_fd(-1)
@@ -263,6 +267,9 @@ class Launcher:
                 fd = key.fd
                 if fd != link.fileno():
                     os.close(fd)
+            for name, page in self.pages.items():
+                if name not in context.pages:
+                    page.socket.close()
             become(child.row, context)
             if os.getppid() != launcher:
                 return 1  # the launcher was killed before PR_SET_PDEATHSIG was set

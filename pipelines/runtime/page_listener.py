@@ -9,7 +9,8 @@ from pathlib import Path
 class PageListener:
     """A bound TCP socket, kept by the launcher, so that a restarted process has the same port.
 
-    scheme: "http" or "https". host, port: as bound.
+    scheme: "http" or "https". host: as the printed address has it. port: as bound.
+    names: the hosts, in lower case and without brackets, that a browser may ask for.
     operator_token, viewer_token: whoever has one may command, or only watch.
     certificate: PEM file with certificate and key, for "https".
     """
@@ -18,6 +19,7 @@ class PageListener:
     scheme: str
     host: str
     port: int
+    names: tuple[str, ...] = ()
     operator_token: str = field(repr=False)
     viewer_token: str = field(repr=False)
     certificate: Path | None = None

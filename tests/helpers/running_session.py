@@ -72,6 +72,7 @@ class RunningSession:
     """`kontur-av stream` with options. Its exit ends the session in any case.
 
     It has its own directory for temporary files, so that no other session is found there.
+    Without `--page` among its options it serves no pages.
     """
 
     def __init__(self, setup, *options, directory):
@@ -82,10 +83,12 @@ class RunningSession:
         self.base_port = free_base_port()
         self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
         self.setup = load_setup(setup)
-        topology = topology_of(self.setup, snapshots="--snapshots" in options)
+        pages = "--page" in options
+        topology = topology_of(self.setup, snapshots="--snapshots" in options, pages=pages)
         self.names = [row.name for row in topology.processes]
         command = [*COMMAND, "stream", "--setup", setup, "--report", str(self.report_path)]
         command += ["--base-port", str(self.base_port), *options]
+        command += [] if pages else ["--no-page"]
         self._out = (self.directory / "out.txt").open("w+")
         self._error = (self.directory / "error.txt").open("w+")
         self.process = subprocess.Popen(
@@ -140,6 +143,13 @@ class RunningSession:
             comm = eventually(lambda pid=pid: _name_of(pid), f"the start of {name}")
             assert f"kav {name}".startswith(comm), (name, comm)
         return pids
+
+    def pages(self):
+        """Return the addresses of the pages by seat, and the token to watch only."""
+        (path,) = eventually(
+            lambda: list(self.temporary.glob("*/*/pages.json")), "the addresses of the pages"
+        )
+        return json.loads(path.read_text())
 
     def lines(self):
         """Return the lines of figures so far."""

@@ -1,0 +1,170 @@
+"""The options of a session's browser pages: where they are served, and with which certificate."""
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+import webbrowser
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from socket import socket
+
+from kontur_av.errors import ConfigError
+from kontur_av.topics.session_files import session_root
+from pipelines.commands.common import output_that_may_fail, resolve
+from pipelines.runtime.page_certificate import check_certificate, fingerprint, make_certificate
+from pipelines.runtime.page_listener import PageListener
+from pipelines.runtime.page_sockets import PageHost, bind_pages, listeners
+from pipelines.topology import PAGES, Segment
+
+_PORT = 8270
+#: The ground's page takes a later port than the operator's.
+_LAST_PORT = 65_534
+#: In the order of their ports.
+_SEATS = (Segment.SPACE, Segment.GROUND)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageWish:
+    """Pages as the options ask for them. sockets: bound, by the seats' names.
+
+    certificate: the user's own. browser: whether to open the pages in one.
+    """
+
+    host: PageHost
+    sockets: Mapping[str, socket]
+    certificate: Path | None = None
+    browser: bool = False
+
+
+def add_page_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--page`, `--no-page`, `--open` and `--page-cert`."""
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument(
+        "--page",
+        metavar="[HOST:]PORT",
+        help=f"where the browser pages of both seats are served (default 127.0.0.1:{_PORT}, "
+        "or the next free ports); another host than loopback gets TLS",
+    )
+    either.add_argument("--no-page", action="store_true", help="serve no browser pages")
+    parser.add_argument("--open", action="store_true", help="open the pages in a browser")
+    parser.add_argument(
+        "--page-cert",
+        type=Path,
+        metavar="FILE",
+        help="PEM file with certificate and key for the pages (default: made for the session)",
+    )
+
+
+def bound_pages(args: argparse.Namespace) -> PageWish | None:
+    """Bind what the options ask for; None without pages.
+
+    Raises ConfigError for options that contradict each other, for an address that cannot be had,
+    and for a certificate that no browser would take.
+    """
+    if args.no_page:
+        for option, given in (
+            ("--open", args.open),
+            ("--page-cert", args.page_cert),
+            ("--joystick page", args.joystick == "page"),
+        ):
+            if given:
+                raise ConfigError(f"{option} needs the pages: leave --no-page out")
+        return None
+    host, port = parse_page(args.page)
+    if args.page_cert is not None:
+        check_certificate(args.page_cert)
+    sockets = bind_pages(host, port, [segment.value for segment in _SEATS])
+    return PageWish(host=host, sockets=sockets, certificate=args.page_cert, browser=bool(args.open))
+
+
+def parse_page(text: str | None) -> tuple[PageHost, int]:
+    """Return host and first port of `--page`; ConfigError if `text` is not [HOST:]PORT."""
+    if text is None:
+        return PageHost(), _PORT
+    match = re.fullmatch(r"(?:(\[[^\]]+\]|[^:]+):)?(\d{1,5})", text)
+    if match is None or not 1 <= int(match[2]) <= _LAST_PORT:
+        raise ConfigError(f"--page {text!r}: write [HOST:]PORT with a port from 1 to {_LAST_PORT}")
+    if match[1] is None:
+        return PageHost(), int(match[2])
+    host = match[1].strip("[]")
+    return PageHost(host=host, address=resolve(host, text, "--page")), int(match[2])
+
+
+@contextmanager
+def announced_pages(
+    wish: PageWish | None, session: str, *, quiet: bool
+) -> Iterator[Mapping[str, PageListener]]:
+    """Make tokens and certificate, print the addresses, and yield the listeners by process.
+
+    The addresses are also in `pages.json` in the session's directory, for programs of this user.
+    """
+    if wish is None:
+        yield {}
+        return
+    root, certificate = session_root(session), wish.certificate
+    made = certificate is None and not wish.host.is_loopback
+    if made:
+        certificate = root / "page.pem"
+        make_certificate(certificate, wish.host.names())
+    seats = listeners(
+        wish.sockets, wish.host, None if certificate is None else certificate.resolve()
+    )
+    urls = {seat: listener.url(seat) for seat, listener in seats.items()}
+    viewer = next(iter(seats.values())).viewer_token
+    _write(root / "pages.json", json.dumps({**urls, "viewer_token": viewer}, indent=1) + "\n")
+    if not quiet:
+        lines = [f"{seat:<7} {url}" for seat, url in urls.items()]
+        lines.append(f"to watch only: token={viewer}")
+        if made and certificate is not None:
+            lines.append(f"certificate made for this session, SHA-256 {fingerprint(certificate)}")
+        with output_that_may_fail():
+            print("\n".join(lines), flush=True)
+    if wish.browser:
+        _open_in_browser(urls, root)
+    try:
+        yield {PAGES[segment]: seats[segment.value] for segment in _SEATS}
+    finally:
+        for listener in seats.values():
+            listener.socket.close()
+
+
+def _open_in_browser(urls: Mapping[str, str], root: Path) -> None:
+    """Open the pages, or say in one line why not.
+
+    The browser is given a file that leads to the page, because other users of this machine see the
+    arguments of a program, but not this file with its token.
+    """
+    try:
+        webbrowser.get()
+    except webbrowser.Error:
+        print("kontur-av: --open: no browser was found; open the addresses", file=sys.stderr)
+        return
+    for seat, url in urls.items():
+        leads = root / f"open-{seat}.html"
+        to = escape(url)
+        _write(
+            leads,
+            f'<!doctype html><meta charset="utf-8"><title>{seat}</title>'
+            f'<meta http-equiv="refresh" content="0;url={to}"><a href="{to}">{seat}</a>\n',
+        )
+        # Some browsers keep their caller waiting, others would take over the terminal.
+        subprocess.Popen(
+            [sys.executable, "-m", "webbrowser", leads.as_uri()],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a new file that only its owner may read. It appears with all of its text."""
+    unready = path.with_suffix(".new")
+    unready.touch(0o600, exist_ok=False)
+    unready.write_text(text)
+    unready.rename(path)

@@ -1,0 +1,103 @@
+"""The pages' options: addresses are printed and kept, with TLS beyond loopback."""
+
+import json
+import stat
+import webbrowser
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.cli import _parser
+from pipelines.commands import page_options
+from pipelines.commands.page_options import announced_pages, bound_pages, parse_page
+
+
+def options(*words):
+    return _parser("stream").parse_args(["stream", "--setup", "taskboard", *words])
+
+
+@pytest.fixture
+def root(monkeypatch, tmp_path):
+    monkeypatch.setattr(page_options, "session_root", lambda session: tmp_path)
+    return tmp_path
+
+
+def test_an_address_has_a_host_or_only_a_port():
+    assert parse_page(None)[1] == parse_page("8270")[1] == 8270
+    assert parse_page(None)[0].is_loopback
+    host, port = parse_page("[::1]:9000")
+    assert (host.host, host.address, port) == ("::1", "::1", 9000)
+    for wrong in (
+        "",
+        ":8270",
+        "1.2.3.4:",
+        "127.0.0.1:0",
+        "8270:127.0.0.1",
+        "-1",
+        "127.0.0.1:99999",
+    ):
+        with pytest.raises(ConfigError, match="--page"):
+            parse_page(wrong)
+
+
+def test_the_addresses_are_printed_and_kept_for_the_user_alone(capsys, root):
+    wish = bound_pages(options())
+    with announced_pages(wish, "taskboard-1", quiet=False) as pages:
+        kept = json.loads((root / "pages.json").read_text())
+        assert stat.S_IMODE((root / "pages.json").stat().st_mode) == 0o600
+        assert kept["space"] == pages["page_space"].url("space")
+        assert kept["ground"] == pages["page_ground"].url("ground")
+    printed = capsys.readouterr().out.splitlines()
+    assert printed == [
+        f"space   {kept['space']}",
+        f"ground  {kept['ground']}",
+        f"to watch only: token={kept['viewer_token']}",
+    ]
+    assert all(page.socket.fileno() == -1 for page in pages.values())
+
+
+def test_quiet_keeps_the_addresses_without_a_word(capsys, root):
+    with announced_pages(bound_pages(options("-q")), "taskboard-1", quiet=True):
+        assert (root / "pages.json").exists()
+    assert capsys.readouterr() == ("", "")
+
+
+def test_beyond_loopback_a_certificate_is_made_and_its_fingerprint_shown(capsys, root):
+    wish = bound_pages(options("--page", "0.0.0.0:8270"))
+    with announced_pages(wish, "taskboard-1", quiet=False) as pages:
+        assert pages["page_space"].url("space").startswith("https://")
+        assert pages["page_space"].certificate == root / "page.pem"
+    assert "SHA-256 " in capsys.readouterr().out
+
+
+def test_without_pages_nothing_is_bound_or_said(capsys, root):
+    with announced_pages(bound_pages(options("--no-page")), "taskboard-1", quiet=False) as pages:
+        assert not pages
+    assert capsys.readouterr().out == "" and list(root.iterdir()) == []
+
+
+def test_a_hand_on_the_page_needs_the_page():
+    with pytest.raises(ConfigError, match="--joystick page needs the pages"):
+        bound_pages(options("--no-page", "--joystick", "page"))
+
+
+def test_without_a_browser_there_is_one_line(capsys, monkeypatch, root):
+    def none(*_):
+        raise webbrowser.Error
+
+    monkeypatch.setattr(webbrowser, "get", none)
+    with announced_pages(bound_pages(options("--open", "-q")), "taskboard-1", quiet=True):
+        pass
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "no browser" in line
+
+
+def test_no_token_is_an_argument_of_the_browser(monkeypatch, root):
+    started = []
+    monkeypatch.setattr(webbrowser, "get", lambda: None)
+    monkeypatch.setattr(page_options.subprocess, "Popen", lambda words, **_: started.append(words))
+    with announced_pages(bound_pages(options("--open", "-q")), "taskboard-1", quiet=True) as pages:
+        token = pages["page_space"].operator_token
+    assert len(started) == 2 and token not in str(started)
+    leads = root / "open-space.html"
+    assert token in leads.read_text() and stat.S_IMODE(leads.stat().st_mode) == 0o600
