@@ -1,0 +1,201 @@
+/**
+ * The page's side of its seat worker: typed events, requests, and the session's clock.
+ *
+ * @import { AnswerText, FiguresText, HelloText, Request, StateText, StreamText } from "./texts.js"
+ * @import { FrameNote, HapticNote, PageNote, PreviewNote, WorkerNote } from "./worker_messages.js"
+ * @import { Hand } from "./wire.js"
+ */
+import { pageMs } from "./page_clock.js";
+
+/** Without an answer for so long, a request counts as failed. */
+const ANSWER_PATIENCE_MS = 10_000;
+
+/**
+ * The events by name. A listener of `frame` or `preview` draws at once: the frame is closed when
+ * all listeners have returned.
+ * @typedef {object} Events
+ * @property {HelloText} hello A connection began; everything before is void.
+ * @property {StateText} state
+ * @property {FiguresText} figures
+ * @property {FrameNote & {of: StreamText}} frame
+ * @property {HapticNote} haptic
+ * @property {PreviewNote} preview
+ * @property {AnswerText} answer
+ * @property {undefined} heard The server is heard again.
+ * @property {{why: "closed" | "silent", reason: string}} lost The server is not heard.
+ * @property {{stream: string, why: string}} fault A decoder closed; a replay opens it anew.
+ * @property {undefined} let_go The hand was released; it must press anew.
+ */
+
+export class Connection {
+  /** @type {{[Name in keyof Events]?: Set<(event: Events[Name]) => void>}} */
+  #listeners = {};
+  /** @type {Map<number, (answer: AnswerText) => void>} */
+  #pending = new Map();
+  #number = 0;
+  #worker;
+  /** @type {number | null} */
+  #offsetUs = null;
+  /** @type {HelloText | null} */
+  hello = null;
+  /** @type {StateText | null} */
+  state = null;
+  /** Whether the server is heard. */
+  alive = false;
+  /** The least round trip of late, in ms. @type {number | null} */
+  roundTripMs = null;
+
+  constructor() {
+    this.#worker = new Worker(new URL("seat_worker.js", import.meta.url), { type: "module" });
+    this.#worker.onmessage = (event) => this.#handleNote(event.data);
+    this.#worker.onerror = (event) => this.#handleLost("closed", event.message);
+  }
+
+  /**
+   * Calls `listener` at each event of this name, until the function that is returned is called.
+   * @template {keyof Events} Name
+   * @param {Name} name @param {(event: Events[Name]) => void} listener
+   */
+  on(name, listener) {
+    /** @type {Set<(event: Events[Name]) => void>} */
+    const listeners = this.#listeners[name] ?? new Set();
+    listeners.add(listener);
+    /** @type {Record<string, unknown>} */ (this.#listeners)[name] = listeners;
+    return () => {
+      listeners.delete(listener);
+    };
+  }
+
+  /** The instant now on the session's clock, in µs; null before the first connection. */
+  nowUs() {
+    return this.#offsetUs === null ? null : 1000 * pageMs() + this.#offsetUs;
+  }
+
+  /** Whether this page may act, or only watch. */
+  get mayAct() {
+    return this.hello?.role === "operator";
+  }
+
+  /**
+   * Asks the server for something. The answer always comes, at the latest after 10 s.
+   * @param {Request} request @returns {Promise<AnswerText>}
+   */
+  request(request) {
+    this.#number += 1;
+    const number = this.#number;
+    if (!this.alive) return Promise.resolve(refusal(number, "the server does not answer"));
+    return new Promise((resolve) => {
+      this.#pending.set(number, resolve);
+      this.#tell({ kind: "request", text: JSON.stringify({ request: number, ...request }) });
+      setTimeout(
+        () => this.#settle(refusal(number, "no answer within 10 s")),
+        ANSWER_PATIENCE_MS,
+      );
+    });
+  }
+
+  /** Says what the hand does; while it is held, at least every 100 ms. @param {Hand} hand */
+  sendHand(hand) {
+    this.#tell({ kind: "hand", hand });
+  }
+
+  /** From now on the blocks of this voice go to `port`. @param {string} stream @param {MessagePort} port */
+  attachSound(stream, port) {
+    this.#tell({ kind: "sound_port", stream, port }, [port]);
+  }
+
+  /** @param {PageNote} note @param {Transferable[]} [transfer] */
+  #tell(note, transfer = []) {
+    this.#worker.postMessage(note, transfer);
+  }
+
+  /** @param {WorkerNote} note */
+  #handleNote(note) {
+    switch (note.kind) {
+      case "text":
+        this.#handleText(note.text);
+        break;
+      case "frame": {
+        const of = this.hello?.streams.find((stream) => stream.index === note.stream);
+        if (of !== undefined) this.#emit("frame", { ...note, of });
+        note.frame.close();
+        this.#tell({ kind: "drawn", stream: note.stream });
+        break;
+      }
+      case "preview":
+        this.#emit("preview", note);
+        note.frame.close();
+        break;
+      case "haptic":
+        this.#emit("haptic", note);
+        break;
+      case "clock":
+        this.#offsetUs = note.offsetUs;
+        this.roundTripMs = note.roundTripMs;
+        break;
+      case "heard":
+        this.alive = true;
+        this.#emit("heard", undefined);
+        break;
+      case "lost":
+        this.#handleLost(note.why, note.reason);
+        break;
+      case "fault": {
+        const stream = this.hello?.streams.find((one) => one.index === note.stream)?.name ?? "";
+        this.#emit("fault", { stream, why: note.why });
+        break;
+      }
+      case "let_go":
+        this.#emit("let_go", undefined);
+        break;
+    }
+  }
+
+  /** @param {HelloText | StateText | FiguresText | AnswerText} text */
+  #handleText(text) {
+    switch (text.kind) {
+      case "hello":
+        this.hello = text;
+        // Late by the way here; the first ping mends it.
+        this.#offsetUs = text.now_us - 1000 * pageMs();
+        this.#emit("hello", text);
+        break;
+      case "state":
+        this.state = text;
+        this.#emit("state", text);
+        break;
+      case "figures":
+        this.#emit("figures", text);
+        break;
+      case "answer":
+        this.#settle(text);
+        this.#emit("answer", text);
+        break;
+    }
+  }
+
+  /** @param {"closed" | "silent"} why @param {string} reason */
+  #handleLost(why, reason) {
+    this.alive = false;
+    if (why === "closed") {
+      for (const number of [...this.#pending.keys()]) {
+        this.#settle(refusal(number, "the connection was lost"));
+      }
+    }
+    this.#emit("lost", { why, reason });
+  }
+
+  /** @param {AnswerText} answer */
+  #settle(answer) {
+    this.#pending.get(answer.request)?.(answer);
+    this.#pending.delete(answer.request);
+  }
+
+  /** @template {keyof Events} Name @param {Name} name @param {Events[Name]} event */
+  #emit(name, event) {
+    for (const listener of this.#listeners[name] ?? []) listener(event);
+  }
+}
+
+/** @param {number} request @param {string} error @returns {AnswerText} */
+const refusal = (request, error) => ({ kind: "answer", request, ok: false, error });

@@ -1,0 +1,67 @@
+/** @import { Hand } from "./wire.js" */
+
+/** The page must say at least this often what the hand does, or the handle is released. */
+const PATIENCE_MS = 100;
+
+/** @type {Hand} */
+const RELEASED = Object.freeze({ deadMan: false, x: 0, y: 0, buttons: 0 });
+
+/**
+ * Decides what is sent of the hand, and when: always while it is held, and once on its release.
+ *
+ * A page that said nothing for 100 ms lets go, and must press anew: it may have missed a release.
+ */
+export class HandSender {
+  /** @type {Hand | null} */
+  #held = null;
+  #heardMs = 0;
+  #releasing = false;
+  #pressAnew = false;
+
+  /** Whether a press is ignored because the page was silent during it. */
+  get pressAnew() {
+    return this.#pressAnew;
+  }
+
+  /** Whether there is something to send. */
+  get active() {
+    return this.#held !== null || this.#releasing;
+  }
+
+  /** The page says what the hand does. @param {Hand} hand @param {number} nowMs */
+  handleHand(hand, nowMs) {
+    this.#heardMs = nowMs;
+    if (!hand.deadMan) {
+      this.#pressAnew = false;
+      this.#release();
+    } else if (!this.#pressAnew) {
+      this.#held = hand;
+      this.#releasing = false;
+    }
+  }
+
+  /** The server is lost: lets go; what is held now must be pressed anew. */
+  handleLost() {
+    if (this.#held === null) return;
+    this.#pressAnew = true;
+    this.#release();
+  }
+
+  /** What to send now, or null. @param {number} nowMs @returns {Hand | null} */
+  pollTransmit(nowMs) {
+    if (this.#held !== null && nowMs - this.#heardMs > PATIENCE_MS) {
+      this.handleLost();
+    }
+    if (this.#releasing) {
+      this.#releasing = false;
+      return RELEASED;
+    }
+    return this.#held;
+  }
+
+  #release() {
+    if (this.#held === null) return;
+    this.#held = null;
+    this.#releasing = true;
+  }
+}

@@ -1,0 +1,142 @@
+/**
+ * `<picture-view stream="uplink_video" via="coded" figure="uplink_video.age_ms">` around a canvas:
+ * one stream's newest picture, its age, and an unmistakable mark when it is stale.
+ *
+ * The age is by the page's own clock, so that it grows when the server is dead, too.
+ *
+ * @import { Connection, Events } from "./connection.js"
+ * @import { FigureBinding } from "./figure_binding.js"
+ */
+import { announce } from "./announcer.js";
+import { pageMs } from "./page_clock.js";
+
+const TICK_MS = 100;
+/** For a stream that does not say from which age on it is stale. */
+const STALE_AFTER_MS = 500;
+
+export class PictureView extends HTMLElement {
+  /** @type {CanvasRenderingContext2D | null} */
+  #context = null;
+  /** @type {Connection | null} */
+  #connection = null;
+  /** @type {FigureBinding | null} */
+  #figures = null;
+  /** Of the picture that is shown; null if its stream did not say. @type {number | null} */
+  #captureUs = null;
+  /** When it was drawn; null before the first one. @type {number | null} */
+  #drawnMs = null;
+  #staleAfterMs = STALE_AFTER_MS;
+  /** Why it is stale. */
+  #why = "";
+  #mark = element("div", "stale-mark");
+  #words = element("strong", "stale-words");
+  #reason = element("span", "stale-reason");
+  #damage = element("div", "damage-mark");
+
+  /** Pictures drawn. */
+  drawn = 0;
+
+  connectedCallback() {
+    const canvas = this.canvas;
+    this.#context = canvas.getContext("2d", { alpha: false });
+    this.#mark.append(this.#words, this.#reason);
+    this.#damage.textContent = "damaged";
+    this.#damage.hidden = true;
+    this.append(this.#mark, this.#damage);
+    this.#tick();
+    setInterval(() => this.#tick(), TICK_MS);
+  }
+
+  /** @returns {HTMLCanvasElement} */
+  get canvas() {
+    const canvas = this.querySelector("canvas");
+    if (canvas === null) throw new Error("picture-view: a canvas is missing");
+    return canvas;
+  }
+
+  /** Whether what it shows must not be taken for the present. */
+  get stale() {
+    return this.canvas.dataset.stale !== "false";
+  }
+
+  /** @param {Connection} connection @param {FigureBinding | null} [figures] */
+  follow(connection, figures = null) {
+    this.#connection = connection;
+    this.#figures = figures;
+    connection.on("frame", (event) => this.#handleFrame(event));
+    connection.on("hello", (hello) => {
+      const stream = hello.streams.find((one) => this.#shows(one));
+      this.#staleAfterMs = stream?.stale_after_ms ?? STALE_AFTER_MS;
+      this.#tick();
+    });
+    connection.on("heard", () => this.#tick());
+    connection.on("lost", () => this.#tick());
+  }
+
+  /** The age of what is shown, in ms; null if there is nothing, or if it is undated. */
+  ageMs() {
+    const nowUs = this.#connection?.nowUs() ?? null;
+    if (nowUs === null || this.#drawnMs === null || this.#captureUs === null) return null;
+    return Math.max(0, (nowUs - this.#captureUs) / 1000);
+  }
+
+  /** @param {{name: string, via: string}} stream */
+  #shows(stream) {
+    const via = this.getAttribute("via") ?? "coded";
+    return stream.name === this.getAttribute("stream") && stream.via === via;
+  }
+
+  /** @param {Events["frame"]} event */
+  #handleFrame({ of, frame, captureUs, damaged }) {
+    if (!this.#shows(of)) return;
+    const canvas = this.canvas;
+    // Setting a canvas's size clears it, so only a new size is set.
+    if (canvas.width !== frame.displayWidth || canvas.height !== frame.displayHeight) {
+      canvas.width = frame.displayWidth;
+      canvas.height = frame.displayHeight;
+    }
+    this.#context?.drawImage(frame, 0, 0);
+    this.drawn += 1;
+    this.#captureUs = captureUs;
+    this.#drawnMs = pageMs();
+    this.#damage.hidden = !damaged;
+    this.#mark.dataset.drawn = "true";
+    this.#tick();
+  }
+
+  /** Brings age and mark up to date. */
+  #tick() {
+    const ageMs = this.ageMs();
+    // Of an undated picture only this is known: it is older than the time since it was drawn.
+    const knownMs = ageMs ?? (this.#drawnMs === null ? null : pageMs() - this.#drawnMs);
+    const lost = this.#connection?.alive !== true;
+    const stale = lost || knownMs === null || knownMs > this.#staleAfterMs;
+    const figure = this.getAttribute("figure");
+    if (figure !== null) this.#figures?.setOwn(figure, ageMs === null ? null : Math.round(ageMs));
+    this.dispatchEvent(new CustomEvent("age", { detail: { ageMs, stale } }));
+    const why = lost ? "the server does not answer" : "no new picture arrives";
+    if (stale) {
+      set(this.#words, knownMs === null ? "NO PICTURE" : `STALE ${(knownMs / 1000).toFixed(1)} s`);
+      set(this.#reason, why);
+    }
+    const text = String(stale);
+    if (this.canvas.dataset.stale === text && (!stale || why === this.#why)) return;
+    this.canvas.dataset.stale = this.dataset.stale = text;
+    this.#why = why;
+    if (this.drawn > 0) announce(stale ? `The picture is stale: ${why}.` : "The picture is live.");
+  }
+}
+
+/** @param {string} name @param {string} className */
+function element(name, className) {
+  const made = document.createElement(name);
+  made.className = className;
+  return made;
+}
+
+/** @param {HTMLElement} target @param {string} text */
+function set(target, text) {
+  if (target.textContent !== text) target.textContent = text;
+}
+
+customElements.define("picture-view", PictureView);

@@ -1,0 +1,21 @@
+/** The types of what the player of a voice is told, and of what it tells. */
+
+/**
+ * A block of a voice, sent to the port that the page attached for the stream.
+ * @typedef {object} SoundNote
+ * @property {Int16Array<ArrayBuffer>} samples
+ * @property {number | null} captureUs
+ * @property {boolean} concealed
+ */
+
+/**
+ * What a voice's player says ten times a second.
+ * @typedef {object} PlayingNote
+ * @property {number} peak The largest sample since the last note, 0 to 1.
+ * @property {number} stockMs
+ * @property {number | null} captureUs
+ * @property {number} dropped Samples.
+ * @property {number} dry
+ */
+
+export {};
