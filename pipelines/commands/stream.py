@@ -115,6 +115,7 @@ def run(args: argparse.Namespace) -> int:
         cpu_s=launcher.cpu_s(),
         restarts={child.row.name: child.restarts for child in launcher.children},
         launcher_cpu_s=launcher_cpu_s(),
+        stopped_s=launcher.stopped_s,
     )
     if args.report is not None:
         write_report(args.report, report)

@@ -332,6 +332,29 @@ class SnapshotCounters(Counters):
     snapshots_failed: int = 0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageCounters(Counters):
+    """The browser pages of a seat."""
+
+    #: Web sockets opened.
+    connections: int = 0
+    #: Requests refused, by reason: `token`, `host` or `origin`.
+    refused: Mapping[str, int] = field(default_factory=dict)
+    #: Messages of pages that were no valid message; each closed its socket.
+    garbage: int = 0
+    #: Units of pictures and sound that a page was too slow for.
+    units_left_out: int = 0
+    #: Web sockets closed by the server: after garbage, or because a page stalled.
+    sockets_closed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageGauges(Gauges):
+    """The browser pages of a seat: how many are open. Without any, no figures are sent to it."""
+
+    watching: int
+
+
 def _sum(
     one: int | Mapping[str, int] | None, other: int | Mapping[str, int] | None
 ) -> int | Mapping[str, int] | None:

@@ -16,6 +16,7 @@ from typing import Any, Generic, TypeVar, cast
 from kontur_av.clock import NS_PER_MS
 from pipelines.cores.figures import Counters, Gauges, ProbeCounters
 from pipelines.cores.rows import Row
+from pipelines.cores.session_switch import Order
 
 FLUSH_NS = 500 * NS_PER_MS
 _MAX_SERIES_VALUES = 20_000
@@ -74,6 +75,7 @@ class Message:
     scheduler: `fifo` with real-time priority, `other` without the permission for it; "" for a
         process that asks for none.
     last_error: why the process ends; "" while it runs.
+    orders: what ground control ordered on a page, oldest first.
     """
 
     counters: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
@@ -81,6 +83,7 @@ class Message:
     series: list[Series[Any]] = field(default_factory=list)
     scheduler: str = ""
     last_error: str = ""
+    orders: list[Order] = field(default_factory=list)
 
     def count(self, counters: Counters, stream: str = "") -> None:
         """Set counters to their present values. stream: the one that they are about, if any."""
@@ -93,14 +96,15 @@ class Message:
     def pack(self) -> bytes:
         """Return the message as octets, without its empty series."""
         series = [(one.kind, one.stream, one.values) for one in self.series if one.values]
-        told = self.counters, self.gauges, series, self.scheduler, self.last_error
+        told = self.counters, self.gauges, series, self.scheduler, self.last_error, self.orders
         return pickle.dumps(told, pickle.HIGHEST_PROTOCOL)
 
     @classmethod
     def unpack(cls, data: bytes) -> Message:
         """Unpack a message. Unpickling is safe: only our own process writes to the socket."""
-        counters, gauges, series, scheduler, last_error = pickle.loads(data)
-        return cls(counters, gauges, [Series(*one) for one in series], scheduler, last_error)
+        counters, gauges, series, scheduler, last_error, orders = pickle.loads(data)
+        told = [Series(*one) for one in series]
+        return cls(counters, gauges, told, scheduler, last_error, orders)
 
 
 class Probe:
@@ -146,5 +150,6 @@ class Probe:
                 del series.values[:]
 
     def _clear(self) -> None:
+        self.message.orders.clear()
         for series in self.message.series:
             del series.values[:]

@@ -16,7 +16,8 @@ SENDER_REST_NS = NS_PER_S + 10 * NS_PER_MS
 class RestartPolicy:
     """The pauses between the lives of one process.
 
-    Call `handle_start` and `handle_end` for each life, and start the next when `poll_timeout` says.
+    Call `handle_start` for each life, and `handle_end` or `handle_stop` at its end. Start the next
+    one when `poll_timeout` says.
     """
 
     def __init__(self, stage: Stage) -> None:
@@ -36,6 +37,11 @@ class RestartPolicy:
             self._pause_ns = FIRST_PAUSE_NS
         self._due_ns = now_ns + max(self._pause_ns, self._rest_ns)
         self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
+
+    def handle_stop(self, now_ns: int) -> None:
+        """The present life has ended because that was asked for."""
+        self._pause_ns = FIRST_PAUSE_NS
+        self._due_ns = now_ns + self._rest_ns
 
     def poll_timeout(self) -> int | None:
         """Return when to start the next life; None during a life and before the first."""

@@ -76,6 +76,11 @@ class Collector:
         figures.handle_end()
         figures.last_error = error or None
 
+    def handle_resumed(self, now_ns: int) -> None:
+        """The processes are started again after a stop that was asked for."""
+        for figures in self.processes.values():
+            figures.resumed_ns = now_ns
+
     def handle_end(self) -> None:
         """The session is over. Compare what still waits."""
         self._compare(None)

@@ -27,6 +27,8 @@ _UNITS = {
     "km": "km",
     "deg": "°",
 }
+#: By counter that is a table: what its keys are.
+_KEYS = {"strangers": "_PORT", "refused": "_REASON"}
 _WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "true or false"}
 
 
@@ -55,7 +57,7 @@ def counters_table() -> str:
         described, of = comments(kind), (inspect.getdoc(kind) or "").splitlines()[0]
         prefix = "STREAM." if kind is figures.DisplayCounters else ""
         for name, hint in typing.get_type_hints(kind).items():
-            suffix = "_PORT" if typing.get_origin(hint) is Mapping else ""
+            suffix = _KEYS[name] if typing.get_origin(hint) is Mapping else ""
             rows.append(f"| {of} | `{prefix}{name}{suffix}` | {_unit(name)} | {described[name]} |")
             of = ""
     return "\n".join(rows) + "\n"

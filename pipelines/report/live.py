@@ -16,6 +16,7 @@ from kontur_av.streams.staleness import State
 from pipelines.cores.figures import DisplayGauges, HapticCounters, ReceptionCounters
 from pipelines.cores.marking import age_words
 from pipelines.cores.probe import FLUSH_NS
+from pipelines.cores.session_switch import Activity
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
@@ -104,12 +105,16 @@ def first_line(launcher: Launcher, collector: Collector, width: int) -> str:
     return fitted_line(
         [
             f"{launcher.session}   {launcher.seconds:.0f} s",
-            f"link {state}",
+            f"link {state}" if _runs(launcher) else "stopped from a page",
             f"radio {launcher.setup.radio_profile.name}",
             f"camera {camera}",
         ],
         width,
     )
+
+
+def _runs(launcher: Launcher) -> bool:
+    return launcher.switch.activity is Activity.RUNNING
 
 
 def streams_table(launcher: Launcher, collector: Collector, width: int) -> Table:
@@ -179,6 +184,8 @@ def _age(launcher: Launcher, collector: Collector, stream: VideoStream | VoiceSt
 def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
     """The inputs that deliver nothing, and those that had a fault and deliver again."""
     setup = launcher.setup
+    if not _runs(launcher):
+        return []
     silent = silences(setup, collector, launcher.clock.now_ns())
     lines = [Text(str(silence), "bold red") for silence in silent]
     for name in setup.inputs:
@@ -231,6 +238,8 @@ def _line(launcher: Launcher, collector: Collector) -> str:
             f"haptic_{row.key} {samples.received} received {samples.lost} lost "
             f"{collector.haptics[row.key].latency.percentile(50) / 1e6:.1f} ms"
         )
+    if not _runs(launcher):
+        return "  ".join([*parts, "stopped from a page"])
     parts += map(str, silences(launcher.setup, collector, launcher.clock.now_ns()))
     down = [child.row.name for child in launcher.children if child.pid is None]
     if down:

@@ -488,8 +488,10 @@ class SessionReport(Report, frozen=True, kw_only=True):
 
     #: The setup's name.
     setup: str
-    #: How long the session ran.
+    #: How long the session ran. Mean rates are over the time outside of `stopped_s`.
     seconds: float
+    #: From when to when ground control had stopped it; left out if never.
+    stopped_s: list[tuple[float, float]] | None = None
     streams: dict[str, StreamReport]
     #: `up` and `down`.
     haptic: dict[str, HapticReport]
@@ -517,6 +519,11 @@ class SessionReport(Report, frozen=True, kw_only=True):
     warnings: list[Warning]
     #: Of `simulate` only.
     simulation: SimulationReport | None = None
+
+    @property
+    def running_s(self) -> float:
+        """How long it ran without being stopped."""
+        return self.seconds - sum(end_s - begin_s for begin_s, end_s in self.stopped_s or ())
 
 
 class LinkRadio(Report, frozen=True, kw_only=True):

@@ -44,6 +44,8 @@ class ProcessFigures:
     selected_ns: int = 0
     #: When the last pause in its captures ended; of an input.
     gives_since_ns: int = 0
+    #: When it was started again after a stop that was asked for.
+    resumed_ns: int = 0
     _counters: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
     _ended: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
     _gauges: dict[tuple[type[Gauges], str], Gauges] = field(default_factory=dict)
@@ -121,7 +123,8 @@ class ProcessFigures:
         since_ns = self.began_ns if self.captured_ns is None else self.captured_ns
         if since_ns is None:
             return 0
-        return max(0, (self.told_ns if now_ns is None else now_ns) - since_ns)
+        until_ns = self.told_ns if now_ns is None else now_ns
+        return max(0, until_ns - max(since_ns, self.resumed_ns))
 
     def handle_end(self) -> None:
         """The process has ended. Its counts are kept, because the next life begins at 0."""

@@ -1,6 +1,6 @@
 """Builds the report of a session from the collected figures."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
@@ -51,17 +51,21 @@ def build_report(
     restarts: Mapping[str, int],
     launcher_cpu_s: float,
     media: bool = True,
+    stopped_s: Sequence[tuple[float, float]] = (),
 ) -> SessionReport:
     """The whole report.
 
     seconds: how long the session ran. cpu_s, restarts: of each process, over all its lives.
     media: False if the session had no streams, whatever its setup says.
+    stopped_s: from when to when it was stopped on request. That time is in no mean and no failure.
     """
     streams = setup.streams if media else ()
+    whole_s, seconds = seconds, seconds - sum(end_s - begin_s for begin_s, end_s in stopped_s)
     uplink = link_figures(setup, collector, "uplink")
     return SessionReport(
         setup=setup.name,
-        seconds=round(seconds, 3),
+        seconds=round(whole_s, 3),
+        stopped_s=[(round(begin, 3), round(end, 3)) for begin, end in stopped_s] or None,
         streams={stream.name: _stream(stream, setup, collector, seconds) for stream in streams},
         haptic={
             row.key: _haptic(row, setup, collector, seconds) for row in collector.topology.haptics

@@ -68,6 +68,9 @@ def print_summary(report: SessionReport) -> None:
         )
         if spells:
             console.print(f"{name}: {spells}")
+    if report.stopped_s:
+        stopped_s = report.seconds - report.running_s
+        console.print(f"stopped on request: {stopped_s:.1f} s ({len(report.stopped_s)} times)")
     if report.simulation is None:  # virtual time costs nothing
         cpu = report.cpu
         restarted = [name for name, entry in report.processes.items() if entry.restarts]
@@ -103,7 +106,7 @@ def streams_table(report: SessionReport, width: int) -> Table:
     rows = [
         *((name, _stream_cells(stream)) for name, stream in report.streams.items()),
         *(
-            (f"haptic_{name}", _haptic_cells(haptic, report.seconds))
+            (f"haptic_{name}", _haptic_cells(haptic, report.running_s))
             for name, haptic in report.haptic.items()
         ),
     ]

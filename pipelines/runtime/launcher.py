@@ -15,24 +15,26 @@ import socket
 import tempfile
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from pkgutil import resolve_name
 from types import FrameType
 from typing import Protocol
 
-from kontur_av.clock import NS_PER_S, MonotonicClock
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.cores.probe import Message
 from pipelines.cores.restarts import RestartPolicy
+from pipelines.cores.session_switch import PATIENCE_NS, Action, Activity, Order, SessionSwitch
 from pipelines.runtime.page_listener import PageListener
 from pipelines.runtime.process import LOOPBACK, Context, become
 from pipelines.setup.table import Setup
 from pipelines.topology import ProcessRow, Topology
 
-#: The time that a process has to end by itself.
-_PATIENCE_NS = 3 * NS_PER_S
 _SHOW_NS = NS_PER_S
+#: How often pages get figures.
+FEED_NS = 500 * NS_PER_MS
 _MESSAGE_OCTETS = 1 << 20
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -50,6 +52,19 @@ class Listener(Protocol):
         error: why the newest life that failed ended, in one line; "" if none has failed.
         """
 
+    def handle_resumed(self, now_ns: int) -> None:
+        """The processes are started again after a stop that was asked for."""
+
+
+class Feed(Protocol):
+    """Makes the messages for the processes that serve pages."""
+
+    def poll_messages(self, launcher: "Launcher", now_ns: int) -> Mapping[str, bytes]:
+        """Return a message for each of these processes that somebody watches."""
+
+    def handle_sent(self, process: str) -> None:
+        """The process has been sent its message. One that reads too slowly has lost it."""
+
 
 @dataclass
 class Child:
@@ -65,6 +80,8 @@ class Child:
     last_error: str = ""
     #: The error that the present life has reported before its end.
     told_error: str = ""
+    #: Whether its present life is to end because the session is stopped.
+    stopped: bool = False
     policy: RestartPolicy = field(init=False)
 
     def __post_init__(self) -> None:
@@ -89,6 +106,7 @@ class Launcher:
     seed: of the radio's random events.
     show: called about once a second, with this launcher, to show figures to the user.
     pages: by process, where it serves browser pages.
+    feed: asked every `FEED_NS` for figures for these processes.
     """
 
     session: str
@@ -100,9 +118,11 @@ class Launcher:
     seed: int = 0
     show: Callable[["Launcher"], None] | None = None
     pages: Mapping[str, PageListener] = field(default_factory=dict)
+    feed: Feed | None = None
     children: list[Child] = field(init=False)
     started_ns: int = 0
     ended_ns: int = 0
+    switch: SessionSwitch = field(default_factory=SessionSwitch)
     _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector)
     _stop: bool = False
     _ending: bool = False
@@ -121,6 +141,14 @@ class Launcher:
         """How long the session has run, in s."""
         end_ns = self.ended_ns or self.clock.now_ns()
         return (end_ns - self.started_ns) / NS_PER_S
+
+    @property
+    def stopped_s(self) -> list[tuple[float, float]]:
+        """From when to when the session was stopped on request, in s since its start."""
+        return [
+            ((begin_ns - self.started_ns) / NS_PER_S, (end_ns - self.started_ns) / NS_PER_S)
+            for begin_ns, end_ns in self.switch.stops_ns
+        ]
 
     def run(self, seconds: float | None) -> None:
         """Start all processes, and return when all have ended: after `seconds`, or on a signal."""
@@ -146,6 +174,7 @@ class Launcher:
             end_ns = None if seconds is None else self.started_ns + round(seconds * NS_PER_S)
             self._watch(end_ns)
             self.ended_ns = self.clock.now_ns()
+            self.switch.handle_end(self.ended_ns)
         finally:
             self._end_all()
             signal.set_wakeup_fd(previous_wakeup)
@@ -164,6 +193,7 @@ class Launcher:
 
     def _watch(self, end_ns: int | None) -> None:
         show_ns = self.started_ns + _SHOW_NS
+        feed_ns = None if self.feed is None else self.started_ns + FEED_NS
         while not self._stop:
             now_ns = self.clock.now_ns()
             if end_ns is not None and now_ns >= end_ns:
@@ -171,17 +201,55 @@ class Launcher:
             if now_ns >= show_ns:
                 show_ns += _SHOW_NS * ((now_ns - show_ns) // _SHOW_NS + 1)
                 self._show()
-            wake_ns = min(show_ns, show_ns if end_ns is None else end_ns)
+            if feed_ns is not None and now_ns >= feed_ns:
+                feed_ns += FEED_NS * ((now_ns - feed_ns) // FEED_NS + 1)
+                self._feed_pages(now_ns)
+            self._follow_switch(now_ns)
+            dues_ns = [show_ns, end_ns, feed_ns, self.switch.poll_timeout()]
             for child in self.children:
                 due_ns = child.policy.poll_timeout()
-                if due_ns is None:
+                if due_ns is None or not self._keeps_alive(child):
                     continue
                 if due_ns <= now_ns:
-                    child.restarts += 1
+                    # A start after a stop that was asked for is no restart.
+                    child.restarts += not child.stopped
                     self._start(child)
                 else:
-                    wake_ns = min(wake_ns, due_ns)
-            self._attend(wake_ns - self.clock.now_ns())
+                    dues_ns.append(due_ns)
+            self._attend(min(due for due in dues_ns if due is not None) - self.clock.now_ns())
+
+    def handle_order(self, order: Order) -> None:
+        """Stop all processes but those of the pages, or start them again."""
+        self.switch.handle_order(order, self.clock.now_ns())
+
+    def _keeps_alive(self, child: Child) -> bool:
+        return self.switch.activity is Activity.RUNNING or child.row.name in self.pages
+
+    def _follow_switch(self, now_ns: int) -> None:
+        self.switch.handle_timeout(now_ns)
+        if all(child.pid is None for child in self.children if child.row.name not in self.pages):
+            self.switch.handle_all_ended(now_ns)
+        while (action := self.switch.next_event()) is not None:
+            if action is Action.START:
+                self.listener.handle_resumed(now_ns)
+                continue  # `_watch` starts them in order
+            number = signal.SIGTERM if action is Action.END else signal.SIGKILL
+            for child in self.children:
+                if child.pid is not None and child.row.name not in self.pages:
+                    child.stopped = True
+                    os.kill(child.pid, number)
+
+    def _feed_pages(self, now_ns: int) -> None:
+        assert self.feed is not None
+        messages = self.feed.poll_messages(self, now_ns)
+        for child in self.children:
+            message = messages.get(child.row.name)
+            if message is None or child.link is None:
+                continue
+            # A process that does not read must not hold up the launcher.
+            with suppress(OSError):
+                child.link.send(message, socket.MSG_DONTWAIT)
+                self.feed.handle_sent(child.row.name)
 
     def _show(self) -> None:
         if self.show is None:
@@ -223,6 +291,8 @@ class Launcher:
             message = Message.unpack(data)
             child.told_error = message.last_error or child.told_error
             self.listener.handle_message(child.row.name, message, now_ns)
+            for order in message.orders if child.row.name in self.pages else ():
+                self.switch.handle_order(order, now_ns)
 
     def _start(self, child: Child) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -243,7 +313,7 @@ class Launcher:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
         theirs.close()
         ours.setblocking(False)
-        child.pid, child.link = pid, ours
+        child.pid, child.link, child.stopped = pid, ours, False
         child.pidfd = os.pidfd_open(pid)
         child.policy.handle_start(self.clock.now_ns())
         self._selector.register(ours, selectors.EVENT_READ, child)
@@ -300,14 +370,17 @@ class Launcher:
         child.pid = None
         child.ended_cpu_s += usage.ru_utime + usage.ru_stime
         # An end that was asked for is no error.
-        if not self._ending:
+        if not self._ending and not child.stopped:
             if os.WIFSIGNALED(status):
                 child.last_error = f"ended by {_signal_name(os.WTERMSIG(status))}"
             else:
                 child.last_error = child.told_error or "ended by itself"
         child.told_error = ""
         self.listener.handle_exit(child.row.name, child.last_error)
-        child.policy.handle_end(self.clock.now_ns())
+        if child.stopped:
+            child.policy.handle_stop(self.clock.now_ns())
+        else:
+            child.policy.handle_end(self.clock.now_ns())
 
     def _end_all(self) -> None:
         """End all processes by SIGTERM, and those that remain by SIGKILL."""
@@ -316,7 +389,7 @@ class Launcher:
             for child in self.children:
                 if child.pid is not None:
                     os.kill(child.pid, number)
-            deadline_ns = self.clock.now_ns() + _PATIENCE_NS
+            deadline_ns = self.clock.now_ns() + PATIENCE_NS
             while any(child.pid is not None for child in self.children):
                 remaining_ns = deadline_ns - self.clock.now_ns()
                 if remaining_ns <= 0:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from pipelines.cores.probe import Probe
+from pipelines.cores.session_switch import Order
 from pipelines.runtime.page_listener import PageListener
 from pipelines.setup.table import Setup
 from pipelines.topology import LOOP_PRIORITY, ProcessRow, Topology
@@ -24,6 +25,9 @@ LOOPBACK = "127.0.0.1"
 MAX_DATAGRAM_OCTETS = 65_535
 #: The longest sleep of a process before it checks whether to end.
 PATIENCE_NS = 100 * NS_PER_MS
+
+#: The longest message of the launcher to a process.
+MAX_FIGURES_OCTETS = 1 << 20
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
@@ -140,6 +144,24 @@ class Context:
             except OSError:
                 told = False
         self.probe.handle_told(now_ns, told=told)
+
+    def order(self, order: Order, now_ns: int) -> None:
+        """Ask the launcher to stop or to start the session; it listens only to pages."""
+        self.probe.message.orders.append(order)
+        self.flush(now_ns)
+
+    def receive_figures(self) -> bytes | None:
+        """Return the launcher's next message for pages, one JSON text, or None.
+
+        It never blocks. `link` becomes readable when a message waits, so that an event loop can
+        watch `link.fileno()`. Messages come only while `PageGauges` says that somebody watches.
+        """
+        if self.link is None:
+            return None
+        try:
+            return self.link.recv(MAX_FIGURES_OCTETS, socket.MSG_DONTWAIT) or None
+        except OSError:
+            return None
 
 
 def become(row: ProcessRow, context: Context) -> None:

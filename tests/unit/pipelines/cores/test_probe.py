@@ -5,6 +5,7 @@ import pytest
 from pipelines.cores.figures import DisplayCounters, HapticCounters, PortGauges, ProbeCounters
 from pipelines.cores.probe import FLUSH_NS, Message, Probe, Series
 from pipelines.cores.rows import LatenessRow, RxRow, ShownRow
+from pipelines.cores.session_switch import Order
 
 
 def told(probe, now_ns):
@@ -35,6 +36,14 @@ def test_counters_are_repeated_and_rows_are_sent_once():
     message, rows = told(probe, 1)
     assert message.counters == counters
     assert rows == [(RxRow, "", [RxRow(2, 4), RxRow(3, 5)])]
+
+
+def test_an_order_is_sent_once():
+    probe = Probe()
+    probe.message.orders.append(Order.STOP)
+    probe.handle_told(0, told=False)
+    assert told(probe, 1)[0].orders == [Order.STOP]
+    assert told(probe, 2)[0].orders == []
 
 
 def test_a_series_is_one_object_for_each_kind_and_stream():

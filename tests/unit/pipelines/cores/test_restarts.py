@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.restarts import RestartPolicy
+from pipelines.cores.restarts import SENDER_REST_NS, RestartPolicy
 from pipelines.topology import Stage
 
 
@@ -46,3 +46,12 @@ def test_no_second_holds_packets_of_two_lives_of_a_sender(life_s):
 
 def test_before_the_first_life_nothing_is_due():
     assert RestartPolicy(Stage.LINK).poll_timeout() is None
+
+
+@pytest.mark.parametrize(("stage", "rest_ns"), [(Stage.SOURCE, 0), (Stage.SENDER, SENDER_REST_NS)])
+def test_after_a_stop_on_request_only_a_sender_rests(stage, rest_ns):
+    policy = RestartPolicy(stage)
+    pauses_ms(policy, [0, 0])
+    policy.handle_start(7)
+    policy.handle_stop(8)
+    assert policy.poll_timeout() == 8 + rest_ns

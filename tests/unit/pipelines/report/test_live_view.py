@@ -10,6 +10,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.staleness import State
 from pipelines.cores.figures import CaptureGauges, DisplayCounters, DisplayGauges
 from pipelines.cores.rows import OutRow, SampleReceivedRow
+from pipelines.cores.session_switch import Order, SessionSwitch
 from pipelines.report.collector import Collector
 from pipelines.report.live import _age, _inputs, _line, first_line, streams_table
 from pipelines.setup.built_in import BUILT_IN
@@ -26,6 +27,7 @@ def launcher():
         session="taskboard-7",
         collector=Collector(topology_of(SETUP)),
         children=[],
+        switch=SessionSwitch(),
         seconds=10.0,
         clock=SimpleNamespace(now_ns=lambda: 10 * NS_PER_S),
     )
@@ -124,3 +126,12 @@ def test_the_first_line_names_session_link_radio_and_camera(launcher):
 def test_a_dash_is_shown_before_the_first_sample(launcher):
     (video,) = [line for line in table_of(launcher).splitlines() if "uplink_video" in line]
     assert video.count("–") == 3
+
+
+def test_a_stop_on_request_is_shown_as_one_and_not_as_silence(launcher):
+    told = message(CaptureGauges(captured_ns=0))
+    launcher.collector.handle_message("camera_left", told, NS_PER_S)
+    launcher.switch.handle_order(Order.STOP, 2 * NS_PER_S)
+    assert _inputs(launcher, launcher.collector) == []
+    assert _line(launcher, launcher.collector).endswith("stopped from a page")
+    assert "stopped from a page" in first_line(launcher, launcher.collector, 118)

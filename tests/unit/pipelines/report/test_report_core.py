@@ -60,7 +60,7 @@ def show(collector, now_ns, displayed, *rows):
     collector.handle_message("space_display", told, now_ns)
 
 
-def report_of(collector, seconds=5.0):
+def report_of(collector, seconds=5.0, **others):
     return build_report(
         SETUP,
         collector,
@@ -68,6 +68,7 @@ def report_of(collector, seconds=5.0):
         cpu_s=dict.fromkeys(PARTS, 0.5),
         restarts={**dict.fromkeys(PARTS, 0), "robot": 2},
         launcher_cpu_s=1.0,
+        **others,
     )
 
 
@@ -138,6 +139,24 @@ def test_the_mean_rate_covers_the_whole_session():
     # 30 packets of 300 octets came in the first second, and none later.
     stream = report_of(told(), seconds=4.0).streams["uplink_video"]
     assert stream.payload_bps_mean == 30 * 300 * 8 / 4
+
+
+def test_a_stop_on_request_is_named_and_is_in_no_mean():
+    report = report_of(told(), seconds=6.0, stopped_s=[(1.0, 2.5), (3.0, 3.5)])
+    assert (report.seconds, report.running_s) == (6.0, 4.0)
+    assert report.stopped_s == [(1.0, 2.5), (3.0, 3.5)]
+    assert report.streams["uplink_video"].payload_bps_mean == 30 * 300 * 8 / 4
+    assert '"stopped_s"' not in to_json(report_of(told()))
+
+
+def test_an_input_is_silent_only_since_it_was_started_again():
+    collector = told()
+    collector.handle_message("camera_left", message(CaptureGauges(captured_ns=NS_PER_S)), NS_PER_S)
+    collector.handle_resumed(60 * NS_PER_S)
+    silent = [str(one) for one in silences(SETUP, collector, 61 * NS_PER_S)]
+    assert silent == []
+    silent = [str(one) for one in silences(SETUP, collector, 63 * NS_PER_S)]
+    assert silent == ["camera_left: no picture for 3 s"]
 
 
 def test_every_count_of_a_process_is_reported():

@@ -1,0 +1,114 @@
+"""Stops the processes of a running session and starts them again, on request. A core.
+
+The launcher passes on the orders that come from a page, and does what `next_event` says.
+"""
+
+from collections import deque
+from enum import Enum
+
+from kontur_av.clock import NS_PER_S
+
+#: The time that processes have to end by themselves.
+PATIENCE_NS = 3 * NS_PER_S
+
+
+class Order(Enum):
+    """What ground control may order. Processes that serve pages go on in any case."""
+
+    START = "start"
+    STOP = "stop"
+
+
+class Activity(Enum):
+    """What the session does. Processes are restarted only while it is running."""
+
+    RUNNING = "running"
+    STOPPING = "stopping"
+    STOPPED = "stopped"
+
+
+class Action(Enum):
+    """What the launcher has to do now."""
+
+    #: Ask all processes to end.
+    END = "end"
+    #: End those that remain.
+    KILL = "kill"
+    #: Start all processes, in order.
+    START = "start"
+
+
+class SessionSwitch:
+    """The session's activity, and when it was stopped.
+
+    `handle_order` for each order, `handle_all_ended` once no process is left, `handle_timeout` at
+    `poll_timeout`, and `handle_end` when the session is over. After each, take `next_event`.
+    """
+
+    def __init__(self) -> None:
+        self.activity = Activity.RUNNING
+        #: From when to when the session was stopped: from the order to stop to that to start.
+        self.stops_ns: list[tuple[int, int]] = []
+        self._since_ns: int | None = None
+        self._kill_ns: int | None = None
+        self._start_wanted = False
+        self._actions: deque[Action] = deque()
+
+    def handle_order(self, order: Order, now_ns: int) -> None:
+        """An order has come; one that changes nothing is ignored."""
+        if order is Order.STOP:
+            self._start_wanted = False
+            if self.activity is Activity.RUNNING:
+                self.activity = Activity.STOPPING
+                self._since_ns, self._kill_ns = now_ns, now_ns + PATIENCE_NS
+                self._actions.append(Action.END)
+        elif self.activity is Activity.STOPPED:
+            self._start(now_ns)
+        elif self.activity is Activity.STOPPING:
+            self._start_wanted = True
+
+    def handle_all_ended(self, now_ns: int) -> None:
+        """No process is left but those of the pages."""
+        if self.activity is not Activity.STOPPING:
+            return
+        self.activity, self._kill_ns = Activity.STOPPED, None
+        if self._start_wanted:
+            self._start(now_ns)
+
+    def poll_timeout(self) -> int | None:
+        """When to call `handle_timeout`; None for never."""
+        return self._kill_ns
+
+    def handle_timeout(self, now_ns: int) -> None:
+        """Time has passed. Processes that do not end by themselves are ended."""
+        if self._kill_ns is not None and now_ns >= self._kill_ns:
+            self._kill_ns = None
+            self._actions.append(Action.KILL)
+
+    def handle_end(self, now_ns: int) -> None:
+        """The session is over."""
+        self._close(now_ns)
+        self._kill_ns = None
+        self._actions.clear()
+
+    def next_event(self) -> Action | None:
+        """What to do now; None when nothing is left."""
+        return self._actions.popleft() if self._actions else None
+
+    def running_ns(self, begin_ns: int, now_ns: int) -> int:
+        """Of the time from `begin_ns` to `now_ns`, how much the session was not stopped."""
+        stops = [*self.stops_ns]
+        if self._since_ns is not None:
+            stops.append((self._since_ns, now_ns))
+        return now_ns - begin_ns - sum(end_ns - since_ns for since_ns, end_ns in stops)
+
+    def _start(self, now_ns: int) -> None:
+        self._close(now_ns)
+        self._start_wanted = False
+        self.activity = Activity.RUNNING
+        self._actions.append(Action.START)
+
+    def _close(self, now_ns: int) -> None:
+        if self._since_ns is not None:
+            self.stops_ns.append((self._since_ns, now_ns))
+            self._since_ns = None
