@@ -108,6 +108,11 @@ class H264Encoder:
         """Pictures from the start of one refresh wave to the next."""
         return self._settings.refresh_pictures
 
+    @property
+    def unit_size(self) -> tuple[int, int]:
+        """Width and height, in pixels, in which the newest access unit was coded."""
+        return self._settings.width, self._settings.height
+
     def encode(self, frame: VideoFrame, coding: Coding = _LIKE_BEFORE) -> AccessUnit:
         """Return the one access unit of this picture.
 

@@ -6,6 +6,7 @@ from kontur_av.codecs.h264 import H264Decoder
 from pipelines.cores.rows import DecodedRow
 from pipelines.cores.session_streams import video_receiver
 from pipelines.cores.stream_figures import note_unit, tell_video_receiver
+from pipelines.parts.coded_topics import ReceivedTopics
 from pipelines.parts.reception import Incoming
 from pipelines.runtime.process import Context
 from pipelines.setup.table import VideoStream
@@ -32,6 +33,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
         to_sender = context.sender(context.topology.entry_port(row.feedback))
         largest_octets = stream.width * stream.height * 3 // 2
         writer = bus.writer(row.received_topic, max_octets=largest_octets)
+        topics = ReceivedTopics(bus, row, stream)
         while not context.stopping:
             context.tick(clock.now_ns())
             incoming.wait(receiver.poll_timeout())
@@ -52,6 +54,8 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                         # Noted before publishing, because the display may be faster.
                         decoded.add(DecodedRow(picture.timestamp, clock.now_ns()))
                         loan.publish(stamp)
+                    topics.handle_picture(picture, stamp)
+                topics.handle_unit(unit, receiver.capture_ns(unit.timestamp))
             feedback = receiver.poll_feedback(clock.now_ns())
             if feedback is not None:
                 to_sender(feedback)

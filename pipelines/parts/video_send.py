@@ -14,6 +14,7 @@ from pipelines.cores.gain import gain_of
 from pipelines.cores.session_streams import video_sender
 from pipelines.cores.stream_figures import tell_sender
 from pipelines.cores.video_sending import LinkedVideoSender
+from pipelines.parts.coded_topics import SentTopic
 from pipelines.parts.sending import to_gateway
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.table import VideoStream
@@ -53,6 +54,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
         selection = None if topic is not None else SelectionTopics(context, bus)
         reader = None if topic is None else bus.reader(topic)
         backlog_reader = bus.reader(row.backlog_topic)
+        sent = SentTopic(bus, row)
         sockets = [feedback.fileno(), encoding.fileno()]
         waiter = bus.waiter(_wakers(reader, selection), sockets)
         # The newest picture, held until it is encoded or a newer one comes, and the one that is
@@ -104,6 +106,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
                 encoded = None
                 sender.handle_access_unit(done.unit, done.encoded_ns)
                 outgoing.handle_time(clock.now_ns())
+                sent.handle_unit(done.unit, encoder.unit_size)
             if encoded is None:
                 for old in retired:
                     old.close()

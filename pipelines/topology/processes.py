@@ -64,6 +64,9 @@ def topic_rows(session: Topology) -> Iterable[TopicRow]:
         if isinstance(media, VideoRow):
             samples[media.displayed_topic] = "picture, marked where it is stale"
             samples[media.lag_topic] = "how late the newest picture was shown"
+            samples[media.coded_topic] = "received access unit"
+            samples[media.sent_topic] = "access unit as it was sent"
+            samples[media.decoded_topic] = "decoded picture in its coded size"
     for process in session.processes:
         for name in process.writes:
             yield TopicRow(
@@ -112,7 +115,7 @@ def _ground(session: Topology) -> Iterable[ProcessRow]:
     yield replace(
         _send(video, None),
         reads=(SELECTED_TOPIC, *cameras, video.backlog_topic),
-        writes=(FOLLOWED_TOPIC,),
+        writes=(FOLLOWED_TOPIC, *_sent(video)),
     )
     if setup.uplink_voice is not None:
         yield from _say(session, setup.uplink_voice.name)
@@ -198,8 +201,13 @@ def _send(media: MediaRow, topic: str | None) -> ProcessRow:
         arguments={"stream": media.stream, "topic": topic},
         priority=0 if video else VOICE_PRIORITY,
         reads=(*((topic,) if topic else ()), *((media.backlog_topic,) if video else ())),
+        writes=_sent(media),
         what="encodes and sends pictures" if video else "encodes and sends sound",
     )
+
+
+def _sent(media: MediaRow) -> tuple[str, ...]:
+    return (media.sent_topic,) if isinstance(media, VideoRow) else ()
 
 
 def _end(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
@@ -219,7 +227,10 @@ def _end(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
             arguments={"stream": row.stream},
             priority=0 if video else VOICE_PRIORITY,
             reads=() if video else lag_topics,
-            writes=(row.received_topic,),
+            writes=(
+                row.received_topic,
+                *((row.coded_topic, row.decoded_topic) if isinstance(row, VideoRow) else ()),
+            ),
             what="receives and decodes pictures" if video else "receives and decodes sound",
         )
     if rows:

@@ -141,6 +141,21 @@ class VideoRow(MediaRow):
         """How late the pictures were shown."""
         return f"lag/{self.name}"
 
+    @property
+    def coded_topic(self) -> str:
+        """Every access unit that its receiver got."""
+        return f"coded/{self.name}"
+
+    @property
+    def sent_topic(self) -> str:
+        """Every access unit that its sender made."""
+        return f"sent/{self.name}"
+
+    @property
+    def decoded_topic(self) -> str:
+        """The decoded pictures in the size in which they were coded."""
+        return f"decoded/{self.name}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class InputRow:
@@ -150,6 +165,16 @@ class InputRow:
     process: str
     topic: str
     stream: str
+
+    @property
+    def preview_topic(self) -> str:
+        """A camera's pictures, small and few."""
+        return f"preview/{self.name}"
+
+    @property
+    def page_topic(self) -> str:
+        """Pictures or sound of a browser page, taken in place of the input's own source."""
+        return f"page/{self.name}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,70 @@
+"""An access unit on its way through shared memory, for readers that decode it themselves."""
+
+import struct
+from dataclasses import dataclass
+from typing import Self
+
+from kontur_av.errors import ProtocolError
+
+#: Flags, an octet without meaning, width, height, length of the access unit.
+_HEADER = struct.Struct("<BxHHI")
+_KEY, _DAMAGED, _REFUSED, _DATED = 1, 2, 4, 8
+
+#: A larger access unit is not published, so that no peer makes shared memory grow.
+MOST_UNIT_OCTETS = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CodedUnit:
+    """One H.264 access unit as a sample of a topic. The sample's stamp says when it was captured.
+
+    data: an Annex B byte stream (ITU-T H.264 Annex B), of at most `MOST_UNIT_OCTETS`.
+    key: it holds an IDR picture, at which any decoder can start.
+    damaged: packets of it are missing. The stamp's quality is DAMAGED also where the picture shows
+        the loss of an earlier one.
+    refused: the decoder returned no picture for it, or one larger than its stream permits. A reader
+        does not decode it.
+    dated: the stamp's `capture_ns` is known. False before the first sender report of a received
+        stream; `capture_ns` is 0 then.
+    width, height: size of its picture in pixels; 0 if it is refused.
+
+    The `sequence` of the stamp counts the units of one life of the writer. A gap means that this
+    reader missed some, or that none were published while nobody read.
+    """
+
+    data: bytes
+    key: bool
+    damaged: bool = False
+    refused: bool = False
+    dated: bool = True
+    width: int = 0
+    height: int = 0
+
+    def pack(self) -> bytes:
+        """Return it as octets, for `Writer.publish_octets`."""
+        flags = (
+            _KEY * self.key
+            | _DAMAGED * self.damaged
+            | _REFUSED * self.refused
+            | _DATED * self.dated
+        )
+        return _HEADER.pack(flags, self.width, self.height, len(self.data)) + self.data
+
+    @classmethod
+    def unpack(cls, octets: bytes) -> Self:
+        """Return the unit that `pack` packed; ProtocolError for octets of another length."""
+        if len(octets) < _HEADER.size:
+            raise ProtocolError(f"a coded unit of {len(octets)} octets: {_HEADER.size} are least")
+        flags, width, height, length = _HEADER.unpack_from(octets)
+        data = octets[_HEADER.size :]
+        if len(data) != length or length > MOST_UNIT_OCTETS:
+            raise ProtocolError(f"a coded unit of {length} octets in {len(data)}")
+        return cls(
+            data=data,
+            key=bool(flags & _KEY),
+            damaged=bool(flags & _DAMAGED),
+            refused=bool(flags & _REFUSED),
+            dated=bool(flags & _DATED),
+            width=width,
+            height=height,
+        )
