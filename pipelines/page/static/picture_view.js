@@ -4,10 +4,11 @@
  *
  * The age is by the page's own clock, so that it grows when the server is dead, too.
  *
- * @import { Connection, Events } from "./connection.js"
- * @import { FigureBinding } from "./figure_binding.js"
+ * @import { Events } from "./connection.js"
+ * @import { Seat } from "./seat.js"
  */
 import { announce } from "./announcer.js";
+import { make, setText } from "./dom.js";
 import { pageMs } from "./page_clock.js";
 
 const TICK_MS = 100;
@@ -17,10 +18,8 @@ const STALE_AFTER_MS = 500;
 export class PictureView extends HTMLElement {
   /** @type {CanvasRenderingContext2D | null} */
   #context = null;
-  /** @type {Connection | null} */
-  #connection = null;
-  /** @type {FigureBinding | null} */
-  #figures = null;
+  /** @type {Seat | null} */
+  #seat = null;
   /** Of the picture that is shown; null if its stream did not say. @type {number | null} */
   #captureUs = null;
   /** When it was drawn; null before the first one. @type {number | null} */
@@ -28,10 +27,10 @@ export class PictureView extends HTMLElement {
   #staleAfterMs = STALE_AFTER_MS;
   /** Why it is stale. */
   #why = "";
-  #mark = element("div", "stale-mark");
-  #words = element("strong", "stale-words");
-  #reason = element("span", "stale-reason");
-  #damage = element("div", "damage-mark");
+  #words = make("strong", { class: "stale-words" });
+  #reason = make("span", { class: "stale-reason" });
+  #mark = make("div", { class: "stale-mark" }, this.#words, this.#reason);
+  #damage = make("div", { class: "damage-mark", hidden: true }, "damaged");
 
   /** Pictures drawn. */
   drawn = 0;
@@ -39,9 +38,6 @@ export class PictureView extends HTMLElement {
   connectedCallback() {
     const canvas = this.canvas;
     this.#context = canvas.getContext("2d", { alpha: false });
-    this.#mark.append(this.#words, this.#reason);
-    this.#damage.textContent = "damaged";
-    this.#damage.hidden = true;
     this.append(this.#mark, this.#damage);
     this.#tick();
     setInterval(() => this.#tick(), TICK_MS);
@@ -59,10 +55,10 @@ export class PictureView extends HTMLElement {
     return this.canvas.dataset.stale !== "false";
   }
 
-  /** @param {Connection} connection @param {FigureBinding | null} [figures] */
-  follow(connection, figures = null) {
-    this.#connection = connection;
-    this.#figures = figures;
+  /** @param {Seat} seat */
+  follow(seat) {
+    this.#seat = seat;
+    const { connection } = seat;
     connection.on("frame", (event) => this.#handleFrame(event));
     connection.on("hello", (hello) => {
       const stream = hello.streams.find((one) => this.#shows(one));
@@ -75,7 +71,7 @@ export class PictureView extends HTMLElement {
 
   /** The age of what is shown, in ms; null if there is nothing, or if it is undated. */
   ageMs() {
-    const nowUs = this.#connection?.nowUs() ?? null;
+    const nowUs = this.#seat?.connection.nowUs() ?? null;
     if (nowUs === null || this.#drawnMs === null || this.#captureUs === null) return null;
     return Math.max(0, (nowUs - this.#captureUs) / 1000);
   }
@@ -100,7 +96,6 @@ export class PictureView extends HTMLElement {
     this.#captureUs = captureUs;
     this.#drawnMs = pageMs();
     this.#damage.hidden = !damaged;
-    this.#mark.dataset.drawn = "true";
     this.#tick();
   }
 
@@ -109,15 +104,15 @@ export class PictureView extends HTMLElement {
     const ageMs = this.ageMs();
     // Of an undated picture only this is known: it is older than the time since it was drawn.
     const knownMs = ageMs ?? (this.#drawnMs === null ? null : pageMs() - this.#drawnMs);
-    const lost = this.#connection?.alive !== true;
+    const lost = this.#seat?.connection.alive !== true;
     const stale = lost || knownMs === null || knownMs > this.#staleAfterMs;
     const figure = this.getAttribute("figure");
-    if (figure !== null) this.#figures?.setOwn(figure, ageMs === null ? null : Math.round(ageMs));
+    if (figure !== null) this.#seat?.figures.setOwn(figure, ageMs === null ? null : Math.round(ageMs));
     this.dispatchEvent(new CustomEvent("age", { detail: { ageMs, stale } }));
     const why = lost ? "the server does not answer" : "no new picture arrives";
     if (stale) {
-      set(this.#words, knownMs === null ? "NO PICTURE" : `STALE ${(knownMs / 1000).toFixed(1)} s`);
-      set(this.#reason, why);
+      setText(this.#words, knownMs === null ? "NO PICTURE" : `STALE ${(knownMs / 1000).toFixed(1)} s`);
+      setText(this.#reason, why);
     }
     const text = String(stale);
     if (this.canvas.dataset.stale === text && (!stale || why === this.#why)) return;
@@ -125,18 +120,6 @@ export class PictureView extends HTMLElement {
     this.#why = why;
     if (this.drawn > 0) announce(stale ? `The picture is stale: ${why}.` : "The picture is live.");
   }
-}
-
-/** @param {string} name @param {string} className */
-function element(name, className) {
-  const made = document.createElement(name);
-  made.className = className;
-  return made;
-}
-
-/** @param {HTMLElement} target @param {string} text */
-function set(target, text) {
-  if (target.textContent !== text) target.textContent = text;
 }
 
 customElements.define("picture-view", PictureView);

@@ -1,4 +1,4 @@
-/** The types of what the player of a voice is told, and of what it tells. */
+/** The types of what the worklets are told of sound, and of what they tell. */
 
 /**
  * A block of a voice, sent to the port that the page attached for the stream.
@@ -17,5 +17,14 @@
  * @property {number} dropped Samples.
  * @property {number} dry
  */
+
+/**
+ * A block of the page's own microphone.
+ * @typedef {object} BlockNote
+ * @property {Int16Array<ArrayBuffer>} samples
+ * @property {number} firstMs When its first sample was captured, on the AudioContext's clock.
+ */
+
+/** @typedef {{peak: number}} MicrophoneNote The largest sample since the last note, 0 to 1. */
 
 export {};

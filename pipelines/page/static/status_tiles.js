@@ -1,0 +1,104 @@
+/**
+ * The tiles of the top line, for what must be seen within a second: whether the link lives, how
+ * old the picture is, and who holds the handle. Also the line that names the seat.
+ *
+ * @import { Seat } from "./seat.js"
+ */
+import { make, setText } from "./dom.js";
+import { PictureView } from "./picture_view.js";
+
+/** @typedef {"good" | "warn" | "bad" | "none"} Level */
+
+class Tile extends HTMLElement {
+  #label = make("span", { class: "label" });
+  #value = make("strong", { class: "value" });
+
+  connectedCallback() {
+    this.classList.add("tile");
+    this.append(this.#label, this.#value);
+  }
+
+  /** @param {string} label @param {string} value @param {Level} level */
+  show(label, value, level) {
+    setText(this.#label, label);
+    setText(this.#value, value);
+    if (this.dataset.level !== level) this.dataset.level = level;
+  }
+}
+
+/** `<link-tile>`: whether the radio link lives. */
+class LinkTile extends Tile {
+  /** @param {Seat} seat */
+  follow({ connection }) {
+    const show = () => {
+      const { alive, state, hello } = connection;
+      if (!alive || state === null) {
+        this.show(hello === null ? "Connecting" : "Connecting again", "NO SERVER", "bad");
+      } else if (state.link === "connected") {
+        this.show("Radio link", "● CONNECTED", "good");
+      } else {
+        this.show(`Radio link: ${state.signal ? "signal" : "no signal"}`, "✕ LOST", "bad");
+      }
+    };
+    connection.on("state", show);
+    connection.on("lost", show);
+    show();
+  }
+}
+
+/** `<age-tile>`: how old the picture of the page's first `picture-view` is. */
+class AgeTile extends Tile {
+  follow() {
+    const view = document.querySelector("picture-view");
+    if (!(view instanceof PictureView)) return;
+    view.addEventListener("age", () => {
+      const ageMs = view.ageMs();
+      const age = ageMs === null ? "–" : `${ageMs.toFixed(0)} ms`;
+      const stale = view.stale;
+      const long = ageMs !== null && ageMs >= 10_000 ? `${(ageMs / 1000).toFixed(0)} s` : age;
+      this.show(stale ? "Picture: stale" : "Picture: age", long, stale ? "bad" : "good");
+    });
+  }
+}
+
+/** `<hand-tile>`: who holds the handle. */
+class HandTile extends Tile {
+  /** @param {Seat} seat */
+  follow({ connection }) {
+    const show = () => {
+      const { alive, state, hello } = connection;
+      if (!alive || state === null || hello === null) {
+        this.show("Handle", "–", "none");
+      } else if (hello.joystick !== "page") {
+        this.show("Handle", hello.joystick.toUpperCase(), "none");
+      } else if (state.hand.you) {
+        const steers = state.joystick?.dead_man === true;
+        this.show("Handle", steers ? "YOU STEER" : "YOU HAVE IT", "good");
+      } else if (state.hand.holder === null) {
+        this.show("Handle", "NOBODY", "none");
+      } else {
+        this.show("Handle", `PAGE ${state.hand.holder}`, "warn");
+      }
+    };
+    connection.on("state", show);
+    connection.on("lost", show);
+    show();
+  }
+}
+
+/** `<seat-name>`: session, setup, page and role. */
+class SeatName extends HTMLElement {
+  /** @param {Seat} seat */
+  follow({ connection }) {
+    const role = make("span", { class: "quiet small" });
+    this.append(role);
+    connection.on("hello", ({ setup, page, role: may }) => {
+      setText(role, `${setup} · page ${page}${may === "viewer" ? " · WATCHES ONLY" : ""}`);
+    });
+  }
+}
+
+customElements.define("link-tile", LinkTile);
+customElements.define("age-tile", AgeTile);
+customElements.define("hand-tile", HandTile);
+customElements.define("seat-name", SeatName);
