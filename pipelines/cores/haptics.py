@@ -4,12 +4,14 @@ from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.cores.figures import HapticCounters, JoystickGauges, PortGauges, WallCounters
+from pipelines.cores.haptic_trace import HapticTrace, flags_of
 from pipelines.cores.probe import Probe
 from pipelines.cores.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
+from telepresence.haptics.sample import Feedback
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
 
@@ -22,18 +24,28 @@ CYCLE_NS = NS_PER_MS
 
 
 class _End(Generic[Side]):
-    """Each cycle: call `handle_datagram` for each datagram, `handle_cycle` and `poll_transmit`."""
+    """Each cycle: call `handle_datagram` for each datagram, `handle_cycle` and `poll_transmit`.
+
+    trace: the rows of the cycles, while somebody reads them.
+    """
 
     def __init__(self, side: Side, probe: Probe) -> None:
         self.side = side
+        self.trace = HapticTrace()
         self._probe = probe
         self._link = side.link
         # Looked up once: they are called a thousand times a second.
         self.handle_datagram = side.handle_datagram
         self.poll_transmit = side.poll_transmit
         self._cycle = side.handle_cycle
+        self._acted = 0
         self._sent = probe.series(SampleSentRow)
         self._received = probe.series(SampleReceivedRow)
+
+    def _has_acted(self) -> bool:
+        """Whether the passivity controller has acted since the last row of the trace."""
+        before, self._acted = self._acted, self.side.controller.acted
+        return before != self._acted
 
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
@@ -81,6 +93,7 @@ class RobotEnd(_End[RobotSide]):
         link = robot_link(life=life, deadband=deadband)
         super().__init__(RobotSide(link=link, mediated=mediated), probe)
         self.poll_wall = self.side.poll_wall
+        self._latest = self.side.link.latest
         self._contact_since_ns: int | None = None
         self._touched_ns: int | None = None
         self._contacts = probe.series(ContactRow)
@@ -110,6 +123,8 @@ class RobotEnd(_End[RobotSide]):
             if changed and robot.contact:
                 lit = state.lit
                 self._contacts.add(ContactRow(now_ns, -1 if lit is None else lit))
+        if self.trace.rows is not None:
+            self._add_row(now_ns)
 
     def next_event(self) -> WorldState | None:
         """Return the state to publish, or None."""
@@ -117,6 +132,18 @@ class RobotEnd(_End[RobotSide]):
         if state is not None:
             self._state = None
         return state
+
+    def _add_row(self, now_ns: int) -> None:
+        side, robot, command = self.side, self.side.robot, self._latest(now_ns)
+        flags = flags_of(
+            contact=robot.contact,
+            dead_man=command is not None and command.dead_man,
+            acted=self._has_acted(),
+            state=0 if command is None else command.state,
+            lit=side.lit,
+        )
+        push_x, push_y, credit_uj = robot.push_x_n, robot.push_y_n, side.controller.credit_uj
+        self.trace.add((now_ns, robot.x_m, robot.y_m, push_x, push_y, credit_uj, flags))
 
 
 class JoystickEnd(_End[JoystickSide]):
@@ -153,6 +180,8 @@ class JoystickEnd(_End[JoystickSide]):
             if self._operated is not None:
                 self._operated.handle_feedback(feedback)
         self._cycle(now_ns, advance_ns)
+        if self.trace.rows is not None:
+            self._add_row(now_ns, feedback)
 
     def tell(self) -> None:
         """Put the counters and stamps into the probe, and the instants of the force's steps."""
@@ -175,3 +204,15 @@ class JoystickEnd(_End[JoystickSide]):
     def next_event(self) -> WorldState | None:
         """The joystick has nothing to show: always None."""
         return None
+
+    def _add_row(self, now_ns: int, feedback: Feedback | None) -> None:
+        side, handle = self.side, self.side.handle
+        flags = flags_of(
+            contact=feedback is not None and feedback.contact,
+            dead_man=handle.dead_man,
+            acted=self._has_acted(),
+            state=handle.state,
+            lit=None if feedback is None else feedback.lit,
+        )
+        force_x, force_y, credit_uj = side.force_x_n, side.force_y_n, side.controller.credit_uj
+        self.trace.add((now_ns, handle.x_m, handle.y_m, force_x, force_y, credit_uj, flags))

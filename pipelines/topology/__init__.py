@@ -14,8 +14,13 @@ from pipelines.setup.segments import Direction, Segment
 from pipelines.topology.build import topology_of
 from pipelines.topology.processes import (
     FOLLOWED_TOPIC,
+    HAND_INPUT_TOPIC,
+    HAND_REQUEST_TOPIC,
+    JOYSTICK_STATE_TOPIC,
+    JOYSTICK_TRACE_TOPIC,
     PAGES,
     ROBOT_TOPIC,
+    ROBOT_TRACE_TOPIC,
     SELECTED_TOPIC,
     WALL_TOPIC,
 )
@@ -39,9 +44,14 @@ from pipelines.topology.table import Topology
 
 __all__ = [
     "FOLLOWED_TOPIC",
+    "HAND_INPUT_TOPIC",
+    "HAND_REQUEST_TOPIC",
+    "JOYSTICK_STATE_TOPIC",
+    "JOYSTICK_TRACE_TOPIC",
     "LOOP_PRIORITY",
     "PAGES",
     "ROBOT_TOPIC",
+    "ROBOT_TRACE_TOPIC",
     "SELECTED_TOPIC",
     "TELECOMMAND",
     "TELEMETRY",

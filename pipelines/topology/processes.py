@@ -17,6 +17,7 @@ from pipelines.topology.rows import (
 )
 from pipelines.topology.streams import STEREO_TOPIC
 from pipelines.topology.table import Topology
+from telepresence.haptics.device.spec import PAGE
 
 #: The state of the robot, from which the built-in scenes draw.
 ROBOT_TOPIC = "robot/state"
@@ -25,6 +26,13 @@ SELECTED_TOPIC = "selected/uplink_video"
 FOLLOWED_TOPIC = "followed/uplink_video"
 #: The newest message with the wall that the joystick renders, where the hand is mediated.
 WALL_TOPIC = "received/wall"
+#: What the operator's page and the joystick tell each other; see `pipelines.cores.hand_topics`.
+HAND_INPUT_TOPIC = "hand/input"
+HAND_REQUEST_TOPIC = "hand/request"
+JOYSTICK_STATE_TOPIC = "joystick/state"
+#: Both ends' haptic samples at 1 kHz; see `pipelines.cores.haptic_trace`.
+JOYSTICK_TRACE_TOPIC = "haptic/joystick"
+ROBOT_TRACE_TOPIC = "haptic/robot"
 
 
 #: By segment: the process that serves its browser pages.
@@ -35,7 +43,7 @@ def process_rows(
     session: Topology, *, joystick: str, snapshots: bool, pages: bool
 ) -> tuple[ProcessRow, ...]:
     """The processes, in the order in which they are started, of a table that has none yet."""
-    rows = [*_ground(session), *_space(session, joystick)]
+    rows = [*_ground(session), *_space(session, joystick, pages=pages)]
     if pages:
         rows += [_page(session, segment) for segment in Segment]
     if snapshots:
@@ -52,6 +60,11 @@ def topic_rows(session: Topology) -> Iterable[TopicRow]:
         SELECTED_TOPIC: "name of the selected camera, number of the choice",
         WALL_TOPIC: "message with the wall that the robot touched",
         FOLLOWED_TOPIC: "number of the choice that the sender has confirmed",
+        HAND_INPUT_TOPIC: "where a page's hand wants the handle, dead-man button",
+        HAND_REQUEST_TOPIC: "a person's command to the joystick",
+        JOYSTICK_STATE_TOPIC: "state of the joystick, answer to a command",
+        JOYSTICK_TRACE_TOPIC: "20 ms of the handle: place, force, energy",
+        ROBOT_TRACE_TOPIC: "20 ms of the tip: place, force, energy",
     }
     for row in session.inputs:
         video = isinstance(session.media(row.stream).stream, VideoStream)
@@ -86,7 +99,7 @@ def _ground(session: Topology) -> Iterable[ProcessRow]:
         stage=Stage.LINK,
         run="pipelines.parts.haptic_ends:run_robot",
         priority=LOOP_PRIORITY,
-        writes=(ROBOT_TOPIC,),
+        writes=(ROBOT_TOPIC, ROBOT_TRACE_TOPIC),
         what="1 kHz loop of the robot and its task board",
     )
     video = session.media(setup.uplink_video.name)
@@ -122,9 +135,12 @@ def _ground(session: Topology) -> Iterable[ProcessRow]:
     yield from _end(session, Segment.GROUND)
 
 
-def _space(session: Topology, joystick: str) -> Iterable[ProcessRow]:
+def _space(session: Topology, joystick: str, *, pages: bool) -> Iterable[ProcessRow]:
     setup = session.setup
     wall = (WALL_TOPIC,) if setup.hand == "mediated" else ()
+    page = (HAND_REQUEST_TOPIC,) if pages else ()
+    if pages and joystick == PAGE:
+        page = (HAND_INPUT_TOPIC, *page)
     yield _gateway(session, Segment.SPACE)
     yield ProcessRow(
         name="joystick",
@@ -133,7 +149,8 @@ def _space(session: Topology, joystick: str) -> Iterable[ProcessRow]:
         run="pipelines.parts.haptic_ends:run_joystick",
         arguments={"spec": joystick},
         priority=LOOP_PRIORITY,
-        reads=wall,
+        reads=(*wall, *page),
+        writes=(JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC),
         what="1 kHz loop of the operator's joystick",
     )
     yield ProcessRow(
@@ -261,18 +278,21 @@ def _snapshots(session: Topology) -> ProcessRow:
 
 
 def _page(session: Topology, segment: Segment) -> ProcessRow:
-    """What a seat shows of its own segment: pictures, sound, the link, and the chosen camera."""
+    """What a seat shows of its own segment, and what its person tells it."""
     rows = [row for row in session.media_streams if row.direction.receiver is segment]
     sounds = tuple(row.received_topic for row in rows if row.kind is Kind.VOICE)
-    link = (session.link(segment.transmits).backlog_topic,)
+    link = session.link(segment.transmits).backlog_topic
+    space = segment is Segment.SPACE
+    joystick, robot = (JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC), (ROBOT_TRACE_TOPIC,)
     return ProcessRow(
         name=PAGES[segment],
         segment=segment,
         stage=Stage.SINK,
         run="pipelines.parts.page:run_page",
         arguments={"segment": segment},
-        reads=(*sounds, *link, *((SELECTED_TOPIC,) if segment is Segment.GROUND else ())),
-        what="serves the operator's page" if segment is Segment.SPACE else "serves ground's page",
+        reads=(*sounds, link, *(joystick if space else (SELECTED_TOPIC, *robot))),
+        writes=(HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC) if space else (),
+        what="serves the operator's page" if space else "serves ground's page",
     )
 
 

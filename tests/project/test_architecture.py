@@ -135,7 +135,7 @@ USERS_OF_SHELLS = {
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
     "pipelines/bench/all/records.py": {"Record"},
-    "telepresence/haptics/device/spec.py": {"SIMULATED"},
+    "telepresence/haptics/device/spec.py": {"PAGE", "SIMULATED"},
     "kontur_av/clock.py": {
         "NS_PER_MS",
         "NS_PER_S",
@@ -199,6 +199,7 @@ LIBRARIES = {
     "pipelines/cores/probe.py": ({"pickle"}, "a message as octets"),
     "pipelines/setup/setup_file.py": ({"pathlib"}, "a file"),
     "pipelines/cores/marking.py": ({"cv2"}, "draws"),
+    "pipelines/cores/hand_topics.py": ({"msgspec"}, "the joystick's state as octets"),
     "pipelines/cores/requests.py": ({"msgspec"}, "requests and answers as JSON"),
     "pipelines/report/": ({"msgspec", "rich"}, "the report as JSON and as text"),
     "pipelines/report/keys.py": ({"inspect"}, "reads docstrings"),

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.operation import Operation
-from telepresence.haptics.device.states import JoystickState
+from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.figures import JoystickFigures, LoggedTransition
 from telepresence.haptics.sample import Feedback
@@ -55,6 +55,12 @@ class OperatedHandle:
             self.operation.handle_heard(now_ns)
         lit = feedback[5]
         self._leds = 0 if lit is None else 1 << lit
+
+    def handle_command(self, event: JoystickEvent) -> str:
+        """Carry out a person's command, as `Operation.handle_command` does."""
+        refusal = self.operation.handle_command(event, self._now_ns)
+        self.force_limit_n = self.operation.force_limit_n
+        return refusal
 
     def report(self) -> JoystickFigures:
         """Return `Operation.report`, and the last 20 transitions."""

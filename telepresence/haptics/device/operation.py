@@ -13,6 +13,7 @@ from telepresence.haptics.device.device import JoystickDevice, Reading
 from telepresence.haptics.device.script import IDLE, ScriptRun
 from telepresence.haptics.device.states import (
     REQUESTS,
+    TRANSITIONS,
     JoystickEvent,
     JoystickState,
     StateMachine,
@@ -38,6 +39,10 @@ _CHECK_NS = 10 * NS_PER_MS
 
 #: Requests that are refused while the supervisor has a reason to halt.
 _NEED_HEALTH = (JoystickEvent.CALIBRATE, JoystickEvent.START, JoystickEvent.RESUME)
+
+#: A person's commands that resume a halted joystick first.
+_FROM_HALTED = (JoystickEvent.CALIBRATE, JoystickEvent.START)
+_BY_A_PERSON = "by a person's command"
 
 _OK, _APPLICATION = Health.OK, JoystickState.APPLICATION
 
@@ -83,6 +88,8 @@ class Operation:
         self._shown: JoystickState | None = None
         self._cycles = 0
         self._retries = 0
+        #: A person has halted or stopped it, and must let it go on.
+        self._paused = False
         self._tried_ns = now_ns
         self._held_since_ns: int | None = None
         #: The full force has returned since the dead-man button was pressed.
@@ -109,7 +116,7 @@ class Operation:
         it is repeated until the stick is released.
         """
         if self.state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE):
-            return not self._automatic or self._retries >= _RETRIES
+            return not self._automatic or self._paused or self._retries >= _RETRIES
         return self.state is JoystickState.FATAL
 
     @property
@@ -152,6 +159,30 @@ class Operation:
             self._retries = 0
         self.supervisor.expects_peer = not self._hands_off and event is JoystickEvent.START
         return ""
+
+    def handle_command(self, event: JoystickEvent, now_ns: int) -> str:
+        """Carry out a person's command to an automatic joystick; otherwise as `handle_request`.
+
+        halt, stop: nothing happens by itself until a person lets it go on. They also end a
+        calibration, and are refused only after a fatal error.
+        start: it goes on by itself from self-test, standby and calibration; from halted, it resumes
+        and starts. resume: it goes on by itself.
+        calibrate: from halted, it resumes first. A pause stays.
+        """
+        state = self.machine.state
+        if event in (JoystickEvent.HALT, JoystickEvent.STOP):
+            return self._pause(event, now_ns)
+        if event is JoystickEvent.START and state in (JoystickState.INIT, JoystickState.STANDBY):
+            self._paused = False
+            return ""
+        if state is JoystickState.HALTED and event in _FROM_HALTED:
+            refusal = self.handle_request(JoystickEvent.RESUME, now_ns)
+            if refusal:
+                return f"{event.value}: {refusal.partition(': ')[2]}"
+        refusal = self.handle_request(event, now_ns)
+        if not refusal and event in (JoystickEvent.START, JoystickEvent.RESUME):
+            self._paused = False
+        return refusal
 
     def handle_reading(self, now_ns: int) -> Reading:
         """Read the device, supervise the reading, and continue what is in progress."""
@@ -294,8 +325,23 @@ class Operation:
                     self.device.set_zero(found.x_m, found.y_m)
                     self.supervisor.set_workspace(found.half_width_m, found.half_height_m)
                     machine.handle_event(JoystickEvent.CALIBRATION_PASSED, now_ns)
-        elif self._automatic:
+        elif self._automatic and not self._paused:
             self._request_next(state, now_ns)
+
+    def _pause(self, event: JoystickEvent, now_ns: int) -> str:
+        machine = self.machine
+        if machine.state is JoystickState.FATAL:
+            return self.handle_request(event, now_ns)
+        self._paused = True
+        # The controller must know before its next cycle that its force is not exerted.
+        self.force_limit_n = 0.0
+        if (machine.state, event) in TRANSITIONS:
+            return self.handle_request(event, now_ns, _BY_A_PERSON)
+        # There is no force here but that of a calibration.
+        self._run = None
+        self._output = IDLE
+        self.prompt = ""
+        return ""
 
     def _forget_calibration(self) -> None:
         self.calibration = None

@@ -100,11 +100,64 @@ class Fingers:
             self.buttons = 0 if self.dead_man else self._seen
 
 
-class SimulatedDevice:
+#: Position of the handle at power-on, where the encoders begin to count. Chosen.
+START_M = (0.013, -0.021)
+
+
+class Mechanics:
+    """Handle, motors, encoders and LEDs of a simulated joystick; a device adds a hand and buttons.
+
+    leds: mask of those that are lit.
+    """
+
+    def __init__(
+        self, model: JoystickModel = _MODEL, *, start_m: tuple[float, float] = START_M
+    ) -> None:
+        self.joystick = Joystick(model, x_m=start_m[0], y_m=start_m[1])
+        self.leds = 0
+        self._zero_x, self._zero_y = start_m
+        self._force_x_n = self._force_y_n = 0.0
+        self._now_ns = 0
+
+    def set_zero(self, x_m: float, y_m: float) -> None:
+        """Make the present position (x_m, y_m) the middle."""
+        self._zero_x += x_m
+        self._zero_y += y_m
+
+    def write_force(self, x_n: float, y_n: float) -> None:
+        """Set the motors' force (N, N); `Joystick` limits it."""
+        self._force_x_n, self._force_y_n = x_n, y_n
+
+    def write_leds(self, mask: int) -> None:
+        """Light the LEDs in `mask`."""
+        self.leds = mask
+
+    def advance(self, dt_ns: int) -> None:
+        """Simulate `dt_ns`, at most 50 ms."""
+        self._now_ns += dt_ns
+        if 0 < dt_ns <= NS_PER_MS:
+            self._step(dt_ns)
+            return
+        remaining_ns = min(dt_ns, _MAX_ADVANCE_NS)
+        while remaining_ns > 0:
+            self._step(min(remaining_ns, NS_PER_MS))
+            remaining_ns -= NS_PER_MS
+
+    def close(self) -> None:
+        """Switch off force and LEDs."""
+        self.write_force(0.0, 0.0)
+        self.write_leds(0)
+
+    def _step(self, dt_ns: int) -> None:
+        """Simulate `dt_ns`, at most 1 ms."""
+        raise NotImplementedError
+
+
+class SimulatedDevice(Mechanics):
     """`Joystick` with sensors, buttons and LEDs, and optionally a hand.
 
     hand: holds the handle and presses the dead-man button while the joystick is in the application.
-    start_m: position of the handle at power-on, where the encoders begin to count.
+    start_m: position of the handle at power-on.
     stuck: an axis that does not move from now on; -1 for none.
     """
 
@@ -115,23 +168,19 @@ class SimulatedDevice:
         faults: Faults | None = None,
         *,
         hand: Hand | None = None,
-        start_m: tuple[float, float] = (0.013, -0.021),
+        start_m: tuple[float, float] = START_M,
     ) -> None:
         self.hand = hand
         faults = faults or Faults()
         model = replace(_MODEL, coulomb_n=_MODEL.coulomb_n * faults.friction)
-        self.joystick = Joystick(model, x_m=start_m[0], y_m=start_m[1])
+        super().__init__(model, start_m=start_m)
         self.joystick.temperature_c += faults.heat_c
         self.stuck = faults.stuck
         self._gain = faults.motor_gain
         self._live_buttons = ~(1 << faults.dead_button) if faults.dead_button >= 0 else -1
         self._lost_ns = faults.lost_ns
         self.fingers = Fingers(self.facts.leds)
-        self.leds = 0
-        self._zero_x, self._zero_y = start_m
-        self._force_x_n = self._force_y_n = 0.0
         self._held_ns = -1
-        self._now_ns = 0
 
     def read(self) -> Reading:
         """Return what the encoders, the buttons and the thermometer measure."""
@@ -150,19 +199,14 @@ class SimulatedDevice:
         # Skips `Reading.__new__`, which is one more Python call a thousand times a second.
         return tuple.__new__(Reading, reading)
 
-    def set_zero(self, x_m: float, y_m: float) -> None:
-        """Make the present position (x_m, y_m) the middle."""
-        self._zero_x += x_m
-        self._zero_y += y_m
-
     def write_force(self, x_n: float, y_n: float) -> None:
-        """Set the motors' force (N, N); `Joystick` limits it."""
+        """Set the motors' force (N, N), as strong as they are; `Joystick` limits it."""
         gain = self._gain
         self._force_x_n, self._force_y_n = gain * x_n, gain * y_n
 
     def write_leds(self, mask: int) -> None:
         """Light the LEDs in `mask`; the simulated fingers see them."""
-        self.leds = mask
+        super().write_leds(mask)
         self.fingers.handle_leds(mask)
 
     def show_state(self, state: JoystickState) -> None:
@@ -170,29 +214,13 @@ class SimulatedDevice:
         if self.hand is not None:
             self._held_ns = 0 if state is JoystickState.APPLICATION else -1
 
-    def advance(self, dt_ns: int) -> None:
-        """Simulate `dt_ns`, at most 50 ms."""
-        self._now_ns += dt_ns
-        if self.hand is None:
-            self.fingers.advance(dt_ns)
-        if 0 < dt_ns <= NS_PER_MS:
-            self._step(dt_ns)
-            return
-        remaining_ns = min(dt_ns, _MAX_ADVANCE_NS)
-        while remaining_ns > 0:
-            self._step(min(remaining_ns, NS_PER_MS))
-            remaining_ns -= NS_PER_MS
-
-    def close(self) -> None:
-        """Switch off force and LEDs."""
-        self.write_force(0.0, 0.0)
-        self.write_leds(0)
-
     def _step(self, dt_ns: int) -> None:
         joystick, hand = self.joystick, self.hand
         x, y, vx, vy = joystick.x_m, joystick.y_m, joystick.vx_m_s, joystick.vy_m_s
         hand_x = hand_y = hand_kg = 0.0
-        if hand is not None and self._held_ns >= 0:
+        if hand is None:
+            self.fingers.advance(dt_ns)
+        elif self._held_ns >= 0:
             hand_x, hand_y = hand.force(x, y, vx, vy, dt_ns)
             hand_kg = hand.mass_kg
             if self._held_ns < _GRIP_NS:

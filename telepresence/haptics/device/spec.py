@@ -4,6 +4,7 @@
 |---|---|
 | `sim` | the simulated joystick |
 | `sim:FAULT` | the same, broken: see `simulated.FAULTS` |
+| `page` | the simulated joystick in the hand of a person at a browser page |
 | `evdev` | the first game controller |
 | `evdev:PATH` | the one at PATH, such as /dev/input/event5 |
 """
@@ -11,10 +12,12 @@
 from kontur_av.errors import ConfigError
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.gamepad import open_gamepad
+from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.simulated import FAULTS, SimulatedDevice
 from telepresence.haptics.hand import Hand
 
 SIMULATED = "sim"
+PAGE = "page"
 GAME_CONTROLLER = "evdev"
 
 
@@ -40,9 +43,13 @@ def open_device(spec: str, *, hand: Hand | None = None) -> JoystickDevice:
     if kind == SIMULATED:
         fault = _fault(spec)
         return SimulatedDevice(FAULTS[fault] if fault else None, hand=hand)
+    if spec == PAGE:
+        return PageDevice()
     if kind == GAME_CONTROLLER:
         return open_gamepad(rest)
-    raise ConfigError(f"joystick {spec!r}: write sim, sim:FAULT, evdev or evdev:/dev/input/eventN")
+    raise ConfigError(
+        f"joystick {spec!r}: write sim, sim:FAULT, page, evdev or evdev:/dev/input/eventN"
+    )
 
 
 def _fault(spec: str) -> str:

@@ -1,0 +1,93 @@
+"""What the page of the operator's seat and the joystick tell each other through topics.
+
+| topic | writer | content |
+|---|---|---|
+| `hand/input` | page | `PageInput`: the newest hand of the page that holds the handle |
+| `hand/request` | page | `HandRequest`: a person's command |
+| `joystick/state` | joystick | `JoystickStatus`: its state, and what became of the newest command |
+"""
+
+import struct
+from typing import NamedTuple
+
+import msgspec
+
+from telepresence.haptics.device.page import PageInput
+from telepresence.haptics.device.states import REQUESTS, JoystickEvent
+
+_INPUT = struct.Struct("<?ddIIq")
+INPUT_OCTETS = _INPUT.size
+_NUMBER = struct.Struct("<q")
+_EVENTS = {event.value.encode("ascii"): event for event in REQUESTS}
+REQUEST_OCTETS = _NUMBER.size + max(len(name) for name in _EVENTS)
+#: Texts are cut to this length, so that the state is never too long for its topic.
+MOST_CHARACTERS = 400
+STATUS_OCTETS = 8192
+
+
+def pack_input(hand: PageInput) -> bytes:
+    """Return `INPUT_OCTETS` octets."""
+    return _INPUT.pack(*hand)
+
+
+def unpack_input(data: bytes) -> PageInput | None:
+    """Return what `pack_input` packed, or None for octets of another size."""
+    if len(data) != INPUT_OCTETS:
+        return None
+    return PageInput._make(_INPUT.unpack(data))
+
+
+class HandRequest(NamedTuple):
+    """A person's command. number: the next one of the page's process."""
+
+    number: int
+    event: JoystickEvent
+
+
+def pack_request(request: HandRequest) -> bytes:
+    """Return at most `REQUEST_OCTETS` octets."""
+    return _NUMBER.pack(request.number) + request.event.value.encode("ascii")
+
+
+def unpack_request(data: bytes) -> HandRequest | None:
+    """Return what `pack_request` packed, or None for anything else."""
+    event = _EVENTS.get(data[_NUMBER.size :])
+    return None if event is None else HandRequest(_NUMBER.unpack_from(data)[0], event)
+
+
+class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """The joystick as its operator must know it.
+
+    state: number of a `JoystickState`. reason: why it is in it, in one line; "" for no reason.
+    dead_man: the dead-man button is pressed. force_limit_n: the force (N) that there may be now.
+    device: its name. half_width_m, half_height_m: half of its workspace.
+    answered: number of the newest `HandRequest` that was handled; None for none.
+    refusal: why that was refused, in one line; "" if it was carried out.
+    """
+
+    state: int
+    reason: str
+    dead_man: bool
+    force_limit_n: float
+    device: str
+    half_width_m: float
+    half_height_m: float
+    answered: int | None = None
+    refusal: str = ""
+
+
+def pack_status(status: JoystickStatus) -> bytes:
+    """Return at most `STATUS_OCTETS` octets."""
+    return _ENCODER.encode(status)
+
+
+def unpack_status(data: bytes) -> JoystickStatus | None:
+    """Return what `pack_status` packed, or None for anything else."""
+    try:
+        return _DECODER.decode(data)
+    except msgspec.MsgspecError:
+        return None
+
+
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER = msgspec.msgpack.Decoder(JoystickStatus)

@@ -1,0 +1,62 @@
+"""The joystick's process and its operator: commands that come in, and the state that is told."""
+
+from kontur_av.clock import NS_PER_MS
+from pipelines.cores.hand_topics import (
+    MOST_CHARACTERS,
+    JoystickStatus,
+    pack_status,
+    unpack_request,
+)
+from pipelines.cores.watched_topic import WatchedTopic
+from telepresence.haptics.device.handle import OperatedHandle
+
+#: An unchanged state is told at this interval.
+_ANEW_NS = 100 * NS_PER_MS
+
+
+class JoystickStatusTeller(WatchedTopic):
+    """Call `handle_request` for each request and `poll_status` every few cycles.
+
+    The state is told only while it has readers: at each change, and every 100 ms.
+    """
+
+    def __init__(self, handle: OperatedHandle) -> None:
+        super().__init__()
+        self._handle = handle
+        self._told: tuple[object, ...] | None = None
+        self._anew_ns = 0
+        self._answered: int | None = None
+        self._refusal = ""
+
+    def handle_request(self, data: bytes) -> None:
+        """Carry out the command in `data`; octets that are none change nothing."""
+        request = unpack_request(data)
+        if request is not None:
+            self._refusal = self._handle.handle_command(request.event)[:MOST_CHARACTERS]
+            self._answered = request.number
+
+    def poll_status(self, now_ns: int) -> bytes | None:
+        """Return the state as octets if it is due, or None."""
+        if not self.watched:
+            return None
+        handle = self._handle
+        operation = handle.operation
+        reason = operation.reason or operation.supervisor.reason
+        present = (operation.state, handle.dead_man, reason, self._answered)
+        if present == self._told and now_ns < self._anew_ns:
+            return None
+        self._told, self._anew_ns = present, now_ns + _ANEW_NS
+        facts, calibration = operation.facts, operation.calibration
+        found = facts if calibration is None else calibration
+        status = JoystickStatus(
+            state=operation.state,
+            reason=reason[:MOST_CHARACTERS],
+            dead_man=handle.dead_man,
+            force_limit_n=handle.force_limit_n,
+            device=facts.name[:MOST_CHARACTERS],
+            half_width_m=found.half_width_m,
+            half_height_m=found.half_height_m,
+            answered=self._answered,
+            refusal=self._refusal,
+        )
+        return pack_status(status)
