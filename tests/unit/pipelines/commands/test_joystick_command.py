@@ -39,10 +39,13 @@ def test_a_failed_check_is_exit_code_1_with_its_reason(capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["joystick", "test", "--device", "usb"], "write sim, sim:FAULT, evdev"),
+        (["joystick", "test", "--device", "usb"], "write sim, sim:FAULT, page, evdev"),
         (["joystick", "test", "--device", "sim:tired"], "the faults are stuck-x"),
         (["joystick", "test", "--report", "/nowhere/r.json"], "cannot be written"),
-        (["stream", "--setup", "taskboard", "--joystick", "usb"], "write sim, sim:FAULT, evdev"),
+        (
+            ["stream", "--setup", "taskboard", "--joystick", "usb"],
+            "write sim, sim:FAULT, page, evdev",
+        ),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments, words, capsys):
