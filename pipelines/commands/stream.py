@@ -25,6 +25,7 @@ from pipelines.commands.session_options import (
 from pipelines.report.collector import Collector
 from pipelines.report.live import LiveView
 from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.seat_feed import SeatFeed
 from pipelines.report.session_report import build_report
 from pipelines.report.summary import print_summary
 from pipelines.runtime.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
@@ -104,6 +105,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             show=view.show,
             pages=pages,
+            feed=SeatFeed(setup, collector) if pages else None,
         )
         launcher.run(args.seconds)
     held.close()

@@ -79,7 +79,7 @@ class Collector:
     def handle_resumed(self, now_ns: int) -> None:
         """The processes are started again after a stop that was asked for."""
         for figures in self.processes.values():
-            figures.resumed_ns = now_ns
+            figures.handle_resumed(now_ns)
 
     def handle_end(self) -> None:
         """The session is over. Compare what still waits."""

@@ -11,19 +11,19 @@ from rich.table import Table
 from rich.text import Text
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.meters import Histogram, RateMeter
+from kontur_av.meters import Histogram
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import DisplayGauges, HapticCounters, ReceptionCounters
+from pipelines.cores.figures import HapticCounters, ReceptionCounters
 from pipelines.cores.marking import age_words
-from pipelines.cores.probe import FLUSH_NS
 from pipelines.cores.session_switch import Activity
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import Column, fitted_line, fitted_table
+from pipelines.report.present import last_bps, shown_now
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import silences
 from pipelines.report.summary import NO_SAMPLE
 from pipelines.runtime.launcher import Launcher
-from pipelines.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.setup.table import VideoStream, VoiceStream
 from pipelines.topology import HapticRow, Segment
 
 #: The columns, with the rank by which they are left out on a narrow terminal.
@@ -38,9 +38,6 @@ _COLUMNS = (
     ("p99 ms", 7),
     ("age", 2),
 )
-#: Figures are at most this old: a process reports twice a second, and may be late.
-_TOLD_AFTER_NS = 2 * FLUSH_NS
-
 _COLOURS = {
     State.FRESH: "green",
     State.DAMAGED: "yellow",
@@ -138,7 +135,7 @@ def _stream_row(
     receiver = collector.process(collector.topology.media(stream.name).receiver)
     return [
         stream.name,
-        f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
+        f"{last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}",
         Text(f"{largest / 1000:.1f}", "bold red" if figures.above_cap_bps[0] > 0 else "green"),
         f"{stream.cap_bps / 1000:g}",
         str(collector.shown(stream.name).frames_displayed),
@@ -155,7 +152,7 @@ def _haptic_row(launcher: Launcher, collector: Collector, row: HapticRow) -> lis
     profile = launcher.setup.profile(row.direction)
     return [
         f"haptic_{row.key}",
-        f"{_last_bps(launcher, figures.rate) / 1000:.1f}",
+        f"{last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}",
         "",
         f"{haptic_cap_bps(profile) / 1000:g}",
         str(samples.received),
@@ -175,7 +172,7 @@ def _percentile_ms(histogram: Histogram, percent: float) -> str:
 def _age(launcher: Launcher, collector: Collector, stream: VideoStream | VoiceStream) -> Text:
     """How old what is shown is, with a word and a colour."""
     now_ns = launcher.clock.now_ns()
-    state, age_ns = _shown_now(stream, launcher.setup, collector, now_ns)
+    state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
     if state is State.NOTHING:
         return Text(NO_SAMPLE)
     return Text(f"{age_words(age_ns)} {state.value}", _COLOURS[state])
@@ -194,11 +191,6 @@ def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
         if fault and all(silence.process != process for silence in silent):
             lines.append(Text(f"{process}: {fault}", "yellow"))
     return lines
-
-
-def _last_bps(launcher: Launcher, rate: RateMeter) -> float:
-    """The rate of the last second that the processes have reported."""
-    return rate.last_bps(launcher.clock.now_ns() - _TOLD_AFTER_NS)
 
 
 def _processes(launcher: Launcher, *, verbose: bool) -> Columns:
@@ -222,14 +214,14 @@ def _line(launcher: Launcher, collector: Collector) -> str:
         newest = latency_ms(figures)
         receiver = collector.process(collector.topology.media(stream.name).receiver)
         parts.append(
-            f"{stream.name} {_last_bps(launcher, figures.rate) / 1000:.1f}"
+            f"{stream.name} {last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}"
             f"/{stream.cap_bps / 1000:g} kbit/s "
             f"{collector.shown(stream.name).frames_displayed} shown "
             f"{receiver.total(ReceptionCounters).rtp_lost} lost "
             f"{NO_SAMPLE if newest is None else f'{newest:.0f}'} ms"
         )
         now_ns = launcher.clock.now_ns()
-        state, age_ns = _shown_now(stream, launcher.setup, collector, now_ns)
+        state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
         if state is State.STALE:
             parts[-1] += f" STALE {age_words(age_ns)}"
     for row in collector.topology.haptics:
@@ -245,17 +237,3 @@ def _line(launcher: Launcher, collector: Collector) -> str:
     if down:
         parts.append("down: " + ", ".join(down))
     return "  ".join(parts)
-
-
-def _shown_now(
-    stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, now_ns: int
-) -> tuple[State, int]:
-    """The state of what is shown of `stream`, and its age in ns (0 if nothing was shown yet)."""
-    display = collector.process(collector.topology.media(stream.name).display)
-    reported = display.gauges(DisplayGauges, stream.name)
-    if reported is None:
-        return State.NOTHING, 0
-    age_ns = reported.age_ns + max(0, now_ns - display.told_ns - _TOLD_AFTER_NS)
-    if age_ns >= setup.stale_after_ns(stream):
-        return State.STALE, age_ns
-    return reported.state, age_ns

@@ -10,6 +10,7 @@ from kontur_av.meters import Histogram
 from pipelines.cores.figures import (
     CaptureGauges,
     Counters,
+    DisplayGauges,
     GatewayGauges,
     Gauges,
     SelectorGauges,
@@ -45,7 +46,7 @@ class ProcessFigures:
     #: When the last pause in its captures ended; of an input.
     gives_since_ns: int = 0
     #: When it was started again after a stop that was asked for.
-    resumed_ns: int = 0
+    _resumed_ns: int = 0
     _counters: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
     _ended: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
     _gauges: dict[tuple[type[Gauges], str], Gauges] = field(default_factory=dict)
@@ -124,7 +125,7 @@ class ProcessFigures:
         if since_ns is None:
             return 0
         until_ns = self.told_ns if now_ns is None else now_ns
-        return max(0, until_ns - max(since_ns, self.resumed_ns))
+        return max(0, until_ns - max(since_ns, self._resumed_ns))
 
     def handle_end(self) -> None:
         """The process has ended. Its counts are kept, because the next life begins at 0."""
@@ -135,6 +136,12 @@ class ProcessFigures:
         if self.link is not None:
             self.ended_links.append(self.link)
             del self._gauges[GatewayGauges, ""]
+
+    def handle_resumed(self, now_ns: int) -> None:
+        """The process starts again after a stop that was asked for: it has shown nothing yet."""
+        self._resumed_ns = now_ns
+        for key in [key for key in self._gauges if key[0] is DisplayGauges]:
+            del self._gauges[key]
 
     def links(self) -> Iterator[GatewayFigures]:
         """The link's counters of each life."""

@@ -26,6 +26,7 @@ from pipelines.report.model import (
     PortReport,
     ProcessReport,
     SessionReport,
+    SkewReport,
     Spread,
     Stages,
     StreamLatency,
@@ -66,18 +67,17 @@ def build_report(
         setup=setup.name,
         seconds=round(whole_s, 3),
         stopped_s=[(round(begin, 3), round(end, 3)) for begin, end in stopped_s] or None,
-        streams={stream.name: _stream(stream, setup, collector, seconds) for stream in streams},
-        haptic={
-            row.key: _haptic(row, setup, collector, seconds) for row in collector.topology.haptics
+        streams={
+            stream.name: stream_report(stream, setup, collector, seconds) for stream in streams
         },
-        joystick=_joystick(collector),
+        haptic={
+            row.key: haptic_report(row, setup, collector, seconds)
+            for row in collector.topology.haptics
+        },
+        joystick=joystick_report(collector),
         link={"uplink": uplink, "downlink": link_figures(setup, collector, "downlink")},
         gateways={end: gateway_figures(collector, end) for end in ("ground", "space")},
-        # A setup without voices has nothing to compare them with.
-        skew_ms={
-            name: skew.summary_ms() if skew.count else None
-            for name, skew in collector.skews.items()
-        },
+        skew_ms=skew_reports(collector),
         video_lead=video_lead(
             setup,
             collector.streams[setup.uplink_video.name].way,
@@ -89,11 +89,19 @@ def build_report(
         lip_sync=collector.lip_sync.summary() if collector.lip_sync.counted_ns else None,
         cpu=cpu_report(cpu_s, launcher_cpu_s, seconds),
         processes={
-            name: _process(name, cpu_s[name], restarts[name], setup, collector) for name in cpu_s
+            name: process_report(name, cpu_s[name], restarts[name], setup, collector)
+            for name in cpu_s
         },
         failures=failures(setup, collector, seconds, media=media),
         warnings=find_warnings(setup, collector, seconds=seconds, restarts=restarts, media=media),
     )
+
+
+def skew_reports(collector: Collector) -> dict[str, SkewReport | None]:
+    """The skews by name; None where nothing was compared, as in a setup without voices."""
+    return {
+        name: skew.summary_ms() if skew.count else None for name, skew in collector.skews.items()
+    }
 
 
 def cpu_report(cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float) -> CpuReport:
@@ -123,9 +131,10 @@ def _pauses_s(pauses: Pauses, collector: Collector) -> list[tuple[float, float]]
     ]
 
 
-def _stream(
+def stream_report(
     stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, seconds: float
 ) -> StreamReport:
+    """One media stream in a session that ran for `seconds`."""
     figures = collector.streams[stream.name]
     sender = collector.process(collector.topology.media(stream.name).sender)
     receiver = collector.process(collector.topology.media(stream.name).receiver)
@@ -196,13 +205,16 @@ def _ms(value_ns: int) -> float:
     return round(value_ns / NS_PER_MS, 3)
 
 
-def _joystick(collector: Collector) -> JoystickFigures | None:
+def joystick_report(collector: Collector) -> JoystickFigures | None:
     """A real joystick, as its process reported it."""
     gauges = collector.process("joystick").gauges(JoystickGauges)
     return None if gauges is None else gauges.joystick
 
 
-def _haptic(row: HapticRow, setup: Setup, collector: Collector, seconds: float) -> HapticReport:
+def haptic_report(
+    row: HapticRow, setup: Setup, collector: Collector, seconds: float
+) -> HapticReport:
+    """One direction of haptics in a session that ran for `seconds`."""
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     profile, figures = setup.profile(row.direction), collector.haptics[row.key]
     sent, received = sender.total(HapticCounters), receiver.total(HapticCounters)
@@ -245,9 +257,10 @@ def haptic_bps(profile: LinkProfile, samples: int, seconds: float) -> int:
     return round(samples * profile.insert_octets * 8 / max(seconds, 1e-9))
 
 
-def _process(
+def process_report(
     name: str, cpu_s: float, restarts: int, setup: Setup, collector: Collector
 ) -> ProcessReport:
+    """One process, with the CPU time and restarts that its launcher knows."""
     figures = collector.process(name)
     reception = figures.gauges(ReceptionGauges)
     silent_ns = next(
@@ -305,7 +318,7 @@ def failures(
             found.append(
                 f"{row.sender}: its port gave out {-port.least_uj} µJ that the peer had not granted"
             )
-    joystick = _joystick(collector)
+    joystick = joystick_report(collector)
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")
     found += disagreements(sync_section(setup, collector.sync, media=media))

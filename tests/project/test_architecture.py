@@ -122,6 +122,7 @@ USERS_OF_SHELLS = {
     "pipelines/bench/link/cost.py": "measures CPU time",
     "pipelines/bench/voice/virtual.py": "hears recorded speech",
     "pipelines/report/live.py": "the terminal, and the launcher's processes",
+    "pipelines/report/seat_feed.py": "the launcher's processes",
     "pipelines/simulation/inputs.py": "workers draw and play files",
     "pipelines/simulation/media.py": "starts workers",
     "pipelines/simulation/receivers.py": "workers decode",

@@ -1,0 +1,208 @@
+"""What happened in a session, as lines for people, found by comparing looks at its figures. A core.
+
+Where a figure has its own instant, the event has that one; else that of the look. The lines of one
+look are in the order of their instants.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import msgspec
+
+from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.streams.staleness import State
+from pipelines.cores.figures import JoystickGauges
+from pipelines.cores.marking import age_words
+from pipelines.cores.session_switch import Activity
+from pipelines.report.collector import Collector
+from pipelines.report.present import shown_now
+from pipelines.report.silence import silences
+from pipelines.setup.table import Setup
+from pipelines.topology import Segment
+from telepresence.link.figures import SupervisionFigures
+
+#: How many events are kept.
+DEPTH = 200
+#: States of the link that are told; those between them last for milliseconds.
+_TOLD_STATES = ("connected", "refused")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProcessNow:
+    """A process as its launcher knows it.
+
+    running: whether it has a life at present. error: why its newest life that failed ended.
+    """
+
+    name: str
+    restarts: int
+    running: bool
+    error: str
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True):
+    """One event.
+
+    number: from 1 on. at_us: on the session's clock. what: `link`, `process`, `camera`, `stale`,
+    `joystick`, `input` or `session`.
+    """
+
+    number: int
+    at_us: int
+    what: str
+    text: str
+
+
+class EventLog:
+    """Finds events, and keeps the newest 200. Call `handle_look` about twice a second."""
+
+    def __init__(self, setup: Setup, collector: Collector) -> None:
+        self.events: deque[Event] = deque(maxlen=DEPTH)
+        self._setup, self._collector = setup, collector
+        self._number = 0
+        self._activity = Activity.RUNNING
+        #: By segment and kind: until when the record of its gateway has been told.
+        self._link_told_ns: dict[tuple[Segment, str], int] = {}
+        self._pass_s: float | None = None
+        self._camera: str | None = None
+        self._restarts: dict[str, int] = {}
+        self._stale: dict[str, bool] = {}
+        self._joystick: tuple[str, str] | None = None
+        self._silent: set[str] = set()
+        self._faults: dict[str, str] = {}
+
+    def handle_look(
+        self,
+        processes: Sequence[ProcessNow],
+        *,
+        activity: Activity,
+        started_ns: int,
+        now_ns: int,
+    ) -> None:
+        """Find what happened since the last look. started_ns: when the session began."""
+        found = [
+            *self._session(activity, now_ns),
+            *self._links(),
+            *self._passes(started_ns, now_ns),
+            *self._cameras(),
+            *self._restarted(processes, now_ns),
+            *self._joysticks(now_ns),
+        ]
+        # A stopped session shows nothing and captures nothing, because that was asked for.
+        if activity is Activity.RUNNING:
+            found += [*self._staleness(now_ns), *self._inputs(now_ns)]
+        for at_ns, what, text in sorted(found, key=lambda event: event[0]):
+            self._number += 1
+            at_us = at_ns // NS_PER_US
+            self.events.append(Event(number=self._number, at_us=at_us, what=what, text=text))
+
+    def after(self, number: int) -> list[Event]:
+        """The kept events that come after the one with this number."""
+        return [event for event in self.events if event.number > number]
+
+    def _session(self, activity: Activity, now_ns: int) -> Iterator[tuple[int, str, str]]:
+        before, self._activity = self._activity, activity
+        if (before is Activity.RUNNING) != (activity is Activity.RUNNING):
+            stopped = before is Activity.RUNNING
+            yield now_ns, "session", "session stopped" if stopped else "session started"
+
+    def _links(self) -> Iterator[tuple[int, str, str]]:
+        for segment in Segment:
+            link = self._collector.process(self._collector.topology.gateway(segment).name).link
+            if link is None:
+                continue
+            # Each kind for itself: a loss is dated back to the last frame before it.
+            for kind, record in _supervised(link.supervision).items():
+                told_ns = self._link_told_ns.get((segment, kind), -1)
+                for at_ns, text in record:
+                    if at_ns > told_ns:
+                        yield at_ns, "link", f"{segment.value}: {text}"
+                newest_ns = max([told_ns, *(at_ns for at_ns, _ in record)])
+                self._link_told_ns[segment, kind] = newest_ns
+
+    def _passes(self, started_ns: int, now_ns: int) -> Iterator[tuple[int, str, str]]:
+        """Begin and end of the pass, as the orbit predicts them."""
+        link = self._collector.process(self._collector.topology.gateway(Segment.GROUND).name).link
+        channel = None if link is None else link.radio.channel
+        if channel is None or channel.contact is None:
+            return
+        start_s = self._setup.radio_profile.start_s
+        pass_s = start_s + (now_ns - started_ns) / NS_PER_S
+        before_s, self._pass_s = self._pass_s, pass_s
+        for at_s, text in (
+            (channel.contact.acquisition_s, "radio: the pass begins"),
+            (channel.contact.loss_s, "radio: the pass ends"),
+        ):
+            if before_s is not None and before_s < at_s <= pass_s:
+                yield started_ns + round((at_s - start_s) * NS_PER_S), "link", text
+
+    def _cameras(self) -> Iterator[tuple[int, str, str]]:
+        selector = self._collector.process("selector")
+        before, self._camera = self._camera, selector.selected
+        if before is not None and self._camera != before:
+            yield selector.selected_ns, "camera", f"camera {self._camera} selected"
+
+    def _restarted(
+        self, processes: Sequence[ProcessNow], now_ns: int
+    ) -> Iterator[tuple[int, str, str]]:
+        for process in processes:
+            if process.restarts > self._restarts.get(process.name, 0):
+                why = f": {process.error}" if process.error else ""
+                yield now_ns, "process", f"{process.name} was started again{why}"
+            self._restarts[process.name] = process.restarts
+
+    def _joysticks(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
+        gauges = self._collector.process("joystick").gauges(JoystickGauges)
+        if gauges is None:
+            return
+        now = gauges.joystick.state, gauges.joystick.reason
+        before, self._joystick = self._joystick, now
+        if now != before:
+            state, reason = now
+            yield now_ns, "joystick", f"joystick: {state}" + (f" ({reason})" if reason else "")
+
+    def _staleness(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
+        for stream in self._setup.streams:
+            state, age_ns = shown_now(stream, self._setup, self._collector, now_ns)
+            if state is State.NOTHING:
+                continue
+            stale = state is State.STALE
+            if stale and not self._stale.get(stream.name, False):
+                since_ns = now_ns - age_ns + self._setup.stale_after_ns(stream)
+                yield since_ns, "stale", f"{stream.name} is stale"
+            elif not stale and self._stale.get(stream.name, False):
+                yield now_ns, "stale", f"{stream.name} is fresh again ({age_words(age_ns)} old)"
+            self._stale[stream.name] = stale
+
+    def _inputs(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
+        silent = {each.process: each for each in silences(self._setup, self._collector, now_ns)}
+        for name, silence in silent.items():
+            if name not in self._silent:
+                yield now_ns, "input", str(silence)
+        for name in sorted(self._silent - silent.keys()):
+            yield now_ns, "input", f"{name} gives again"
+        self._silent = set(silent)
+        for name in self._setup.inputs:
+            process = self._collector.topology.input(name).process
+            fault = self._collector.process(process).source_fault
+            if fault and fault != self._faults.get(process):
+                yield now_ns, "input", f"{process}: {fault}"
+                self._faults[process] = fault
+
+
+def _supervised(supervision: SupervisionFigures) -> dict[str, list[tuple[int, str]]]:
+    """By kind: instants and words of what a gateway's record has of signal and state."""
+    begun_ns, contacts = supervision.begun_ns, supervision.contacts
+    changes = [
+        (begun_ns + one["at_ns"], f"link {one['to']}", one["why"])
+        for one in supervision.history
+        if one["to"] in _TOLD_STATES or one["from"] in _TOLD_STATES
+    ]
+    return {
+        "acquired": [(begun_ns + one.acquired_ns, "signal acquired") for one in contacts],
+        "lost": [
+            (begun_ns + one.lost_ns, "signal lost") for one in contacts if one.lost_ns is not None
+        ],
+        "state": [(at_ns, f"{text} ({why})" if why else text) for at_ns, text, why in changes],
+    }

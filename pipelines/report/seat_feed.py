@@ -1,0 +1,69 @@
+"""Hands the figures of a session from its launcher to the processes that serve pages."""
+
+import msgspec
+
+from pipelines.cores.figures import PageGauges
+from pipelines.report.collector import Collector
+from pipelines.report.event_log import ProcessNow
+from pipelines.report.seat_figures import SeatFigures
+from pipelines.runtime.launcher import Launcher, launcher_cpu_s
+from pipelines.setup.table import Setup
+
+
+class SeatFeed:
+    """Makes a message for each page process while somebody watches its pages.
+
+    Each life of a page process is sent every event once.
+    """
+
+    def __init__(self, setup: Setup, collector: Collector) -> None:
+        self._figures = SeatFigures(setup, collector)
+        self._collector = collector
+        #: By page process: its life, and the newest event that it was sent.
+        self._told: dict[str, tuple[int | None, int]] = {}
+        self._newest: dict[str, tuple[int | None, int]] = {}
+
+    def poll_messages(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
+        """Return the messages of now; none while nobody watches."""
+        self._figures.handle_look(
+            [
+                ProcessNow(
+                    name=child.row.name,
+                    restarts=child.restarts,
+                    running=child.pid is not None,
+                    error=child.last_error,
+                )
+                for child in launcher.children
+            ],
+            activity=launcher.switch.activity,
+            started_ns=launcher.started_ns,
+            now_ns=now_ns,
+        )
+        lives = {
+            child.row.name: child.pid
+            for child in launcher.children
+            if child.row.name in launcher.pages and self._watched(child.row.name)
+        }
+        if not lives:
+            return {}
+        message = self._figures.message(
+            launcher.cpu_s(),
+            launcher_cpu_s=launcher_cpu_s(),
+            running_ns=launcher.switch.running_ns(launcher.started_ns, now_ns),
+            now_ns=now_ns,
+        )
+        messages = {}
+        for name, pid in lives.items():
+            life, number = self._told.get(name, (pid, 0))
+            events = self._figures.log.after(number if life == pid else 0)
+            self._newest[name] = pid, events[-1].number if events else number
+            messages[name] = msgspec.json.encode(msgspec.structs.replace(message, events=events))
+        return messages
+
+    def handle_sent(self, process: str) -> None:
+        """The page process has got the newest message."""
+        self._told[process] = self._newest[process]
+
+    def _watched(self, process: str) -> bool:
+        gauges = self._collector.process(process).gauges(PageGauges)
+        return gauges is not None and gauges.watching > 0

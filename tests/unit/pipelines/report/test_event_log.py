@@ -1,0 +1,187 @@
+"""Every event of a session is told once, with its instant, in the order of the instants."""
+
+from types import SimpleNamespace
+
+import pytest
+from told import message
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.streams.staleness import State
+from pipelines.cores.figures import (
+    CaptureGauges,
+    DisplayCounters,
+    DisplayGauges,
+    GatewayGauges,
+    JoystickGauges,
+    SelectorGauges,
+)
+from pipelines.cores.session_switch import Activity
+from pipelines.report.collector import Collector
+from pipelines.report.event_log import DEPTH, EventLog, ProcessNow
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import topology_of
+from telepresence.link.figures import ContactFigures, ContactWindows
+
+SETUP = BUILT_IN["taskboard"]
+CONNECTED = {"at_ns": 5000, "from": "configure", "to": "connected", "why": "data both ways"}
+SEARCH = {"at_ns": 7050, "from": "connected", "to": "search", "why": "no signal"}
+
+
+class Session:
+    """A collector and the log that looks at it, twice a second from `at_s` on."""
+
+    def __init__(self, setup=SETUP):
+        self.collector = Collector(topology_of(setup))
+        self.log = EventLog(setup, self.collector)
+
+    def told(self, process, *figures, at_s=1.0, stream=""):
+        told = message(*figures, stream=stream)
+        self.collector.handle_message(process, told, round(at_s * NS_PER_S))
+
+    def look(self, at_s=1.0, processes=(), activity=Activity.RUNNING):
+        """Return the new events as (instant in µs, what, text)."""
+        newest = self.log.events[-1].number if self.log.events else 0
+        now_ns = round(at_s * NS_PER_S)
+        self.log.handle_look(processes, activity=activity, started_ns=0, now_ns=now_ns)
+        return [(event.at_us, event.what, event.text) for event in self.log.after(newest)]
+
+
+@pytest.fixture
+def session():
+    return Session()
+
+
+def gateway(contacts=(), history=(), begun_ns=1_000_000, windows=None):
+    """The gauges of a gateway whose contacts are (acquired, lost), counted from `begun_ns`."""
+    supervision = SimpleNamespace(
+        begun_ns=begun_ns,
+        contacts=[
+            ContactFigures(acquired_ns=acquired, connected_ns=None, lost_ns=lost)
+            for acquired, lost in contacts
+        ],
+        history=list(history),
+    )
+    channel = SimpleNamespace(contact=windows)
+    link = SimpleNamespace(supervision=supervision, radio=SimpleNamespace(channel=channel))
+    return GatewayGauges(link=link)
+
+
+def test_signal_and_state_of_the_link_have_their_own_instants(session):
+    between = {**CONNECTED, "at_ns": 4000, "from": "search", "to": "configure"}
+    session.told("space_gateway", gateway([(2000, None)], [between, CONNECTED]))
+    acquired = (1002, "link", "space: signal acquired")
+    connected = (1005, "link", "space: link connected (data both ways)")
+    assert session.look() == [acquired, connected]
+    assert session.look(1.5) == []
+    # The loss is dated back to the last frame, which came before the newest transition told.
+    session.told("space_gateway", gateway([(2000, 4500)], [between, CONNECTED, SEARCH]), at_s=2)
+    lost = (1004, "link", "space: signal lost")
+    assert session.look(2) == [lost, (1007, "link", "space: link search (no signal)")]
+    # Both gateways, and a new life of one.
+    session.told("ground_gateway", gateway([(2000, None)]), at_s=3)
+    session.collector.handle_exit("space_gateway", "")
+    session.told("space_gateway", gateway([(2000, None)], begun_ns=3 * NS_PER_S), at_s=3)
+    assert session.look(3) == [
+        (1002, "link", "ground: signal acquired"),
+        (3_000_002, "link", "space: signal acquired"),
+    ]
+
+
+def test_a_pass_begins_and_ends_when_its_orbit_says():
+    windows = ContactWindows(
+        acquisition="2026-01-01T00:00:00Z",
+        usable_from_s=None,
+        usable_to_s=None,
+        loss_s=300.0,
+        peak_s=1,
+        peak_deg=1,
+        nearest_km=1,
+        farthest_km=1,
+    )
+    radio = SimpleNamespace(start_s=-2.0)
+    session = Session()
+    session.log._setup = SimpleNamespace(radio_profile=radio, streams=(), inputs=())
+    session.told("ground_gateway", gateway(windows=windows))
+    assert session.look(1.9) == []
+    assert session.look(2.2) == [(2_000_000, "link", "radio: the pass begins")]
+    assert session.look(301.9) == []
+    assert session.look(302.4) == [(302_000_000, "link", "radio: the pass ends")]
+
+
+def test_a_camera_is_told_when_it_changes(session):
+    session.told("selector", SelectorGauges(selected="left"))
+    assert session.look() == []
+    session.told("selector", SelectorGauges(selected="static"), at_s=1.7)
+    assert session.look(2) == [(1_700_000, "camera", "camera static selected")]
+    assert session.look(2.5) == []
+
+
+def test_a_restart_is_told_with_its_error(session):
+    def robot(restarts, error=""):
+        return [ProcessNow(name="robot", restarts=restarts, running=True, error=error)]
+
+    assert session.look(1, robot(0)) == []
+    died = (1_500_000, "process", "robot was started again: ended by SIGKILL")
+    assert session.look(1.5, robot(1, "ended by SIGKILL")) == [died]
+    assert session.look(2, robot(1, "ended by SIGKILL")) == []
+
+
+def test_a_stale_picture_and_a_fresh_one_again(session):
+    def shown(state, age_ms, at_s):
+        gauges = DisplayGauges(age_ns=age_ms * NS_PER_MS, state=state)
+        session.told("space_display", gauges, at_s=at_s, stream="uplink_video")
+        return session.look(at_s)
+
+    after_ms = SETUP.stale_after_ns(SETUP.uplink_video) // NS_PER_MS
+    assert shown(State.FRESH, 40, 1) == []
+    ((at_us, *event),) = shown(State.STALE, after_ms + 100, 2)
+    assert event == ["stale", "uplink_video is stale"]
+    # It became stale 0.1 s ago; the threshold is no whole number of milliseconds.
+    assert abs(at_us - 1_900_000) < 1000
+    assert shown(State.STALE, after_ms + 600, 2.5) == []
+    assert shown(State.FRESH, 30, 3) == [
+        (3_000_000, "stale", "uplink_video is fresh again (30 ms old)")
+    ]
+
+
+def test_the_joystick_says_why(session):
+    def state(name, reason):
+        return JoystickGauges(joystick=SimpleNamespace(state=name, reason=reason))
+
+    session.told("joystick", state("application", ""))
+    assert session.look() == [(1_000_000, "joystick", "joystick: application")]
+    session.told("joystick", state("halt", "dead-man released"))
+    assert session.look(2) == [(2_000_000, "joystick", "joystick: halt (dead-man released)")]
+    assert session.look(2.5) == []
+
+
+def test_silent_inputs_and_faults(session):
+    session.told("camera_left", CaptureGauges(captured_ns=NS_PER_S, source_fault="unplugged"))
+    assert session.look(1) == [(1_000_000, "input", "camera_left: unplugged")]
+    assert session.look(4) == [(4_000_000, "input", "camera_left: no picture for 3 s (unplugged)")]
+    assert session.look(4.5) == []
+    session.told("camera_left", CaptureGauges(captured_ns=5 * NS_PER_S), at_s=5)
+    assert session.look(5) == [(5_000_000, "input", "camera_left gives again")]
+
+
+def test_a_stop_on_request_is_one_event_and_nothing_in_it_is_stale_or_silent(session):
+    session.told("camera_left", CaptureGauges(captured_ns=NS_PER_S))
+    gauges = DisplayGauges(age_ns=40 * NS_PER_MS, state=State.FRESH)
+    session.told("space_display", gauges, stream="uplink_video")
+    assert session.look(1) == []
+    stopped = session.look(1.5, activity=Activity.STOPPING)
+    assert stopped == [(1_500_000, "session", "session stopped")]
+    assert session.look(9, activity=Activity.STOPPED) == []
+    session.collector.handle_resumed(9 * NS_PER_S)
+    # The picture of before does not count, and there is none yet.
+    session.told("space_display", DisplayCounters(), at_s=9, stream="uplink_video")
+    assert session.look(9.5) == [(9_500_000, "session", "session started")]
+    session.told("space_display", gauges, at_s=10, stream="uplink_video")
+    assert session.look(10) == []
+
+
+def test_only_the_newest_are_kept(session):
+    for number in range(DEPTH + 5):
+        session.told("selector", SelectorGauges(selected=f"camera{number}"))
+        session.look(1)
+    assert [event.number for event in session.log.events] == list(range(5, DEPTH + 5))

@@ -1,0 +1,235 @@
+"""The figures of the pages are those that the report would have, and each message has its parts."""
+
+import json
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+from told import message
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.streams.staleness import State
+from pipelines.cores.figures import (
+    DisplayCounters,
+    DisplayGauges,
+    HapticCounters,
+    PageGauges,
+    ReceptionCounters,
+    SelectorGauges,
+)
+from pipelines.cores.rows import OutRow, SampleReceivedRow, SampleSentRow
+from pipelines.cores.session_switch import Activity, Order, SessionSwitch
+from pipelines.report.collector import Collector
+from pipelines.report.event_log import ProcessNow
+from pipelines.report.model import to_builtins
+from pipelines.report.seat_feed import SeatFeed
+from pipelines.report.seat_figures import SeatFigures, SeatMessage
+from pipelines.report.session_report import build_report
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import topology_of
+
+SETUP = BUILT_IN["spacejustin"]
+TOPOLOGY = topology_of(SETUP, pages=True)
+CPU_S = {row.name: 0.5 for row in TOPOLOGY.processes}
+
+
+@pytest.fixture
+def collector():
+    """A session of two seconds: a picture's packets, samples of the hand, what is shown."""
+    collector = Collector(TOPOLOGY)
+    out = [OutRow(k * 10 * NS_PER_MS, 100, 85_000) for k in range(200)]
+    sent = [SampleSentRow(k, k * NS_PER_MS) for k in range(1000, 2000)]
+    felt = [SampleReceivedRow(k, (k + 11) * NS_PER_MS) for k in range(1000, 2000)]
+    now_ns = 2 * NS_PER_S
+    for process, rows, counters in (
+        ("uplink_video_send", out, ()),
+        ("robot", sent, (HapticCounters(sent=1000),)),
+        ("joystick", felt, (HapticCounters(received=1000, lost=3),)),
+        ("uplink_video_receive", (), (ReceptionCounters(rtp_packets=197, rtp_lost=3),)),
+        ("selector", (), (SelectorGauges(selected="stereo"),)),
+    ):
+        collector.handle_message(process, message(*counters, rows=rows), now_ns)
+    shown = (
+        DisplayCounters(frames_displayed=58),
+        DisplayGauges(age_ns=45 * NS_PER_MS, state=State.FRESH),
+    )
+    collector.handle_message("space_display", message(*shown, stream="uplink_video"), now_ns)
+    return collector
+
+
+def processes(**changes):
+    facts = {"restarts": 0, "running": True, "error": ""}
+    return [ProcessNow(name=name, **{**facts, **changes.get(name, {})}) for name in CPU_S]
+
+
+def look(figures, at_s=2.0, activity=Activity.RUNNING, **changes):
+    now_ns = round(at_s * NS_PER_S)
+    figures.handle_look(processes(**changes), activity=activity, started_ns=0, now_ns=now_ns)
+
+
+def told(figures, at_s=2.0, cpu_s=CPU_S):
+    now_ns = round(at_s * NS_PER_S)
+    return figures.message(cpu_s, launcher_cpu_s=1.0, running_ns=now_ns, now_ns=now_ns)
+
+
+def at(report, key):
+    """What the report has under a key like `uplink_video.latency_ms.p99.9`; None for nothing."""
+    section = report["streams"] if key.partition(".")[0] in report["streams"] else report
+    while key:
+        if not isinstance(section, dict):
+            return None
+        # A key of the report may have a dot in it: p99.9.
+        name = key if key in section else key.partition(".")[0]
+        section, key = section.get(name), key[len(name) + 1 :]
+    return section
+
+
+def test_every_figure_is_that_of_the_report(collector):
+    figures = SeatFigures(SETUP, collector)
+    look(figures)
+    found = told(figures).figures
+    report = to_builtins(
+        build_report(
+            SETUP,
+            collector,
+            seconds=2.0,
+            cpu_s=CPU_S,
+            restarts=dict.fromkeys(CPU_S, 0),
+            launcher_cpu_s=1.0,
+        )
+    )
+    own = {"age_ms", "state", "rate_bps", "least", "most"}
+    shared = {key: value for key, value in found.items() if key.rpartition(".")[2] not in own}
+    assert len(shared) > 100
+    for key, value in shared.items():
+        # Percentiles of nothing have no value on a page.
+        assert value is None or value == at(report, key), key
+    assert found["uplink_video.rtp_lost"] == 3
+    assert found["haptic.up.latency_ms.p50"] == pytest.approx(11, rel=0.01)
+    assert found["processes.selector.selected"] == "stereo"
+    assert found["uplink_voice.latency_ms.p50"] is None
+    assert found["uplink_voice.latency_ms.count"] == 0
+
+
+def test_what_is_true_now_is_there_beside_it(collector):
+    figures = SeatFigures(SETUP, collector)
+    look(figures)
+    found = told(figures).figures
+    assert (found["uplink_video.age_ms"], found["uplink_video.state"]) == (45.0, "fresh")
+    assert (found["uplink_voice.age_ms"], found["uplink_voice.state"]) == (None, "nothing")
+    assert found["uplink_video.rate_bps"] == 80_000
+    assert found["haptic.up.rate_bps"] == 96_000
+    later = told(figures, 5.0).figures
+    assert (later["uplink_video.age_ms"], later["uplink_video.state"]) == (2045.0, "stale")
+    assert later["uplink_video.rate_bps"] == 0
+
+
+def test_the_share_of_a_core_is_that_of_the_last_two_seconds(collector):
+    figures = SeatFigures(SETUP, collector)
+
+    def robot(at_s, spent_s):
+        look(figures, at_s)
+        (found,) = [
+            each
+            for each in told(figures, at_s, {**CPU_S, "robot": spent_s}).processes
+            if each.name == "robot"
+        ]
+        return found.cpu
+
+    assert robot(10, 5.0) is None
+    assert robot(10.5, 5.1) == 0.2
+    assert [robot(11 + k / 2, 5.1) for k in range(4)] == [0.1, 0.067, 0.05, 0.0]
+    # Nobody watched in between.
+    assert robot(30, 20.0) is None
+
+
+def test_a_message_has_the_fields_that_pages_rely_on(collector):
+    figures = SeatFigures(SETUP, collector)
+    look(figures, robot={"restarts": 2, "running": False, "error": "ended by SIGKILL"})
+    found = json.loads(msgspec.json.encode(told(figures)))
+    assert list(found) == [
+        *("kind", "at_us", "seconds", "state", "figures", "link", "processes", "events")
+    ]
+    assert (found["kind"], found["at_us"], found["seconds"]) == ("figures", 2_000_000, 2.0)
+    assert found["state"] == "running"
+    assert set(found["link"]) == {"uplink", "downlink"}
+    assert set(found["link"]["uplink"]) == {"octets", "drops", "lost", "slips"}
+    robot = next(each for each in found["processes"] if each["name"] == "robot")
+    assert robot == {
+        "name": "robot",
+        "segment": "ground",
+        "cpu": None,
+        "restarts": 2,
+        "running": False,
+        "error": "ended by SIGKILL",
+    }
+    assert [each["name"] for each in found["processes"]] == list(CPU_S)
+    for activity in (Activity.STOPPING, Activity.STOPPED):
+        look(figures, activity=activity)
+        assert told(figures).state == "stopped"
+    assert all(not isinstance(value, list | dict) for value in found["figures"].values())
+
+
+class Launcher:
+    """What the feed asks of a launcher."""
+
+    def __init__(self):
+        self.switch, self.started_ns, self.pages = SessionSwitch(), 0, {"page_space": None}
+        self.cpu_asked = 0
+        self.children = [
+            SimpleNamespace(row=row, restarts=0, pid=number, last_error="")
+            for number, row in enumerate(TOPOLOGY.processes, 1)
+        ]
+
+    def cpu_s(self):
+        self.cpu_asked += 1
+        return CPU_S
+
+    def restart(self, name):
+        (child,) = [child for child in self.children if child.row.name == name]
+        child.pid += 1000
+
+
+def watched(collector, page, watching, at_s=2.0):
+    told = message(PageGauges(watching=watching))
+    collector.handle_message(page, told, round(at_s * NS_PER_S))
+
+
+def events(feed, launcher, at_s):
+    """The numbers of the events in the message to the page in space."""
+    messages = feed.poll_messages(launcher, round(at_s * NS_PER_S))
+    found = msgspec.json.decode(messages["page_space"], type=SeatMessage)
+    return [event.number for event in found.events]
+
+
+def test_without_a_watcher_there_is_no_message_and_no_cost(collector):
+    feed, launcher = SeatFeed(SETUP, collector), Launcher()
+    assert feed.poll_messages(launcher, 2 * NS_PER_S) == {}
+    watched(collector, "page_space", 0)
+    # The other page has no listener here.
+    watched(collector, "page_ground", 3)
+    assert feed.poll_messages(launcher, 3 * NS_PER_S) == {}
+    assert launcher.cpu_asked == 0
+    watched(collector, "page_space", 1)
+    assert set(feed.poll_messages(launcher, 3 * NS_PER_S)) == {"page_space"}
+
+
+def test_each_life_of_a_page_process_gets_every_event_once(collector):
+    feed, launcher = SeatFeed(SETUP, collector), Launcher()
+    # Something happens before anybody watches.
+    launcher.switch.handle_order(Order.STOP, 0)
+    feed.poll_messages(launcher, 2 * NS_PER_S)
+    watched(collector, "page_space", 1)
+    assert events(feed, launcher, 3) == [1]
+    # The message was lost, because the process did not read.
+    assert events(feed, launcher, 3.5) == [1]
+    feed.handle_sent("page_space")
+    assert events(feed, launcher, 4) == []
+    feed.handle_sent("page_space")
+    launcher.switch.handle_all_ended(5)
+    launcher.switch.handle_order(Order.START, 6)
+    collector.handle_resumed(6)
+    assert events(feed, launcher, 5) == [2]
+    feed.handle_sent("page_space")
+    launcher.restart("page_space")
+    assert events(feed, launcher, 6) == [1, 2]
