@@ -47,6 +47,8 @@ class SessionSwitch:
 
     def __init__(self) -> None:
         self.activity = Activity.RUNNING
+        #: When it was stopped or started last.
+        self.changed_ns = 0
         #: From when to when the session was stopped: from the order to stop to that to start.
         self.stops_ns: list[tuple[int, int]] = []
         self._since_ns: int | None = None
@@ -60,7 +62,8 @@ class SessionSwitch:
             self._start_wanted = False
             if self.activity is Activity.RUNNING:
                 self.activity = Activity.STOPPING
-                self._since_ns, self._kill_ns = now_ns, now_ns + PATIENCE_NS
+                self.changed_ns = self._since_ns = now_ns
+                self._kill_ns = now_ns + PATIENCE_NS
                 self._actions.append(Action.END)
         elif self.activity is Activity.STOPPED:
             self._start(now_ns)
@@ -105,7 +108,7 @@ class SessionSwitch:
     def _start(self, now_ns: int) -> None:
         self._close(now_ns)
         self._start_wanted = False
-        self.activity = Activity.RUNNING
+        self.activity, self.changed_ns = Activity.RUNNING, now_ns
         self._actions.append(Action.START)
 
     def _close(self, now_ns: int) -> None:

@@ -14,7 +14,7 @@ from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
 from pipelines.cores.figures import JoystickGauges
 from pipelines.cores.marking import age_words
-from pipelines.cores.session_switch import Activity
+from pipelines.cores.session_switch import Activity, SessionSwitch
 from pipelines.report.collector import Collector
 from pipelines.report.present import shown_now
 from pipelines.report.silence import silences
@@ -61,7 +61,7 @@ class EventLog:
         self.events: deque[Event] = deque(maxlen=DEPTH)
         self._setup, self._collector = setup, collector
         self._number = 0
-        self._activity = Activity.RUNNING
+        self._running = True
         #: By segment and kind: until when the record of its gateway has been told.
         self._link_told_ns: dict[tuple[Segment, str], int] = {}
         self._pass_s: float | None = None
@@ -76,13 +76,13 @@ class EventLog:
         self,
         processes: Sequence[ProcessNow],
         *,
-        activity: Activity,
+        switch: SessionSwitch,
         started_ns: int,
         now_ns: int,
     ) -> None:
         """Find what happened since the last look. started_ns: when the session began."""
         found = [
-            *self._session(activity, now_ns),
+            *self._session(switch),
             *self._links(),
             *self._passes(started_ns, now_ns),
             *self._cameras(),
@@ -90,7 +90,7 @@ class EventLog:
             *self._joysticks(now_ns),
         ]
         # A stopped session shows nothing and captures nothing, because that was asked for.
-        if activity is Activity.RUNNING:
+        if switch.activity is Activity.RUNNING:
             found += [*self._staleness(now_ns), *self._inputs(now_ns)]
         for at_ns, what, text in sorted(found, key=lambda event: event[0]):
             self._number += 1
@@ -101,11 +101,11 @@ class EventLog:
         """The kept events that come after the one with this number."""
         return [event for event in self.events if event.number > number]
 
-    def _session(self, activity: Activity, now_ns: int) -> Iterator[tuple[int, str, str]]:
-        before, self._activity = self._activity, activity
-        if (before is Activity.RUNNING) != (activity is Activity.RUNNING):
-            stopped = before is Activity.RUNNING
-            yield now_ns, "session", "session stopped" if stopped else "session started"
+    def _session(self, switch: SessionSwitch) -> Iterator[tuple[int, str, str]]:
+        before, self._running = self._running, switch.activity is Activity.RUNNING
+        if self._running != before:
+            text = "session started" if self._running else "session stopped"
+            yield switch.changed_ns, "session", text
 
     def _links(self) -> Iterator[tuple[int, str, str]]:
         for segment in Segment:

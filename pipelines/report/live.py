@@ -222,7 +222,7 @@ def _line(launcher: Launcher, collector: Collector) -> str:
         )
         now_ns = launcher.clock.now_ns()
         state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
-        if state is State.STALE:
+        if state is State.STALE and _runs(launcher):
             parts[-1] += f" STALE {age_words(age_ns)}"
     for row in collector.topology.haptics:
         samples = collector.process(row.receiver).total(HapticCounters)

@@ -35,7 +35,7 @@ class SeatFeed:
                 )
                 for child in launcher.children
             ],
-            activity=launcher.switch.activity,
+            switch=launcher.switch,
             started_ns=launcher.started_ns,
             now_ns=now_ns,
         )

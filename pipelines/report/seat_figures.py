@@ -19,7 +19,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
-from pipelines.cores.session_switch import Activity
+from pipelines.cores.session_switch import Activity, SessionSwitch
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import Event, EventLog, ProcessNow
 from pipelines.report.link_figures import gateway_figures, link_figures
@@ -101,13 +101,13 @@ class SeatFigures:
         self,
         processes: Sequence[ProcessNow],
         *,
-        activity: Activity,
+        switch: SessionSwitch,
         started_ns: int,
         now_ns: int,
     ) -> None:
         """Note what happened. started_ns: when the session began."""
-        self._processes, self._activity, self._started_ns = processes, activity, started_ns
-        self.log.handle_look(processes, activity=activity, started_ns=started_ns, now_ns=now_ns)
+        self._processes, self._activity, self._started_ns = processes, switch.activity, started_ns
+        self.log.handle_look(processes, switch=switch, started_ns=started_ns, now_ns=now_ns)
 
     def message(
         self,

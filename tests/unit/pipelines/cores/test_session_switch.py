@@ -76,8 +76,8 @@ def test_processes_that_all_failed_do_not_stop_the_session(switch):
 
 def test_a_session_may_end_while_it_is_stopped(switch):
     stopped(switch)
-    assert switch.running_ns(0, 30) == 10
+    assert switch.running_ns(4, 30) == 6
     switch.handle_end(30)
     assert switch.stops_ns == [(10, 30)]
     assert actions(switch) == []
-    assert switch.running_ns(0, 30) == 10
+    assert switch.running_ns(4, 30) == 6

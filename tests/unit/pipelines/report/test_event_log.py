@@ -15,7 +15,7 @@ from pipelines.cores.figures import (
     JoystickGauges,
     SelectorGauges,
 )
-from pipelines.cores.session_switch import Activity
+from pipelines.cores.session_switch import Order, SessionSwitch
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import DEPTH, EventLog, ProcessNow
 from pipelines.setup.built_in import BUILT_IN
@@ -33,16 +33,17 @@ class Session:
     def __init__(self, setup=SETUP):
         self.collector = Collector(topology_of(setup))
         self.log = EventLog(setup, self.collector)
+        self.switch = SessionSwitch()
 
     def told(self, process, *figures, at_s=1.0, stream=""):
         told = message(*figures, stream=stream)
         self.collector.handle_message(process, told, round(at_s * NS_PER_S))
 
-    def look(self, at_s=1.0, processes=(), activity=Activity.RUNNING):
+    def look(self, at_s=1.0, processes=()):
         """Return the new events as (instant in µs, what, text)."""
         newest = self.log.events[-1].number if self.log.events else 0
         now_ns = round(at_s * NS_PER_S)
-        self.log.handle_look(processes, activity=activity, started_ns=0, now_ns=now_ns)
+        self.log.handle_look(processes, switch=self.switch, started_ns=0, now_ns=now_ns)
         return [(event.at_us, event.what, event.text) for event in self.log.after(newest)]
 
 
@@ -169,13 +170,15 @@ def test_a_stop_on_request_is_one_event_and_nothing_in_it_is_stale_or_silent(ses
     gauges = DisplayGauges(age_ns=40 * NS_PER_MS, state=State.FRESH)
     session.told("space_display", gauges, stream="uplink_video")
     assert session.look(1) == []
-    stopped = session.look(1.5, activity=Activity.STOPPING)
-    assert stopped == [(1_500_000, "session", "session stopped")]
-    assert session.look(9, activity=Activity.STOPPED) == []
+    session.switch.handle_order(Order.STOP, 1_200_000_000)
+    assert session.look(1.5) == [(1_200_000, "session", "session stopped")]
+    session.switch.handle_all_ended(1_600_000_000)
+    assert session.look(9) == []
+    session.switch.handle_order(Order.START, 9 * NS_PER_S)
     session.collector.handle_resumed(9 * NS_PER_S)
     # The picture of before does not count, and there is none yet.
     session.told("space_display", DisplayCounters(), at_s=9, stream="uplink_video")
-    assert session.look(9.5) == [(9_500_000, "session", "session started")]
+    assert session.look(9.5) == [(9_000_000, "session", "session started")]
     session.told("space_display", gauges, at_s=10, stream="uplink_video")
     assert session.look(10) == []
 

@@ -131,7 +131,11 @@ def test_a_dash_is_shown_before_the_first_sample(launcher):
 def test_a_stop_on_request_is_shown_as_one_and_not_as_silence(launcher):
     told = message(CaptureGauges(captured_ns=0))
     launcher.collector.handle_message("camera_left", told, NS_PER_S)
+    old = message(DisplayGauges(age_ns=NS_PER_S, state=State.STALE), stream="uplink_video")
+    launcher.collector.handle_message("space_display", old, NS_PER_S)
+    assert "STALE" in _line(launcher, launcher.collector)
     launcher.switch.handle_order(Order.STOP, 2 * NS_PER_S)
     assert _inputs(launcher, launcher.collector) == []
-    assert _line(launcher, launcher.collector).endswith("stopped from a page")
+    line = _line(launcher, launcher.collector)
+    assert line.endswith("stopped from a page") and "STALE" not in line
     assert "stopped from a page" in first_line(launcher, launcher.collector, 118)

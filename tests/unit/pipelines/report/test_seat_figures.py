@@ -1,6 +1,7 @@
 """The figures of the pages are those that the report would have, and each message has its parts."""
 
 import json
+from functools import partial
 from types import SimpleNamespace
 
 import msgspec
@@ -18,7 +19,7 @@ from pipelines.cores.figures import (
     SelectorGauges,
 )
 from pipelines.cores.rows import OutRow, SampleReceivedRow, SampleSentRow
-from pipelines.cores.session_switch import Activity, Order, SessionSwitch
+from pipelines.cores.session_switch import Order, SessionSwitch
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
 from pipelines.report.model import to_builtins
@@ -62,9 +63,9 @@ def processes(**changes):
     return [ProcessNow(name=name, **{**facts, **changes.get(name, {})}) for name in CPU_S]
 
 
-def look(figures, at_s=2.0, activity=Activity.RUNNING, **changes):
-    now_ns = round(at_s * NS_PER_S)
-    figures.handle_look(processes(**changes), activity=activity, started_ns=0, now_ns=now_ns)
+def look(figures, at_s=2.0, switch=None, **changes):
+    now_ns, switch = round(at_s * NS_PER_S), switch or SessionSwitch()
+    figures.handle_look(processes(**changes), switch=switch, started_ns=0, now_ns=now_ns)
 
 
 def told(figures, at_s=2.0, cpu_s=CPU_S):
@@ -164,8 +165,10 @@ def test_a_message_has_the_fields_that_pages_rely_on(collector):
         "error": "ended by SIGKILL",
     }
     assert [each["name"] for each in found["processes"]] == list(CPU_S)
-    for activity in (Activity.STOPPING, Activity.STOPPED):
-        look(figures, activity=activity)
+    switch = SessionSwitch()
+    for change in (partial(switch.handle_order, Order.STOP), switch.handle_all_ended):
+        change(3)
+        look(figures, switch=switch)
         assert told(figures).state == "stopped"
     assert all(not isinstance(value, list | dict) for value in found["figures"].values())
 
