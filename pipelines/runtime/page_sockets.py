@@ -46,6 +46,9 @@ class PageHost:
     def names(self) -> tuple[str, ...]:
         """Return the hosts in addresses of these pages, that of the printed address first."""
         found = [] if self.is_wildcard else [self.host, self.address]
+        if self.is_loopback and self.host != "localhost":
+            # Browsers trust a page without TLS by its address, and by no other name of it.
+            found.reverse()
         if self.is_wildcard:
             found += [address for address in (reaches(_FAR),) if address is not None]
             found += [*_ipv4_addresses(), socket.gethostname()]

@@ -70,6 +70,8 @@ def test_a_browser_may_ask_only_for_names_of_the_bound_address():
     assert (
         PageHost(host="bücher.example", address="192.0.2.7").names()[0] == "xn--bcher-kva.example"
     )
+    own_name = PageHost(host="lab", address="127.0.1.1")
+    assert own_name.names() == ("127.0.1.1", "lab", "localhost")
     assert PageHost(host="::1", address="::1").names() == ("::1", "localhost")
     every = PageHost(host="0.0.0.0", address="0.0.0.0").names()
     assert {"127.0.0.1", "localhost", socket.gethostname().lower()} <= set(every)
