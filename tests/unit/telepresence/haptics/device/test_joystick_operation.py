@@ -13,7 +13,7 @@ from telepresence.haptics.device.device import Reading
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import Operation
 from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
-from telepresence.haptics.device.states import JoystickEvent, JoystickState
+from telepresence.haptics.device.states import REQUESTS, JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.sample import Feedback, is_greeting, unpack_command
@@ -193,6 +193,82 @@ def test_a_person_may_halt_and_resume_and_refusals_give_a_reason():
     assert operation.state is JoystickState.HALTED
     assert not operation.handle_request(JoystickEvent.RESUME, now_ns)
     assert operation.state is JoystickState.CALIBRATED
+
+
+@pytest.mark.parametrize("event", [JoystickEvent.HALT, JoystickEvent.STOP])
+def test_a_persons_halt_holds_until_a_person_starts(event):
+    session = Session().into_application()
+    assert session.handle.handle_command(event) == ""
+    session.run(20, force=(3.0, 0.0))
+    state = JoystickState.HALTED if event is JoystickEvent.HALT else JoystickState.CALIBRATED
+    assert session.operation.state is state and session.handle.force_limit_n == 0.0
+    assert session.operation.reason == "by a person's command"
+    assert session.handle.handle_command(JoystickEvent.START) == ""
+    assert session.run(0.01).operation.state is JoystickState.APPLICATION
+    # From now on it goes on by itself again.
+    session.device.joystick.temperature_c = 90.0
+    session.run(0.1)
+    assert session.operation.state is JoystickState.HALTED
+    refusal = session.handle.handle_command(JoystickEvent.START)
+    assert refusal.startswith("start: not yet, the motors were at 90 °C")
+    session.device.joystick.temperature_c = 23.0
+    assert session.run(0.1).operation.state is JoystickState.APPLICATION
+
+
+def test_the_force_ends_with_the_cycle_of_a_persons_halt():
+    session = Session().into_application()
+    session.run(0.5, force=(3.0, 0.0))
+    assert session.device.joystick.motor_x_n == 3.0
+    session.handle.handle_command(JoystickEvent.HALT)
+    # The controller asks for the limit before it computes the next force.
+    assert session.handle.force_limit_n == 0.0
+    session.run(0.001, force=(3.0, 0.0))
+    assert session.device.joystick.motor_x_n == 0.0
+
+
+def test_a_persons_halt_ends_a_calibration_and_outlives_what_follows():
+    session = Session()
+    session.run(1)
+    assert session.operation.state is JoystickState.STANDBY
+    assert hypot(session.device._force_x_n, session.device._force_y_n) > 0.1
+    assert session.handle.handle_command(JoystickEvent.HALT) == ""
+    session.run(0.001)
+    assert (session.device._force_x_n, session.device._force_y_n) == (0.0, 0.0)
+    session.run(10)
+    assert session.operation.state is JoystickState.STANDBY
+    # A calibration that a person asks for does not end the halt.
+    assert session.handle.handle_command(JoystickEvent.CALIBRATE) == ""
+    session.run(10)
+    assert session.operation.state is JoystickState.CALIBRATED
+    read = session.device.read
+    session.device.read = lambda: read()._replace(x_m=nan)
+    session.run(0.1)
+    session.device.read = read
+    session.run(10)
+    assert session.operation.state is JoystickState.RECOVERABLE and session.operation.given_up
+    assert "allowed there: acknowledge" in session.handle.handle_command(JoystickEvent.START)
+    assert session.handle.handle_command(JoystickEvent.ACKNOWLEDGE) == ""
+    session.run(10)
+    assert session.operation.state is JoystickState.STANDBY
+    assert session.handle.handle_command(JoystickEvent.START) == ""
+    assert session.run(5).operation.state is JoystickState.APPLICATION
+
+
+def test_a_halted_joystick_may_be_calibrated_and_a_running_one_not():
+    session = Session().into_application()
+    refusal = session.handle.handle_command(JoystickEvent.CALIBRATE)
+    assert refusal == "calibrate: not in the state application; allowed there: stop, halt"
+    session.handle.handle_command(JoystickEvent.HALT)
+    assert session.handle.handle_command(JoystickEvent.CALIBRATE) == ""
+    assert session.run(1).operation.state is JoystickState.STANDBY
+    assert session.run(9).operation.state is JoystickState.CALIBRATED
+
+
+def test_after_a_fatal_error_every_command_is_refused():
+    session = Session(SimulatedDevice(FAULTS["unplugged"], hand=Hand())).run(8.1)
+    for event in REQUESTS:
+        refusal = session.handle.handle_command(event)
+        assert "the device is gone: plug it in and restart" in refusal, event
 
 
 def test_a_handle_outside_its_workspace_is_an_error_until_the_next_calibration():

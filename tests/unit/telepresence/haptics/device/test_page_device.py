@@ -1,0 +1,250 @@
+"""The joystick in a page's hand: it follows smoothly, yields to force, and stays when released."""
+
+from copy import deepcopy
+from math import hypot, inf, nan, pi, sin
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.page import FACTS, PageDevice, PageHandModel, PageInput
+from telepresence.haptics.device.states import JoystickEvent, JoystickState
+from telepresence.haptics.joystick_controller import JoystickControllerModel
+from telepresence.haptics.sample import Feedback
+
+MODEL = PageHandModel()
+
+
+class Seat:
+    """An operated page joystick on virtual time; the page sends `wanted` every `period_ms`."""
+
+    def __init__(self):
+        self.device = PageDevice()
+        self.handle = OperatedHandle(self.device)
+        self.wanted = None
+        self.period_ms = 4
+        self.sequence = 0
+        self.most_speed = self.most_acceleration = 0.0
+
+    @property
+    def place(self):
+        return self.handle.x_m, self.handle.y_m
+
+    def send(self, x, y, *, dead_man=True):
+        self.sequence += 1
+        now_ns = self.handle.now_ns
+        self.device.handle_input(PageInput(dead_man, x, y, 0, self.sequence, now_ns))
+
+    def run(self, seconds, force=(0.0, 0.0)):
+        joystick = self.device.joystick
+        for k in range(round(seconds * 1000)):
+            if self.wanted is not None and k % self.period_ms == 0:
+                self.send(*self.wanted)
+            before = joystick.vx_m_s, joystick.vy_m_s
+            self.handle.handle_feedback(Feedback(0.0, 0.0, 0, False))
+            self.handle.step(*force, NS_PER_MS)
+            vx, vy = joystick.vx_m_s, joystick.vy_m_s
+            self.most_speed = max(self.most_speed, hypot(vx, vy))
+            change = hypot(vx - before[0], vy - before[1]) * 1000
+            self.most_acceleration = max(self.most_acceleration, change)
+        return self
+
+
+def in_application():
+    seat = Seat().run(4)
+    assert seat.handle.operation.state is JoystickState.APPLICATION
+    seat.most_speed = seat.most_acceleration = 0.0
+    return seat
+
+
+READY = in_application()
+
+
+@pytest.fixture
+def seat():
+    return deepcopy(READY)
+
+
+@pytest.mark.parametrize("period_ms", [1, 4, 17])
+def test_it_goes_where_the_page_points_at_any_rate_of_events(seat, period_ms):
+    seat.period_ms = period_ms
+    seat.wanted = (0.0, 0.0)
+    seat.run(0.1)
+    seat.wanted = (0.6, -0.5)
+    seat.run(1.5)
+    assert seat.place[0] == pytest.approx(0.6 * FACTS.half_width_m, abs=0.002)
+    assert seat.place[1] == pytest.approx(-0.5 * FACTS.half_height_m, abs=0.002)
+    # A jump of the pointer is no jump of the handle, which the controller's bound relies on.
+    assert seat.most_acceleration < JoystickControllerModel().acceleration_m_s2 / 2
+    assert seat.most_speed < 1.5 * MODEL.speed_m_s
+
+
+def test_steps_of_a_slow_pointer_are_smoothed(seat):
+    seat.period_ms = 17
+    seat.wanted = (0.0, 0.0)
+    seat.run(0.1)
+    speeds = []
+    for k in range(60):
+        seat.wanted = (0.01 * k, 0.0)
+        seat.run(0.017)
+        speeds += [seat.device.joystick.vx_m_s]
+    # 1.5 mm in 17 ms are 0.088 m/s.
+    assert all(speed == pytest.approx(0.088, rel=0.1) for speed in speeds[20:])
+
+
+def test_the_hand_begins_where_the_handle_is(seat):
+    before = seat.place
+    seat.wanted = (1.0, -0.9)
+    seat.run(0.5)
+    assert seat.handle.dead_man
+    assert seat.place == pytest.approx(before, abs=1e-6)
+    seat.wanted = (0.8, -0.9)
+    seat.run(1.0)
+    assert seat.place[0] - before[0] == pytest.approx(-0.2 * FACTS.half_width_m, abs=0.002)
+    assert seat.place[1] == pytest.approx(before[1], abs=1e-4)
+
+
+def test_the_wanted_place_ends_with_the_workspace(seat):
+    seat.wanted = (-1.0, 0.0)
+    seat.run(0.1)
+    seat.wanted = (1.0, 0.0)
+    seat.run(2.0)
+    assert seat.place[0] == pytest.approx(FACTS.half_width_m, abs=0.002)
+
+
+def test_a_force_displaces_the_handle_against_the_muscles(seat):
+    seat.wanted = (0.0, 0.0)
+    seat.run(0.5)
+    free_m = seat.place[0]
+    seat.run(1.5, force=(-5.0, 0.0))
+    assert seat.place[0] - free_m == pytest.approx(-5.0 / MODEL.muscles.stiffness_n_m, abs=0.001)
+    # Beyond what the muscles can hold, the motors win.
+    seat.run(1.5, force=(-10.0, 0.0))
+    assert seat.place[0] < -0.14
+
+
+def moving(seat):
+    seat.wanted = (0.0, 0.0)
+    seat.run(0.5)
+    seat.wanted = (0.9, 0.9)
+    seat.run(0.12, force=(2.0, 0.0))
+    assert seat.device.joystick.vx_m_s > 0.4 and seat.handle.force_limit_n > 0.0
+    seat.wanted = None
+    return seat
+
+
+@pytest.mark.parametrize("way", ["button", "silence", "halt"])
+def test_a_released_handle_is_braked_and_stays_without_force(seat, way):
+    moving(seat)
+    joystick = seat.device.joystick
+    if way == "button":
+        seat.send(nan, inf, dead_man=False)
+    elif way == "halt":
+        seat.handle.handle_command(JoystickEvent.HALT)
+    else:
+        # The last input came 4 ms ago.
+        seat.run(0.095)
+        assert seat.handle.dead_man
+    seat.run(0.002, force=(2.0, 0.0))
+    assert not seat.handle.dead_man and seat.handle.force_limit_n == 0.0
+    seat.run(0.001, force=(2.0, 0.0))
+    assert joystick.motor_x_n == 0.0
+    place = seat.place
+    seat.run(2.0, force=(2.0, 0.0))
+    assert hypot(seat.place[0] - place[0], seat.place[1] - place[1]) < 0.02
+    assert joystick.vx_m_s == pytest.approx(0.0, abs=1e-6)
+    # The next hand takes it where it is.
+    place = seat.place
+    if way != "halt":
+        seat.wanted = (-1.0, -1.0)
+        seat.run(0.5)
+        assert seat.handle.dead_man
+        assert seat.place == pytest.approx(place, abs=1e-6)
+
+
+def test_inputs_that_arrive_late_hold_the_handle_only_for_the_rest_of_their_time(seat):
+    seat.device.handle_input(PageInput(True, 0.0, 0.0, 0, 1, NS_PER_S), 60 * NS_PER_MS)
+    seat.run(0.038)
+    assert seat.handle.dead_man
+    seat.run(0.004)
+    assert not seat.handle.dead_man
+    seat.device.handle_input(PageInput(True, 0.0, 0.0, 0, 2, NS_PER_S), 100 * NS_PER_MS)
+    seat.run(0.002)
+    assert not seat.handle.dead_man
+
+
+def test_a_page_that_begins_anew_takes_the_handle_once_the_one_before_is_silent(seat):
+    seat.sequence = 1000
+    seat.wanted = (0.0, 0.0)
+    seat.run(0.1)
+    seat.sequence = 0
+    seat.run(0.09)
+    assert seat.device.ignored == 23
+    seat.run(0.1)
+    assert seat.handle.dead_man and seat.device.ignored < 30
+
+
+def test_the_hand_takes_the_handle_in_the_application_only():
+    seat = Seat()
+    seat.wanted = (0.0, 0.0)
+    while seat.handle.operation.state is not JoystickState.APPLICATION:
+        assert not seat.handle.dead_man and not seat.device.held
+        seat.wanted = (sin(2 * pi * seat.handle.now_ns / NS_PER_S), 0.0)
+        seat.run(0.004)
+    assert seat.handle.now_ns < 4 * NS_PER_S
+    seat.run(0.05)
+    assert seat.handle.dead_man
+    seat.handle.handle_command(JoystickEvent.HALT)
+    seat.run(0.5)
+    assert seat.handle.operation.state is JoystickState.HALTED and not seat.handle.dead_man
+
+
+wild = st.floats() | st.sampled_from([0.0, 1.0, -1.0, 1.0000001, nan, inf, -inf, 1e300])
+inputs = st.builds(
+    PageInput,
+    st.booleans(),
+    wild,
+    wild,
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 3) | st.integers(0, 2**32 - 1),
+    st.integers(0, 2**63 - 1) | st.integers(0, 10**9),
+)
+
+
+@settings(max_examples=150)
+@given(st.lists(st.tuples(inputs, st.integers(-(10**9), 10**9), st.integers(0, 40)), max_size=12))
+@example([(PageInput(True, nan, 0.0, 0, 1, 1), 0, 40), (PageInput(False, 1.0, 1.0, 0, 2, 2), 0, 9)])
+def test_no_input_moves_the_handle_without_the_dead_man_button(script):
+    seat = deepcopy(READY)
+    joystick = seat.device.joystick
+    for hand, age_ns, cycles in script:
+        seat.device.handle_input(hand, age_ns)
+        for _ in range(cycles):
+            place, speed = (joystick.x_m, joystick.y_m), hypot(joystick.vx_m_s, joystick.vy_m_s)
+            may_move = seat.device.held
+            seat.run(0.001, force=(1.0, -1.0))
+            assert seat.handle.dead_man <= may_move
+            if not may_move and abs(joystick.motor_x_n) + abs(joystick.motor_y_n) == 0.0:
+                assert hypot(joystick.vx_m_s, joystick.vy_m_s) <= speed
+            if not any(one.dead_man for one, _, _ in script):
+                assert (joystick.x_m, joystick.y_m) == pytest.approx(place, abs=1e-9)
+        assert hypot(joystick.x_m, joystick.y_m) < 1.0 and seat.handle.buttons < 16
+    seat.run(0.3)
+    place = seat.place
+    seat.run(0.3, force=(1.0, 1.0))
+    assert not seat.handle.dead_man and seat.place == pytest.approx(place, abs=1e-5)
+
+
+@given(inputs.filter(lambda hand: not (-1 <= hand.x <= 1 and -1 <= hand.y <= 1)))
+def test_what_is_out_of_range_does_not_prolong_a_hand(hand):
+    seat = deepcopy(READY)
+    seat.wanted = (0.0, 0.0)
+    seat.run(0.1)
+    seat.wanted = None
+    for k in range(100):
+        later = hand._replace(sequence=seat.sequence + k, received_ns=seat.handle.now_ns)
+        seat.device.handle_input(later)
+        seat.run(0.001)
+    assert not seat.handle.dead_man
