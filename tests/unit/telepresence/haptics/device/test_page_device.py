@@ -128,9 +128,9 @@ def test_a_force_displaces_the_handle_against_the_muscles(seat):
 def moving(seat):
     seat.wanted = (0.0, 0.0)
     seat.run(0.5)
-    seat.wanted = (0.9, 0.9)
-    seat.run(0.12, force=(2.0, 0.0))
-    assert seat.device.joystick.vx_m_s > 0.4 and seat.handle.force_limit_n > 0.0
+    seat.wanted = (0.9, 0.2)
+    seat.run(0.1, force=(2.0, 0.0))
+    assert seat.device.joystick.vx_m_s > 0.7 and seat.handle.force_limit_n > 0.0
     seat.wanted = None
     return seat
 
@@ -153,7 +153,8 @@ def test_a_released_handle_is_braked_and_stays_without_force(seat, way):
     assert joystick.motor_x_n == 0.0
     place = seat.place
     seat.run(2.0, force=(2.0, 0.0))
-    assert hypot(seat.place[0] - place[0], seat.place[1] - place[1]) < 0.02
+    # From 0.8 m/s; without the brake it would go on to the stop, 5 cm away.
+    assert hypot(seat.place[0] - place[0], seat.place[1] - place[1]) < 0.01
     assert joystick.vx_m_s == pytest.approx(0.0, abs=1e-6)
     # The next hand takes it where it is.
     place = seat.place
