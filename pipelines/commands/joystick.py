@@ -23,7 +23,7 @@ from telepresence.haptics.device.checks import CHECKS, CheckBench
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.gamepad import find_gamepads
 from telepresence.haptics.device.simulated import FAULTS
-from telepresence.haptics.device.spec import is_simulated, open_device
+from telepresence.haptics.device.spec import PAGE, is_simulated, open_device
 from telepresence.haptics.device.states import Transition
 from telepresence.haptics.schedule import PeriodicSchedule
 
@@ -61,6 +61,7 @@ def _list(print: Callable[[str], None] = print) -> int:
     )
     for fault in FAULTS:
         print(f"sim:{fault:<28} the same with this fault")
+    print(f"{PAGE:<32} the simulated one in the hand of a person at a page; in a session only")
     try:
         found = find_gamepads()
     except ConfigError as error:
@@ -76,6 +77,11 @@ def _list(print: Callable[[str], None] = print) -> int:
 
 def _test(spec: str, check: str, report: Path | None) -> int:
     check_writable(report)
+    if spec == PAGE:
+        raise ConfigError(
+            "--device page: a page moves it in a session only, with `kontur-av stream --joystick "
+            "page`; its mechanics are those of sim: test that"
+        )
     device = open_device(spec)
     console = Console()
     bench = CheckBench(device, list(CHECKS) if check == _ALL else [check])

@@ -59,7 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--joystick",
         default=SIMULATED,
         metavar="SPEC",
-        help="sim, evdev or evdev:/dev/input/eventN (default: sim); see `kontur-av joystick list`",
+        help="sim, page (the hand of who sits at the operator's page), evdev or "
+        "evdev:/dev/input/eventN (default: sim); see `kontur-av joystick list`",
     )
     add_page_arguments(parser)
     loudness = parser.add_mutually_exclusive_group()

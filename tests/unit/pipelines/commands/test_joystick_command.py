@@ -11,6 +11,7 @@ def test_list_names_the_simulated_one_and_its_faults(capsys):
     assert main(["joystick", "list"]) == 0
     out = capsys.readouterr().out
     assert "sim:weak" in out and "--joystick SPEC" in out
+    assert any(line.startswith("page ") for line in out.splitlines())
 
 
 def test_a_check_prints_its_figures_and_writes_a_report(tmp_path, capsys):
@@ -40,6 +41,7 @@ def test_a_failed_check_is_exit_code_1_with_its_reason(capsys):
     ("arguments", "words"),
     [
         (["joystick", "test", "--device", "usb"], "write sim, sim:FAULT, page, evdev"),
+        (["joystick", "test", "--device", "page"], "stream --joystick page`; its mechanics"),
         (["joystick", "test", "--device", "sim:tired"], "the faults are stuck-x"),
         (["joystick", "test", "--report", "/nowhere/r.json"], "cannot be written"),
         (
