@@ -1,6 +1,7 @@
 """Opens the sources that SPECs name, as in `--source NAME=SPEC`.
 
-A SPEC is a path to a media file, or `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`, `scene:NAME`.
+A SPEC is a path to a media file, or `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`, `scene:NAME`, or
+`page` for an input of a session that only browser pages fill.
 """
 
 from collections.abc import Iterable, Mapping
@@ -9,6 +10,7 @@ from typing import Literal
 from kontur_av.clock import Clock
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
+from kontur_av.sources.page import PAGE, PageAudio, PageVideo
 from kontur_av.sources.source import (
     AudioSceneFactory,
     AudioSource,
@@ -52,6 +54,8 @@ def open_video(
         from kontur_av.sources.camera import CameraVideo
 
         return CameraVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
+    if kind == PAGE:
+        return PageVideo(clock)
     if kind == "alsa":
         raise _no_pictures(spec)
     from kontur_av.sources.file import FileVideo
@@ -76,6 +80,8 @@ def open_audio(
         from kontur_av.sources.microphone import MicrophoneAudio
 
         return MicrophoneAudio(rest, name=name, clock=clock)
+    if kind == PAGE:
+        return PageAudio(clock)
     if kind in ("pipe", "v4l2"):
         raise _no_sound(spec)
     from kontur_av.sources.file import FileAudio
@@ -91,6 +97,8 @@ def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str]
     path that is no FIFO, a device that cannot be opened, or an unknown scene.
     """
     family, rest = _split(spec)
+    if family == PAGE:
+        return
     if family == "scene":
         _check_scene(rest, scenes)
     elif kind == "video" and family == "alsa":
@@ -121,10 +129,12 @@ def _split(spec: str) -> tuple[str, str]:
         if not rest:
             raise ConfigError(f"source {spec!r} names nothing: write {kind}: and what to open")
         return kind, rest
+    if spec == PAGE:
+        return PAGE, ""
     if not spec:
         raise ConfigError(
-            "a source is empty: give a media file, pipe:PATH, v4l2:DEVICE, alsa:DEVICE "
-            "or scene:NAME"
+            "a source is empty: give a media file, pipe:PATH, v4l2:DEVICE, alsa:DEVICE, "
+            "scene:NAME or page"
         )
     return "file", spec
 

@@ -8,8 +8,10 @@ from contextlib import closing
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
 from kontur_av.codecs.h264_settings import SEARCHES
+from kontur_av.errors import ConfigError
 from kontur_av.meters import Histogram
 from kontur_av.rtp.sdp import StreamDescription, write_sdp
+from kontur_av.sources.page import PAGE
 from kontur_av.streams.paced_sender import UnitSent
 from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import (
@@ -86,6 +88,11 @@ def run(args: argparse.Namespace) -> int:
     Raises ConfigError, with nothing sent, for what cannot work.
     """
     check_options(args)
+    if PAGE in (args.video, args.audio):
+        raise ConfigError(
+            "only a session has pages: give another source, "
+            f"or `kontur-av stream --source NAME={PAGE}`"
+        )
     address = parse_address(args.to)
     clock = MonotonicClock()
     with open_feed(args, clock) as feed:

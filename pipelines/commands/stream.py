@@ -9,6 +9,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.sources import check_spec
+from kontur_av.sources.page import PAGE
 from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.doctor import NEEDED_SHM_OCTETS, check_shared_memory
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
@@ -46,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=SPEC",
-        help="what an input captures: a media file, pipe:PATH, v4l2:DEVICE, alsa:DEVICE or "
-        "scene:NAME; may be given several times",
+        help="what an input captures: a media file, pipe:PATH, v4l2:DEVICE, alsa:DEVICE, "
+        "scene:NAME, or page for a browser page alone; may be given several times",
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
@@ -74,6 +75,7 @@ def run(args: argparse.Namespace) -> int:
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
     check_sources(setup)
+    _check_page_sources(setup, pages=not args.no_page)
     check_joystick(args.joystick)
     snapshots = _made_directory(args.snapshots)
     check_writable(args.report)
@@ -177,6 +179,15 @@ def check_sources(setup: Setup) -> None:
             check_spec(setup.source(name), kind, scenes[kind])
         except ConfigError as error:
             raise ConfigError(f"input {name}: {error}") from None
+
+
+def _check_page_sources(setup: Setup, *, pages: bool) -> None:
+    for name in setup.inputs:
+        if setup.source(name) == PAGE and not pages:
+            raise ConfigError(
+                f"input {name}: source {PAGE} needs the pages: leave --no-page out, "
+                "or give it another source"
+            )
 
 
 def _check_shared(setup: Setup) -> None:

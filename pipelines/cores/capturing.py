@@ -3,6 +3,7 @@
 from kontur_av.media import CaptureStamp
 from pipelines.cores.figures import CaptureCounters, CaptureGauges
 from pipelines.cores.probe import Probe
+from pipelines.cores.taking_over import Takeover
 
 
 class Capturing:
@@ -18,7 +19,23 @@ class Capturing:
         self._captured += 1
         self._last_ns = stamp.capture_ns
 
-    def tell(self, faults: int = 0, last_fault: str = "") -> None:
-        """Put the counters into the probe, with the faults that the source has survived."""
-        self._probe.count(CaptureCounters(captured=self._captured, source_faults=faults))
-        self._probe.gauge(CaptureGauges(captured_ns=self._last_ns, source_fault=last_fault or None))
+    def tell(self, faults: int = 0, last_fault: str = "", takeover: Takeover | None = None) -> None:
+        """Put the counters into the probe, with the faults that the source has survived.
+
+        takeover: of the input, if pages can take it over.
+        """
+        self._probe.count(
+            CaptureCounters(
+                captured=self._captured,
+                source_faults=faults,
+                from_page=None if takeover is None else takeover.from_page,
+                page_refused=None if takeover is None else takeover.refused,
+            )
+        )
+        self._probe.gauge(
+            CaptureGauges(
+                captured_ns=self._last_ns,
+                source_fault=last_fault or None,
+                live_source=None if takeover is None else takeover.live_source,
+            )
+        )

@@ -1,7 +1,7 @@
 """Samples of the topics that carry access units. A core."""
 
 from kontur_av.media import AccessUnit, CaptureStamp, Quality
-from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.payload_h264 import NAL_IDR, ReceivedUnit, nal_type, split_annex_b
 from kontur_av.streams.coded_unit import CodedUnit
 
 
@@ -48,5 +48,7 @@ def sent_unit(
 ) -> tuple[CodedUnit, CaptureStamp]:
     """Return an access unit and its stamp as they were sent. size: in which it was coded."""
     width, height = size
-    coded = CodedUnit(data=unit.data, key=unit.keyframe, width=width, height=height)
+    # The encoder also calls the start of a refresh wave a key picture.
+    key = any(nal_type(nal) == NAL_IDR for nal in split_annex_b(unit.data))
+    coded = CodedUnit(data=unit.data, key=key, width=width, height=height)
     return coded, CaptureStamp(unit.stamp.capture_ns, sequence, source)

@@ -154,14 +154,23 @@ class CaptureCounters(Counters):
     captured: int = 0
     #: Faults that the source has survived.
     source_faults: int = 0
+    #: Of the captured ones, those of a browser page; only in a session with pages.
+    from_page: int | None = None
+    #: What pages gave in vain: too old, of another size, or before what was captured last.
+    page_refused: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureGauges(Gauges):
-    """A camera or a microphone: when it captured last, and the last fault of its source."""
+    """A camera or a microphone.
+
+    captured_ns: when it captured last. source_fault: the last fault of its own source.
+    live_source: "page" while a browser page has the input, else "own".
+    """
 
     captured_ns: int | None = None
     source_fault: str | None = None
+    live_source: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

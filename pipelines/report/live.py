@@ -184,7 +184,7 @@ def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
     if not _runs(launcher):
         return []
     silent = silences(setup, collector, launcher.clock.now_ns())
-    lines = [Text(str(silence), "bold red") for silence in silent]
+    lines = [Text(str(silence), "dim" if silence.waits else "bold red") for silence in silent]
     for name in setup.inputs:
         process = collector.topology.input(name).process
         fault = collector.process(process).source_fault

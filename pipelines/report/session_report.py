@@ -32,7 +32,14 @@ from pipelines.report.model import (
     StreamLatency,
     StreamReport,
 )
-from pipelines.report.silence import MISSED_NS, missed_ns, signal_ns, silences, stopped_ns
+from pipelines.report.silence import (
+    MISSED_NS,
+    missed_ns,
+    signal_ns,
+    silences,
+    stopped_ns,
+    waits_for_page,
+)
 from pipelines.report.sync.figures import disagreements
 from pipelines.report.sync.section import sync_section
 from pipelines.report.terms import video_lead
@@ -263,19 +270,17 @@ def process_report(
     """One process, with the CPU time and restarts that its launcher knows."""
     figures = collector.process(name)
     reception = figures.gauges(ReceptionGauges)
-    silent_ns = next(
-        (one.silent_ns for one in silences(setup, collector) if one.process == name), 0
-    )
+    silence = next((one for one in silences(setup, collector) if one.process == name), None)
     return ProcessReport(
         cpu_s=round(cpu_s, 3),
         restarts=restarts,
-        source_fault=figures.source_fault,
+        source_fault=figures.source_fault if silence is None else silence.fault or None,
         scheduler=figures.scheduler,
         selected=figures.selected,
         jitter_ns=reception.jitter_ns if reception else None,
         playout_delay_ns=reception.playout_delay_ns if reception else None,
         last_error=figures.last_error,
-        silent_s=round(silent_ns / NS_PER_S, 1) if silent_ns else None,
+        silent_s=None if silence is None else round(silence.silent_ns / NS_PER_S, 1),
         counts=figures.counts_by_name(),
     )
 
@@ -298,7 +303,8 @@ def failures(
         heard_ns = signals_ns[collector.topology.media(stream.name).direction.receiver.value]
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
         if long_enough and collector.shown(stream.name).frames_displayed == 0:
-            found.append(f"{stream.name}: nothing was displayed")
+            if not waits_for_page(stream, setup, collector):
+                found.append(f"{stream.name}: nothing was displayed")
         elif min(still_ns, heard_ns) >= missed_ns(stream) + delay_ns:
             found.append(
                 f"{stream.name}: nothing was displayed in the last {still_ns / NS_PER_S:.1f} s, "

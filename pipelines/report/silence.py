@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.sources.page import PAGE
 from pipelines.report.collector import Collector
 from pipelines.setup.table import (
     VOICE_PACKETS_PER_S,
@@ -22,12 +23,17 @@ _SPOILED = 0.05
 
 @dataclass(frozen=True)
 class Silence:
-    """An input that delivers nothing. process: of the input. fault: the last one of its source."""
+    """An input that delivers nothing.
+
+    process: of the input. fault: the last one of its source. waits: it has no source but browser
+    pages, and none gives it anything: nothing is wrong.
+    """
 
     process: str
     sense: str
     silent_ns: int
     fault: str
+    waits: bool = False
 
     def __str__(self) -> str:
         line = f"{self.process}: no {self.sense} for {self.silent_ns / NS_PER_S:.0f} s"
@@ -43,9 +49,21 @@ def silences(setup: Setup, collector: Collector, now_ns: int | None = None) -> l
         silent_ns = figures.silent_ns(now_ns)
         video = setup.kind_of(name) == "video"
         if silent_ns >= _missed_ns(setup.stream_of(name).fps if video else VOICE_PACKETS_PER_S):
-            fault = figures.source_fault or ""
-            found.append(Silence(process, "picture" if video else "sound", silent_ns, fault))
+            waits = setup.source(name) == PAGE
+            fault = "no page gives it" if waits else figures.source_fault or ""
+            sense = "picture" if video else "sound"
+            found.append(Silence(process, sense, silent_ns, fault, waits))
     return found
+
+
+def waits_for_page(stream: VideoStream | VoiceStream, setup: Setup, collector: Collector) -> bool:
+    """Whether a stream's inputs have no source but browser pages, and none has given anything."""
+    inputs = _chosen_inputs(stream, setup, collector)
+    return all(
+        setup.source(name) == PAGE
+        and collector.process(collector.topology.input(name).process).captured_ns is None
+        for name in inputs
+    )
 
 
 def missed_ns(stream: VideoStream | VoiceStream) -> int:
@@ -80,16 +98,22 @@ def stopped_ns(stream: VideoStream | VoiceStream, setup: Setup, collector: Colle
     shown_ns = collector.streams[stream.name].last_shown_ns
     if shown_ns is None:
         return 0
-    inputs = collector.topology.media(stream.name).inputs
     if stream.name == setup.uplink_video.name:
-        selector = collector.process("selector")
-        camera = selector.selected or setup.cameras[0]
-        inputs = collector.topology.camera(camera).inputs
-        shown_ns = max(shown_ns, selector.selected_ns)
+        shown_ns = max(shown_ns, collector.process("selector").selected_ns)
     longest_ns = 0
-    for name in inputs:
+    for name in _chosen_inputs(stream, setup, collector):
         figures = collector.process(collector.topology.input(name).process)
         if figures.captured_ns is not None:
             given_ns = figures.captured_ns - max(shown_ns, figures.gives_since_ns)
             longest_ns = max(longest_ns, given_ns)
     return longest_ns
+
+
+def _chosen_inputs(
+    stream: VideoStream | VoiceStream, setup: Setup, collector: Collector
+) -> tuple[str, ...]:
+    """The inputs of a stream; of the uplink's picture, those of the selected camera."""
+    if stream.name != setup.uplink_video.name:
+        return collector.topology.media(stream.name).inputs
+    camera = collector.process("selector").selected or setup.cameras[0]
+    return collector.topology.camera(camera).inputs

@@ -7,11 +7,12 @@ something.
 from collections.abc import Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.sources.page import PAGE
 from pipelines.cores.figures import CaptureCounters, LoopCounters, SendingCounters
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
 from pipelines.setup.table import Setup, VideoStream
-from pipelines.topology import LOOP_PRIORITY, Segment, Topology
+from pipelines.topology import LOOP_PRIORITY, Segment
 
 #: Of a loop's cycles at most this share may be left out.
 LEFT_OUT_SHARE = 0.01
@@ -55,7 +56,7 @@ def find_warnings(
                 stream.name,
                 fps=stream.fps,
                 seconds=seconds,
-                captured=_captured(stream.name, topology, collector),
+                captured=_captured(stream.name, setup, collector),
                 refused=collector.process(topology.media(stream.name).sender)
                 .total(SendingCounters)
                 .frames_refused,
@@ -133,9 +134,12 @@ def picture_warnings(
     return []
 
 
-def _captured(stream: str, topology: Topology, collector: Collector) -> int:
-    """What the busiest input of a stream captured."""
-    processes = (topology.input(name).process for name in topology.media(stream).inputs)
+def _captured(stream: str, setup: Setup, collector: Collector) -> int:
+    """What the busiest input of a stream captured, without those that only pages fill."""
+    inputs = (
+        name for name in collector.topology.media(stream).inputs if setup.source(name) != PAGE
+    )
+    processes = (collector.topology.input(name).process for name in inputs)
     return max(
         (collector.process(name).total(CaptureCounters).captured for name in processes), default=0
     )

@@ -8,6 +8,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import I420, CaptureStamp, VideoFrame
 from kontur_av.sources import BLOCK_NS
 from kontur_av.sources.pace import Pace
+from kontur_av.sources.page import PAGE
 from kontur_av.sources.stereo import StereoPairer
 from pipelines.cores.capturing import Capturing
 from pipelines.cores.figures import StereoCounters
@@ -24,10 +25,10 @@ ShowSound = Callable[[CaptureStamp, WorldState | None, int], None]
 
 
 def check_sources(setup: Setup) -> None:
-    """Raise ConfigError for an input that exists in real time only: a pipe or a device."""
+    """Raise ConfigError for an input that exists in real time only: a pipe, a device or a page."""
     for name in setup.inputs:
         kind, colon, _ = setup.source(name).partition(":")
-        if colon and kind in ("pipe", "v4l2", "alsa"):
+        if (colon and kind in ("pipe", "v4l2", "alsa")) or setup.source(name) == PAGE:
             raise ConfigError(
                 f"input {name}: {setup.source(name)} lives in real time; "
                 "a simulation takes scene:NAME or a media file"

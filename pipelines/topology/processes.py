@@ -45,6 +45,7 @@ def process_rows(
     """The processes, in the order in which they are started, of a table that has none yet."""
     rows = [*_ground(session), *_space(session, joystick, pages=pages)]
     if pages:
+        rows = [_taken_over(row, session) for row in rows]
         rows += [_page(session, segment) for segment in Segment]
     if snapshots:
         rows.append(_snapshots(session))
@@ -69,6 +70,8 @@ def topic_rows(session: Topology) -> Iterable[TopicRow]:
     for row in session.inputs:
         video = isinstance(session.media(row.stream).stream, VideoStream)
         samples[row.topic] = "captured picture" if video else "20 ms of captured sound"
+        samples[row.preview_topic] = "small picture, 5 a second"
+        samples[row.page_topic] = f"{'picture' if video else '20 ms of sound'} of a browser page"
     for link in session.links:
         samples[link.backlog_topic] = "what waits in the gateway, state of the radio"
     for media in session.media_streams:
@@ -193,9 +196,18 @@ def _capture(session: Topology, name: str) -> ProcessRow:
         arguments={"name": name, "stream": media.stream} if video else {"name": name},
         priority=0 if video else VOICE_PRIORITY,
         reads=(ROBOT_TOPIC,),
-        writes=(row.topic,),
+        writes=(row.topic, row.preview_topic) if video else (row.topic,),
         what="captures pictures" if video else "captures sound",
     )
+
+
+def _taken_over(row: ProcessRow, session: Topology) -> ProcessRow:
+    """The process of an input also takes what a page gives for it; all others are unchanged."""
+    for one in session.inputs:
+        if one.process == row.name:
+            arguments = {**row.arguments, "page": one.page_topic}
+            return replace(row, arguments=arguments, reads=(*row.reads, one.page_topic))
+    return row
 
 
 def _say(session: Topology, stream: str) -> Iterable[ProcessRow]:
@@ -278,12 +290,13 @@ def _snapshots(session: Topology) -> ProcessRow:
 
 
 def _page(session: Topology, segment: Segment) -> ProcessRow:
-    """What a seat shows of its own segment, and what its person tells it."""
+    """What a seat shows of its own segment, and what its person tells it, films and says."""
     rows = [row for row in session.media_streams if row.direction.receiver is segment]
     sounds = tuple(row.received_topic for row in rows if row.kind is Kind.VOICE)
     link = session.link(segment.transmits).backlog_topic
     space = segment is Segment.SPACE
     joystick, robot = (JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC), (ROBOT_TRACE_TOPIC,)
+    taken = [row for row in session.inputs if session.media(row.stream).direction.sender is segment]
     return ProcessRow(
         name=PAGES[segment],
         segment=segment,
@@ -291,7 +304,10 @@ def _page(session: Topology, segment: Segment) -> ProcessRow:
         run="pipelines.parts.page:run_page",
         arguments={"segment": segment},
         reads=(*sounds, link, *(joystick if space else (SELECTED_TOPIC, *robot))),
-        writes=(HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC) if space else (),
+        writes=(
+            *((HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC) if space else ()),
+            *(row.page_topic for row in taken),
+        ),
         what="serves the operator's page" if space else "serves ground's page",
     )
 

@@ -112,6 +112,7 @@ FILES = {
 
 #: Modules without a door of their own that use shells, and why.
 USERS_OF_SHELLS = {
+    "kontur_av/sources/page.py": "waits for a page",
     "kontur_av/sources/scene.py": "waits for its next picture",
     "kontur_av/sources/source.py": "waits for its next block",
     "kontur_av/sources/spec.py": "opens sources",
@@ -135,6 +136,7 @@ USERS_OF_SHELLS = {
 
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
+    "kontur_av/sources/page.py": {"PAGE"},
     "pipelines/bench/all/records.py": {"Record"},
     "telepresence/haptics/device/spec.py": {"PAGE", "SIMULATED"},
     "kontur_av/clock.py": {

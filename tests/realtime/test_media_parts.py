@@ -4,13 +4,13 @@ import secrets
 import socket
 import threading
 import time
-from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from running_part import CLOCK, SETUP, eventually, running
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import (
@@ -38,7 +38,6 @@ from pipelines.cores.figures import (
     VideoReceptionCounters,
     VoiceReceptionCounters,
 )
-from pipelines.cores.probe import Message
 from pipelines.cores.rows import ShownRow
 from pipelines.parts.capture import run_microphone
 from pipelines.parts.display import run_display
@@ -46,12 +45,9 @@ from pipelines.parts.video_receive import run_video_receive
 from pipelines.parts.video_send import run_video_send
 from pipelines.parts.voice_receive import run_voice_receive
 from pipelines.runtime.process import LOOPBACK, Context
-from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import SELECTED_TOPIC, topology_of
 from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
 
-SETUP = replace(BUILT_IN["spacejustin"], base_port=29_300)
-CLOCK = MonotonicClock()
 SOUND = np.zeros(960, np.int16)
 
 
@@ -60,48 +56,6 @@ def session():
     name = f"t-{secrets.token_hex(4)}"
     yield name
     remove_session(name)
-
-
-@contextmanager
-def running(session, part, **arguments):
-    """Run a part in a thread; yields a function that returns all its figures so far."""
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    context = Context(session=session, topology=topology_of(SETUP), clock=CLOCK, link=theirs)
-    ours.setblocking(False)
-    reported = Message()
-
-    def listen():
-        # After the other end has closed nothing more comes.
-        with suppress(BlockingIOError):
-            while data := ours.recv(1 << 20):
-                message = Message.unpack(data)
-                reported.counters.update(message.counters)
-                reported.gauges.update(message.gauges)
-                reported.series += message.series
-        return reported
-
-    thread = threading.Thread(target=part, args=(context,), kwargs=arguments)
-    thread.start()
-    try:
-        # The first report comes when its sockets and topics are open.
-        eventually(lambda: listen().counters or None)
-        yield listen
-    finally:
-        context.stopping = True
-        thread.join(10)
-        context.flush(CLOCK.now_ns())
-        listen()
-        theirs.close()
-
-
-def eventually(look):
-    end_ns = CLOCK.now_ns() + 10 * NS_PER_S
-    while CLOCK.now_ns() < end_ns:
-        found = look()
-        if found is not None:
-            return found
-        CLOCK.sleep_until_ns(CLOCK.now_ns() + 5 * NS_PER_MS)
-    raise AssertionError("it never came")
 
 
 def rtp_sender(payload_type, clock_rate_hz):

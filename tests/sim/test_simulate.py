@@ -213,12 +213,13 @@ def test_files_play_at_their_own_instants_and_loop(clip):
     assert stream.frames_displayed >= 45
 
 
-def test_real_time_sources_are_refused_in_one_line(capsys):
-    words = ["simulate", "--setup", "taskboard", "--seconds", "1", "--source", "static=v4l2:/dev/x"]
+@pytest.mark.parametrize("source", ["v4l2:/dev/x", "page"])
+def test_real_time_sources_are_refused_in_one_line(capsys, source):
+    words = ["simulate", "--setup", "taskboard", "--seconds", "1", "--source", f"static={source}"]
     assert main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "static" in line
-    assert "real time" in line
+    assert "real time; a simulation takes scene:NAME or a media file" in line
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,10 @@ def write(path, text):
         ),
         (["--setup", "taskboard", "--source", "left=alsa:hw"], "this input wants pictures"),
         (["--setup", "spacejustin", "--source", "iss_mic=v4l2:/dev/video0"], "wants sound"),
+        (
+            ["--setup", "taskboard", "--source", "static=page", "--no-page"],
+            "input static: source page needs the pages: leave --no-page out",
+        ),
         (["--setup", "taskboard", "--seconds", "0"], "--seconds 0"),
         (["--setup", "taskboard", "--seconds", "-3"], "--seconds"),
         (["--setup", "taskboard", "--seconds", "nan"], "--seconds nan"),

@@ -2,9 +2,9 @@
 
 import pytest
 
-from kontur_av.media import CaptureStamp, Quality
+from kontur_av.media import AccessUnit, CaptureStamp, Quality
 from kontur_av.rtp.payload_h264 import ReceivedUnit
-from pipelines.cores.coded_units import received_unit
+from pipelines.cores.coded_units import received_unit, sent_unit
 
 
 def received(*, size=(384, 288), quality=None, capture_ns=5, damaged=False):
@@ -33,3 +33,12 @@ def test_a_unit_without_a_picture_to_show_is_refused(size):
     coded, _ = received(size=size)
     assert coded.refused
     assert (coded.width, coded.height) == (0, 0)
+
+
+@pytest.mark.parametrize(("nal_type", "key"), [(5, True), (1, False)], ids=["idr", "wave"])
+def test_no_refresh_wave_passes_for_a_key_picture(nal_type, key):
+    data = b"\0\0\0\1\x67sps\0\0\0\1" + bytes([0x60 | nal_type]) + b"slice"
+    unit = AccessUnit(data, CaptureStamp(5, 3, "iss_camera"), keyframe=True)
+    coded, stamp = sent_unit(unit, size=(64, 48), sequence=2, source="downlink_video")
+    assert coded.key is key
+    assert stamp == CaptureStamp(5, 2, "downlink_video")

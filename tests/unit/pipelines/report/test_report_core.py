@@ -278,6 +278,26 @@ def test_a_stream_is_judged_by_the_camera_that_is_selected():
     assert "in the last 3.0 s" in found
 
 
+def test_an_input_that_no_page_has_given_anything_is_no_failure():
+    cameras = dict.fromkeys(SETUP.camera_inputs, "page")
+    setup = replace(SETUP, sources=cameras)
+    collector = told(displayed=0)
+    for name in setup.camera_inputs:
+        for half in range(1, 21):
+            process = collector.topology.input(name).process
+            collector.handle_message(process, message(CaptureGauges()), half * NS_PER_S // 2)
+    assert failures(setup, collector, 10.0) == []
+    assert (
+        str(silences(setup, collector)[0]) == "camera_left: no picture for 10 s (no page gives it)"
+    )
+    assert all(silence.waits for silence in silences(setup, collector))
+    assert failures(SETUP, collector, 10.0) == ["uplink_video: nothing was displayed"]
+    # From what a page gave, something must be shown.
+    given = message(CaptureGauges(captured_ns=9 * NS_PER_S))
+    collector.handle_message("camera_left", given, 10 * NS_PER_S)
+    assert failures(setup, collector, 10.0) == ["uplink_video: nothing was displayed"]
+
+
 def test_an_input_that_stopped_is_named():
     collector = run_on(told(), shown_until_s=3, captured_until_s=3)
     # The camera was restarted, and has captured nothing since.

@@ -170,3 +170,14 @@ def test_pages_are_asked_for_and_read_only_what_their_segment_has():
         assert {
             SPACEJUSTIN.process(SPACEJUSTIN.topic(topic).writer).segment for topic in row.reads
         } == {segment}
+
+
+def test_every_input_is_offered_what_a_page_of_its_segment_gives():
+    for row in SPACEJUSTIN.inputs:
+        process = SPACEJUSTIN.process(row.process)
+        topic = SPACEJUSTIN.topic(row.page_topic)
+        assert topic.writer == PAGES[process.segment]
+        assert topic.readers == (row.process,)
+        assert process.arguments["page"] == row.page_topic
+        without = topology_of(SPACEJUSTIN.setup).process(row.process)
+        assert "page" not in without.arguments and row.page_topic not in without.reads

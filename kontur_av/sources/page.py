@@ -1,0 +1,39 @@
+"""A source with nothing of its own: it waits for a browser page to take its input over."""
+
+from kontur_av.clock import Clock
+from kontur_av.media import I420, AudioFrame, CaptureStamp
+
+#: Its SPEC.
+PAGE = "page"
+
+
+class PageVideo:
+    """No pictures (a `VideoSource`). Pages give theirs to the process of the input."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.faults = 0
+        self.last_fault = ""
+        self._clock = clock
+
+    def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
+        self._clock.sleep_until_ns(self._clock.now_ns() + timeout_ns)
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+class PageAudio:
+    """No sound (an `AudioSource`), as `PageVideo`."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.faults = 0
+        self.last_fault = ""
+        self._clock = clock
+
+    def read(self, timeout_ns: int) -> AudioFrame | None:
+        self._clock.sleep_until_ns(self._clock.now_ns() + timeout_ns)
+        return None
+
+    def close(self) -> None:
+        pass

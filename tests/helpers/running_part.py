@@ -1,0 +1,57 @@
+"""A process of a session as a thread of the test: real sockets and topics."""
+
+import socket
+import threading
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from pipelines.cores.probe import Message
+from pipelines.runtime.process import Context
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import topology_of
+
+SETUP = replace(BUILT_IN["spacejustin"], base_port=29_300)
+CLOCK = MonotonicClock()
+
+
+@contextmanager
+def running(session, part, *, setup=SETUP, **arguments):
+    """Run a part in a thread; yields a function that returns all its figures so far."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    context = Context(session=session, topology=topology_of(setup), clock=CLOCK, link=theirs)
+    ours.setblocking(False)
+    reported = Message()
+
+    def listen():
+        # After the other end has closed nothing more comes.
+        with suppress(BlockingIOError):
+            while data := ours.recv(1 << 20):
+                message = Message.unpack(data)
+                reported.counters.update(message.counters)
+                reported.gauges.update(message.gauges)
+                reported.series += message.series
+        return reported
+
+    thread = threading.Thread(target=part, args=(context,), kwargs=arguments)
+    thread.start()
+    try:
+        # The first report comes when its sockets and topics are open.
+        eventually(lambda: listen().counters or None)
+        yield listen
+    finally:
+        context.stopping = True
+        thread.join(10)
+        context.flush(CLOCK.now_ns())
+        listen()
+        theirs.close()
+
+
+def eventually(look):
+    end_ns = CLOCK.now_ns() + 10 * NS_PER_S
+    while CLOCK.now_ns() < end_ns:
+        found = look()
+        if found is not None:
+            return found
+        CLOCK.sleep_until_ns(CLOCK.now_ns() + 5 * NS_PER_MS)
+    raise AssertionError("it never came")
