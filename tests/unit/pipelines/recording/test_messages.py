@@ -1,0 +1,174 @@
+"""Any value of a recording comes back from its octets; its schema tells other tools the fields."""
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from kontur_av.errors import ProtocolError
+from kontur_av.media import CaptureStamp, Quality
+from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.cores.haptic_trace import ROW
+from pipelines.recording import messages
+from pipelines.recording.messages import (
+    NO_SAMPLE,
+    SAMPLE,
+    Recorded,
+    RecordedFrames,
+    UnitFacts,
+    haptic_samples,
+    pack,
+    pack_haptics,
+    packet_words,
+    unpack,
+    unpack_haptics,
+)
+from pipelines.recording.schemas import HAPTIC_SAMPLES, LINK_SENT, SCHEMAS, descriptor_set
+from telepresence.haptics.mediated.wall import Wall, WallMessage, pack_wall
+from telepresence.tmtc.packets import Housekeeping, SelectAck, SelectCamera, pack_packet
+
+KINDS = [
+    kind
+    for kind in vars(messages).values()
+    if isinstance(kind, type) and issubclass(kind, Recorded) and kind is not Recorded
+]
+KINDS.remove(RecordedFrames)
+INSTANT = st.integers(-(1 << 63), (1 << 63) - 1)
+TEXT = st.text(st.characters(codec="utf-8"), max_size=8)
+BY_TYPE = {
+    "bool": st.booleans(),
+    "bytes": st.binary(max_size=40),
+    "fixed32": st.integers(0, (1 << 32) - 1),
+    "int64": INSTANT,
+    "Level": st.integers(0, 5),
+    "string": TEXT,
+    "uint32": st.integers(0, (1 << 32) - 1),
+    "uint64": st.integers(0, (1 << 64) - 1),
+    "google.protobuf.Timestamp": st.integers(0, 1 << 63),
+}
+
+
+def values(kind):
+    """Any value of a class of `messages`."""
+    nested = {schema.name: schema for schema in kind.schema.nested}
+    fields = {}
+    for row in kind.schema.fields:
+        if row.type in nested:
+            part = {one.name: BY_TYPE[one.type] for one in nested[row.type].fields}
+            parts = st.lists(st.builds(kind.parts[row.type], **part), max_size=3)
+            fields[row.name] = parts.map(tuple)
+        else:
+            name = "wall_ns" if row.name == "timestamp" else row.name
+            fields[name] = BY_TYPE[row.type]
+    return st.builds(kind, **fields)
+
+
+@given(st.one_of([values(kind) for kind in KINDS]))
+def test_any_value_comes_back(value):
+    assert unpack(type(value), pack(value)) == value
+
+
+@given(st.lists(st.tuples(INSTANT, st.binary(max_size=40)), max_size=5))
+def test_any_frames_come_back(frames):
+    instants, data = zip(*frames, strict=True) if frames else ((), ())
+    block = RecordedFrames(time_ns=instants, data=data)
+    assert unpack(RecordedFrames, pack(block)) == block
+
+
+@given(arrays(SAMPLE, st.integers(0, 40)))
+def test_any_haptic_samples_come_back(samples):
+    back = unpack_haptics(pack_haptics(samples))
+    for name in SAMPLE.names:
+        assert np.array_equal(back[name], samples[name], equal_nan=name not in ("time_ns", "flags"))
+
+
+@given(st.sampled_from(KINDS), st.binary(max_size=60))
+def test_any_octets_are_refused_or_read(kind, octets):
+    try:
+        unpack(kind, octets)
+    except ProtocolError:
+        return
+
+
+@given(st.binary(max_size=60))
+def test_any_octets_are_haptic_samples_or_refused(octets):
+    try:
+        samples = unpack_haptics(octets)
+    except ProtocolError:
+        return
+    assert samples.dtype == SAMPLE
+
+
+def test_a_text_that_is_no_unicode_is_written_with_question_marks():
+    event = messages.RecordedEvent(session_ns=0, number=1, what="a\udcff", text="")
+    assert unpack(messages.RecordedEvent, pack(event)).what == "a?"
+
+
+def test_another_tool_reads_a_message_by_the_schema_in_the_file():
+    for schema in SCHEMAS:
+        files = descriptor_pb2.FileDescriptorSet.FromString(descriptor_set(schema)).file
+        pool = descriptor_pool.DescriptorPool()
+        for file in files:
+            pool.Add(file)
+        found = pool.FindMessageTypeByName(schema.full_name)
+        assert [field.name for field in found.fields] == [row.name for row in schema.fields]
+    assert message_factory.GetMessageClass(found) is not None
+
+
+def test_a_schema_numbers_its_fields_without_a_gap_and_names_its_units():
+    for schema in (*SCHEMAS, *LINK_SENT.nested):
+        assert [row.number for row in schema.fields] == [*range(1, len(schema.fields) + 1)]
+        assert all(row.what for row in schema.fields)
+    assert SAMPLE.names == tuple(row.name for row in HAPTIC_SAMPLES.fields)
+
+
+def test_rows_of_the_trace_become_samples():
+    rows = np.zeros(3, ROW)
+    rows["time_ns"], rows["x_m"], rows["flags"] = (1, 2, 3), (0.1, 0.2, 0.3), (1, 2, 4)
+    samples = haptic_samples(rows)
+    assert samples["sequence"].tolist() == [NO_SAMPLE] * 3
+    assert all((samples[name] == rows[name]).all() for name in ROW.names)
+    assert haptic_samples(rows, np.array([7, 8, -1], np.int32))["sequence"].tolist() == [7, 8, -1]
+
+
+def test_facts_of_a_unit():
+    unit = CodedUnit(data=b"12345", key=True, damaged=True, width=64, height=48)
+    stamp = CaptureStamp(9, 1, "uplink_video", Quality.DAMAGED)
+    facts = UnitFacts.of(unit, stamp)
+    assert facts == UnitFacts(
+        capture_ns=9,
+        key=True,
+        damaged=True,
+        shows_loss=True,
+        refused=False,
+        dated=True,
+        width_px=64,
+        height_px=48,
+        octets=5,
+    )
+
+
+@pytest.mark.parametrize(
+    ("packet", "words"),
+    [
+        (pack_packet(SelectCamera("static", 5), 0), "select static, token 5"),
+        (
+            pack_packet(SelectAck("head", 5, False), 0),
+            "select refused, token 5: head is selected",
+        ),
+        (
+            pack_packet(Housekeeping("head", True, 1.5), 0),
+            "housekeeping: head is selected, contact, 1.500 N",
+        ),
+        (pack_wall(WallMessage(1, None), 0), "no wall"),
+        (
+            pack_wall(WallMessage(1, Wall(0, 1, 0.06, 1500.0)), 0),
+            "wall at x = 0.0600 m, 1500 N/m",
+        ),
+        (b"\x08\x01", "unknown"),
+    ],
+)
+def test_words_of_a_packet(packet, words):
+    assert packet_words(packet) == words
