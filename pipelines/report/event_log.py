@@ -71,6 +71,7 @@ class EventLog:
         self._joystick: tuple[str, str] | None = None
         self._silent: set[str] = set()
         self._faults: dict[str, str] = {}
+        self._live: dict[str, str] = {}
 
     def handle_look(
         self,
@@ -189,6 +190,11 @@ class EventLog:
             if fault and fault != self._faults.get(process):
                 yield now_ns, "input", f"{process}: {fault}"
                 self._faults[process] = fault
+            live = self._collector.process(process).live_source
+            if live is not None and live != self._live.get(process, "own"):
+                who = "a page took over" if live == "page" else "its own source again"
+                yield now_ns, "input", f"{name}: {who}"
+                self._live[process] = live
 
 
 def _supervised(supervision: SupervisionFigures) -> dict[str, list[tuple[int, str]]]:

@@ -108,6 +108,12 @@ class ProcessFigures:
         return None if gauges is None else gauges.source_fault
 
     @property
+    def live_source(self) -> str | None:
+        """Whether an input captures its "own" source or that of a "page", in a session with any."""
+        gauges = self.gauges(CaptureGauges)
+        return None if gauges is None else gauges.live_source
+
+    @property
     def selected(self) -> str | None:
         """The selected camera; of the selector."""
         gauges = self.gauges(SelectorGauges)

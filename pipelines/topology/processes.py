@@ -292,7 +292,8 @@ def _snapshots(session: Topology) -> ProcessRow:
 def _page(session: Topology, segment: Segment) -> ProcessRow:
     """What a seat shows of its own segment, and what its person tells it, films and says."""
     rows = [row for row in session.media_streams if row.direction.receiver is segment]
-    sounds = tuple(row.received_topic for row in rows if row.kind is Kind.VOICE)
+    sounds = (row.received_topic for row in rows if row.kind is Kind.VOICE)
+    pictures = [row for row in rows if isinstance(row, VideoRow)]
     link = session.link(segment.transmits).backlog_topic
     space = segment is Segment.SPACE
     joystick, robot = (JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC), (ROBOT_TRACE_TOPIC,)
@@ -303,13 +304,25 @@ def _page(session: Topology, segment: Segment) -> ProcessRow:
         stage=Stage.SINK,
         run="pipelines.parts.page:run_page",
         arguments={"segment": segment},
-        reads=(*sounds, link, *(joystick if space else (SELECTED_TOPIC, *robot))),
+        reads=(
+            *(topic for row in pictures for topic in (row.coded_topic, row.decoded_topic)),
+            *sounds,
+            link,
+            *(joystick if space else (*_robot_seen(session), SELECTED_TOPIC, *robot)),
+        ),
         writes=(
             *((HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC) if space else ()),
             *(row.page_topic for row in taken),
         ),
         what="serves the operator's page" if space else "serves ground's page",
     )
+
+
+def _robot_seen(session: Topology) -> Iterable[str]:
+    """What the ground sees of its own cameras: the picture as it is sent, and all of them small."""
+    video = session.video(session.setup.uplink_video.name)
+    yield video.sent_topic
+    yield from (session.input(name).preview_topic for name in video.inputs)
 
 
 def _with_streams(row: ProcessRow, session: Topology) -> ProcessRow:

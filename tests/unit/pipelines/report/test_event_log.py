@@ -165,6 +165,18 @@ def test_silent_inputs_and_faults(session):
     assert session.look(5) == [(5_000_000, "input", "camera_left gives again")]
 
 
+def test_an_input_is_taken_over_and_given_back(session):
+    def look(live, at_s):
+        gauges = CaptureGauges(captured_ns=round(at_s * NS_PER_S), live_source=live)
+        session.told("camera_left", gauges, at_s=at_s)
+        return session.look(at_s)
+
+    assert look("own", 1) == []
+    assert look("page", 2) == [(2_000_000, "input", "left: a page took over")]
+    assert look("page", 2.5) == []
+    assert look("own", 3) == [(3_000_000, "input", "left: its own source again")]
+
+
 def test_a_stop_on_request_is_one_event_and_nothing_in_it_is_stale_or_silent(session):
     session.told("camera_left", CaptureGauges(captured_ns=NS_PER_S))
     gauges = DisplayGauges(age_ns=40 * NS_PER_MS, state=State.FRESH)
