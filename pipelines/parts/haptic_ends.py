@@ -126,6 +126,7 @@ def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycl
     teller = JoystickStatusTeller(handle)
     writer = bus.writer(JOYSTICK_STATE_TOPIC, max_octets=STATUS_OCTETS)
     requests = None
+    # A restarted joystick reads the newest command once more, so a person's halt outlives it.
     if HAND_REQUEST_TOPIC in reads:
         requests = bus.reader(HAND_REQUEST_TOPIC, depth=_REQUESTS)
     numbers = count()
