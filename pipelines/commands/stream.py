@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     snapshots = _made_directory(args.snapshots)
     check_writable(args.report)
     clear_dead_sessions()
-    check_room(setup)
+    check_room(setup, pages=not args.no_page)
     topology = topology_of(
         setup,
         joystick=args.joystick,
@@ -204,20 +204,18 @@ def _check_shared(setup: Setup) -> None:
             )
 
 
-def check_room(setup: Setup) -> None:
+def check_room(setup: Setup, *, pages: bool = False) -> None:
     """ConfigError when shared memory has no room for the session's pictures.
 
     Measured: a topic of pictures holds two or three. Five leave room for the successor of a killed
-    process.
+    process. pages: a page joins with decoded pictures, and gives its own for a camera.
     """
     cameras = [setup.stream_of(name) for name in setup.inputs if setup.kind_of(name) == "video"]
     # The stereo merge has the uplink's size. Received pictures count twice: they are also shown.
     relays = [setup.uplink_video] * (STEREO in setup.cameras)
     received = [stream for stream in setup.streams if isinstance(stream, VideoStream)]
-    pictures = sum(
-        stream.width * stream.height * 3 // 2
-        for stream in (*cameras, *relays, *received, *received)
-    )
+    streams = [*cameras, *relays, *received * (4 if pages else 2)]
+    pictures = sum(stream.width * stream.height * 3 // 2 for stream in streams)
     needed = max(NEEDED_SHM_OCTETS, NEEDED_SHM_OCTETS // 2 + 5 * pictures)
     verdict = check_shared_memory(needed_octets=needed)
     if verdict.state == "missing":

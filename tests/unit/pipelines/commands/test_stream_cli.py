@@ -231,19 +231,24 @@ def test_the_setup_decides_the_kind_of_an_input_not_its_name(capsys, tmp_path):
 
 @pytest.mark.usefixtures("nothing_starts")
 @pytest.mark.parametrize(
-    ("size", "free_mb", "needed_mb"),
-    [("640x480", 40, 48), ("640x480", 64, None), ("2560x1440", 64, 190)],
+    ("size", "options", "free_mb", "needed_mb"),
+    [
+        ("640x480", [], 40, 48),
+        ("640x480", [], 64, None),
+        ("2560x1440", ["--no-page"], 64, 190),
+        ("2560x1440", [], 190, 246),
+    ],
 )
 def test_too_little_shared_memory_is_refused(
-    capsys, monkeypatch, tmp_path, size, free_mb, needed_mb
+    capsys, monkeypatch, tmp_path, size, options, free_mb, needed_mb
 ):
     usage = shutil.disk_usage(tmp_path)._replace(free=free_mb * 1_000_000)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
     path = write(tmp_path / "mine.toml", TOML + f'size = "{size}"\n')
     if needed_mb is None:
-        stream.check_room(load_setup(path))
+        stream.check_room(load_setup(path), pages=True)
     else:
-        line = refusal(capsys, "stream", "--setup", path)
+        line = refusal(capsys, "stream", "--setup", path, *options)
         assert f"free {needed_mb} MB" in line
         assert "--shm-size" in line
 
