@@ -1,0 +1,228 @@
+"""Headless Chromium as a person uses it, by selenium and Debian's own driver.
+
+Everything of a browser lies in one directory, and all its processes are in one session of the
+kernel, so that its exit leaves neither. No program is downloaded.
+"""
+
+import base64
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import cv2
+import numpy as np
+from running_session import PATIENCE_S, eventually
+
+PROGRAMS = ("chromium", "chromedriver")
+#: Chromium's own words where a script failed or was refused; "network" says that a server is gone.
+_NETWORK = "network"
+
+
+def missing():
+    """Return in one line what these tests lack; None if nothing."""
+    lacking = [name for name in PROGRAMS if shutil.which(name) is None]
+    lacking += [] if find_spec("selenium") else ["selenium"]
+    if not lacking:
+        return None
+    mend = "apt-get install chromium chromium-driver; pip install selenium"
+    return f"no {', no '.join(lacking)}: {mend}"
+
+
+class Browser:
+    """One Chromium with windows and tabs. Its exit ends all its processes in any case.
+
+    camera: a .y4m or .mjpeg file for the camera; a moving pattern without it.
+    microphone: a .wav file for the microphone; beeps without it.
+    devices: False for a machine that has neither camera nor microphone.
+    """
+
+    def __init__(self, *, camera=None, microphone=None, devices=True, flags=(), size=(1280, 800)):
+        from selenium import webdriver
+        from selenium.webdriver.chrome.service import Service
+
+        self.directory = Path(tempfile.mkdtemp(prefix="kavb"))
+        options = webdriver.ChromeOptions()
+        options.binary_location = shutil.which("chromium")
+        for flag in (
+            "headless=new",
+            "no-sandbox",
+            f"user-data-dir={self.directory / 'profile'}",
+            f"window-size={size[0]},{size[1]}",
+            "use-fake-ui-for-media-stream",
+            "autoplay-policy=no-user-gesture-required",
+            *(["use-fake-device-for-media-stream"] if devices else []),
+            *([f"use-file-for-fake-video-capture={camera}"] if camera else []),
+            *([f"use-file-for-fake-audio-capture={microphone}"] if microphone else []),
+            *flags,
+        ):
+            options.add_argument(f"--{flag}")
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        # A path, or selenium would look for a driver of its own on the Internet.
+        self._service = Service(
+            shutil.which("chromedriver"),
+            env={**os.environ, "TMPDIR": str(self.directory)},
+            log_output=subprocess.DEVNULL,
+            popen_kw={"start_new_session": True},
+        )
+        self._errors = []
+        try:
+            self.driver = webdriver.Chrome(options=options, service=self._service)
+            self.driver.set_script_timeout(PATIENCE_S)
+            self.driver.set_page_load_timeout(PATIENCE_S)
+        except BaseException:
+            self.end()
+            raise
+        self._first_window = True
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.end()
+
+    def end(self):
+        """End all processes and remove all files."""
+        for pid in self.pids():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        if self._service.process is not None:
+            self._service.process.wait()
+        eventually(lambda: self.pids() == [], "the browser's end")
+        shutil.rmtree(self.directory, ignore_errors=True)
+
+    def pids(self):
+        """Return the pids of the driver and of all processes of Chromium."""
+        driver = self._service.process
+        return [] if driver is None else _of_session(driver.pid)
+
+    def open(self, url, kind="window"):
+        """Open an address in a new window, or in a tab that hides the one that was seen."""
+        if not self._first_window:
+            self.driver.switch_to.new_window(kind)
+        self._first_window = False
+        page = Page(self, self.driver.current_window_handle)
+        self.driver.get(url)
+        return page
+
+    @contextlib.contextmanager
+    def stalled(self):
+        """Stop all processes of Chromium, as on a machine that sleeps; then let them go on."""
+        driver = self._service.process.pid
+        pids = [pid for pid in self.pids() if pid != driver]
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            for pid in pids:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGCONT)
+
+    def errors(self):
+        """Return every error that any page's console has shown so far, workers' included."""
+        for entry in self.driver.get_log("browser"):
+            if entry["level"] == "SEVERE":
+                self._errors.append(entry)
+        return [f"{entry['source']}: {entry['message']}" for entry in self._errors]
+
+    def assert_no_errors(self, *, server_gone=False):
+        """Assert that no script failed. server_gone: the test took the server away."""
+        network = f"{_NETWORK}: "
+        found = [
+            error for error in self.errors() if not (server_gone and error.startswith(network))
+        ]
+        assert found == []
+
+
+class Page:
+    """A window or a tab of a browser."""
+
+    def __init__(self, browser, handle):
+        self.browser, self._handle = browser, handle
+
+    def run(self, script, *values):
+        """Run a script as a function's body in the page; return what it returns."""
+        return self._driver().execute_script(script, *values)
+
+    def wait(self, condition, what=None):
+        """Wait until an expression in the page is true; return its value."""
+        return eventually(lambda: self.run(f"return {condition}"), what or condition)
+
+    def find(self, selector):
+        """Return the one element that a CSS selector names."""
+        (element,) = self._driver().find_elements("css selector", selector)
+        return element
+
+    def close(self):
+        """Close the window or tab."""
+        self._driver().close()
+        handles = self.browser.driver.window_handles
+        if handles:
+            self.browser.driver.switch_to.window(handles[0])
+
+    def pixels(self, selector="#picture", width=None, height=None):
+        """Return a canvas's pixels from its upper left corner, shape (height, width, 3), RGB."""
+        script = """
+            const canvas = document.querySelector(arguments[0]);
+            const width = arguments[1] ?? canvas.width, height = arguments[2] ?? canvas.height;
+            const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
+            let text = "";
+            for (let at = 0; at < data.length; at += 8192) {
+              text += String.fromCharCode(...data.subarray(at, at + 8192));
+            }
+            return [width, height, btoa(text)];
+        """
+        width, height, data = self.run(script, selector, width, height)
+        rgba = np.frombuffer(base64.b64decode(data), np.uint8).reshape(height, width, 4)
+        return rgba[:, :, :3].copy()
+
+    def figure(self, name):
+        """Return a figure that the page shows: a number, a word, or None while there is none."""
+        text = self.run(
+            "return document.querySelector(`[data-figure='${arguments[0]}']`)?.textContent", name
+        )
+        try:
+            return json.loads(text)
+        except (TypeError, ValueError):
+            return text
+
+    def screenshot(self, path):
+        """Write what a person sees as a PNG file."""
+        Path(path).write_bytes(self._driver().get_screenshot_as_png())
+
+    def _driver(self):
+        driver = self.browser.driver
+        # To switch moves the focus and shows a hidden tab, so not without need.
+        if driver.current_window_handle != self._handle:
+            driver.switch_to.window(self._handle)
+        return driver
+
+
+def luma(pixels):
+    """Return the luma of RGB pixels as video has it, 16 to 235, shape (height, width), uint8."""
+    height, width = (size // 2 * 2 for size in pixels.shape[:2])
+    return cv2.cvtColor(pixels[:height, :width], cv2.COLOR_RGB2YUV_I420)[:height]
+
+
+def psnr_db(one, other):
+    """Return the likeness of two pictures of one shape; infinite if they are equal."""
+    return cv2.PSNR(one, other) if (one != other).any() else float("inf")
+
+
+def _of_session(leader):
+    """Return the pids of the living processes of a session of the kernel."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, _, session = stat.read_text().rpartition(")")[2].split()[:4]
+        except OSError:
+            continue
+        if int(session) == leader and state != "Z":
+            found.append(int(stat.parent.name))
+    return found
