@@ -8,12 +8,13 @@
 /**
  * keys: values of `KeyboardEvent.code` (a place on the keyboard, for what is held) or of
  * `KeyboardEvent.key` (a letter or sign). shown: what the table shows; `keys` without it.
- * down: at the press, not at its repeats. up: at the release, and when the page loses the focus.
+ * down: at the press, not at its repeats; it is given the key. up: at the release, and when the
+ * page loses the focus.
  * @typedef {object} Shortcut
  * @property {string[]} keys
  * @property {string} [shown]
  * @property {string} what
- * @property {() => void} [down]
+ * @property {(key: string) => void} [down]
  * @property {() => void} [up]
  */
 
@@ -82,7 +83,7 @@ export class Keyboard {
     event.preventDefault();
     if (event.repeat || this.#held.has(event.code)) return;
     if (shortcut.up !== undefined) this.#held.set(event.code, shortcut);
-    shortcut.down?.();
+    shortcut.down?.(event.key);
   }
 
   /** @param {string} code */

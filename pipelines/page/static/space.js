@@ -1,8 +1,14 @@
 /** The operator's seat. */
+import "./camera_buttons.js";
 import "./camera_panel.js";
+import "./contact_panel.js";
+import "./force_dial.js";
+import "./hand_panel.js";
+import "./joystick_panel.js";
 import "./loudspeaker_panel.js";
 import "./microphone_panel.js";
 import "./picture_view.js";
+import "./senses_panel.js";
 import "./status_tiles.js";
 import { startSeat } from "./seat.js";
 

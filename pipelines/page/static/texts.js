@@ -97,8 +97,8 @@
 
 /**
  * @typedef {object} LinkCounts
- * @property {Record<string, number>} carried Octets, by what they carried, since the start.
- * @property {Record<string, number>} drops
+ * @property {Record<string, number>} octets By what they carried, since the start.
+ * @property {Record<string, number>} drops Packets, by level.
  * @property {number} lost
  * @property {number} slips
  */
@@ -107,7 +107,7 @@
  * @typedef {object} ProcessText
  * @property {string} name
  * @property {string | null} segment
- * @property {number} cpu
+ * @property {number | null} cpu Share of a core over the last 2 s.
  * @property {number} restarts
  * @property {boolean} running
  * @property {string | null} error

@@ -1,0 +1,76 @@
+/**
+ * `<contact-panel>`: signal and state of both ways of the link, delays, and the present instant
+ * in the pass.
+ *
+ * @import { FigureBinding } from "./figure_binding.js"
+ * @import { Seat } from "./seat.js"
+ */
+import { make, setText } from "./dom.js";
+import { NOTHING } from "./figure_binding.js";
+
+const MS_PER_NS = "0.000001";
+
+class ContactPanel extends HTMLElement {
+  #uplink = make("dd");
+  #downlink = make("dd");
+  #since = make("dd");
+  #until = make("dd");
+
+  /** @param {Seat} seat */
+  follow({ connection, figures }) {
+    const state = make("span", { class: "small", "data-figure": "gateways.space.supervision.state" });
+    this.append(
+      make("header", {}, make("h2", {}, "Contact"), state),
+      make(
+        "dl",
+        { class: "values" },
+        ...row("Uplink, ground to space", this.#uplink),
+        ...row("Downlink, space to ground", this.#downlink),
+        ...row("Delay up", delay("gateways.ground.radio.delay_ns")),
+        ...row("Delay down", delay("gateways.space.radio.delay_ns")),
+        ...row("Since acquisition", this.#since),
+        ...row("Until loss", this.#until),
+      ),
+    );
+    const show = () => this.#show(figures, connection.alive);
+    connection.on("figures", show);
+    connection.on("lost", show);
+    show();
+  }
+
+  /** @param {FigureBinding} figures @param {boolean} alive */
+  #show(figures, alive) {
+    showWay(this.#uplink, alive ? figures.get("gateways.space.supervision.signal") : null);
+    showWay(this.#downlink, alive ? figures.get("gateways.ground.supervision.signal") : null);
+    const sinceS = figures.number("contact.since_acquisition_s");
+    const untilS = figures.number("contact.until_loss_s");
+    setText(this.#since, sinceS === null ? "no pass" : minutes(sinceS));
+    setText(this.#until, untilS === null ? "no pass" : minutes(untilS));
+    const level = untilS === null ? "none" : untilS < 10 ? "bad" : untilS < 60 ? "warn" : "good";
+    this.#until.dataset.level = level;
+  }
+}
+
+/** @param {string} name @param {HTMLElement} value */
+const row = (name, value) => [make("dt", {}, name), value];
+
+/** @param {string} name */
+function delay(name) {
+  const value = make("span", { "data-figure-in": name, "data-scale": MS_PER_NS, "data-decimals": "1" });
+  return make("dd", {}, value, make("span", { class: "unit" }, "ms"));
+}
+
+/** @param {HTMLElement} element @param {unknown} signal */
+function showWay(element, signal) {
+  setText(element, signal === true ? "● signal" : signal === false ? "✕ no signal" : NOTHING);
+  element.dataset.level = signal === true ? "good" : signal === false ? "bad" : "none";
+}
+
+/** Seconds as minutes and seconds. @param {number} seconds */
+function minutes(seconds) {
+  const whole = Math.abs(Math.trunc(seconds));
+  const sign = seconds < 0 ? "−" : "";
+  return `${sign}${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
+}
+
+customElements.define("contact-panel", ContactPanel);

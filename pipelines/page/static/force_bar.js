@@ -1,0 +1,30 @@
+/** `<force-bar>`: the size of the force as a bar and in newtons. */
+import { FULL_N, forceShare } from "./force_view.js";
+import { make, setText } from "./dom.js";
+
+export class ForceBar extends HTMLElement {
+  #fill = make("span", { class: "force-fill" });
+  #value = make("strong", {}, "–");
+  #contact = make("span", { class: "force-contact", hidden: true }, "contact");
+
+  connectedCallback() {
+    this.setAttribute("role", "meter");
+    this.setAttribute("aria-label", "Force");
+    this.setAttribute("aria-valuemin", "0");
+    this.setAttribute("aria-valuemax", String(FULL_N));
+    this.append(
+      make("span", { class: "force-words" }, this.#value, make("span", { class: "unit" }, "N"), this.#contact),
+      make("span", { class: "force-scale" }, this.#fill),
+    );
+  }
+
+  /** @param {number | null} forceN @param {boolean} contact */
+  show(forceN, contact) {
+    setText(this.#value, forceN === null ? "–" : forceN.toFixed(1));
+    this.#fill.style.transform = `scaleX(${forceShare(forceN ?? 0).toFixed(3)})`;
+    this.setAttribute("aria-valuenow", (forceN ?? 0).toFixed(1));
+    if (this.#contact.hidden === contact) this.#contact.hidden = !contact;
+  }
+}
+
+customElements.define("force-bar", ForceBar);

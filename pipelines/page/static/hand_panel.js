@@ -1,0 +1,173 @@
+/**
+ * `<hand-panel picture="picture-view">`: the handle: where it is and what it feels, who has it,
+ * and how to steer it.
+ *
+ * @import { Seat } from "./seat.js"
+ * @import { StateText } from "./texts.js"
+ */
+import { announce } from "./announcer.js";
+import { steerByController } from "./controller_hand.js";
+import { make, setText } from "./dom.js";
+import { ForceBar } from "./force_bar.js";
+import { forceShare } from "./force_view.js";
+import { HandControl } from "./hand_control.js";
+import { steerByKeys } from "./key_hand.js";
+import { NewestRow } from "./newest_row.js";
+import { steerByPointer } from "./pointer_hand.js";
+import { WorkspaceMap } from "./workspace_map.js";
+
+const WORKSPACE = Object.freeze({ half_width_m: 0.1, half_height_m: 0.08 });
+
+/** @typedef {"take" | "give" | "ask" | "refuse"} HandAction */
+
+/** @type {Record<HandAction, string>} */
+const ACTIONS = { take: "Take the handle", give: "Give it up", ask: "Ask for it", refuse: "Keep it" };
+
+class HandPanel extends HTMLElement {
+  #map = new WorkspaceMap();
+  #bar = new ForceBar();
+  #words = make("p", { class: "hand-words", role: "status" });
+  #hint = make("p", { class: "quiet small" });
+  /** @type {Record<HandAction, HTMLButtonElement>} */
+  #buttons = {
+    take: make("button", { type: "button", class: "main" }, ACTIONS.take),
+    give: make("button", { type: "button" }, ACTIONS.give),
+    ask: make("button", { type: "button" }, ACTIONS.ask),
+    refuse: make("button", { type: "button" }, ACTIONS.refuse),
+  };
+  /** @type {HandControl | null} */
+  #control = null;
+  /** @type {Seat | null} */
+  #seat = null;
+  /** @type {NewestRow | null} */
+  #newest = null;
+  /** What the last request came to. */
+  #answer = "";
+
+  /** @param {Seat} seat */
+  follow(seat) {
+    const { connection, keyboard } = seat;
+    const control = new HandControl(connection);
+    this.#seat = seat;
+    this.#control = control;
+    const newest = new NewestRow(connection, "joystick");
+    this.#newest = newest;
+    this.#build();
+    const picture = document.querySelector(this.getAttribute("picture") ?? "picture-view");
+    steerByPointer(this.#map.canvas, control, () => this.#map.halfPixels());
+    if (picture instanceof HTMLElement) {
+      steerByPointer(picture, control, () => this.#pixelsOf(picture));
+    }
+    steerByKeys(keyboard, control, () => {
+      const { half_width_m: x, half_height_m: y } = this.#workspace;
+      return { x, y };
+    });
+    steerByController(control, () => forceShare(newest.forceN ?? 0));
+    keyboard.add(
+      { keys: ["Escape"], shown: "Esc", what: "let go of the handle", down: () => control.releaseAll() },
+      { keys: ["h"], what: "take the handle, ask for it, or give it up", down: () => this.#actByKey() },
+    );
+    control.addEventListener("change", () => this.#show());
+    connection.on("state", () => this.#show());
+    connection.on("hello", () => this.#show());
+    connection.on("lost", () => this.#show());
+    const draw = () => {
+      this.#draw();
+      requestAnimationFrame(draw);
+    };
+    requestAnimationFrame(draw);
+  }
+
+  get #workspace() {
+    return this.#seat?.connection.hello?.workspace ?? WORKSPACE;
+  }
+
+  #build() {
+    const map = this.#map.canvas;
+    map.className = "workspace-map";
+    map.tabIndex = 0;
+    map.setAttribute("role", "application");
+    map.setAttribute("aria-label", "The handle. Hold Space and press arrow keys to move it.");
+    this.append(
+      make("header", {}, make("h2", {}, "Handle and force"), this.#words),
+      map,
+      this.#bar,
+      make("div", { class: "buttons" }, ...Object.values(this.#buttons)),
+      this.#hint,
+    );
+    for (const action of /** @type {HandAction[]} */ (Object.keys(ACTIONS))) {
+      this.#buttons[action].addEventListener("click", () => void this.#act(action));
+    }
+  }
+
+  /** The picture's height is the workspace's. @param {HTMLElement} picture */
+  #pixelsOf(picture) {
+    const { half_width_m, half_height_m } = this.#workspace;
+    const y = picture.clientHeight / 2;
+    return { x: (y * half_width_m) / half_height_m, y };
+  }
+
+  #draw() {
+    const hello = this.#seat?.connection.hello ?? null;
+    if (hello === null) return;
+    const handle = this.#newest?.row ?? null;
+    const { half_width_m, half_height_m } = hello.workspace;
+    const target = this.#control?.target ?? null;
+    this.#map.show({
+      workspace: hello.workspace,
+      board: hello.board,
+      handle,
+      target: target === null ? null : { xM: target.x * half_width_m, yM: target.y * half_height_m },
+    });
+    this.#bar.show(this.#newest?.forceN ?? null, handle?.contact ?? false);
+  }
+
+  /** @param {HandAction} action */
+  async #act(action) {
+    const connection = this.#seat?.connection;
+    if (connection === undefined) return;
+    const { ok, error } = await connection.request({ do: "hand", action });
+    this.#answer = ok ? (action === "ask" ? "asked" : "") : `refused: ${error}`;
+    this.#show();
+  }
+
+  #actByKey() {
+    const hand = this.#seat?.connection.state?.hand;
+    if (hand === undefined) return;
+    if (hand.you) void this.#act("give");
+    else void this.#act(hand.holder === null ? "take" : "ask");
+  }
+
+  #show() {
+    const connection = this.#seat?.connection;
+    const control = this.#control;
+    if (connection === undefined || control === null) return;
+    const { alive, hello, state, mayAct } = connection;
+    const usable = alive && state !== null && hello?.joystick === "page" && mayAct;
+    const hand = state?.hand ?? { holder: null, you: false, wanted_by: null };
+    this.#buttons.take.hidden = !usable || hand.holder !== null;
+    this.#buttons.ask.hidden = !usable || hand.you || hand.holder === null;
+    this.#buttons.give.hidden = !usable || !hand.you;
+    this.#buttons.refuse.hidden = !usable || !hand.you || hand.wanted_by === null;
+    const wanted = hand.you && hand.wanted_by !== null;
+    setText(this.#buttons.give, wanted ? `Give it to page ${hand.wanted_by}` : ACTIONS.give);
+    this.#buttons.give.classList.toggle("main", wanted);
+    this.#showWords(control, hand);
+    this.dataset.steers = String(control.source !== null);
+  }
+
+  /** @param {HandControl} control @param {StateText["hand"]} hand */
+  #showWords(control, hand) {
+    const hindrance = control.hindrance;
+    let words = hand.you ? "you have it" : "free";
+    if (hindrance !== "") words = hindrance;
+    else if (control.source !== null) words = "you steer";
+    if (hand.you && hand.wanted_by !== null) words = `page ${hand.wanted_by} asks for it`;
+    if (words !== this.#words.textContent && hand.wanted_by !== null) announce(words);
+    setText(this.#words, words);
+    const hint = "Press on the map or the picture and drag; or hold Space and use the arrow keys.";
+    setText(this.#hint, control.refusal || this.#answer || (hindrance === "" ? hint : ""));
+  }
+}
+
+customElements.define("hand-panel", HandPanel);

@@ -1,0 +1,107 @@
+/**
+ * `<joystick-panel>`: the joystick's state, and the few requests that a person may make.
+ *
+ * Which request is allowed is decided by the joystick; the next one that makes sense is marked.
+ *
+ * @import { Seat } from "./seat.js"
+ */
+import { make, setText } from "./dom.js";
+
+/** @typedef {"calibrate" | "start" | "stop" | "halt" | "resume" | "acknowledge"} JoystickRequest */
+
+/** @type {[JoystickRequest, string][]} */
+const REQUESTS = [
+  ["calibrate", "Calibrate"],
+  ["start", "Start"],
+  ["stop", "Stop"],
+  ["halt", "Halt"],
+  ["resume", "Resume"],
+  ["acknowledge", "Acknowledge"],
+];
+
+/** By state: what a person would do next. @type {Record<string, JoystickRequest>} */
+const NEXT = {
+  standby: "calibrate",
+  calibrated: "start",
+  halted: "resume",
+  "calibration error": "acknowledge",
+  "recoverable error": "acknowledge",
+};
+
+/** @type {Record<string, "good" | "warn" | "bad">} */
+const LEVELS = {
+  application: "good",
+  "calibration error": "bad",
+  "recoverable error": "bad",
+  "fatal error": "bad",
+};
+
+class JoystickPanel extends HTMLElement {
+  #state = make("strong", { class: "joystick-state" }, "–");
+  #dead = make("span", { class: "lamp" }, "dead-man");
+  #limit = make("span", { class: "quiet small" });
+  #reason = make("p", { class: "small", hidden: true });
+  #answer = make("p", { class: "small", role: "status" });
+  /** @type {Map<JoystickRequest, HTMLButtonElement>} */
+  #buttons = new Map();
+  /** @type {Seat | null} */
+  #seat = null;
+
+  /** @param {Seat} seat */
+  follow(seat) {
+    this.#seat = seat;
+    const buttons = make("div", { class: "buttons" });
+    for (const [event, words] of REQUESTS) {
+      const button = make("button", { type: "button", "data-joystick": event }, words);
+      if (event === "halt") button.classList.add("danger");
+      button.addEventListener("click", () => void this.#request(event));
+      this.#buttons.set(event, button);
+      buttons.append(button);
+    }
+    this.append(
+      make("header", {}, make("h2", {}, "Joystick"), this.#limit),
+      make("div", { class: "joystick-line" }, this.#state, this.#dead),
+      this.#reason,
+      buttons,
+      this.#answer,
+    );
+    seat.keyboard.add({ keys: ["x"], what: "halt the joystick", down: () => void this.#request("halt") });
+    const show = () => this.#show();
+    seat.connection.on("hello", show);
+    seat.connection.on("state", show);
+    seat.connection.on("lost", show);
+    show();
+  }
+
+  /** @param {JoystickRequest} event */
+  async #request(event) {
+    const connection = this.#seat?.connection;
+    if (connection === undefined) return;
+    setText(this.#answer, `${event} …`);
+    this.#answer.dataset.level = "none";
+    const { ok, error } = await connection.request({ do: "joystick", event });
+    setText(this.#answer, ok ? `${event}: done` : `refused: ${error}`);
+    this.#answer.dataset.level = ok ? "good" : "bad";
+  }
+
+  #show() {
+    const connection = this.#seat?.connection;
+    if (connection === undefined) return;
+    const joystick = connection.alive ? (connection.state?.joystick ?? null) : null;
+    const state = joystick?.state ?? "–";
+    setText(this.#state, state);
+    this.#state.dataset.level = LEVELS[state] ?? "none";
+    const dead = joystick?.dead_man === true;
+    this.#dead.dataset.on = String(dead);
+    setText(this.#dead, dead ? "● dead-man held" : "○ dead-man released");
+    setText(this.#limit, joystick === null ? "" : `force up to ${joystick.force_limit_n.toFixed(1)} N`);
+    setText(this.#reason, joystick?.reason ?? "");
+    this.#reason.hidden = (joystick?.reason ?? "") === "";
+    for (const [event, button] of this.#buttons) {
+      button.disabled = joystick === null || !connection.mayAct;
+      button.classList.toggle("main", NEXT[state] === event);
+    }
+  }
+}
+
+customElements.define("joystick-panel", JoystickPanel);

@@ -1,0 +1,153 @@
+/**
+ * A map of the workspace: wall, LEDs, handle, where the hand wants it, and the force as an arrow
+ * at the stylus. y is up.
+ *
+ * @import { BoardText } from "./texts.js"
+ */
+import { FAINT_N, FULL_N, drawArrow } from "./force_view.js";
+import { SharpCanvas } from "./sharp_canvas.js";
+import { colour } from "./theme.js";
+
+/**
+ * What the map shows; lengths in metres.
+ * @typedef {object} Scene
+ * @property {{half_width_m: number, half_height_m: number}} workspace
+ * @property {BoardText} board
+ * @property {{xM: number, yM: number, forceXN: number, forceYN: number, contact: boolean, lit: number | null} | null} handle
+ * @property {{xM: number, yM: number} | null} target
+ */
+
+/** Room around the workspace, as a share of it. */
+const MARGIN = 1.12;
+/** The longest arrow, as a share of the map's smaller side. */
+const ARROW = 0.42;
+
+export class WorkspaceMap {
+  #sharp = new SharpCanvas(() => this.#handleChange());
+  /** @type {Scene | null} */
+  #scene = null;
+  /** @type {Record<string, string> | null} */
+  #colours = null;
+
+  get canvas() {
+    return this.#sharp.canvas;
+  }
+
+  /** How many CSS pixels the half workspace is. */
+  halfPixels() {
+    const { half_width_m, half_height_m } = this.#scene?.workspace ?? { half_width_m: 1, half_height_m: 1 };
+    const scale = this.#scale();
+    return { x: half_width_m * scale, y: half_height_m * scale };
+  }
+
+  /** @param {Scene} scene */
+  show(scene) {
+    this.#scene = scene;
+    this.#draw(scene);
+  }
+
+  #handleChange() {
+    this.#colours = null;
+    if (this.#scene !== null) this.#draw(this.#scene);
+  }
+
+  /** CSS pixels a metre. */
+  #scale() {
+    const { width, height } = this.#sharp;
+    const { half_width_m, half_height_m } = this.#scene?.workspace ?? { half_width_m: 1, half_height_m: 1 };
+    return Math.min(width / half_width_m, height / half_height_m) / (2 * MARGIN);
+  }
+
+  /** @param {Scene} scene */
+  #draw({ workspace, board, handle, target }) {
+    const { width, height } = this.#sharp;
+    if (width === 0) return;
+    const context = this.#sharp.cleared();
+    const names = ["--line", "--quiet", "--text", "--accent", "--force", "--good", "--raised", "--panel"];
+    this.#colours ??= Object.fromEntries(names.map((name) => [name, colour(name)]));
+    const paint = (/** @type {string} */ name) => this.#colours?.[name] ?? "";
+    const scale = this.#scale();
+    /** @param {number} xM */
+    const across = (xM) => width / 2 + xM * scale;
+    /** @param {number} yM */
+    const down = (yM) => height / 2 - yM * scale;
+    const [halfX, halfY] = [workspace.half_width_m * scale, workspace.half_height_m * scale];
+
+    // The workspace and its middle.
+    context.fillStyle = paint("--raised");
+    context.fillRect(width / 2 - halfX, height / 2 - halfY, 2 * halfX, 2 * halfY);
+    context.strokeStyle = paint("--line");
+    context.lineWidth = 1;
+    context.strokeRect(width / 2 - halfX, height / 2 - halfY, 2 * halfX, 2 * halfY);
+    context.beginPath();
+    context.moveTo(width / 2 - halfX, height / 2);
+    context.lineTo(width / 2 + halfX, height / 2);
+    context.moveTo(width / 2, height / 2 - halfY);
+    context.lineTo(width / 2, height / 2 + halfY);
+    context.stroke();
+
+    // The wall, hatched on its solid side.
+    const wall = across(board.wall_x_m);
+    context.save();
+    context.beginPath();
+    context.rect(wall, height / 2 - halfY, Math.max(0, width / 2 + halfX - wall), 2 * halfY);
+    context.clip();
+    context.strokeStyle = paint("--quiet");
+    context.globalAlpha = 0.45;
+    context.beginPath();
+    for (let y = -halfX - halfY; y < halfX + halfY; y += 9) {
+      context.moveTo(wall, height / 2 + y + 40);
+      context.lineTo(wall + 2 * halfX, height / 2 + y + 40 - 2 * halfX);
+    }
+    context.stroke();
+    context.restore();
+    context.strokeStyle = paint("--text");
+    context.lineWidth = 3;
+    context.beginPath();
+    context.moveTo(wall, height / 2 - halfY);
+    context.lineTo(wall, height / 2 + halfY);
+    context.stroke();
+
+    // The LEDs, with their numbers.
+    context.font = "11px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    board.leds_m.forEach(([xM, yM], index) => {
+      const lit = handle?.lit === index;
+      context.beginPath();
+      context.arc(across(xM), down(yM), lit ? 11 : 9, 0, 2 * Math.PI);
+      context.fillStyle = lit ? paint("--good") : paint("--panel");
+      context.fill();
+      context.lineWidth = 1.5;
+      context.strokeStyle = lit ? paint("--good") : paint("--quiet");
+      context.stroke();
+      context.fillStyle = lit ? paint("--panel") : paint("--text");
+      context.fillText(String(index), across(xM), down(yM) + 0.5);
+    });
+
+    if (target !== null) {
+      const [x, y] = [across(target.xM), down(target.yM)];
+      context.strokeStyle = paint("--accent");
+      context.lineWidth = 1.5;
+      context.beginPath();
+      context.moveTo(x - 14, y);
+      context.lineTo(x + 14, y);
+      context.moveTo(x, y - 14);
+      context.lineTo(x, y + 14);
+      context.stroke();
+    }
+    if (handle === null) return;
+    const [x, y] = [across(handle.xM), down(handle.yM)];
+    context.beginPath();
+    context.arc(x, y, 7, 0, 2 * Math.PI);
+    context.fillStyle = target === null ? paint("--quiet") : paint("--accent");
+    context.fill();
+    context.lineWidth = 2;
+    context.strokeStyle = handle.contact ? paint("--force") : paint("--panel");
+    context.stroke();
+    if (Math.hypot(handle.forceXN, handle.forceYN) < FAINT_N) return;
+    const newton = (ARROW * Math.min(width, height)) / FULL_N;
+    context.strokeStyle = context.fillStyle = paint("--force");
+    drawArrow(context, x, y, handle.forceXN * newton, -handle.forceYN * newton, 4);
+  }
+}
