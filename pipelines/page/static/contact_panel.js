@@ -24,12 +24,12 @@ class ContactPanel extends HTMLElement {
       make(
         "dl",
         { class: "values" },
-        ...row("Uplink, ground to space", this.#uplink),
-        ...row("Downlink, space to ground", this.#downlink),
+        ...row("Uplink to space", this.#uplink),
+        ...row("Downlink to ground", this.#downlink),
         ...row("Delay up", delay("gateways.ground.radio.delay_ns")),
         ...row("Delay down", delay("gateways.space.radio.delay_ns")),
-        ...row("Since acquisition", this.#since),
-        ...row("Until loss", this.#until),
+        ...row("In contact for", this.#since),
+        ...row("Loss of signal in", this.#until),
       ),
     );
     const show = () => this.#show(figures, connection.alive);

@@ -32,6 +32,10 @@ class ForceDial extends HTMLElement {
       context.lineWidth = 2;
       context.strokeStyle = row?.contact === true ? "#ff9d4d" : "#9db0c0";
       context.stroke();
+      context.beginPath();
+      context.arc(x, y, 3, 0, 2 * Math.PI);
+      context.fillStyle = "#9db0c0";
+      context.fill();
       if (row === null || forceN === null || forceN < FAINT_N) return;
       const length = (forceShare(forceN) * radius) / forceN;
       context.strokeStyle = context.fillStyle = "#ff9d4d";

@@ -31,6 +31,7 @@ class LoudspeakerPanel extends HTMLElement {
       mute.setAttribute("aria-pressed", String(player.muted));
       meter.set(player.peak);
       setText(words, player.words);
+      words.title = player.details;
     };
     const figure = this.getAttribute("figure");
     if (figure !== null) bindSoundAge(player, figures, figure);

@@ -17,9 +17,9 @@ const SENSES = [
 
 /** The first comes so much after the second. @type {[string, string][]} */
 const SKEWS = [
-  ["Sight after touch", "video_haptic"],
-  ["Sound after touch", "audio_haptic"],
-  ["Sound after sight", "audio_video"],
+  ["Sight − touch", "video_haptic"],
+  ["Sound − touch", "audio_haptic"],
+  ["Sound − sight", "audio_video"],
 ];
 
 /** The age that fills a bar. */
@@ -62,7 +62,7 @@ class SensesPanel extends HTMLElement {
   /** @param {FigureBinding} figures @param {string} what @param {string} pair */
   #skew(figures, what, pair) {
     const verdict = make("span", { class: "verdict" });
-    const limits = make("span", { class: "quiet small" });
+    const limits = make("dd", { class: "limits quiet small" });
     const value = make("span");
     this.#shows.push(() => {
       const skew = figures.number(`skew_ms.${pair}.p50`);
@@ -70,14 +70,14 @@ class SensesPanel extends HTMLElement {
       const most = figures.number(`skew_ms.${pair}.limits_ms.most`);
       setText(value, skew === null ? NOTHING : signed(skew));
       const known = least !== null && most !== null;
-      setText(limits, known ? `${signed(least)} to ${signed(most)}` : "");
+      setText(limits, known ? `unnoticed ${signed(least)} to ${signed(most)} ms` : "");
       const within = known && skew !== null ? least <= skew && skew <= most : null;
       setText(verdict, within === null ? "" : within ? "✓" : "✕");
       verdict.title = within === false ? "people notice this" : "people do not notice this";
       row.dataset.level = within === null ? "none" : within ? "good" : "bad";
     });
     const row = make("dd", {}, value, make("span", { class: "unit" }, "ms"), " ", verdict);
-    return [make("dt", {}, what, " ", limits), row];
+    return [make("dt", {}, what), row, limits];
   }
 }
 

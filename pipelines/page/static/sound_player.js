@@ -103,10 +103,15 @@ export class SoundPlayer {
     return (nowUs - captureUs) / 1000 + this.outputMs;
   }
 
+  /** Of what that is made, for people. */
+  get details() {
+    return `buffer ${this.stockMs.toFixed(0)} ms, output device ${this.outputMs.toFixed(0)} ms`;
+  }
+
   /** One line for people. */
   get words() {
     if (this.#device !== "playing") return TROUBLE[this.#device];
-    return `output ${this.outputMs.toFixed(0)} ms, buffer ${this.stockMs.toFixed(0)} ms`;
+    return `plays ${(this.stockMs + this.outputMs).toFixed(0)} ms late`;
   }
 
   #apply() {

@@ -35,7 +35,6 @@ export function colour(name) {
 }
 
 function tell() {
-  document.querySelector("#theme")?.setAttribute("aria-pressed", String(theme() === "light"));
   document.dispatchEvent(new CustomEvent("themechange"));
 }
 
