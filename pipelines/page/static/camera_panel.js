@@ -17,7 +17,7 @@ class CameraPanel extends HTMLElement {
   /** @param {Seat} seat */
   follow({ connection }) {
     this.append(
-      make("header", {}, make("h2", {}, "Your camera"), this.#words),
+      make("header", {}, make("h2", {}, "Own camera"), this.#words),
       make("div", { class: "camera-row" }, this.#on, this.#view),
     );
     this.#view.muted = true;

@@ -40,6 +40,8 @@ export class Connection {
   hello = null;
   /** @type {StateText | null} */
   state = null;
+  /** Whether the session was stopped at its page on the ground. */
+  stopped = false;
   /** Whether the server is heard. */
   alive = false;
   /** The least round trip of late, in ms. @type {number | null} */
@@ -165,6 +167,7 @@ export class Connection {
         this.#emit("state", text);
         break;
       case "figures":
+        this.stopped = text.state === "stopped";
         this.#emit("figures", text);
         break;
       case "answer":

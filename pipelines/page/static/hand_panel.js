@@ -156,6 +156,15 @@ class HandPanel extends HTMLElement {
     this.dataset.steers = String(control.source !== null);
   }
 
+  /** What to do to move the robot. */
+  #advice() {
+    const state = this.#seat?.connection.state?.joystick?.state ?? "application";
+    if (state !== "application") {
+      return `The joystick is in the state ${state}: the robot follows once it is calibrated and started.`;
+    }
+    return "Press on the map or the picture and drag; or hold Space and use the arrow keys.";
+  }
+
   /** @param {HandControl} control @param {StateText["hand"]} hand */
   #showWords(control, hand) {
     const hindrance = control.hindrance;
@@ -165,8 +174,7 @@ class HandPanel extends HTMLElement {
     if (hand.you && hand.wanted_by !== null) words = `page ${hand.wanted_by} asks for it`;
     if (words !== this.#words.textContent && hand.wanted_by !== null) announce(words);
     setText(this.#words, words);
-    const hint = "Press on the map or the picture and drag; or hold Space and use the arrow keys.";
-    setText(this.#hint, control.refusal || this.#answer || (hindrance === "" ? hint : ""));
+    setText(this.#hint, control.refusal || this.#answer || (hindrance === "" ? this.#advice() : ""));
   }
 }
 

@@ -52,7 +52,7 @@ export class Keyboard {
         head.scope = "row";
         for (const key of (shown ?? keys.join(" ")).split(" ")) {
           const cap = document.createElement("kbd");
-          cap.textContent = key;
+          cap.textContent = key.length === 1 ? key.toUpperCase() : key;
           head.append(cap, " ");
         }
         row.append(head);

@@ -16,6 +16,12 @@ export class LevelMeter extends HTMLElement {
     this.set(0);
   }
 
+  /** Nothing is measured any more. */
+  clear() {
+    this.#db = FLOOR_DB;
+    this.set(0);
+  }
+
   /** @param {number} peak */
   set(peak) {
     const db = peak > 0 ? Math.max(FLOOR_DB, 20 * Math.log10(peak)) : FLOOR_DB;

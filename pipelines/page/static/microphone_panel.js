@@ -18,9 +18,9 @@ class MicrophonePanel extends HTMLElement {
 
   /** @param {Seat} seat */
   follow({ connection, keyboard }) {
-    this.#meter.setAttribute("aria-label", "Level of your microphone");
+    this.#meter.setAttribute("aria-label", "Level of your own microphone");
     this.append(
-      make("header", {}, make("h2", {}, "Your microphone"), this.#words),
+      make("header", {}, make("h2", {}, "Microphone"), this.#words),
       make("div", { class: "sound-row" }, this.#on, this.#mute, this.#meter),
     );
     this.#on.addEventListener("click", () => this.#microphone?.toggle());
@@ -55,7 +55,8 @@ class MicrophonePanel extends HTMLElement {
     setText(this.#on, on ? "On" : "Turn on");
     this.#mute.disabled = !on;
     this.#mute.setAttribute("aria-pressed", String(microphone.muted));
-    this.#meter.set(microphone.peak);
+    if (microphone.state === "on") this.#meter.set(microphone.peak);
+    else this.#meter.clear();
     this.dataset.heard = String(microphone.heard);
     const heard = microphone.heard ? "you are heard" : "muted: hold T to talk";
     setText(this.#words, microphone.state === "on" ? heard : inputWords(microphone));

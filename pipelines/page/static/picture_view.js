@@ -99,6 +99,14 @@ export class PictureView extends HTMLElement {
     this.#tick();
   }
 
+  /** Why no new picture comes, as far as is known. */
+  #cause() {
+    const connection = this.#seat?.connection;
+    if (connection?.alive !== true) return "the server does not answer";
+    if (connection.stopped) return "the session is stopped";
+    return connection.state?.link === "lost" ? "the radio link is lost" : "no new picture arrives";
+  }
+
   /** Brings age and mark up to date. */
   #tick() {
     const ageMs = this.ageMs();
@@ -109,7 +117,7 @@ export class PictureView extends HTMLElement {
     const figure = this.getAttribute("figure");
     if (figure !== null) this.#seat?.figures.setOwn(figure, ageMs === null ? null : Math.round(ageMs));
     this.dispatchEvent(new CustomEvent("age", { detail: { ageMs, stale } }));
-    const why = lost ? "the server does not answer" : "no new picture arrives";
+    const why = this.#cause();
     if (stale) {
       setText(this.#words, knownMs === null ? "NO PICTURE" : `STALE ${(knownMs / 1000).toFixed(1)} s`);
       setText(this.#reason, why);

@@ -5,50 +5,61 @@
  * @import { HandControl } from "./hand_control.js"
  */
 
+/** The raw event does not wait for the next frame; it comes up to 1000 times a second. */
+const MOVE = "onpointerrawupdate" in globalThis ? "pointerrawupdate" : "pointermove";
+
 /**
  * @param {HTMLElement} surface Where it may be pressed.
  * @param {HandControl} control
  * @param {() => {x: number, y: number}} pixels How many pixels the half workspace is.
  */
 export function steerByPointer(surface, control, pixels) {
-  /** @type {{id: number, x: number, y: number, fromX: number, fromY: number} | null} */
-  let drag = null;
-
   surface.addEventListener("pointerdown", (event) => {
     if (!event.isPrimary || event.button !== 0) return;
     if (!control.press("pointer")) return;
     event.preventDefault();
-    surface.setPointerCapture(event.pointerId);
-    const { x, y } = control.target ?? { x: 0, y: 0 };
-    drag = { id: event.pointerId, x: event.clientX, y: event.clientY, fromX: x, fromY: y };
+    drag(surface, control, pixels, event);
   });
-
-  /** @param {PointerEvent} event */
-  const move = (event) => {
-    if (drag === null || event.pointerId !== drag.id) return;
-    const scale = pixels();
-    control.move(
-      "pointer",
-      drag.fromX + (event.clientX - drag.x) / scale.x,
-      drag.fromY - (event.clientY - drag.y) / scale.y,
-    );
-  };
-  // The raw event does not wait for the next frame; it comes up to 1000 times a second.
-  const raw = "onpointerrawupdate" in globalThis;
-  surface.addEventListener(raw ? "pointerrawupdate" : "pointermove", (event) => {
-    move(/** @type {PointerEvent} */ (event));
-  });
-
-  /** @param {PointerEvent} event */
-  const release = (event) => {
-    if (drag === null || event.pointerId !== drag.id) return;
-    drag = null;
-    control.release("pointer");
-  };
-  surface.addEventListener("pointerup", release);
-  surface.addEventListener("pointercancel", release);
-  surface.addEventListener("lostpointercapture", release);
   surface.addEventListener("contextmenu", (event) => {
     if (control.source === "pointer") event.preventDefault();
   });
+}
+
+/**
+ * From a press until its release. The window listens, because a browser may take the capture away
+ * although the button is still held; without capture, leaving the window is a release.
+ * @param {HTMLElement} surface @param {HandControl} control
+ * @param {() => {x: number, y: number}} pixels @param {PointerEvent} press
+ */
+function drag(surface, control, pixels, press) {
+  const from = control.target ?? { x: 0, y: 0 };
+  const end = new AbortController();
+  const listener = { signal: end.signal, capture: true };
+  const release = () => {
+    end.abort();
+    control.release("pointer");
+  };
+  /** Calls `act` for this pointer only. @param {(event: PointerEvent) => void} act */
+  const mine = (act) => (/** @type {Event} */ event) => {
+    if (event instanceof PointerEvent && event.pointerId === press.pointerId) act(event);
+  };
+  const move = mine((event) => {
+    // Another window may have seen the release.
+    if (event.buttons === 0) {
+      release();
+      return;
+    }
+    const scale = pixels();
+    const x = from.x + (event.clientX - press.clientX) / scale.x;
+    const y = from.y - (event.clientY - press.clientY) / scale.y;
+    control.move("pointer", x, y);
+  });
+  const leave = mine((event) => {
+    if (event.relatedTarget === null && !surface.hasPointerCapture(press.pointerId)) release();
+  });
+  addEventListener(MOVE, move, listener);
+  addEventListener("pointerup", mine(release), listener);
+  addEventListener("pointercancel", mine(release), listener);
+  addEventListener("pointerout", leave, listener);
+  surface.setPointerCapture(press.pointerId);
 }

@@ -66,8 +66,8 @@ class SensesPanel extends HTMLElement {
     const value = make("span");
     this.#shows.push(() => {
       const skew = figures.number(`skew_ms.${pair}.p50`);
-      const least = figures.number(`skew_ms.${pair}.limits_ms.least`);
-      const most = figures.number(`skew_ms.${pair}.limits_ms.most`);
+      const least = figures.number(`skew_limits_ms.${pair}.least`);
+      const most = figures.number(`skew_limits_ms.${pair}.most`);
       setText(value, skew === null ? NOTHING : signed(skew));
       const known = least !== null && most !== null;
       setText(limits, known ? `unnoticed ${signed(least)} to ${signed(most)} ms` : "");
