@@ -407,6 +407,10 @@ class Waiter:
     def __init__(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> None:
         self._wait_set = WaitSet([reader.listener for reader in readers], sockets)
 
+    def fileno(self) -> int:
+        """Return a descriptor for an event loop. When it is readable, call `wait(0)`, then read."""
+        return self._wait_set.fileno()
+
     def wait(self, timeout_ns: int) -> bool:
         """Wait until there may be something to read; return False on timeout."""
         return self._wait_set.wait(timeout_ns)

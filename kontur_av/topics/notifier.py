@@ -106,6 +106,13 @@ class WaitSet:
         for fd in readable:
             self._epoll.register(fd, select.EPOLLIN)
 
+    def fileno(self) -> int:
+        """Return a descriptor that is readable while a notification waits, for an event loop.
+
+        `wait(0)` takes the notifications.
+        """
+        return self._epoll.fileno()
+
     def wait(self, timeout_ns: int, awake: Callable[[], bool] = lambda: True) -> bool:
         """Wait for a notification for which `awake` returns True; return False on timeout.
 

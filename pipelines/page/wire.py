@@ -148,9 +148,11 @@ def parse_binary(data: bytes) -> Ping | HandMoved | OwnPicture | OwnSound:
     """Return a page's binary message. ProtocolError for anything else."""
     kind = data[0] if data else 0
     if kind == PING:
-        return Ping(_finite(_unpacked(_PING, data)[1]))
+        _check_size(_PING, data)
+        return Ping(_finite(_PING.unpack(data)[1]))
     if kind == HAND:
-        _, flags, buttons, sequence, x, y, page_ms = _unpacked(_HAND, data)
+        _check_size(_HAND, data)
+        _, flags, buttons, sequence, x, y, page_ms = _HAND.unpack(data)
         if flags & ~1:
             raise ProtocolError(f"flags {flags} of a hand")
         if not (-1.0 <= x <= 1.0 and -1.0 <= y <= 1.0):  # NaN, too
@@ -188,10 +190,9 @@ def _own_picture(data: bytes) -> OwnPicture:
     return OwnPicture(which, width, height, _finite(page_ms), memoryview(data)[_OWN.size :])
 
 
-def _unpacked(layout: struct.Struct, data: bytes) -> tuple[int, ...] | tuple[float, ...]:
+def _check_size(layout: struct.Struct, data: bytes) -> None:
     if len(data) != layout.size:
         raise ProtocolError(f"a message of {len(data)} octets where {layout.size} are due")
-    return layout.unpack(data)
 
 
 def _finite(page_ms: float) -> float:

@@ -1,15 +1,19 @@
-"""The process that serves a segment's browser pages."""
+"""The process that serves a segment's browser pages; `pipelines.page` has what it does."""
 
-import aiohttp  # noqa: F401  # loaded once, before the forks
+import asyncio
 
-from pipelines.runtime.process import PATIENCE_NS, Context
+# Loaded once, before the forks.
+from kontur_av.topics.bus import TopicBus
+from pipelines.page.server import PageServer
+from pipelines.runtime.process import Context
 from pipelines.topology import Segment
 
 
 def run_page(context: Context, *, segment: Segment) -> None:
     """Serve the pages of `segment` on the socket that the launcher has bound."""
-    clock = context.clock
-    while not context.stopping:
-        now_ns = clock.now_ns()
-        context.tick(now_ns)
-        clock.sleep_until_ns(now_ns + PATIENCE_NS)
+    with context.open_bus() as bus:
+        asyncio.run(_serve(context, segment, bus))
+
+
+async def _serve(context: Context, segment: Segment, bus: TopicBus) -> None:
+    await PageServer(context, segment, bus).run()
