@@ -1,0 +1,79 @@
+/**
+ * `<preview-strip>`: all cameras' inputs small; those of the selected camera are marked. Which one
+ * is selected is the operator's choice alone.
+ *
+ * @import { CameraText, PreviewText } from "./texts.js"
+ */
+import { make, setAttribute, setText } from "./make.js";
+import { words } from "./wording.js";
+
+/** Without a picture for so long, an input counts as silent. They come five times a second. */
+const SILENT_MS = 1500;
+
+/**
+ * @typedef {object} Cell
+ * @property {string} input
+ * @property {HTMLElement} figure
+ * @property {HTMLCanvasElement} canvas
+ * @property {CanvasRenderingContext2D} context
+ * @property {HTMLElement} mark
+ * @property {number} drawnMs
+ */
+
+export class PreviewStrip extends HTMLElement {
+  /** By preview index. @type {Map<number, Cell>} */
+  #cells = new Map();
+  /** By camera: its inputs. @type {Map<string, readonly string[]>} */
+  #cameras = new Map();
+  #camera = "";
+
+  /** Lay out the previews of a session.
+   * @param {readonly PreviewText[]} previews @param {readonly CameraText[]} cameras
+   */
+  set(previews, cameras) {
+    this.#cameras = new Map(cameras.map((camera) => [camera.name, camera.inputs]));
+    this.#cells.clear();
+    this.replaceChildren(
+      ...previews.map(({ index, input, width, height }) => {
+        const canvas = make("canvas", { width: String(width), height: String(height) });
+        canvas.setAttribute("role", "img");
+        canvas.setAttribute("aria-label", `Camera input ${words(input)}`);
+        const mark = make("span", { class: "preview-mark" });
+        const caption = make("figcaption", {}, make("span", {}, words(input)), mark);
+        const figure = make("figure", { "data-input": input }, canvas, caption);
+        const context = canvas.getContext("2d", { alpha: false });
+        if (context === null) throw new Error("preview-strip: the browser draws no canvas");
+        this.#cells.set(index, { input, figure, canvas, context, mark, drawnMs: -Infinity });
+        return figure;
+      }),
+    );
+    this.update(this.#camera);
+  }
+
+  /** Draw a picture. @param {number} preview @param {VideoFrame} frame */
+  show(preview, frame) {
+    const cell = this.#cells.get(preview);
+    if (cell === undefined) return;
+    if (cell.canvas.width !== frame.displayWidth || cell.canvas.height !== frame.displayHeight) {
+      cell.canvas.width = frame.displayWidth;
+      cell.canvas.height = frame.displayHeight;
+    }
+    cell.context.drawImage(frame, 0, 0);
+    cell.drawnMs = performance.now();
+  }
+
+  /** Mark the selected camera's inputs, and those that send nothing. @param {string | null} camera */
+  update(camera) {
+    this.#camera = camera ?? "";
+    const inputs = this.#cameras.get(this.#camera) ?? [];
+    for (const { input, figure, mark, drawnMs } of this.#cells.values()) {
+      const selected = inputs.includes(input);
+      const silent = performance.now() - drawnMs > SILENT_MS;
+      setAttribute(figure, "data-selected", String(selected));
+      setAttribute(figure, "data-silent", String(silent));
+      setText(mark, silent ? "no picture" : selected ? "on air" : "");
+    }
+  }
+}
+
+customElements.define("preview-strip", PreviewStrip);

@@ -1,0 +1,84 @@
+/**
+ * `<process-grid>`: all processes with their CPU time and restarts. One that is dead or was
+ * restarted stands out.
+ *
+ * @import { ProcessText } from "./texts.js"
+ */
+import { make, setAttribute, setText } from "./make.js";
+import { words } from "./wording.js";
+
+/**
+ * @typedef {object} Row
+ * @property {HTMLElement} item
+ * @property {HTMLElement} cpu
+ * @property {HTMLMeterElement} meter
+ * @property {HTMLElement} note
+ */
+
+export class ProcessGrid extends HTMLElement {
+  /** @type {Map<string, Row>} */
+  #rows = new Map();
+  #total = make("p", { class: "process-total" });
+
+  /** @param {readonly ProcessText[]} processes */
+  update(processes) {
+    if (processes.length !== this.#rows.size || processes.some(({ name }) => !this.#rows.has(name))) {
+      this.#build(processes);
+    }
+    let [cpu, restarts, dead] = [0, 0, 0];
+    for (const process of processes) {
+      cpu += process.cpu;
+      restarts += process.restarts;
+      if (!process.running) dead += 1;
+      this.#show(process);
+    }
+    const ill = dead > 0 ? `, ${dead} not running` : "";
+    const again = restarts > 0 ? `, ${restarts} restart${restarts > 1 ? "s" : ""}` : "";
+    setText(this.#total, `${processes.length} processes, ${cpu.toFixed(2)} cores${ill}${again}`);
+  }
+
+  /** @param {ProcessText} process */
+  #show({ name, cpu, restarts, running, error }) {
+    const row = this.#rows.get(name);
+    if (row === undefined) return;
+    setText(row.cpu, `${(100 * cpu).toFixed(1)} %`);
+    row.meter.value = Math.min(1, cpu);
+    const state = !running ? "dead" : restarts > 0 ? "restarted" : "well";
+    setAttribute(row.item, "data-state", state);
+    const again = restarts > 0 ? `restarted ${restarts}×` : "";
+    setText(row.note, running ? again : `not running ${again}`.trim());
+    setAttribute(row.item, "title", error === null || error === "" ? null : error);
+  }
+
+  /** @param {readonly ProcessText[]} processes */
+  #build(processes) {
+    this.#rows.clear();
+    /** @type {Map<string, ProcessText[]>} */
+    const segments = new Map();
+    for (const process of processes) {
+      const segment = process.segment ?? "both";
+      segments.set(segment, [...(segments.get(segment) ?? []), process]);
+    }
+    const lists = [...segments].map(([segment, members]) =>
+      make(
+        "section",
+        {},
+        make("h3", {}, segment),
+        make("ul", { class: "processes" }, ...members.map((process) => this.#row(process.name))),
+      ),
+    );
+    this.replaceChildren(this.#total, ...lists);
+  }
+
+  /** @param {string} name */
+  #row(name) {
+    const cpu = make("span", { class: "number" });
+    const meter = make("meter", { min: "0", max: "1", high: "0.8", "aria-label": `CPU of ${words(name)}` });
+    const note = make("span", { class: "process-note" });
+    const item = make("li", {}, make("span", { class: "process-name" }, words(name)), meter, cpu, note);
+    this.#rows.set(name, { item, cpu, meter, note });
+    return item;
+  }
+}
+
+customElements.define("process-grid", ProcessGrid);
