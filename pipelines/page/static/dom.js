@@ -20,6 +20,13 @@ export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** Sets or removes an attribute only if that changes it. @param {Element} element @param {string} name @param {string | null} value */
+export function setAttribute(element, name, value) {
+  if (element.getAttribute(name) === value) return;
+  if (value === null) element.removeAttribute(name);
+  else element.setAttribute(name, value);
+}
+
 /** The one element of this type for a selector; its absence is a bug of the page. @template {Element} Kind @param {string} selector @param {new () => Kind} kind @param {ParentNode} [root] @returns {Kind} */
 export function one(selector, kind, root = document) {
   const element = root.querySelector(selector);

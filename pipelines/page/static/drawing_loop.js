@@ -5,40 +5,23 @@
 
 const STEP_MS = 1000 / 15;
 
-/**
- * @typedef {Element & {draw: () => void}} Drawable `draw` brings its canvas up to date
- */
-
-/** @type {Set<Drawable>} */
-const drawables = new Set();
-/** @type {WeakSet<Element>} */
-const seen = new WeakSet();
-let running = false;
+/** @type {Map<Element, () => void>} */
+const drawers = new Map();
+/** @type {Set<Element>} */
+const seen = new Set();
 
 const watcher = new IntersectionObserver((entries) => {
-  for (const entry of entries) {
-    if (entry.isIntersecting) seen.add(entry.target);
-    else seen.delete(entry.target);
+  for (const { isIntersecting, target } of entries) {
+    if (isIntersecting) seen.add(target);
+    else seen.delete(target);
   }
 });
 
-/** Begin to draw an element while it can be seen.
- * @param {Drawable} drawable
- */
-export function startDrawing(drawable) {
-  drawables.add(drawable);
-  watcher.observe(drawable);
-  if (!running) {
-    running = true;
-    next();
-  }
-}
-
-/** @param {Drawable} drawable */
-export function stopDrawing(drawable) {
-  drawables.delete(drawable);
-  watcher.unobserve(drawable);
-  seen.delete(drawable);
+/** Calls `draw` again and again while the element can be seen. @param {Element} element @param {() => void} draw */
+export function drawOften(element, draw) {
+  drawers.set(element, draw);
+  watcher.observe(element);
+  if (drawers.size === 1) next();
 }
 
 function next() {
@@ -47,7 +30,6 @@ function next() {
 }
 
 function drawAll() {
-  for (const drawable of drawables) if (seen.has(drawable)) drawable.draw();
-  running = drawables.size > 0;
-  if (running) next();
+  for (const element of seen) drawers.get(element)?.();
+  next();
 }

@@ -2,37 +2,43 @@
  * `<event-list>`: what happened, the newest first, with a filter by kind. At most 200 rows. Only
  * what a person must know at once is spoken.
  *
+ * @import { Seat } from "./seat.js"
  * @import { EventText } from "./texts.js"
  */
 import { announce } from "./announcer.js";
-import { make } from "./make.js";
-import { clock } from "./wording.js";
+import { make } from "./dom.js";
+import { clockText } from "./wording.js";
 
 const KEPT = 200;
 const SPOKEN = new Set(["link", "process", "stale", "session"]);
 const KINDS = ["link", "process", "camera", "stale", "joystick", "input", "session"];
 
-export class EventList extends HTMLElement {
+class EventList extends HTMLElement {
   #newest = -1;
   #began = false;
   #list = make("ol", { class: "events", tabindex: "0", "aria-label": "Events, newest first" });
   /** Kinds that the filter hides. @type {Set<string>} */
   #hidden = new Set();
 
-  connectedCallback() {
-    if (this.childElementCount > 0) return;
-    const filter = make("fieldset", { class: "filter" }, make("legend", { class: "unseen" }, "Kinds shown"));
+  /** @param {Seat} seat */
+  follow({ connection }) {
+    const filter = make("fieldset", { class: "filter" }, make("legend", { class: "only-spoken" }, "Kinds shown"));
     for (const kind of KINDS) {
-      const box = make("input", { type: "checkbox" });
-      box.checked = true;
+      const box = make("input", { type: "checkbox", checked: true });
       box.addEventListener("change", () => this.#choose(kind, box.checked));
       filter.append(make("label", {}, box, make("span", {}, kind)));
     }
-    this.append(filter, this.#list);
+    this.append(make("header", {}, make("h2", {}, "Events"), filter), this.#list);
+    let session = "";
+    connection.on("hello", (hello) => {
+      if (hello.session !== session) this.#clear();
+      session = hello.session;
+    });
+    connection.on("figures", ({ events, at_us, seconds }) => this.#show(events, at_us - 1e6 * seconds));
   }
 
   /** Add the events that are new. @param {readonly EventText[]} events @param {number} beganUs When the session began. */
-  update(events, beganUs) {
+  #show(events, beganUs) {
     const fresh = events.filter(({ number }) => number > this.#newest);
     if (fresh.length === 0) return;
     fresh.sort((one, other) => other.number - one.number);
@@ -46,7 +52,7 @@ export class EventList extends HTMLElement {
   }
 
   /** Begin anew with another session's events. */
-  clear() {
+  #clear() {
     this.#newest = -1;
     this.#began = false;
     this.#list.replaceChildren();
@@ -57,7 +63,7 @@ export class EventList extends HTMLElement {
     const row = make(
       "li",
       { "data-what": what },
-      make("time", {}, clock((atUs - beganUs) / 1e6)),
+      make("time", {}, clockText((atUs - beganUs) / 1e6)),
       make("span", { class: "event-what" }, what),
       make("span", { class: "event-text" }, text),
     );

@@ -1,23 +1,27 @@
 /**
- * `<figure-table>`: every figure of the session by its name in the report, with a search. It asks
- * for figures by attribute: refresh the binding whenever `update` returns true.
+ * `<figure-table>`: every figure of the session by its name in the report, with a search.
+ *
+ * @import { Seat } from "./seat.js"
  */
-import { make } from "./make.js";
+import { make } from "./dom.js";
 
-export class FigureTable extends HTMLElement {
+class FigureTable extends HTMLElement {
   /** @type {Map<string, HTMLElement>} */
   #rows = new Map();
   #list = make("dl", { class: "figures" });
   #search = make("input", { type: "search", placeholder: "part of a name", "aria-label": "Search figures" });
 
-  connectedCallback() {
-    if (this.childElementCount > 0) return;
+  /** @param {Seat} seat */
+  follow({ connection, figures }) {
     this.#search.addEventListener("input", () => this.#filter());
     this.append(this.#search, this.#list);
+    connection.on("figures", (text) => {
+      if (this.#have(Object.keys(text.figures))) figures.refresh();
+    });
   }
 
   /** Have a row for each name. @param {readonly string[]} names @returns {boolean} Whether there are new ones. */
-  update(names) {
+  #have(names) {
     const fresh = names.filter((name) => !this.#rows.has(name));
     for (const name of fresh) {
       const row = make("div", {}, make("dt", {}, name), make("dd", { class: "number", "data-figure": name }));

@@ -2,18 +2,25 @@
  * `<haptic-charts>`: force and position of the joystick and of the robot, at 1 kHz, over the last
  * 2, 10 or 60 seconds.
  *
- * @import { HapticTrace } from "./haptic_trace.js"
+ * @import { Connection } from "./connection.js"
+ * @import { Seat } from "./seat.js"
  */
-import { Value } from "./haptic_trace.js";
-import { make } from "./make.js";
+import { make } from "./dom.js";
+import { drawOften } from "./drawing_loop.js";
+import { HapticTrace, Value } from "./haptic_trace.js";
 import { StripChart } from "./strip_chart.js";
 
 const SPANS_S = [2, 10, 60];
+/** The one at first. */
+const SPAN_S = 10;
 /** Joystick, then robot: as the ends are numbered. The thick one is drawn below. */
 const SIGNALS = [
-  { token: "--end-joystick", thick: true },
-  { token: "--end-robot", thick: false },
+  { colour: "--end-joystick", thick: true },
+  { colour: "--end-robot", thick: false },
 ];
+/** @typedef {{value: number, title: string, unit: string, factor: number, least: number}} Strip */
+
+/** @type {readonly Strip[]} */
 const STRIPS = [
   { value: Value.FORCE_X_N, title: "force x", unit: "N", factor: 1, least: 1 },
   { value: Value.FORCE_Y_N, title: "force y", unit: "N", factor: 1, least: 1 },
@@ -21,81 +28,79 @@ const STRIPS = [
   { value: Value.Y_M, title: "position y", unit: "mm", factor: 1000, least: 20 },
 ];
 
-export class HapticCharts extends HTMLElement {
-  /** The rows of each end, by its number; set before the first `update`.
-   * @type {readonly HapticTrace[]}
-   */
-  traces = [];
+/** Rows that are kept of each end: the longest span. */
+const KEPT_ROWS = 61_000;
+
+class HapticCharts extends HTMLElement {
+  /** Joystick and robot. */
+  #traces = [new HapticTrace(KEPT_ROWS), new HapticTrace(KEPT_ROWS)];
   /** Rows of each trace that the charts have already. */
   #shown = [0, 0];
   /** @type {StripChart[]} */
   #strips = [];
   #left = make("span");
-  #spanS = 10;
 
-  connectedCallback() {
-    if (this.childElementCount > 0) return;
-    const spans = make("fieldset", { class: "choice" }, make("legend", { class: "unseen" }, "Time shown"));
+  /** @param {Seat} seat */
+  follow({ connection }) {
+    this.#build();
+    connection.on("haptic", (haptics) => {
+      this.#traces[haptics.end === "joystick" ? 0 : 1].append(haptics);
+    });
+    drawOften(this, () => this.#draw(connection));
+  }
+
+  /** @param {Connection} connection */
+  #draw(connection) {
+    const nowUs = connection.nowUs();
+    if (nowUs === null) return;
+    this.#traces.forEach((trace, end) => {
+      for (let row = Math.max(this.#shown[end], trace.oldest); row < trace.appended; row += 1) {
+        STRIPS.forEach((strip, index) => put(this.#strips[index], strip, trace, end, row));
+      }
+      this.#shown[end] = trace.appended;
+    });
+    for (const strip of this.#strips) strip.draw(nowUs);
+  }
+
+  #build() {
+    const spans = make("fieldset", { class: "choice" }, make("legend", { class: "only-spoken" }, "Time shown"));
     for (const span of SPANS_S) {
-      const radio = make("input", { type: "radio", name: "haptic-span", value: String(span) });
-      radio.checked = span === this.#spanS;
+      const radio = make("input", { type: "radio", name: "haptic-span", value: String(span), checked: span === SPAN_S });
       radio.addEventListener("change", () => this.#choose(span));
       spans.append(make("label", {}, radio, make("span", {}, `${span} s`)));
     }
     const legend = make(
       "p",
       { class: "legend" },
-      make("span", { class: "key thick", "data-end": "joystick" }, "joystick"),
-      make("span", { class: "key thin", "data-end": "robot" }, "robot"),
+      make("span", { class: "key", "data-end": "joystick" }, "joystick"),
+      make("span", { class: "key", "data-end": "robot" }, "robot"),
     );
-    this.append(make("div", { class: "chart-head" }, legend, spans));
-    for (const strip of STRIPS) {
-      const chart = new StripChart();
-      chart.look = { title: strip.title, unit: strip.unit, least: strip.least, signals: SIGNALS };
-      chart.onempty = (emptied) => this.#refill(emptied, strip);
-      this.#strips.push(chart);
-      this.append(chart);
-    }
-    this.append(make("p", { class: "time-axis" }, this.#left, make("span", {}, "now")));
-    this.#choose(this.#spanS);
-  }
-
-  /** Show what the traces got since the last call.
-   * @param {number} nowUs the session's clock, the charts' right edge
-   */
-  update(nowUs) {
-    this.traces.forEach((trace, end) => {
-      for (let row = Math.max(this.#shown[end], trace.oldest); row < trace.appended; row++) {
-        const place = row % trace.capacity;
-        STRIPS.forEach((strip, index) => {
-          const value = trace.values[strip.value][place] * strip.factor;
-          this.#strips[index]?.add(end, trace.timesUs[place], value);
-        });
-      }
-      this.#shown[end] = trace.appended;
-    });
-    for (const strip of this.#strips) strip.update(nowUs);
+    this.#strips = STRIPS.map(
+      (strip) => new StripChart({ ...strip, signals: SIGNALS }, (chart) => this.#refill(chart, strip)),
+    );
+    const axis = make("p", { class: "time-axis" }, this.#left, make("span", {}, "now"));
+    this.append(make("div", { class: "chart-head" }, legend, spans), ...this.#strips, axis);
+    this.#choose(SPAN_S);
   }
 
   /** @param {number} seconds */
   #choose(seconds) {
-    this.#spanS = seconds;
     this.#left.textContent = `${seconds} s ago`;
     for (const strip of this.#strips) strip.spanUs = seconds * 1e6;
   }
 
-  /** Hand a chart what it lost when its size or span changed.
-   * @param {StripChart} chart
-   * @param {(typeof STRIPS)[number]} strip
-   */
+  /** Hands a chart the samples that it lost. @param {StripChart} chart @param {Strip} strip */
   #refill(chart, strip) {
-    this.traces.forEach((trace, end) => {
-      for (let row = trace.oldest; row < this.#shown[end]; row++) {
-        const place = row % trace.capacity;
-        chart.add(end, trace.timesUs[place], trace.values[strip.value][place] * strip.factor);
-      }
+    this.#traces.forEach((trace, end) => {
+      for (let row = trace.oldest; row < this.#shown[end]; row += 1) put(chart, strip, trace, end, row);
     });
   }
+}
+
+/** @param {StripChart} chart @param {Strip} strip @param {HapticTrace} trace @param {number} end @param {number} row */
+function put(chart, strip, trace, end, row) {
+  const place = row % trace.capacity;
+  chart.add(end, trace.timesUs[place], trace.values[strip.value][place] * strip.factor);
 }
 
 customElements.define("haptic-charts", HapticCharts);

@@ -1,83 +1,82 @@
 /**
- * `<link-octets>`: one direction of the link over the last minute, stacked by what its octets
+ * `<link-octets>`: both directions of the link over the last minute, stacked by what their octets
  * carried. Idle fill is a number only: it would hide what is carried.
  *
- * @import { LinkCounts } from "./texts.js"
+ * @import { Seat } from "./seat.js"
  */
-import { fitCanvas } from "./canvas_size.js";
-import { startDrawing, stopDrawing } from "./drawing_loop.js";
-import { make, setText } from "./make.js";
+import { make, setText } from "./dom.js";
 import { LAYERS, OctetHistory } from "./octet_history.js";
-import { token, tokenGeneration } from "./tokens.js";
-import { rate } from "./wording.js";
+import { paint } from "./palette.js";
+import { SharpCanvas } from "./sharp_canvas.js";
+import { rateText } from "./wording.js";
 
 /** Readings that are shown: a minute, two a second. */
 const COLUMNS = 120;
 const STEPS_BPS = [64e3, 128e3, 256e3, 512e3, 1e6, 2e6, 4e6, 8e6, 16e6, 32e6, 64e6, 128e6];
 
-export class LinkOctets extends HTMLElement {
+/** One direction: its chart, and its column of the table. */
+class Direction {
   #history = new OctetHistory(COLUMNS);
-  #drawn = "";
-  #canvas = make("canvas", { role: "img" });
-  #context = /** @type {CanvasRenderingContext2D} */ (this.#canvas.getContext("2d"));
+  #sharp = new SharpCanvas(() => this.#draw());
   #top = make("span", { class: "strip-top" });
-  #legend = make("tbody");
-  /** @type {HTMLElement[]} */
-  #rates = [];
-  #idle = make("td", { class: "number" });
-  #total = make("td", { class: "number" });
+  #capacity = make("span", { class: "quiet small" });
+  /** The cells of the table by row: layers, their sum, idle fill. */
+  cells = [...LAYERS, "sum", "idle"].map(() => make("td"));
 
-  connectedCallback() {
-    if (this.childElementCount === 0) this.#build();
-    startDrawing(this);
+  /** @param {string} name */
+  constructor(name) {
+    const { canvas } = this.#sharp;
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", `${name}: rates by what was carried, over a minute`);
+    this.name = name;
+    this.chart = make(
+      "section",
+      {},
+      make("header", {}, make("h2", {}, name), this.#capacity),
+      make("div", { class: "octets-chart" }, this.#top, canvas),
+    );
   }
 
-  disconnectedCallback() {
-    stopDrawing(this);
-  }
-
-  /** @param {number} atUs @param {LinkCounts} counts */
-  update(atUs, counts) {
-    this.#history.append(atUs, counts.octets);
-    const newest = this.#history.appended - 1;
-    LAYERS.forEach((_, layer) => setText(this.#rates[layer], rate(this.#history.rate(newest, layer))));
-    setText(this.#total, rate(this.#history.total(newest)));
-    setText(this.#idle, rate(this.#history.idleBps));
-  }
-
-  /** Bring the canvas up to date; called by the drawing loop. */
-  draw() {
+  /** @param {number} atUs @param {Readonly<Record<string, number>>} octets @param {unknown} capacityBps */
+  update(atUs, octets, capacityBps) {
     const history = this.#history;
-    const resized = fitCanvas(this.#canvas);
-    const what = `${history.appended} ${tokenGeneration()}`;
-    if (!resized && what === this.#drawn) return;
-    this.#drawn = what;
-    const context = this.#context;
-    const { width, height } = this.#canvas;
+    history.append(atUs, octets);
+    const newest = history.appended - 1;
+    const rates = LAYERS.map((_, layer) => history.rate(newest, layer));
+    [...rates, history.total(newest), history.idleBps].forEach((bps, row) => {
+      setText(this.cells[row], rateText(bps));
+    });
+    setText(this.#capacity, `capacity ${rateText(capacityBps)}`);
+    this.#draw();
+  }
+
+  #draw() {
+    const { width, height } = this.#sharp;
+    if (width === 0) return;
+    const context = this.#sharp.cleared();
+    const history = this.#history;
     const fullBps = this.#full();
-    setText(this.#top, rate(fullBps));
-    context.clearRect(0, 0, width, height);
-    context.fillStyle = token("--line");
+    setText(this.#top, rateText(fullBps));
+    context.fillStyle = paint("--line");
     for (let quarter = 0; quarter < 4; quarter += 1) {
       context.fillRect(0, Math.round((quarter * height) / 4), width, 1);
     }
     const step = width / COLUMNS;
     for (let column = 0; column < COLUMNS; column += 1) {
       const reading = history.appended - COLUMNS + column;
-      const left = Math.round(column * step);
-      const wide = Math.round((column + 1) * step) - left;
       let bottom = height;
-      for (let layer = 0; layer < LAYERS.length; layer += 1) {
-        const bps = history.rate(reading, layer);
-        if (!(bps > 0)) continue;
+      LAYERS.forEach((layer, index) => {
+        const bps = history.rate(reading, index);
+        if (!(bps > 0)) return;
         const tall = (bps / fullBps) * height;
-        context.fillStyle = token(LAYERS[layer].token);
-        context.fillRect(left, bottom - tall, wide, tall);
+        context.fillStyle = paint(layer.colour);
+        context.fillRect(Math.round(column * step), bottom - tall, Math.ceil(step), tall);
         bottom -= tall;
-      }
+      });
     }
   }
 
+  /** The rate at the top of the chart. */
   #full() {
     let most = 0;
     for (let back = 1; back <= COLUMNS; back += 1) {
@@ -86,31 +85,39 @@ export class LinkOctets extends HTMLElement {
     }
     return STEPS_BPS.find((step) => step >= most) ?? most;
   }
+}
 
-  #build() {
-    const name = this.getAttribute("direction") ?? "";
-    this.#canvas.setAttribute("aria-label", `${name}: rates by what was carried`);
-    // From top to bottom as in the stack, so that rows find their layers without colour.
-    this.#rates = LAYERS.map(() => make("td", { class: "number" }));
-    const row = (/** @type {string} */ text, /** @type {HTMLElement} */ value, /** @type {string} */ key) => {
-      const swatch = make("i", { class: "swatch", "data-key": key });
-      this.#legend.append(make("tr", {}, make("th", { scope: "row" }, swatch, text), value));
-    };
-    for (let layer = LAYERS.length - 1; layer >= 0; layer -= 1) {
-      row(LAYERS[layer].name, this.#rates[layer], LAYERS[layer].token.slice(2));
-    }
-    row("all of these", this.#total, "none");
-    row("idle fill", this.#idle, "none");
-    this.append(
-      make("h3", {}, name),
-      make(
-        "div",
-        { class: "octets" },
-        make("div", { class: "octets-chart" }, this.#top, this.#canvas, make("p", { class: "time-axis" }, make("span", {}, "60 s ago"), make("span", {}, "now"))),
-        make("table", { class: "legend-table" }, this.#legend),
-      ),
-    );
+class LinkOctets extends HTMLElement {
+  /** @param {Seat} seat */
+  follow({ connection }) {
+    const directions = ["uplink", "downlink"].map((name) => new Direction(name));
+    const axis = make("p", { class: "time-axis" }, make("span", {}, "60 s ago"), make("span", {}, "now"));
+    const charts = make("div", { class: "octets-charts" }, ...directions.map(({ chart }) => chart), axis);
+    this.append(charts, legend(directions));
+    connection.on("figures", ({ at_us, link, figures }) => {
+      for (const direction of directions) {
+        const counts = link[direction.name];
+        const capacity = figures[`link.${direction.name}.capacity_bps`];
+        if (counts !== undefined) direction.update(at_us, counts.octets, capacity);
+      }
+    });
   }
+}
+
+/** The table of the newest rates. @param {readonly Direction[]} directions */
+function legend(directions) {
+  const body = make("tbody");
+  const row = (/** @type {string} */ name, /** @type {number} */ cell, /** @type {string} */ layer) => {
+    const swatch = make("i", { class: "swatch", "data-layer": layer });
+    const head = make("th", { scope: "row" }, swatch, name);
+    body.append(make("tr", {}, head, ...directions.map(({ cells }) => cells[cell])));
+  };
+  // From top to bottom as in the stack, so that rows find their layers without colour.
+  for (let layer = LAYERS.length - 1; layer >= 0; layer -= 1) row(LAYERS[layer].name, layer, String(layer));
+  row("all of these", LAYERS.length, "none");
+  row("idle fill", LAYERS.length + 1, "none");
+  const heads = directions.map(({ name }) => make("th", { scope: "col" }, name));
+  return make("table", { class: "octets-legend" }, make("thead", {}, make("tr", {}, make("td"), ...heads)), body);
 }
 
 customElements.define("link-octets", LinkOctets);

@@ -1,16 +1,17 @@
 /**
  * `<link-table>`: what waits at each level of both directions and for how long, and what the link
- * lost. It asks for figures by `data-figure-in`, so refresh the binding after it was connected.
+ * lost.
  *
+ * @import { Seat } from "./seat.js"
  * @import { LinkCounts } from "./texts.js"
  */
-import { make, setAttribute, setText } from "./make.js";
-import { count } from "./wording.js";
+import { make, setAttribute, setText } from "./dom.js";
+import { countText } from "./wording.js";
 
 const DIRECTIONS = ["uplink", "downlink"];
 /** The levels of the link's sender that have a queue, by falling priority. */
 const LEVELS = [
-  { level: "tmtc", name: "telecommands, telemetry" },
+  { level: "tmtc", name: "TM/TC" },
   { level: "voice", name: "voice" },
   { level: "video", name: "pictures" },
   { level: "maintenance", name: "maintenance" },
@@ -20,12 +21,12 @@ const LEVELS = [
 const figure = (name, scale, decimals) =>
   make("td", { class: "number", "data-figure-in": name, "data-scale": scale, "data-decimals": decimals });
 
-export class LinkTable extends HTMLElement {
+class LinkTable extends HTMLElement {
   /** By direction: the cells of drops, losses and slips. @type {Map<string, HTMLElement[]>} */
   #counts = new Map();
 
-  connectedCallback() {
-    if (this.childElementCount > 0) return;
+  /** @param {Seat} seat */
+  follow({ connection }) {
     const head = make("tr", {}, make("td"));
     const units = make("tr", { class: "units" }, make("th", { scope: "col" }, "queue"));
     for (const direction of DIRECTIONS) {
@@ -59,19 +60,21 @@ export class LinkTable extends HTMLElement {
       late.append(cell);
     }
     this.append(make("table", {}, make("thead", {}, head, units), body, make("tbody", {}, ...rows, late)));
+    connection.on("figures", ({ link }) => this.#show(link));
   }
 
   /** @param {Readonly<Record<string, LinkCounts>>} link By direction. */
-  update(link) {
+  #show(link) {
     for (const [direction, { drops, lost, slips }] of Object.entries(link)) {
       const cells = this.#counts.get(direction) ?? [];
       const dropped = Object.entries(drops).filter(([, number]) => number > 0);
       const sum = dropped.reduce((total, [, number]) => total + number, 0);
       [sum, lost, slips].forEach((number, index) => {
-        setText(cells[index], count(number));
+        setText(cells[index], countText(number));
         setAttribute(cells[index], "data-some", String(number > 0));
       });
-      setAttribute(cells[0], "title", dropped.map(([why, number]) => `${why}: ${number}`).join(", "));
+      const title = dropped.map(([level, number]) => `${level}: ${number}`).join(", ");
+      setAttribute(cells[0], "title", title);
     }
   }
 }

@@ -3,16 +3,16 @@
 /**
  * What is drawn as one layer, from the bottom of the stack to its top: its name, its colour's
  * token, and the names in the report that it sums.
- * @type {readonly {name: string, token: string, parts: readonly string[]}[]}
+ * @type {readonly {name: string, colour: string, parts: readonly string[]}[]}
  */
 export const LAYERS = [
-  { name: "hand", token: "--series-1", parts: ["haptic"] },
-  { name: "voice", token: "--series-2", parts: ["voice"] },
-  { name: "pictures", token: "--series-3", parts: ["video"] },
-  { name: "telecommands, telemetry", token: "--series-4", parts: ["tmtc"] },
-  { name: "maintenance", token: "--series-5", parts: ["maintenance"] },
-  { name: "RTCP, supervision", token: "--series-6", parts: ["rtcp", "supervision"] },
-  { name: "headers, framing", token: "--series-7", parts: ["header", "fecf", "packet_headers", "framing"] },
+  { name: "hand", colour: "--layer-hand", parts: ["haptic"] },
+  { name: "voice", colour: "--layer-voice", parts: ["voice"] },
+  { name: "pictures", colour: "--layer-pictures", parts: ["video"] },
+  { name: "TM/TC", colour: "--layer-commands", parts: ["tmtc"] },
+  { name: "maintenance", colour: "--layer-maintenance", parts: ["maintenance"] },
+  { name: "RTCP, supervision", colour: "--layer-control", parts: ["rtcp", "supervision"] },
+  { name: "headers, framing", colour: "--layer-headers", parts: ["header", "fecf", "packet_headers", "framing"] },
 ];
 
 /** The layer of what no row of `LAYERS` names; idle fill is in none. */

@@ -2,10 +2,11 @@
  * `<preview-strip>`: all cameras' inputs small; those of the selected camera are marked. Which one
  * is selected is the operator's choice alone.
  *
+ * @import { Seat } from "./seat.js"
  * @import { CameraText, PreviewText } from "./texts.js"
  */
-import { make, setAttribute, setText } from "./make.js";
-import { words } from "./wording.js";
+import { make, setAttribute, setText } from "./dom.js";
+import { nameText } from "./wording.js";
 
 /** Without a picture for so long, an input counts as silent. They come five times a second. */
 const SILENT_MS = 1500;
@@ -20,26 +21,32 @@ const SILENT_MS = 1500;
  * @property {number} drawnMs
  */
 
-export class PreviewStrip extends HTMLElement {
+class PreviewStrip extends HTMLElement {
   /** By preview index. @type {Map<number, Cell>} */
   #cells = new Map();
   /** By camera: its inputs. @type {Map<string, readonly string[]>} */
   #cameras = new Map();
   #camera = "";
 
-  /** Lay out the previews of a session.
-   * @param {readonly PreviewText[]} previews @param {readonly CameraText[]} cameras
-   */
-  set(previews, cameras) {
+  /** @param {Seat} seat */
+  follow({ connection }) {
+    connection.on("hello", ({ previews, cameras }) => this.#lay(previews ?? [], cameras));
+    connection.on("preview", ({ preview, frame }) => this.#draw(preview, frame));
+    connection.on("state", ({ camera }) => this.#mark(camera));
+    connection.on("lost", () => this.#mark(this.#camera));
+  }
+
+  /** @param {readonly PreviewText[]} previews @param {readonly CameraText[]} cameras */
+  #lay(previews, cameras) {
     this.#cameras = new Map(cameras.map((camera) => [camera.name, camera.inputs]));
     this.#cells.clear();
     this.replaceChildren(
       ...previews.map(({ index, input, width, height }) => {
         const canvas = make("canvas", { width: String(width), height: String(height) });
         canvas.setAttribute("role", "img");
-        canvas.setAttribute("aria-label", `Camera input ${words(input)}`);
+        canvas.setAttribute("aria-label", `Camera input ${nameText(input)}`);
         const mark = make("span", { class: "preview-mark" });
-        const caption = make("figcaption", {}, make("span", {}, words(input)), mark);
+        const caption = make("figcaption", {}, make("span", {}, nameText(input)), mark);
         const figure = make("figure", { "data-input": input }, canvas, caption);
         const context = canvas.getContext("2d", { alpha: false });
         if (context === null) throw new Error("preview-strip: the browser draws no canvas");
@@ -47,11 +54,11 @@ export class PreviewStrip extends HTMLElement {
         return figure;
       }),
     );
-    this.update(this.#camera);
+    this.#mark(this.#camera);
   }
 
-  /** Draw a picture. @param {number} preview @param {VideoFrame} frame */
-  show(preview, frame) {
+  /** @param {number} preview @param {VideoFrame} frame */
+  #draw(preview, frame) {
     const cell = this.#cells.get(preview);
     if (cell === undefined) return;
     if (cell.canvas.width !== frame.displayWidth || cell.canvas.height !== frame.displayHeight) {
@@ -63,7 +70,7 @@ export class PreviewStrip extends HTMLElement {
   }
 
   /** Mark the selected camera's inputs, and those that send nothing. @param {string | null} camera */
-  update(camera) {
+  #mark(camera) {
     this.#camera = camera ?? "";
     const inputs = this.#cameras.get(this.#camera) ?? [];
     for (const { input, figure, mark, drawnMs } of this.#cells.values()) {
@@ -71,7 +78,7 @@ export class PreviewStrip extends HTMLElement {
       const silent = performance.now() - drawnMs > SILENT_MS;
       setAttribute(figure, "data-selected", String(selected));
       setAttribute(figure, "data-silent", String(silent));
-      setText(mark, silent ? "no picture" : selected ? "on air" : "");
+      setText(mark, silent ? "no picture" : selected ? "selected" : "");
     }
   }
 }

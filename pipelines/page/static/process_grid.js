@@ -1,11 +1,12 @@
 /**
  * `<process-grid>`: all processes with their CPU time and restarts. One that is dead or was
- * restarted stands out.
+ * restarted stands out; how many are dead is also an event "alert", for the title of its tab.
  *
+ * @import { Seat } from "./seat.js"
  * @import { ProcessText } from "./texts.js"
  */
-import { make, setAttribute, setText } from "./make.js";
-import { words } from "./wording.js";
+import { make, setAttribute, setText } from "./dom.js";
+import { nameText } from "./wording.js";
 
 /**
  * @typedef {object} Row
@@ -15,25 +16,32 @@ import { words } from "./wording.js";
  * @property {HTMLElement} note
  */
 
-export class ProcessGrid extends HTMLElement {
+class ProcessGrid extends HTMLElement {
   /** @type {Map<string, Row>} */
   #rows = new Map();
   #total = make("p", { class: "process-total" });
 
+  /** @param {Seat} seat */
+  follow({ connection }) {
+    connection.on("figures", ({ processes }) => this.#showAll(processes));
+  }
+
   /** @param {readonly ProcessText[]} processes */
-  update(processes) {
+  #showAll(processes) {
     if (processes.length !== this.#rows.size || processes.some(({ name }) => !this.#rows.has(name))) {
       this.#build(processes);
     }
     let [cpu, restarts, dead] = [0, 0, 0];
     for (const process of processes) {
-      cpu += process.cpu;
+      cpu += process.cpu ?? 0;
       restarts += process.restarts;
       if (!process.running) dead += 1;
       this.#show(process);
     }
     const ill = dead > 0 ? `, ${dead} not running` : "";
     const again = restarts > 0 ? `, ${restarts} restart${restarts > 1 ? "s" : ""}` : "";
+    const alert = dead > 0 ? `${dead} not running` : "";
+    this.dispatchEvent(new CustomEvent("alert", { bubbles: true, detail: alert }));
     setText(this.#total, `${processes.length} processes, ${cpu.toFixed(2)} cores${ill}${again}`);
   }
 
@@ -41,8 +49,8 @@ export class ProcessGrid extends HTMLElement {
   #show({ name, cpu, restarts, running, error }) {
     const row = this.#rows.get(name);
     if (row === undefined) return;
-    setText(row.cpu, `${(100 * cpu).toFixed(1)} %`);
-    row.meter.value = Math.min(1, cpu);
+    setText(row.cpu, cpu === null ? "–" : `${(100 * cpu).toFixed(1)} %`);
+    row.meter.value = Math.min(1, cpu ?? 0);
     const state = !running ? "dead" : restarts > 0 ? "restarted" : "well";
     setAttribute(row.item, "data-state", state);
     const again = restarts > 0 ? `restarted ${restarts}×` : "";
@@ -73,9 +81,9 @@ export class ProcessGrid extends HTMLElement {
   /** @param {string} name */
   #row(name) {
     const cpu = make("span", { class: "number" });
-    const meter = make("meter", { min: "0", max: "1", high: "0.8", "aria-label": `CPU of ${words(name)}` });
+    const meter = make("meter", { min: "0", max: "1", high: "0.8", "aria-label": `CPU of ${nameText(name)}` });
     const note = make("span", { class: "process-note" });
-    const item = make("li", {}, make("span", { class: "process-name" }, words(name)), meter, cpu, note);
+    const item = make("li", {}, make("span", { class: "process-name" }, nameText(name)), meter, cpu, note);
     this.#rows.set(name, { item, cpu, meter, note });
     return item;
   }

@@ -2,16 +2,13 @@
  * `<session-control>`: whether the session runs, for how long, and its start and stop. A stop asks
  * again, because it ends the operator's work too.
  *
- * @import { AnswerText } from "./texts.js"
+ * @import { Connection } from "./connection.js"
+ * @import { Seat } from "./seat.js"
  */
-import { make, setAttribute, setText } from "./make.js";
-import { clock } from "./wording.js";
+import { make, setAttribute, setText } from "./dom.js";
+import { clockText } from "./wording.js";
 
-/** @typedef {"start" | "stop"} Action */
-
-export class SessionControl extends HTMLElement {
-  /** Ask the server; set before the first press. @type {(action: Action) => Promise<AnswerText>} */
-  request = () => Promise.reject(new Error("session-control: nobody to ask"));
+class SessionControl extends HTMLElement {
   #state = make("output", { class: "session-state" }, "–");
   #time = make("span", { class: "number", title: "session time" });
   #start = make("button", { type: "button", id: "session-start" }, "Start");
@@ -19,10 +16,10 @@ export class SessionControl extends HTMLElement {
   #error = make("span", { class: "refusal", role: "alert" });
   #dialog = make("dialog", { id: "session-ask", "aria-labelledby": "session-ask-title" });
 
-  connectedCallback() {
-    if (this.childElementCount > 0) return;
+  /** @param {Seat} seat */
+  follow({ connection }) {
     const confirm = make("button", { type: "button", class: "danger", id: "session-stop-confirm" }, "Stop the session");
-    const cancel = make("button", { type: "button", autofocus: "" }, "Let it run");
+    const cancel = make("button", { type: "button", autofocus: true }, "Let it run");
     this.#dialog.append(
       make("h2", { id: "session-ask-title" }, "Stop the session?"),
       make("p", {}, "Pictures, voices and the hand end at both seats. It can be started again from here."),
@@ -31,18 +28,20 @@ export class SessionControl extends HTMLElement {
     cancel.addEventListener("click", () => this.#dialog.close());
     confirm.addEventListener("click", () => {
       this.#dialog.close();
-      void this.#ask("stop");
+      void this.#ask(connection, "stop");
     });
     this.#stop.addEventListener("click", () => this.#dialog.showModal());
-    this.#start.addEventListener("click", () => void this.#ask("start"));
+    this.#start.addEventListener("click", () => void this.#ask(connection, "start"));
     this.append(this.#state, this.#time, this.#start, this.#stop, this.#error, this.#dialog);
+    connection.on("figures", ({ state, seconds }) => this.#show(state, seconds, connection.mayAct));
+    connection.on("lost", () => this.#show(null, NaN, connection.mayAct));
   }
 
   /** @param {"running" | "stopped" | null} state Null while nobody says. @param {number} seconds @param {boolean} mayAct */
-  update(state, seconds, mayAct) {
+  #show(state, seconds, mayAct) {
     setText(this.#state, state ?? "unknown");
     setAttribute(this.#state, "data-state", state);
-    setText(this.#time, clock(seconds));
+    setText(this.#time, clockText(seconds));
     this.#start.hidden = state !== "stopped";
     this.#stop.hidden = state === "stopped";
     this.#start.disabled = !mayAct || state === null;
@@ -52,10 +51,10 @@ export class SessionControl extends HTMLElement {
     setAttribute(this.#stop, "title", why);
   }
 
-  /** @param {Action} action */
-  async #ask(action) {
+  /** @param {Connection} connection @param {"start" | "stop"} action */
+  async #ask(connection, action) {
     setText(this.#error, "");
-    const answer = await this.request(action);
+    const answer = await connection.request({ do: "session", action });
     if (!answer.ok) setText(this.#error, answer.error);
   }
 }

@@ -5,13 +5,13 @@ export const NO_SIGNAL = 1;
 export const SIGNAL = 2;
 export const CONNECTED = 3;
 
-const STEP_US = 100_000;
+export const STEP_US = 100_000;
 
 export class SignalHistory {
-  /** @param {number} seconds That are kept. */
-  constructor(seconds) {
-    this.steps = seconds * 10;
-    this.states = new Uint8Array(this.steps);
+  /** @param {number} steps That are kept. */
+  constructor(steps) {
+    this.steps = steps;
+    this.states = new Uint8Array(steps);
     /** The number of the newest step, counted from the clock's zero. */
     this.newest = -1;
   }

@@ -1,11 +1,11 @@
 /**
  * `<stream-table>`: each stream's rate against its cap, its latency by stage, and what it lost.
- * It asks for figures by attribute: refresh the binding whenever `update` returns true.
  *
+ * @import { Seat } from "./seat.js"
  * @import { Figure } from "./texts.js"
  */
-import { make, setAttribute, setText } from "./make.js";
-import { milliseconds, rate, words } from "./wording.js";
+import { make, setAttribute, setText } from "./dom.js";
+import { millisecondsText, nameText, rateText } from "./wording.js";
 
 /** The stages in the order in which a picture passes them, with the name of each for people. */
 const STAGES = [
@@ -31,13 +31,20 @@ const LATENCY_STEPS_MS = [50, 100, 200, 500, 1000, 2000, 5000];
 /** @param {Figure | undefined} value */
 const number = (value) => (typeof value === "number" ? value : NaN);
 
-export class StreamTable extends HTMLElement {
+class StreamTable extends HTMLElement {
   /** @type {Row[]} */
   #rows = [];
   #axis = make("span", { class: "axis-end" });
 
-  /** Show the newest figures. @param {Readonly<Record<string, Figure>>} figures @returns {boolean} Whether there are new rows. */
-  update(figures) {
+  /** @param {Seat} seat */
+  follow({ connection, figures }) {
+    connection.on("figures", (text) => {
+      if (this.#show(text.figures)) figures.refresh();
+    });
+  }
+
+  /** Whether there are new rows. @param {Readonly<Record<string, Figure>>} figures @returns {boolean} */
+  #show(figures) {
     const names = Object.keys(figures)
       .filter((key) => key.endsWith(".cap_bps"))
       .map((key) => key.slice(0, -".cap_bps".length));
@@ -45,35 +52,9 @@ export class StreamTable extends HTMLElement {
     if (changed) this.#build(names);
     const worst = Math.max(0, ...this.#rows.map(({ name }) => number(figures[`${name}.latency_ms.p99`]) || 0));
     const fullMs = LATENCY_STEPS_MS.find((step) => step >= worst) ?? worst;
-    setText(this.#axis, milliseconds(fullMs));
-    for (const row of this.#rows) this.#show(row, figures, fullMs);
+    setText(this.#axis, millisecondsText(fullMs));
+    for (const row of this.#rows) showRow(row, figures, fullMs);
     return changed;
-  }
-
-  /** @param {Row} row @param {Readonly<Record<string, Figure>>} figures @param {number} fullMs */
-  #show(row, figures, fullMs) {
-    const of = (/** @type {string} */ key) => number(figures[`${row.name}.${key}`]);
-    const [now, cap, most] = [of("rate_bps"), of("cap_bps"), of("payload_bps_max_1s")];
-    const share = (/** @type {number} */ part, /** @type {number} */ whole) =>
-      `${Number.isFinite(part / whole) ? Math.min(100, (100 * part) / whole).toFixed(1) : 0}%`;
-    setText(row.rate, `${rate(now)} of ${rate(cap)}`);
-    row.fill.style.width = share(now, cap);
-    row.peak.style.left = share(most, cap);
-    row.peak.hidden = !Number.isFinite(most);
-    setAttribute(row.fill, "data-full", String(now > 0.98 * cap));
-
-    const [p50, p99] = [of("latency_ms.p50"), of("latency_ms.p99")];
-    const stages = STAGES.map(({ stage }) => of(`latency_ms.stages.${stage}.p50`));
-    const staged = stages.every(Number.isFinite);
-    row.stages.forEach((part, index) => {
-      // Without stages the whole is one part.
-      part.style.width = share(staged ? stages[index] : index === 0 ? p50 : 0, fullMs);
-    });
-    row.worst.style.left = share(p99, fullMs);
-    row.worst.hidden = !Number.isFinite(p99);
-    const parts = STAGES.map(({ name }, index) => `${name} ${milliseconds(stages[index])}`).join(", ");
-    setAttribute(row.bar, "title", staged ? parts : null);
-    setText(row.latency, `${milliseconds(p50)}, p99 ${milliseconds(p99)}`);
   }
 
   /** @param {readonly string[]} names */
@@ -110,7 +91,7 @@ export class StreamTable extends HTMLElement {
     const haptic = name.startsWith("haptic.");
     const figure = (/** @type {string} */ key, /** @type {string} */ decimals) =>
       make("td", { class: "number", "data-figure-in": `${name}.${key}`, "data-decimals": decimals });
-    const title = haptic ? (name === "haptic.up" ? "uplink hand" : "downlink hand") : words(name);
+    const title = haptic ? (name === "haptic.up" ? "uplink hand" : "downlink hand") : nameText(name);
     const element = make(
       "tr",
       { "data-stream": name },
@@ -124,6 +105,32 @@ export class StreamTable extends HTMLElement {
     );
     return { row: { name, rate: rateText, fill, peak, bar, stages, worst, latency }, element };
   }
+}
+
+/** @param {Row} row @param {Readonly<Record<string, Figure>>} figures @param {number} fullMs */
+function showRow(row, figures, fullMs) {
+  const of = (/** @type {string} */ key) => number(figures[`${row.name}.${key}`]);
+  const [now, cap, most] = [of("rate_bps"), of("cap_bps"), of("payload_bps_max_1s")];
+  const share = (/** @type {number} */ part, /** @type {number} */ whole) =>
+    `${Number.isFinite(part / whole) ? Math.min(100, (100 * part) / whole).toFixed(1) : 0}%`;
+  setText(row.rate, `${rateText(now)} of ${rateText(cap)}`);
+  row.fill.style.width = share(now, cap);
+  row.peak.style.left = share(most, cap);
+  row.peak.hidden = !Number.isFinite(most);
+  setAttribute(row.fill, "data-full", String(now > 0.98 * cap));
+
+  const [p50, p99] = [of("latency_ms.p50"), of("latency_ms.p99")];
+  const stages = STAGES.map(({ stage }) => of(`latency_ms.stages.${stage}.p50`));
+  const staged = stages.every(Number.isFinite);
+  row.stages.forEach((part, index) => {
+    // Without stages the whole is one part.
+    part.style.width = share(staged ? stages[index] : index === 0 ? p50 : 0, fullMs);
+  });
+  row.worst.style.left = share(p99, fullMs);
+  row.worst.hidden = !Number.isFinite(p99);
+  const parts = STAGES.map(({ name }, index) => `${name} ${millisecondsText(stages[index])}`).join(", ");
+  setAttribute(row.bar, "title", staged ? parts : null);
+  setText(row.latency, `${millisecondsText(p50)}, p99 ${millisecondsText(p99)}`);
 }
 
 customElements.define("stream-table", StreamTable);

@@ -2,23 +2,26 @@
  * `<strip-chart>`: signals over the last seconds, least and greatest value a pixel column. What is
  * drawn is moved by copying the canvas; only columns that changed are drawn anew.
  */
-import { fitCanvas } from "./canvas_size.js";
 import { ColumnStore } from "./column_store.js";
-import { startDrawing, stopDrawing } from "./drawing_loop.js";
-import { make, setText } from "./make.js";
-import { token, tokenGeneration } from "./tokens.js";
+import { make, setText } from "./dom.js";
+import { paint, themeNumber } from "./palette.js";
 
 /**
- * @typedef {{token: string, thick: boolean}} Signal its colour's token; a thick one lies below
- *   the thin ones, so that two are told apart without colour
- * @typedef {{title: string, unit: string, least: number, signals: readonly Signal[]}} Look
- *   `least`: the chart reaches at least from minus this to plus this, in `unit`
+ * colour: its design token. A thick signal lies below the thin ones, so that two are told apart
+ * without colour.
+ * @typedef {{colour: string, thick: boolean}} Signal
  */
 
-/** Beyond the newest column there may be some that late samples fill. */
+/**
+ * least: the chart reaches at least from minus this to plus this, in `unit`.
+ * @typedef {{title: string, unit: string, least: number, signals: readonly Signal[]}} Look
+ */
+
 const STEPS = [1, 2, 5];
-/** The chart's range shrinks only when half of it stayed empty for its whole span. */
+/** The range shrinks when less than this share of it was used over the whole span. */
 const SHRINK_BELOW = 0.4;
+const THICK = 5;
+const THIN = 1.5;
 
 /** The next larger 1, 2 or 5 times a power of ten.
  * @param {number} value
@@ -30,34 +33,38 @@ function nice(value) {
 }
 
 export class StripChart extends HTMLElement {
-  /** @type {Look} */
-  look = { title: "", unit: "", least: 1, signals: [] };
-  #canvas = make("canvas");
+  #look;
+  #refill;
+  #canvas = make("canvas", { role: "img" });
+  #context = /** @type {CanvasRenderingContext2D} */ (this.#canvas.getContext("2d"));
   #top = make("span", { class: "strip-top" });
   #bottom = make("span", { class: "strip-bottom" });
-  #title = make("span", { class: "strip-title" });
   /** @type {ColumnStore | null} */
   #store = null;
-  #context = /** @type {CanvasRenderingContext2D} */ (this.#canvas.getContext("2d"));
   #spanUs = 10e6;
-  #nowUs = NaN;
-  #reach = 1;
+  #reach;
+  /** The column at the right edge of what is drawn. */
   #drawnTo = NaN;
-  #generation = -1;
+  #theme = -1;
+  /** The column at which the range was last found too wide or right. */
   #checked = 0;
 
-  /** Called when the chart lost its columns and wants the samples of its span again.
-   * @type {(chart: StripChart) => void}
+  /**
+   * @param {Look} look
+   * @param {(chart: StripChart) => void} refill Called when the chart has lost its columns: is to
+   *   `add` the samples of its span again.
    */
-  onempty = () => {};
-
-  connectedCallback() {
-    if (this.childElementCount === 0) this.append(this.#title, this.#top, this.#bottom, this.#canvas);
-    startDrawing(this);
+  constructor(look, refill) {
+    super();
+    this.#look = look;
+    this.#refill = refill;
+    this.#reach = look.least;
+    this.#canvas.setAttribute("aria-label", `${look.title}, ${look.unit}`);
   }
 
-  disconnectedCallback() {
-    stopDrawing(this);
+  connectedCallback() {
+    const title = make("span", { class: "strip-title" }, this.#look.title);
+    this.replaceChildren(title, this.#top, this.#bottom, this.#canvas);
   }
 
   /** The time from the left edge to the right one, µs. */
@@ -79,41 +86,51 @@ export class StripChart extends HTMLElement {
     this.#store?.add(signal, timeUs, value);
   }
 
-  /** Set the instant of the right edge.
-   * @param {number} nowUs
-   */
-  update(nowUs) {
-    this.#nowUs = nowUs;
-  }
-
-  /** Bring the canvas up to date; called by the drawing loop. */
-  draw() {
-    if (Number.isNaN(this.#nowUs)) return;
-    // Two samples a column at least: otherwise columns between samples would look like gaps.
-    const fresh = fitCanvas(this.#canvas, this.#spanUs / 2000);
-    const width = this.#canvas.width;
+  /** Bring the canvas up to date. @param {number} nowUs The instant of the right edge. */
+  draw(nowUs) {
+    const resized = this.#fit();
+    const { width } = this.#canvas;
     if (width === 0) return;
-    if (fresh || this.#store === null) {
-      this.#store = new ColumnStore(width + 64, this.#spanUs / width, this.look.signals.length);
-      this.#reach = this.look.least;
-      this.onempty(this);
+    if (resized || this.#store === null) {
+      // Some columns more than are shown: the newest samples may be ahead of `nowUs`.
+      this.#store = new ColumnStore(width + 64, this.#spanUs / width, this.#look.signals.length);
+      this.#reach = this.#look.least;
       this.#drawnTo = NaN;
+      this.#refill(this);
     }
     const store = this.#store;
-    const right = store.columnOf(this.#nowUs);
+    const right = store.columnOf(nowUs);
     let from = right - width + 1;
-    const all = this.#rescaled(store, from, right) || this.#generation !== tokenGeneration();
+    const all = this.#rescaled(store, from, right) || this.#theme !== themeNumber();
     const shift = right - this.#drawnTo;
     if (!all && shift >= 0 && shift < width) {
       if (shift === 0 && store.changedFrom > right) return;
-      if (shift > 0) this.#context.drawImage(this.#canvas, -shift, 0);
-      // One column more on the left: it is joined to the one that changed.
-      from = Math.max(from, Math.min(this.#drawnTo + 1, store.changedFrom + 1) - 1);
+      if (shift > 0) this.#move(shift);
+      from = Math.max(from, Math.min(this.#drawnTo + 1, store.changedFrom));
     }
     this.#columns(store, from, right);
     store.taken();
     this.#drawnTo = right;
-    this.#generation = tokenGeneration();
+    this.#theme = themeNumber();
+  }
+
+  /** Move what is drawn to the left. @param {number} columns */
+  #move(columns) {
+    this.#context.globalCompositeOperation = "copy";
+    this.#context.drawImage(this.#canvas, -columns, 0);
+    this.#context.globalCompositeOperation = "source-over";
+  }
+
+  /** Fit the canvas to its box in device pixels; whether that emptied it. */
+  #fit() {
+    const canvas = this.#canvas;
+    // Two samples a column at least: otherwise columns between samples would look like gaps.
+    const width = Math.min(Math.round(canvas.clientWidth * devicePixelRatio), this.#spanUs / 2000);
+    const height = Math.round(canvas.clientHeight * devicePixelRatio);
+    if (canvas.width === width && canvas.height === height) return false;
+    canvas.width = width;
+    canvas.height = height;
+    return true;
   }
 
   /** Widen the range at once, narrow it when it has been too wide for long.
@@ -122,7 +139,7 @@ export class StripChart extends HTMLElement {
    * @param {number} right
    */
   #rescaled(store, from, right) {
-    const signals = this.look.signals.map((_, index) => index);
+    const signals = this.#look.signals.map((_, index) => index);
     const fresh = store.reach(signals, Math.max(from, Math.min(store.changedFrom, right)), right);
     let reach = this.#reach;
     if (fresh > reach) {
@@ -130,11 +147,9 @@ export class StripChart extends HTMLElement {
     } else if (right - this.#checked > store.columns / 8) {
       this.#checked = right;
       const most = store.reach(signals, from, right);
-      if (most < reach * SHRINK_BELOW) reach = Math.max(this.look.least, nice(most || 1e-9));
+      if (most < reach * SHRINK_BELOW) reach = Math.max(this.#look.least, nice(most || 1e-9));
     }
-    const { title, unit } = this.look;
-    setText(this.#title, title);
-    setText(this.#top, `${reach} ${unit}`);
+    setText(this.#top, `${reach} ${this.#look.unit}`);
     setText(this.#bottom, `−${reach}`);
     const changed = reach !== this.#reach;
     this.#reach = reach;
@@ -153,12 +168,12 @@ export class StripChart extends HTMLElement {
     const middle = height / 2;
     const scale = (height / 2 - 2) / this.#reach;
     context.clearRect(left, 0, width - left, height);
-    context.fillStyle = token("--line");
+    context.fillStyle = paint("--line");
     context.fillRect(left, Math.round(middle), width - left, 1);
     this.#ticks(store, from, right, left);
-    this.look.signals.forEach((signal, lane) => {
-      const least = signal.thick ? 5 : 1.5;
-      context.fillStyle = token(signal.token);
+    this.#look.signals.forEach((signal, lane) => {
+      const least = signal.thick ? THICK : THIN;
+      context.fillStyle = paint(signal.colour);
       for (let column = from, x = left; column <= right; column++, x++) {
         const place = store.placeOf(lane, column);
         if (place < 0) continue;

@@ -1,10 +1,12 @@
 /**
  * `<tab-group>` around sections with an id and a `data-tab` title: one of them is shown at a time.
- * Arrow keys, Home and End move between the tabs (WAI-ARIA Authoring Practices, "Tabs").
+ * What a panel's event "alert" says stands beside its title. Arrow keys, Home and End move between the tabs (WAI-ARIA Authoring Practices, "Tabs").
+ *
+ * @import { Seat } from "./seat.js"
  */
-import { make } from "./make.js";
+import { make, setText } from "./dom.js";
 
-export class TabGroup extends HTMLElement {
+class TabGroup extends HTMLElement {
   /** @type {HTMLElement[]} */
   #panels = [];
   /** @type {HTMLButtonElement[]} */
@@ -23,22 +25,30 @@ export class TabGroup extends HTMLElement {
       tab.addEventListener("click", () => this.#show(panel.id, false));
       panel.setAttribute("role", "tabpanel");
       panel.setAttribute("aria-labelledby", tab.id);
+      const alert = make("span", { class: "tab-alert" });
+      tab.append(alert);
+      panel.addEventListener("alert", (event) => {
+        if (event instanceof CustomEvent) setText(alert, String(event.detail));
+      });
       this.#tabs.push(tab);
       list.append(tab);
     }
     list.addEventListener("keydown", (event) => this.#move(event));
     this.prepend(list);
-    if (this.#panels.length > 0) this.show(this.#panels[0].id);
+    if (this.#panels.length > 0) this.#show(this.#panels[0].id, false);
   }
 
-  /** Show a panel. @param {string} id */
-  show(id) {
-    this.#show(id, false);
-  }
-
-  /** The titles of the tabs, in order. */
-  get titles() {
-    return this.#panels.map((panel) => ({ id: panel.id, title: panel.dataset.tab ?? "" }));
+  /** @param {Seat} seat */
+  follow({ keyboard }) {
+    keyboard.add({
+      keys: this.#panels.map((_, index) => String(index + 1)),
+      shown: `1 … ${this.#panels.length}`,
+      what: "open a tab",
+      down: (key) => {
+        const panel = this.#panels[Number(key) - 1];
+        if (panel !== undefined) this.#show(panel.id, false);
+      },
+    });
   }
 
   /** @param {string} id @param {boolean} focus */

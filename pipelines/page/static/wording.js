@@ -1,6 +1,5 @@
 /** Figures as people read them: short, with their unit, and "–" where there is none. */
-
-const NONE = "–";
+import { NOTHING } from "./figure_binding.js";
 
 /** @param {unknown} value @returns {value is number} */
 function known(value) {
@@ -18,24 +17,24 @@ function digits(value) {
 /** A rate.
  * @param {unknown} bps
  */
-export function rate(bps) {
-  if (!known(bps)) return NONE;
+export function rateText(bps) {
+  if (!known(bps)) return NOTHING;
   return Math.abs(bps) >= 999_500 ? `${digits(bps / 1e6)} Mbit/s` : `${digits(bps / 1e3)} kbit/s`;
 }
 
 /** A duration in milliseconds; seconds from 10 s on.
  * @param {unknown} ms
  */
-export function milliseconds(ms) {
-  if (!known(ms)) return NONE;
+export function millisecondsText(ms) {
+  if (!known(ms)) return NOTHING;
   return Math.abs(ms) >= 10_000 ? `${digits(ms / 1e3)} s` : `${digits(ms)} ms`;
 }
 
 /** Minutes and seconds.
  * @param {unknown} seconds
  */
-export function clock(seconds) {
-  if (!known(seconds)) return NONE;
+export function clockText(seconds) {
+  if (!known(seconds)) return NOTHING;
   const whole = Math.floor(Math.abs(seconds));
   const [hours, minutes] = [Math.floor(whole / 3600), Math.floor(whole / 60) % 60];
   const two = (/** @type {number} */ n) => String(n).padStart(2, "0");
@@ -43,32 +42,17 @@ export function clock(seconds) {
   return (seconds < 0 ? "−" : "") + (hours > 0 ? `${hours}:${text}` : text);
 }
 
-/** Octets.
- * @param {unknown} octets
- */
-export function octets(octets) {
-  if (!known(octets)) return NONE;
-  return octets >= 10_000 ? `${digits(octets / 1000)} kB` : `${octets} B`;
-}
-
-/** A share of one as a percentage.
- * @param {unknown} share
- */
-export function percent(share) {
-  return known(share) ? `${digits(share * 100)} %` : NONE;
-}
-
 /** A count with thin spaces between thousands.
  * @param {unknown} value
  */
-export function count(value) {
-  if (!known(value)) return NONE;
+export function countText(value) {
+  if (!known(value)) return NOTHING;
   return String(Math.round(value)).replace(/\B(?=(\d{3})+$)/g, "\u2009");
 }
 
 /** A name of the report in words: `uplink_video` is "uplink video".
  * @param {string} name
  */
-export function words(name) {
+export function nameText(name) {
   return name.replaceAll("_", " ");
 }
