@@ -1,6 +1,7 @@
 /**
  * `<tab-group>` around sections with an id and a `data-tab` title: one of them is shown at a time.
- * What a panel's event "alert" says stands beside its title. Arrow keys, Home and End move between the tabs (WAI-ARIA Authoring Practices, "Tabs").
+ * What a panel's event "alert" says stands beside its title. Arrow keys, Home and End move between
+ * the tabs (WAI-ARIA Authoring Practices, "Tabs").
  *
  * @import { Seat } from "./seat.js"
  */
