@@ -10,6 +10,9 @@ import { drawOften } from "./drawing_loop.js";
 import { NewestRow } from "./newest_row.js";
 import { WorkspaceMap } from "./workspace_map.js";
 
+/** People read no faster, and each change of a text is laid out. */
+const SAY_MS = 200;
+
 class RobotMap extends HTMLElement {
   #map = new WorkspaceMap();
   #contact = make("strong");
@@ -28,6 +31,7 @@ class RobotMap extends HTMLElement {
     );
     const [joystick, robot] = [new NewestRow(connection, "joystick"), new NewestRow(connection, "robot")];
     let [drawn, drawnTarget] = /** @type {(Row | null | undefined)[]} */ ([undefined, undefined]);
+    let said = 0;
     connection.on("hello", () => {
       drawn = undefined;
     });
@@ -37,6 +41,8 @@ class RobotMap extends HTMLElement {
       [drawn, drawnTarget] = [handle, target];
       const { workspace, board } = connection.hello;
       this.#map.show({ workspace, board, handle, target });
+      if (performance.now() - said < SAY_MS) return;
+      said = performance.now();
       this.#say(handle);
     });
   }

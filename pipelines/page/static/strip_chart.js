@@ -43,6 +43,8 @@ export class StripChart extends HTMLElement {
   #store = null;
   #spanUs = 10e6;
   #reach;
+  /** The canvas's box, in CSS pixels. */
+  #box = { width: 0, height: 0 };
   /** The column at the right edge of what is drawn. */
   #drawnTo = NaN;
   #theme = -1;
@@ -59,6 +61,10 @@ export class StripChart extends HTMLElement {
     this.#look = look;
     this.#refill = refill;
     this.#reach = look.least;
+    // To ask the canvas itself would cost a layout each time.
+    new ResizeObserver(([entry]) => {
+      this.#box = entry.contentRect;
+    }).observe(this.#canvas);
     this.#canvas.setAttribute("aria-label", `${look.title}, ${look.unit}`);
   }
 
@@ -124,12 +130,13 @@ export class StripChart extends HTMLElement {
   /** Fit the canvas to its box in device pixels; whether that emptied it. */
   #fit() {
     const canvas = this.#canvas;
+    const { width, height } = this.#box;
     // Two samples a column at least: otherwise columns between samples would look like gaps.
-    const width = Math.min(Math.round(canvas.clientWidth * devicePixelRatio), this.#spanUs / 2000);
-    const height = Math.round(canvas.clientHeight * devicePixelRatio);
-    if (canvas.width === width && canvas.height === height) return false;
-    canvas.width = width;
-    canvas.height = height;
+    const columns = Math.min(Math.round(width * devicePixelRatio), this.#spanUs / 2000);
+    const rows = Math.round(height * devicePixelRatio);
+    if (canvas.width === columns && canvas.height === rows) return false;
+    canvas.width = columns;
+    canvas.height = rows;
     return true;
   }
 
