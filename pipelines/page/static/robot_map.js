@@ -37,13 +37,14 @@ class RobotMap extends HTMLElement {
     });
     drawOften(this, () => {
       const [handle, target] = [robot.row, joystick.row];
+      if (performance.now() - said >= SAY_MS) {
+        said = performance.now();
+        this.#say(handle);
+      }
       if (connection.hello === null || (handle === drawn && target === drawnTarget)) return;
       [drawn, drawnTarget] = [handle, target];
       const { workspace, board } = connection.hello;
       this.#map.show({ workspace, board, handle, target });
-      if (performance.now() - said < SAY_MS) return;
-      said = performance.now();
-      this.#say(handle);
     });
   }
 
