@@ -1,0 +1,75 @@
+"""What a recording says of itself, as a metadata record that carries a check. A core.
+
+MCAP gives metadata no check of its own. So one of its items is the CRC-32 of the others.
+"""
+
+from binascii import crc32
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Self
+
+from kontur_av.errors import ProtocolError
+
+#: Names of metadata records: the facts of a recording, and what a mended one has lost.
+FACTS, MENDED = "kontur-av", "kontur-av mended"
+#: The version of channels and schemas. Files of a newer one are refused.
+FORMAT = 1
+#: Every channel's metadata has the format, too, under this key: its chunk's check covers it.
+FORMAT_KEY = "kontur-av format"
+_CHECK = "crc32"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingFacts:
+    """Where a recording comes from.
+
+    setup: its name; setup_toml: all of it. version: of kontur-av. command: the command line.
+    part: counts the files of a recording from 1.
+    session_ns, wall_ns: the same instant on the session's clock and in wall time. Their difference
+        is fixed for the whole recording, so differences of wall times are true durations.
+    """
+
+    session: str
+    setup: str
+    setup_toml: str
+    version: str
+    seed: int
+    command: str
+    part: int
+    session_ns: int
+    wall_ns: int
+
+    def items(self) -> dict[str, str]:
+        """Return them for a metadata record, with format and check."""
+        told = {name: str(value) for name, value in asdict(self).items()}
+        return sealed(FACTS, {"format": str(FORMAT)} | told)
+
+    @classmethod
+    def of(cls, items: Mapping[str, str]) -> Self:
+        """Return the facts in a metadata record; ProtocolError if one is missing or no number."""
+        try:
+            return cls(**{one.name: one.type(items[one.name]) for one in fields(cls)})  # type: ignore[operator]
+        except KeyError as error:
+            raise ProtocolError(f"metadata {FACTS!r} lack {error}") from None
+        except ValueError as error:
+            raise ProtocolError(f"metadata {FACTS!r}: {error}") from None
+
+
+def sealed(name: str, items: Mapping[str, str]) -> dict[str, str]:
+    """Return the items of a metadata record with their check."""
+    return {**items, _CHECK: _check(name, items)}
+
+
+def is_sealed(name: str, items: Mapping[str, str]) -> bool:
+    """Whether the check in a metadata record is right; False without one."""
+    return items.get(_CHECK) == _check(name, items)
+
+
+def needs_seal(name: str, items: Mapping[str, str]) -> bool:
+    """Whether a metadata record is one of ours, or says so."""
+    return name.startswith(FACTS) or _CHECK in items
+
+
+def _check(name: str, items: Mapping[str, str]) -> str:
+    told = [name, *(f"{key}={items[key]}" for key in sorted(items) if key != _CHECK)]
+    return f"{crc32(chr(0).join(told).encode()):08x}"

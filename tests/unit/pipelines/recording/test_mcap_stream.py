@@ -1,0 +1,160 @@
+"""What the plain `mcap` package reads equals what was handled; chunks end by size and by time."""
+
+from io import BytesIO
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Channel, Chunk, MessageIndex
+from mcap.stream_reader import StreamReader, breakup_chunk
+from recordings import FACTS_OF_A_TEST, LIBRARY, WALL_NS, Step, channel, steps, write
+
+from pipelines.recording.facts import FACTS, RecordingFacts, is_sealed
+from pipelines.recording.mcap_stream import CHUNK_NS, CHUNK_OCTETS, McapStream
+
+
+def read(messages):
+    return [
+        (channel.topic, message.sequence, message.log_time, message.publish_time, message.data)
+        for _, channel, message in messages
+    ]
+
+
+@given(steps)
+def test_the_plain_package_reads_what_was_written(script):
+    written = write(script)
+    told = [message.read() for message in written.told]
+    linear = NonSeekingReader(BytesIO(written.octets), validate_crcs=True)
+    assert read(linear.iter_messages(log_time_order=False)) == told
+
+    reader = make_reader(BytesIO(written.octets), validate_crcs=True)
+    indexed = read(reader.iter_messages())
+    assert sorted(indexed) == sorted(told)
+    assert [log_ns for _, _, log_ns, *_ in indexed] == sorted(log_ns for _, _, log_ns, *_ in told)
+
+    assert reader.get_header().library == LIBRARY
+    (facts,) = reader.iter_metadata()
+    assert facts.name == FACTS
+    assert is_sealed(facts.name, facts.metadata)
+    assert RecordingFacts.of(facts.metadata) == FACTS_OF_A_TEST
+
+    summary = reader.get_summary()
+    assert {row.topic for row in summary.channels.values()} == {
+        f"/channel/{number}" for number in range(5)
+    }
+    statistics = summary.statistics
+    instants = [message.log_ns for message in written.told] or [0]
+    assert statistics.message_count == len(told)
+    assert statistics.message_start_time == min(instants)
+    assert statistics.message_end_time == max(instants)
+    assert statistics.chunk_count == len(summary.chunk_indexes)
+    assert sum(statistics.channel_message_counts.values()) == len(told)
+    check_indexes(written.octets, summary)
+
+
+def check_indexes(octets, summary):
+    """Chunk indexes and message indexes point to what they say."""
+    for index in summary.chunk_indexes:
+        records = StreamReader(
+            BytesIO(octets[index.chunk_start_offset :]), skip_magic=True, emit_chunks=True
+        ).records
+        chunk = next(records)
+        assert isinstance(chunk, Chunk)
+        assert chunk.message_start_time == index.message_start_time
+        assert chunk.message_end_time == index.message_end_time
+        begin = index.chunk_start_offset + index.chunk_length
+        assert min(index.message_index_offsets.values(), default=begin) == begin
+        for channel_id, offset in index.message_index_offsets.items():
+            entries = next(StreamReader(BytesIO(octets[offset:]), skip_magic=True).records)
+            assert isinstance(entries, MessageIndex)
+            assert entries.channel_id == channel_id
+
+
+def test_each_chunk_repeats_the_channels_of_its_messages_and_no_others():
+    script = [Step(CHUNK_NS + 1, number, 0, b"1") for number in (3, 0, 3)]
+    octets = write(script).octets
+    chunks = [
+        record
+        for record in StreamReader(BytesIO(octets), emit_chunks=True).records
+        if isinstance(record, Chunk)
+    ]
+    topics = [[row.topic for row in channels_of(chunk)] for chunk in chunks]
+    # The first one also has those that have no message yet.
+    assert topics[0] == [f"/channel/{number}" for number in range(5)]
+    assert topics[1:] == [["/channel/0"], ["/channel/3"]]
+
+
+def channels_of(chunk):
+    return [record for record in breakup_chunk(chunk) if isinstance(record, Channel)]
+
+
+def started():
+    stream = McapStream(library=LIBRARY)
+    stream.handle_channel(*channel(0))
+    assert stream.poll_transmit(0) is not None
+    assert stream.poll_transmit(0) is None
+    return stream
+
+
+def say(stream, now_ns, data=b"1", number=0):
+    return stream.handle_message(
+        number, data, log_ns=WALL_NS, publish_ns=WALL_NS, sequence=0, now_ns=now_ns
+    )
+
+
+def test_a_chunk_ends_by_time():
+    stream = started()
+    assert stream.poll_timeout() is None
+    say(stream, 100)
+    say(stream, 200)
+    assert stream.poll_timeout() == 100 + CHUNK_NS
+    assert stream.poll_transmit(99 + CHUNK_NS) is None
+    assert stream.poll_transmit(100 + CHUNK_NS) is not None
+    assert stream.poll_timeout() is None
+
+
+@given(st.lists(st.integers(0, CHUNK_OCTETS + 10), max_size=12))
+def test_a_chunk_is_no_larger_than_permitted_unless_one_message_is(lengths):
+    stream = McapStream(library=LIBRARY)
+    stream.handle_channel(*channel(0))
+    for length in lengths:
+        say(stream, 0, bytes(length))
+    stream.handle_end(0)
+    octets = b""
+    while (piece := stream.poll_transmit(0)) is not None:
+        octets += piece
+    for record in StreamReader(BytesIO(octets), emit_chunks=True).records:
+        if isinstance(record, Chunk) and record.uncompressed_size > CHUNK_OCTETS:
+            index = [length for length in lengths if length > CHUNK_OCTETS - 2000]
+            assert index
+            assert record.uncompressed_size < max(index) + 2000
+
+
+def test_messages_are_refused_and_counted_while_the_disk_does_not_keep_up():
+    stream = McapStream(library=LIBRARY, most_waiting_octets=100)
+    stream.handle_channel(*channel(0))
+    assert say(stream, 0)
+    # Nobody fetches: this ends the chunk, which then waits.
+    assert say(stream, CHUNK_NS)
+    assert stream.waiting_octets > 100
+    assert stream.waiting_since_ns() == 0
+    assert not say(stream, CHUNK_NS + 1)
+    assert stream.refused == {0: 1}
+    while stream.poll_transmit(CHUNK_NS + 1) is not None:
+        pass
+    assert stream.waiting_octets == 0
+    assert stream.waiting_since_ns() is None
+    assert say(stream, CHUNK_NS + 2)
+    assert stream.messages == 3
+
+
+def test_an_identifier_stands_for_one_channel():
+    stream = started()
+    schema, other = channel(0)
+    other.topic = "/other"
+    with pytest.raises(ValueError, match="channel 0 is already /channel/0"):
+        stream.handle_channel(schema, other)
+    stream.handle_end(0)
+    with pytest.raises(ValueError, match="has its summary"):
+        stream.handle_end(0)
