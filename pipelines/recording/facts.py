@@ -8,8 +8,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Self
 
+from kontur_av import __version__
 from kontur_av.errors import ProtocolError
 
+#: Who writes a file, in its header.
+LIBRARY = f"kontur-av {__version__}"
 #: Names of metadata records: the facts of a recording, and what a mended one has lost.
 FACTS, MENDED = "kontur-av", "kontur-av mended"
 #: The version of channels and schemas. Files of a newer one are refused.

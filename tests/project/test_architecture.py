@@ -109,6 +109,7 @@ FILES = {
     "pipelines/bench/result_file.py",
     "pipelines/bench/sync/footage.py",
     "pipelines/bench/voice/speech.py",
+    "pipelines/recording/recording_file.py",
     "pipelines/setup/setup_file.py",
     "telepresence/link/radio/profile_file.py",
     "telepresence/toml_file.py",

@@ -1,0 +1,27 @@
+"""`kontur-av info`: what is in a recording, gaps and losses included."""
+
+import argparse
+import shutil
+from pathlib import Path
+
+from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.commands.common import output_that_may_fail
+from pipelines.recording.inventory import inventory_lines, take_inventory
+from pipelines.recording.recording_file import octets_of_file
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av info`."""
+    parser.add_argument("file", metavar="FILE.mcap", type=Path, help="a recording; torn ones, too")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the inventory of a file."""
+    try:
+        inventory = take_inventory(octets_of_file(args.file))
+    except ProtocolError as error:
+        raise ConfigError(f"{args.file}: {error}") from None
+    width = shutil.get_terminal_size().columns
+    with output_that_may_fail():
+        print("\n".join(inventory_lines(inventory, str(args.file), width)))
+    return 0

@@ -1,0 +1,49 @@
+"""`kontur-av recover`: makes of a torn recording one that any MCAP reader opens."""
+
+import argparse
+from pathlib import Path
+
+from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.commands.common import output_that_may_fail
+from pipelines.recording.recording_file import check_new, octets_of_file, write_whole
+from pipelines.recording.recover import Recovery
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av recover`."""
+    parser.add_argument("file", metavar="FILE.mcap", type=Path, help="a torn recording; it stays")
+    parser.add_argument(
+        "--out", metavar="FILE", type=Path, help="the whole one; default: FILE.recovered.mcap"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace a file that exists")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Mend a recording, or say that there is nothing to mend."""
+    torn: Path = args.file
+    whole: Path = args.out or mended_name(torn)
+    octets = octets_of_file(torn)
+    if whole.exists() and whole.samefile(torn):
+        raise ConfigError(f"--out {whole} is the torn recording itself: give another name")
+    try:
+        recovery = Recovery(octets)
+    except ProtocolError as error:
+        raise ConfigError(f"{torn}: {error}") from None
+    figures = recovery.figures
+    if figures.sound:
+        line = f"{torn} is whole: there is nothing to mend"
+    else:
+        check_new(whole, overwrite=args.overwrite)
+        write_whole(whole, recovery.pieces(), overwrite=args.overwrite)
+        line = (
+            f"{whole}: {figures.messages} messages; of {torn}, {figures.unread_octets} of "
+            f"{figures.octets} octets could not be read"
+        )
+    with output_that_may_fail():
+        print(line)
+    return 0
+
+
+def mended_name(torn: Path) -> Path:
+    """FILE.recovered.mcap for FILE.mcap, and for FILE."""
+    return torn.with_name(torn.name.removesuffix(".mcap") + ".recovered.mcap")

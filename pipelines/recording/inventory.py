@@ -1,0 +1,215 @@
+"""What is in a recording, gaps and losses included, and its lines for a terminal. A core."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mcap.records import Message, Metadata
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ProtocolError
+from pipelines.recording.facts import FACTS, MENDED, RecordingFacts
+from pipelines.recording.messages import RecorderLosses, unpack
+from pipelines.recording.recover import check_format
+from pipelines.recording.scan import FoundMessage, Scan, ScanFigures
+from pipelines.topology.tables import Table
+
+_UNITS = ((1_000_000_000, "GB"), (1_000_000, "MB"), (1000, "kB"))
+
+
+@dataclass(slots=True)
+class ChannelInventory:
+    """The messages of a channel.
+
+    octets: of all messages. first_ns, last_ns: wall time. longest_gap_ns: between two messages.
+    missing: gaps in their sequence numbers; None: they do not count.
+    """
+
+    topic: str
+    schema: str
+    messages: int = 0
+    octets: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    longest_gap_ns: int = 0
+    missing: int | None = None
+    _sequence: int = 0
+
+    def handle_message(self, message: Message) -> None:
+        """Count the next message in the order of the file."""
+        log_ns = message.log_time
+        if not self.messages:
+            self.first_ns = self.last_ns = log_ns
+        elif message.sequence > self._sequence:
+            # A smaller number is that of a process that was started again.
+            self.missing = (self.missing or 0) + message.sequence - self._sequence - 1
+        self.longest_gap_ns = max(self.longest_gap_ns, log_ns - self.last_ns)
+        self.first_ns, self.last_ns = min(self.first_ns, log_ns), max(self.last_ns, log_ns)
+        self._sequence = message.sequence
+        self.messages += 1
+        self.octets += len(message.data)
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages a second, from the first to the last; 0 for fewer than two."""
+        seconds = (self.last_ns - self.first_ns) / NS_PER_S
+        return (self.messages - 1) / seconds if seconds else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inventory:
+    """What is in a file.
+
+    library: who wrote it; empty: not known. facts: None if they are lost, or of another program.
+    mended: what `recover` noted of the torn file that this one was made of.
+    losses: what the recorder could not keep, by its newest message.
+    """
+
+    library: str
+    ours: bool
+    facts: RecordingFacts | None
+    mended: Mapping[str, str]
+    losses: RecorderLosses | None
+    figures: ScanFigures
+    channels: Sequence[ChannelInventory]
+
+
+def take_inventory(octets: memoryview) -> Inventory:
+    """Read a file; ProtocolError if it is no MCAP file, or a recording of a newer format."""
+    scan = Scan(octets)
+    channels: dict[int, ChannelInventory] = {}
+    facts, losses, mended = None, None, dict[str, str]()
+    for item in scan.items():
+        if isinstance(item, Metadata):
+            if item.name == FACTS:
+                facts = _facts(item) or facts
+            elif item.name == MENDED:
+                mended = item.metadata
+            continue
+        channel = item.channel
+        if channel.id not in channels:
+            channels[channel.id] = ChannelInventory(channel.topic, _schema_name(item))
+        channels[channel.id].handle_message(item.message)
+        if channels[channel.id].schema == RecorderLosses.schema.full_name:
+            losses = _losses(item.message.data) or losses
+    check_format(scan)
+    for channel in scan.channels.values():
+        if channel.id not in channels:
+            schema = scan.schemas.get(channel.schema_id)
+            name = "" if schema is None else schema.name
+            channels[channel.id] = ChannelInventory(channel.topic, name)
+    return Inventory(
+        library="" if scan.header is None else scan.header.library,
+        ours=scan.ours,
+        facts=facts,
+        mended=mended,
+        losses=losses,
+        figures=scan.figures,
+        channels=sorted(channels.values(), key=lambda each: each.topic),
+    )
+
+
+def _facts(record: Metadata) -> RecordingFacts | None:
+    try:
+        return RecordingFacts.of(record.metadata)
+    except ProtocolError:
+        return None
+
+
+def _losses(data: bytes) -> RecorderLosses | None:
+    try:
+        return unpack(RecorderLosses, data)
+    except ProtocolError:
+        return None
+
+
+def _schema_name(found: FoundMessage) -> str:
+    return "" if found.schema is None else found.schema.name
+
+
+def inventory_lines(inventory: Inventory, name: str, width: int) -> list[str]:
+    """Return it as text; name: of the file; width: of the terminal, in characters."""
+    return [
+        *_head(inventory, name),
+        *_state(inventory, name),
+        "",
+        *_channels(inventory.channels).lines(width),
+    ]
+
+
+def _head(inventory: Inventory, name: str) -> Iterator[str]:
+    figures, facts = inventory.figures, inventory.facts
+    yield (
+        f"{name}: {_size(figures.octets)}, {figures.messages} messages on "
+        f"{len(inventory.channels)} channels"
+    )
+    if not inventory.ours:
+        library = inventory.library or "an unknown program"
+        yield f"written by {library}: not a recording of kontur-av"
+    elif facts is None:
+        yield f"written by {inventory.library}; its facts are lost"
+    else:
+        yield (
+            f"session {facts.session} of setup {facts.setup}, part {facts.part}, "
+            f"seed {facts.seed}, kontur-av {facts.version}"
+        )
+        yield f"by `{facts.command}`"
+    filled = [channel for channel in inventory.channels if channel.messages]
+    if filled:
+        first_ns = min(channel.first_ns for channel in filled)
+        seconds = (max(channel.last_ns for channel in filled) - first_ns) / NS_PER_S
+        yield f"{seconds:.1f} s from {_utc(first_ns)}"
+
+
+def _state(inventory: Inventory, name: str) -> Iterator[str]:
+    figures = inventory.figures
+    mend = f"; `kontur-av recover {name}` mends it" if inventory.ours else ""
+    if figures.holes:
+        places = f"{len(figures.holes)} places" if len(figures.holes) > 1 else "one place"
+        yield (f"torn or damaged: {_size(figures.unread_octets)} in {places} cannot be read{mend}")
+    elif not figures.closed:
+        yield f"torn: its summary is missing, all that was written can be read{mend}"
+    elif not figures.sound:
+        yield f"damaged, but every message can be read{mend}"
+    if figures.orphans:
+        yield f"{figures.orphans} messages of unknown channels were left out"
+    if inventory.mended:
+        told = inventory.mended
+        yield (
+            f"mended: {told.get('unread_octets', '?')} of {told.get('octets', '?')} octets of the "
+            "torn file could not be read"
+        )
+    for loss in inventory.losses.losses if inventory.losses else ():
+        yield f"{loss.channel}: the recorder missed {loss.missed} and dropped {loss.dropped}"
+
+
+def _channels(channels: Sequence[ChannelInventory]) -> Table:
+    return Table(
+        headings=("channel", "messages", "a second", "size", "longest gap", "missing", "schema"),
+        rows=[
+            (
+                each.topic,
+                str(each.messages),
+                f"{each.rate_hz:.1f}" if each.rate_hz else "–",
+                _size(each.octets),
+                f"{each.longest_gap_ns / NS_PER_S:.3f} s" if each.messages > 1 else "–",
+                "–" if each.missing is None else str(each.missing),
+                each.schema or "–",
+            )
+            for each in channels
+        ],
+        spare=("size", "a second", "longest gap"),
+    )
+
+
+def _size(octets: int) -> str:
+    for factor, unit in _UNITS:
+        if octets >= factor:
+            return f"{octets / factor:.1f} {unit}"
+    return f"{octets} octets"
+
+
+def _utc(wall_ns: int) -> str:
+    if wall_ns >= 1 << 63:
+        return "no instant"
+    return f"{np.datetime_as_string(np.datetime64(wall_ns, 'ns'), unit='s')} UTC"

@@ -1,0 +1,116 @@
+"""What `kontur-av info` finds in a file: rates, gaps, missing messages, losses, damage."""
+
+from io import BytesIO
+
+import pytest
+from mcap.records import Channel, Message, Schema
+from mcap.writer import Writer
+from recordings import FACTS_OF_A_TEST, WALL_NS, Step, write
+
+from pipelines.recording.facts import FACTS, FORMAT_KEY
+from pipelines.recording.inventory import ChannelInventory, inventory_lines, take_inventory
+from pipelines.recording.mcap_stream import McapStream
+from pipelines.recording.messages import ChannelLoss, RecorderLosses, pack
+from pipelines.recording.recover import Recovery
+from pipelines.recording.schemas import LOSSES, descriptor_set
+
+WRITTEN = write([Step(100_000_000, count % 2, 0, b"12345") for count in range(20)])
+
+
+def message(sequence, log_ns=0):
+    return Message(channel_id=0, log_time=log_ns, publish_time=0, data=b"123", sequence=sequence)
+
+
+def test_a_channel_counts_what_is_missing_and_its_longest_gap():
+    channel = ChannelInventory("/a", "b")
+    for sequence, log_ns in ((5, 100), (6, 200), (9, 50), (10, 1200)):
+        channel.handle_message(message(sequence, log_ns))
+    assert (channel.messages, channel.octets, channel.missing) == (4, 12, 2)
+    assert (channel.first_ns, channel.last_ns, channel.longest_gap_ns) == (50, 1200, 1000)
+    # Its process was started again.
+    channel.handle_message(message(0))
+    channel.handle_message(message(2))
+    assert channel.missing == 3
+
+
+def test_a_channel_that_does_not_count_misses_nothing_that_is_known():
+    channel = ChannelInventory("/a", "b")
+    for _ in range(3):
+        channel.handle_message(message(0))
+    assert channel.missing is None
+    assert channel.rate_hz == 0.0
+
+
+def test_a_whole_recording():
+    inventory = take_inventory(memoryview(WRITTEN.octets))
+    assert inventory.facts == FACTS_OF_A_TEST
+    first, second, *empty = inventory.channels
+    assert first.topic == "/channel/0"
+    assert first.schema == "foxglove.CompressedVideo"
+    assert (first.messages, second.messages) == (10, 10)
+    assert first.rate_hz == pytest.approx(5.0)
+    assert first.longest_gap_ns == 200_000_000
+    assert [each.messages for each in empty] == [0, 0, 0]
+
+    head, *_ = lines = inventory_lines(inventory, "a.mcap", 100)
+    assert head.startswith("a.mcap: ")
+    assert "20 messages on 5 channels" in head
+    assert "session test of setup spacejustin, part 1" in lines[1]
+    assert lines[3] == "1.9 s from 2027-01-15T08:00:00 UTC"
+    assert lines[4] == ""
+
+
+def state(octets):
+    """The line about damage, if there is one."""
+    return inventory_lines(take_inventory(memoryview(octets)), "a.mcap", 100)[4]
+
+
+def test_torn_and_damaged_recordings_say_how_to_mend_them():
+    octets = WRITTEN.octets
+    assert state(octets[:-9]).startswith("torn or damaged: ")
+    assert state(octets[:-9]).endswith("; `kontur-av recover a.mcap` mends it")
+    without_summary = octets[: WRITTEN.pieces[-2].begin]
+    assert state(without_summary).startswith("torn: its summary is missing, all that was written")
+    # The last octet of an index.
+    index = bytearray(octets)
+    index[WRITTEN.pieces[-3].end - 1] ^= 1
+    assert state(bytes(index)).startswith("damaged, but every message can be read")
+    mended = b"".join(Recovery(memoryview(octets[:-9])).pieces())
+    assert state(mended).startswith("mended: ")
+
+
+def test_losses_of_the_recorder_are_the_newest_ones():
+    stream = McapStream(library="kontur-av")
+    stream.handle_metadata(FACTS, FACTS_OF_A_TEST.items(), 0)
+    stream.handle_channel(
+        Schema(id=1, name=LOSSES.full_name, encoding="protobuf", data=descriptor_set(LOSSES)),
+        Channel(
+            id=1,
+            topic="/recorder/losses",
+            message_encoding="protobuf",
+            schema_id=1,
+            metadata={FORMAT_KEY: "1"},
+        ),
+    )
+    for dropped in (1, 5):
+        losses = (ChannelLoss(channel="/a", missed=2, dropped=dropped),)
+        value = RecorderLosses(session_ns=0, losses=losses)
+        stream.handle_message(
+            1, pack(value), log_ns=WALL_NS, publish_ns=WALL_NS, sequence=0, now_ns=0
+        )
+    stream.handle_end(0)
+    octets = b""
+    while (piece := stream.poll_transmit(0)) is not None:
+        octets += piece
+    assert state(octets) == "/a: the recorder missed 2 and dropped 5"
+
+
+def test_a_file_of_another_program_is_shown_and_said_to_be_one():
+    stream = BytesIO()
+    writer = Writer(stream)
+    writer.start(library="other 1.0")
+    writer.add_message(writer.register_channel("/a", "json", 0), 1, b"{}", 1)
+    writer.finish()
+    lines = inventory_lines(take_inventory(memoryview(stream.getvalue())), "a.mcap", 100)
+    assert lines[1] == "written by other 1.0: not a recording of kontur-av"
+    assert lines[-1].split()[:2] == ["/a", "1"]
