@@ -16,6 +16,7 @@ BENCHES = {
     "haptics": "the hand on virtual time: energy, force and stability over a grid of radios",
     "latency": "one page: every stream of a setup, end to end and by stage, and what is in it",
     "link": "the radio link: delays on virtual time, punctuality and cost on this machine",
+    "page": "the browser pages: topic to pixel beside WebRTC, pointer to hand, cost of a session",
     "passes": "many sessions of a whole pass on virtual time, and whether each was usable",
     "sync": "how far sight, hearing and touch lie apart, from what they show; also of recordings",
     "video": "pictures through a thin channel: latency, quality, rate and cost, beside GStreamer's",

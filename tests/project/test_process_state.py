@@ -57,6 +57,7 @@ ALLOWED = {
     "kontur_av/streams/encoding_thread.py": {"switch_threads_often"},
     "pipelines/bench/children.py": {"ended_alike"},
     "pipelines/bench/fanout/run.py": {"_publish", "_read"},
+    "pipelines/bench/page/alone.py": {"_serve"},
     "pipelines/bench/video/command.py": {"run"},
     "pipelines/bench/video/ends.py": {"_become"},
     "pipelines/commands/common.py": {"stopped_by_signals"},

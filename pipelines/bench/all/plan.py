@@ -39,6 +39,7 @@ _TITLES = {
     "sync-live": "Sight, hearing and touch, by content: live",
     "passes": "Sessions of a whole pass",
     "fanout": "One picture for many processes",
+    "page": "The browser pages",
 }
 _VIRTUAL = ("haptics", "sync", "passes")
 
@@ -55,6 +56,7 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "sync-live": "--live --seconds 15",
         "passes": "--sessions 3 --no-media",
         "fanout": "--seconds 2 --readers 1,8",
+        "page": "--runs 1 --seconds 8",
     },
     "full": {
         "latency": "--seconds 60 --live-seconds 60",
@@ -67,6 +69,7 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "sync-live": "--live --seconds 60",
         "passes": "--sessions 23",
         "fanout": "--seconds 10",
+        "page": "--runs 1 --seconds 30",
     },
     "smoke": {
         "latency": "--seconds 1 --live-seconds 5",
@@ -79,6 +82,7 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "sync-live": "--live --seconds 8",
         "passes": "--sessions 1 --seconds 4 --radio clean --no-media",
         "fanout": "--seconds 0.2 --readers 1",
+        "page": "--runs 1 --seconds 2",
     },
 }
 #: `smoke` shows that all of it works; its figures mean nothing.

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
@@ -73,8 +74,7 @@ def forked(run: Callable[..., None], *arguments: Any) -> Iterator[int]:
 
 def cpu_s(pid: int) -> float:
     """Return the CPU seconds of a running process."""
-    with open(f"/proc/{pid}/stat", encoding="utf-8") as stat:
-        fields = stat.read().rpartition(")")[2].split()
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 

@@ -9,7 +9,7 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.page.screen import Spot
 
 if TYPE_CHECKING:
-    from selenium.webdriver import Chrome
+    pass
 
 #: Notes in every page when its picture is live for the first time, in ms since the page was opened.
 _NOTE_JOIN = """
@@ -76,6 +76,9 @@ class Browser:
             "--use-fake-ui-for-media-stream",
             "--use-fake-device-for-media-stream",
             "--autoplay-policy=no-user-gesture-required",
+            # A virtual screen has no refresh: draw at once.
+            "--disable-gpu-vsync",
+            "--disable-frame-rate-limit",
             *(["--headless=new"] if display is None else []),
             *flags,
         ):
@@ -85,9 +88,7 @@ class Browser:
             environment["DISPLAY"] = display
         service = Service(str(shutil.which("chromedriver")), env=environment)
         self.driver: Chrome = Chrome(options=options, service=service)
-        self.driver.execute_cdp_cmd(
-            "Page.addScriptToEvaluateOnNewDocument", {"source": _NOTE_JOIN}
-        )
+        self.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": _NOTE_JOIN})
 
     def __enter__(self) -> Self:
         return self
@@ -103,9 +104,7 @@ class Browser:
     def new_window(self) -> None:
         """Go on in a new window."""
         self.driver.switch_to.new_window("window")
-        self.driver.execute_cdp_cmd(
-            "Page.addScriptToEvaluateOnNewDocument", {"source": _NOTE_JOIN}
-        )
+        self.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": _NOTE_JOIN})
 
     def spot(self) -> Spot | None:
         """Return where the present window's picture is; None while there is none."""

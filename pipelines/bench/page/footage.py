@@ -42,7 +42,7 @@ def coded(count: int) -> list[tuple[bytes, bool]]:
     context.options = {
         "preset": "veryfast",
         "tune": "zerolatency",
-        "x264-params": "keyint=100000:scenecut=0:annexb=1:repeat-headers=1",
+        "x264-params": "keyint=180:scenecut=0:annexb=1:repeat-headers=1",
     }
     units = []
     for number, picture in enumerate(pictures(count)):

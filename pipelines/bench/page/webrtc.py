@@ -33,7 +33,8 @@ peer.ontrack = (event) => {
   video.srcObject = new MediaStream([event.track]);
 };
 await peer.setLocalDescription(await peer.createOffer());
-const answer = await fetch("offer", { method: "POST", body: JSON.stringify(peer.localDescription) });
+const body = JSON.stringify(peer.localDescription);
+const answer = await fetch("offer", { method: "POST", body });
 await peer.setRemoteDescription(await answer.json());
 </script>
 """
@@ -51,7 +52,7 @@ class _CodedTrack(MediaStreamTrack):
         self._number = 0
         self._begin_ns = self._clock.now_ns()
 
-    async def recv(self) -> av.Packet:
+    async def recv(self) -> Any:
         """Return the next unit when it is due."""
         number = self._number
         self._number += 1

@@ -1,0 +1,98 @@
+"""`kontur-av bench page`: the browser pages, from the topic to the pixel and from the pointer back.
+
+Chromium draws on a virtual screen (Xvfb) without a frame limit; a process of its own reads the
+numbers of the pictures from the framebuffer. The peer is aiortc with a <video> and no playout
+delay, in turn with the page. Live sessions run without pages, with nobody looking, and with the
+operator's page open.
+"""
+
+import argparse
+from pathlib import Path
+
+from rich.table import Table
+
+from kontur_av.errors import ConfigError
+from pipelines.bench.charts import check_plot, distributions, save
+from pipelines.bench.console import open_console
+from pipelines.bench.page.browser import lacking
+from pipelines.bench.page.figures import PageResult, headlines
+from pipelines.bench.page.footage import FPS, coded
+from pipelines.bench.page.sessions import pointer_run, session_run
+from pipelines.bench.page.views import CONTENDERS, measured
+from pipelines.bench.result import Headline, spread
+from pipelines.bench.result_file import write_result
+from pipelines.bench.video.marks import NUMBERS
+from pipelines.report.report_file import check_writable
+
+_PAGES = ("none", "nobody looks", "open")
+#: For Chromium to start, beside the measured time.
+_SPARE_S = 60
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av bench page`."""
+    parser.add_argument("--runs", type=int, default=3, metavar="N", help="of each (default 3)")
+    parser.add_argument(
+        "--seconds", type=float, default=15.0, metavar="S", help="of each run (default 15)"
+    )
+    parser.add_argument("--base-port", type=int, default=27_000, metavar="P", help="of sessions")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the delays as PNG")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure all contenders in turn, then the pointer, then sessions with and without pages."""
+    most_s = NUMBERS / FPS - _SPARE_S
+    if not 1 <= args.seconds <= most_s:
+        raise ConfigError(f"--seconds {args.seconds:g}: give 1 to {most_s:.0f}")
+    if not 1 <= args.runs <= 100:
+        raise ConfigError(f"--runs {args.runs}: give 1 to 100")
+    check_writable(args.report)
+    check_plot(args.plot)
+    console = open_console(args)
+    missing = lacking()
+    if missing:
+        console.print(f"not measured: {missing}", soft_wrap=True)
+        write_result(args.report, PageResult(views=(), sessions=(), pointer_ms=()), [])
+        return 0
+    with console.status("coding the pictures"):
+        units = coded(round((args.seconds + _SPARE_S) * FPS))
+    views, curves, pointer, sessions = [], dict[str, list[float]](), [], []
+    for number in range(1, args.runs + 1):
+        for who, count in CONTENDERS:
+            name = f"{who}, {count} view{'s' * (count > 1)}"
+            with console.status(f"run {number}: {name}"):
+                found, delays_ms = measured(who, count, units, args.seconds)
+            views.append(found)
+            curves.setdefault(name, []).extend(delays_ms)
+        with console.status(f"run {number}: pointer"):
+            pointer.append(spread(pointer_run(seconds=args.seconds, base_port=args.base_port)))
+        for page in _PAGES:
+            with console.status(f"run {number}: session, page: {page}"):
+                sessions.append(session_run(page, seconds=args.seconds, base_port=args.base_port))
+    result = PageResult(views=tuple(views), sessions=tuple(sessions), pointer_ms=tuple(pointer))
+    lines = headlines(result)
+    console.print(_table(lines, args.runs))
+    write_result(args.report, result, lines)
+    if args.plot is not None:
+        save(distributions({"topic to pixel, 640x480 at 30 Hz": curves}, axis="ms"), args.plot)
+    return 0
+
+
+def _table(lines: list[Headline], runs: int) -> Table:
+    table = Table(title=f"medians of {runs} runs", title_justify="left")
+    for heading in ("", "what", "who"):
+        table.add_column(heading)
+    for heading in ("value", "unit", "target", "met"):
+        table.add_column(heading, justify="right")
+    for line in lines:
+        table.add_row(
+            line.group,
+            line.what,
+            line.who,
+            "–" if line.value is None else f"{line.value:.3g}",
+            line.unit,
+            line.target,
+            "" if line.met is None else "yes" if line.met else "no",
+        )
+    return table

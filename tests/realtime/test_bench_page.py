@@ -1,0 +1,49 @@
+"""`kontur-av bench page`: the whole way once, in a real Chromium on a virtual screen."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from pipelines.bench.page import command as page
+from pipelines.bench.page.figures import OURS, PEER
+from pipelines.bench.page.footage import HEIGHT, WIDTH, pictures
+from pipelines.bench.page.screen import Spot, number_at
+from pipelines.cli import main
+
+HERE = all(shutil.which(name) for name in ("chromium", "chromedriver", "Xvfb"))
+
+
+def test_a_number_is_read_where_the_picture_is_on_the_screen():
+    picture = list(pictures(8))[-1]
+    screen = np.full((HEIGHT + 50, WIDTH + 30, 4), 128, np.uint8)
+    screen[50:, 30:] = picture[:HEIGHT, :, None]
+    assert number_at(screen, Spot(left=30, top=50, scale=1.0).points()) == 7
+    assert number_at(screen, Spot(left=0, top=0, scale=1.0).points()) is None
+
+
+def test_a_machine_without_a_browser_measures_nothing_and_says_so(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(page, "lacking", lambda: "chromium is missing: apt-get install chromium")
+    report = tmp_path / "page.json"
+    assert main(["bench", "page", "--report", str(report)]) == 0
+    assert "not measured: chromium is missing" in capsys.readouterr().out
+    assert json.loads(report.read_text())["headlines"] == []
+
+
+@pytest.mark.parametrize("options", [("--seconds", "0"), ("--seconds", "900"), ("--runs", "0")])
+def test_what_cannot_be_measured_is_refused(options, capsys):
+    assert main(["bench", "page", *options]) == 2
+    assert options[0] in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not HERE, reason="chromium, chromedriver, Xvfb: apt-get install them")
+def test_the_page_and_its_peer_show_numbered_pictures(tmp_path):
+    from pipelines.bench.page.footage import FPS, coded
+    from pipelines.bench.page.views import measured
+
+    units = coded(30 * FPS)
+    for who in (OURS, PEER):
+        run, delays_ms = measured(who, 1, units, 2.0)
+        assert run.seen > 0, who
+        assert min(delays_ms) > 0
