@@ -18,6 +18,7 @@ from pathlib import Path
 import griffe
 
 from pipelines.bench.result import Headline
+from pipelines.recording.channels import channels_table, fields_table
 from pipelines.report.keys import counters_table, keys_tables
 from pipelines.report.model import LinkReport, SessionReport
 from pipelines.setup.setup_file import load_setup
@@ -222,6 +223,8 @@ def topology_blocks() -> dict[str, str]:
         "topics": tables.in_code(topics, "topic", "writer", "readers").markdown(),
         "ports": tables.ports_table(session).markdown(),
         "channels": channels.markdown(),
+        "recorded channels": channels_table(session).markdown(),
+        "recorded fields": fields_table().markdown(),
         "report": keys_tables(SessionReport),
         "link report": keys_tables(LinkReport, without=SessionReport),
         "headlines": keys_tables(Headline),

@@ -1,0 +1,137 @@
+"""The channels of a recording: what of a session becomes which message. A core.
+
+They derive from the topology. A new stream, camera or direction of the link has its channels at
+once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from mcap.records import Channel, Schema
+
+from pipelines.recording.facts import FORMAT, FORMAT_KEY
+from pipelines.recording.schemas import (
+    AUDIO,
+    EVENT,
+    HAPTIC_SAMPLES,
+    LINK_RECEIVED,
+    LINK_SENT,
+    LOG,
+    LOSSES,
+    SCHEMAS,
+    SPACE_PACKET,
+    TRANSFER_FRAMES,
+    UNIT_FACTS,
+    VIDEO,
+    MessageSchema,
+    descriptor_set,
+)
+from pipelines.topology import TELECOMMAND, TELEMETRY, Direction, Kind, Topology, VideoRow
+from pipelines.topology.tables import Table
+
+PROTOBUF = "protobuf"
+EVENTS, LOG_LINES, RECORDER_LOSSES = "/events", "/log", "/recorder/losses"
+SENT, RECEIVED = "sent", "received"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelRow:
+    """A channel.
+
+    topic: its name in the file. what: one message of it, in words.
+    number: its identifier in the file, from 1 on.
+    """
+
+    topic: str
+    schema: MessageSchema
+    what: str
+    number: int
+
+    def records(self) -> tuple[Schema, Channel]:
+        """Return the records of schema and channel, for a file of this project."""
+        schema_id = 1 + SCHEMAS.index(self.schema)
+        schema = Schema(
+            id=schema_id,
+            name=self.schema.full_name,
+            encoding=PROTOBUF,
+            data=descriptor_set(self.schema),
+        )
+        return schema, Channel(
+            id=self.number,
+            topic=self.topic,
+            message_encoding=PROTOBUF,
+            schema_id=schema_id,
+            metadata={"what": self.what, FORMAT_KEY: str(FORMAT)},
+        )
+
+
+def channels_of(topology: Topology, *, link_frames: bool = False) -> tuple[ChannelRow, ...]:
+    """Return the channels of a session. link_frames: with every frame of the radio link."""
+    found = _channels(topology, link_frames=link_frames)
+    return tuple(
+        ChannelRow(topic=topic, schema=schema, what=what, number=number)
+        for number, (topic, schema, what) in enumerate(found, start=1)
+    )
+
+
+def _channels(topology: Topology, *, link_frames: bool) -> Iterator[tuple[str, MessageSchema, str]]:
+    for media in topology.media_streams:
+        video = isinstance(media, VideoRow)
+        schema, unit = (VIDEO, "access unit") if video else (AUDIO, "Opus packet")
+        for way in (SENT, RECEIVED):
+            topic = f"/{media.name}/{way}"
+            yield topic, schema, f"{unit} as {way}"
+            if video:
+                yield f"{topic}/facts", UNIT_FACTS, f"facts about the access unit as {way}"
+    for row in topology.inputs:
+        if topology.media(row.stream).kind is Kind.VIDEO:
+            yield f"/camera/{row.name}", VIDEO, "access unit of the camera's own picture"
+    for haptic in topology.haptics:
+        for way, end in ((SENT, haptic.sender), (RECEIVED, haptic.receiver)):
+            what = f"cycles of the {end}, each with the number of the sample that it {_used(way)}"
+            yield f"/haptic/{haptic.key}/{way}", HAPTIC_SAMPLES, what
+    for name in (TELECOMMAND, TELEMETRY):
+        for way in (SENT, RECEIVED):
+            yield f"/{name}/{way}", SPACE_PACKET, f"space packet as {way}"
+    yield EVENTS, EVENT, "contact, loss of signal, restart, camera switch, refused picture, …"
+    yield LOG_LINES, LOG, "the events as lines, for Foxglove's panel"
+    for direction in Direction:
+        link = f"/link/{direction.value}"
+        yield f"{link}/{SENT}", LINK_SENT, "figures of its sender, ten times a second"
+        yield f"{link}/{RECEIVED}", LINK_RECEIVED, "figures of its receiver, ten times a second"
+        if link_frames:
+            for way in (SENT, RECEIVED):
+                yield f"{link}/frames/{way}", TRANSFER_FRAMES, f"frames as {way}, if asked for"
+    yield RECORDER_LOSSES, LOSSES, "what the recorder could not keep"
+
+
+def _used(way: str) -> str:
+    return "sent" if way == SENT else "acted on"
+
+
+def channels_table(topology: Topology) -> Table:
+    """All channels that a recording of a session can have, for the documents."""
+    rows = channels_of(topology, link_frames=True)
+    return Table(
+        headings=("channel", "schema", "a message"),
+        rows=[(f"`{row.topic}`", f"`{row.schema.full_name}`", row.what) for row in rows],
+    )
+
+
+def fields_table() -> Table:
+    """The fields of all schemas, with their units, for the documents."""
+    return Table(
+        headings=("schema", "field", "type", "what"),
+        rows=[
+            (f"`{name}`", f"`{field.name}`", f"{field.type}{'[]' * field.repeated}", field.what)
+            for schema in SCHEMAS
+            for name, part in _with_nested(schema)
+            for field in part.fields
+        ],
+    )
+
+
+def _with_nested(schema: MessageSchema) -> Iterator[tuple[str, MessageSchema]]:
+    yield schema.full_name, schema
+    for inner in schema.nested:
+        yield f"{schema.full_name}.{inner.name}", inner
