@@ -1,0 +1,103 @@
+"""Take the pictures of both seats that the documents show.
+
+    python docs/screenshots.py [space] [ground]
+
+For each seat a session with the ISS overhead runs in real time, with the page in Chromium. In space
+a hand at the page presses against the wall of the task board; for the ground it is the simulated
+one. It needs what tests/browser needs, and Pillow, which matplotlib brings. The machine should have
+nothing else to do. Look at each picture before you keep it.
+"""
+
+import io
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+from selenium.webdriver.common.action_chains import ActionChains
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "helpers")]
+
+from browser import Browser, Page  # noqa: E402
+from running_session import RunningSession  # noqa: E402
+
+SIZE = (1280, 800)
+COLOURS = 128
+PORT = "24500"
+#: By seat: what must be known before the picture is taken.
+SHOWN = {
+    "space": ("uplink_video.age_ms", "haptic.up.latency_ms.p50"),
+    "ground": ("downlink_video.age_ms", "uplink_video.age_ms"),
+}
+#: Text of an element that has its value.
+_SHOWN = "!['–', ''].includes(document.querySelector({!r})?.textContent ?? '')"
+#: A picture that must not be taken for the present spoils a screenshot, and so does a lost link.
+_LIVE = (
+    "document.querySelector('[data-stale=true]') === null"
+    " && document.body.dataset.link === 'connected'"
+)
+#: Pixels from the middle of the map to the wall, into it, and a little along it.
+_STROKES = ((60, 0), (40, 0), (0, -25))
+
+
+def main() -> None:
+    """Take all four, or those of the seats that are named."""
+    seats = sys.argv[1:] or ["space", "ground"]
+    if "space" in seats:
+        _sit("space", "--joystick", "page")
+    if "ground" in seats:
+        _sit("ground")
+
+
+def _sit(seat: str, *options: str) -> None:
+    options += ("--radio", "iss-overhead", "--page", PORT)
+    with (
+        tempfile.TemporaryDirectory() as directory,
+        RunningSession("spacejustin", *options, directory=directory) as session,
+        Browser(size=SIZE) as browser,
+    ):
+        page = _open(browser, session.pages()[seat])
+        for figure in SHOWN[seat]:
+            page.wait(_SHOWN.format(f"[data-figure='{figure}']"))
+        if seat == "space":
+            page.wait("document.querySelector('.joystick-state')?.textContent === 'application'")
+            _press(browser)
+        # Charts and contacts fill.
+        page.run("return new Promise((done) => setTimeout(done, 12_000))")
+        for theme in ("dark", "light"):
+            _take(page, f"seat-{seat}-{theme}", theme)
+        browser.assert_no_errors()
+
+
+def _open(browser: Browser, address: str) -> Page:
+    page = browser.open(address)
+    # The window's size counts its frame; this is the page's.
+    metrics = {"width": SIZE[0], "height": SIZE[1], "deviceScaleFactor": 1, "mobile": False}
+    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    page.wait(_LIVE)
+    return page
+
+
+def _press(browser: Browser) -> None:
+    """Hold the handle, and push it across the workspace and against the wall."""
+    surface = browser.driver.find_element("css selector", ".workspace-map")
+    ActionChains(browser.driver, duration=300).click_and_hold(surface).perform()
+    for x, y in _STROKES:
+        ActionChains(browser.driver, duration=300).move_by_offset(x, y).perform()
+
+
+def _take(page: Page, name: str, theme: str) -> None:
+    driver = page.browser.driver
+    scheme = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", scheme)
+    page.run("return new Promise((done) => setTimeout(done, 800))")
+    page.wait(_LIVE)
+    picture = Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
+    path = ROOT / "docs" / "images" / f"{name}.png"
+    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
