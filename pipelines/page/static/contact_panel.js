@@ -24,8 +24,8 @@ class ContactPanel extends HTMLElement {
       make(
         "dl",
         { class: "values" },
-        ...row("Uplink to space", this.#uplink),
-        ...row("Downlink to ground", this.#downlink),
+        ...row("Up to space", this.#uplink),
+        ...row("Down to ground", this.#downlink),
         ...row("Delay up", delay("gateways.ground.radio.delay_ns")),
         ...row("Delay down", delay("gateways.space.radio.delay_ns")),
         ...row("In contact for", this.#since),

@@ -2,6 +2,8 @@
 
 /** The page must say at least this often what the hand does, or the handle is released. */
 const PATIENCE_MS = 100;
+/** Two messages are at least so far apart, because the server closes a page that sends too many. */
+const LEAST_APART_MS = 1.5;
 
 /** @type {Hand} */
 const RELEASED = Object.freeze({ deadMan: false, x: 0, y: 0, buttons: 0 });
@@ -15,6 +17,7 @@ export class HandSender {
   /** @type {Hand | null} */
   #held = null;
   #heardMs = 0;
+  #sentMs = -Infinity;
   #releasing = false;
   #pressAnew = false;
 
@@ -56,6 +59,8 @@ export class HandSender {
       this.#releasing = false;
       return RELEASED;
     }
+    if (this.#held === null || nowMs - this.#sentMs < LEAST_APART_MS) return null;
+    this.#sentMs = nowMs;
     return this.#held;
   }
 

@@ -33,15 +33,21 @@ export function startSeat() {
   return seat;
 }
 
-/** Keeps `body[data-link]`: lost also while the server is not heard. @param {Connection} connection */
+/**
+ * Keeps `body[data-link]`, lost also while the server is not heard, and `body[data-server]`, heard
+ * or lost: without a server, all that the page shows is old.
+ * @param {Connection} connection
+ */
 function markLink(connection) {
   const mark = () => {
     const { alive, state } = connection;
+    document.body.dataset.server = alive ? "heard" : "lost";
     const link = alive && state !== null ? state.link : "lost";
     if (document.body.dataset.link === link) return;
     document.body.dataset.link = link;
     announce(link === "connected" ? "The link is connected." : "The link is lost.");
   };
   connection.on("state", mark);
+  connection.on("heard", mark);
   connection.on("lost", mark);
 }
