@@ -2,10 +2,11 @@
  * The page's side of its seat worker: typed events, requests, and the session's clock.
  *
  * @import { AnswerText, FiguresText, HelloText, Request, StateText, StreamText } from "./texts.js"
- * @import { FrameNote, HapticNote, PageNote, PreviewNote, WorkerNote } from "./worker_messages.js"
- * @import { Hand } from "./wire.js"
+ * @import { FrameNote, PageNote, PreviewNote, WorkerNote } from "./worker_messages.js"
+ * @import { Hand, Haptics } from "./wire.js"
  */
 import { pageMs } from "./page_clock.js";
+import { readHaptics } from "./wire.js";
 
 /** Without an answer for so long, a request counts as failed. */
 const ANSWER_PATIENCE_MS = 10_000;
@@ -18,7 +19,7 @@ const ANSWER_PATIENCE_MS = 10_000;
  * @property {StateText} state
  * @property {FiguresText} figures
  * @property {FrameNote & {of: StreamText}} frame
- * @property {HapticNote} haptic
+ * @property {Haptics} haptic
  * @property {PreviewNote} preview
  * @property {AnswerText} answer
  * @property {undefined} heard The server is heard again.
@@ -129,7 +130,7 @@ export class Connection {
         note.frame.close();
         break;
       case "haptic":
-        this.#emit("haptic", note);
+        this.#emit("haptic", readHaptics(note.message));
         break;
       case "clock":
         this.#offsetUs = note.offsetUs;

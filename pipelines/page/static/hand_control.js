@@ -12,14 +12,20 @@
 /** While the handle is held the worker hears of it this often; it lets go after 100 ms. */
 const HEARTBEAT_MS = 30;
 
+/** More than the page's error about the session's clock. */
+const CLOCK_ERROR_US = 20_000;
+
 /** @typedef {"pointer" | "keys" | "controller"} Source */
 
+/** Its events: `change` when what presses changes, `target` when the target moves or vanishes. */
 export class HandControl extends EventTarget {
   #connection;
   /** What presses now. @type {Source | null} */
   #source = null;
   /** Whether the server was told of this press. */
   #steers = false;
+  /** Since when, on the session's clock. */
+  #sinceUs = 0;
   /** Where the handle is, -1 to 1, by the newest row of the joystick; null before the first. @type {{x: number, y: number} | null} */
   #handle = null;
   /** Where the hand wants it. */
@@ -43,8 +49,9 @@ export class HandControl extends EventTarget {
     connection.on("lost", letGo);
     connection.on("let_go", letGo);
     connection.on("hello", letGo);
-    connection.on("state", ({ hand }) => {
-      if (this.#steers && !hand.you) letGo();
+    connection.on("state", ({ hand, now_us }) => {
+      // A state from before the handle was taken may arrive after it.
+      if (this.#steers && !hand.you && now_us > this.#sinceUs) letGo();
     });
     connection.on("haptic", ({ end, rows, xM, yM }) => {
       const workspace = connection.hello?.workspace;
@@ -94,6 +101,7 @@ export class HandControl extends EventTarget {
   move(source, x, y) {
     if (this.#source !== source) return;
     this.#target = { x: cut(x), y: cut(y) };
+    this.dispatchEvent(new Event("target"));
     this.#send();
   }
 
@@ -132,6 +140,7 @@ export class HandControl extends EventTarget {
 
   #steer() {
     this.#steers = true;
+    this.#sinceUs = (this.#connection.nowUs() ?? 0) + CLOCK_ERROR_US;
     this.#send();
     this.#heartbeat = setInterval(() => this.#send(), HEARTBEAT_MS);
   }
@@ -145,6 +154,7 @@ export class HandControl extends EventTarget {
 
   #tell() {
     this.dispatchEvent(new Event("change"));
+    this.dispatchEvent(new Event("target"));
   }
 }
 

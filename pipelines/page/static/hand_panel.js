@@ -13,6 +13,7 @@ import { forceShare } from "./force_view.js";
 import { HandControl } from "./hand_control.js";
 import { steerByKeys } from "./key_hand.js";
 import { NewestRow } from "./newest_row.js";
+import { onNextFrame } from "./next_frame.js";
 import { steerByPointer } from "./pointer_hand.js";
 import { WorkspaceMap } from "./workspace_map.js";
 
@@ -71,11 +72,10 @@ class HandPanel extends HTMLElement {
     connection.on("state", () => this.#show());
     connection.on("hello", () => this.#show());
     connection.on("lost", () => this.#show());
-    const draw = () => {
-      this.#draw();
-      requestAnimationFrame(draw);
-    };
-    requestAnimationFrame(draw);
+    const redraw = onNextFrame(() => this.#draw());
+    newest.onchange = redraw;
+    control.addEventListener("target", redraw);
+    connection.on("hello", redraw);
   }
 
   get #workspace() {
@@ -153,7 +153,8 @@ class HandPanel extends HTMLElement {
     setText(this.#buttons.give, wanted ? `Give it to page ${hand.wanted_by}` : ACTIONS.give);
     this.#buttons.give.classList.toggle("main", wanted);
     this.#showWords(control, hand);
-    this.dataset.steers = String(control.source !== null);
+    const steers = String(control.source !== null);
+    if (this.dataset.steers !== steers) this.dataset.steers = steers;
   }
 
   /** What to do to move the robot. */

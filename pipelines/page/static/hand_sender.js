@@ -11,7 +11,8 @@ const RELEASED = Object.freeze({ deadMan: false, x: 0, y: 0, buttons: 0 });
 /**
  * Decides what is sent of the hand, and when: always while it is held, and once on its release.
  *
- * A page that said nothing for 100 ms lets go, and must press anew: it may have missed a release.
+ * A page that said nothing for 100 ms lets go, and holds again as soon as it says so. After the
+ * loss of the server it must press anew.
  */
 export class HandSender {
   /** @type {Hand | null} */
@@ -21,7 +22,7 @@ export class HandSender {
   #releasing = false;
   #pressAnew = false;
 
-  /** Whether a press is ignored because the page was silent during it. */
+  /** Whether the press is ignored, because the server was lost during it. */
   get pressAnew() {
     return this.#pressAnew;
   }
@@ -53,7 +54,7 @@ export class HandSender {
   /** What to send now, or null. @param {number} nowMs @returns {Hand | null} */
   pollTransmit(nowMs) {
     if (this.#held !== null && nowMs - this.#heardMs > PATIENCE_MS) {
-      this.handleLost();
+      this.#release();
     }
     if (this.#releasing) {
       this.#releasing = false;

@@ -94,7 +94,8 @@ class JoystickPanel extends HTMLElement {
     const dead = joystick?.dead_man === true;
     this.#dead.dataset.on = String(dead);
     setText(this.#dead, dead ? "● dead-man held" : "○ dead-man released");
-    setText(this.#limit, joystick === null ? "" : `force up to ${joystick.force_limit_n.toFixed(1)} N`);
+    const limitN = joystick?.force_limit_n ?? 0;
+    setText(this.#limit, limitN > 0 ? `force up to ${limitN.toFixed(1)} N` : "no force");
     setText(this.#reason, joystick?.reason ?? "");
     this.#reason.hidden = (joystick?.reason ?? "") === "";
     for (const [event, button] of this.#buttons) {

@@ -18,14 +18,16 @@ export class LevelMeter extends HTMLElement {
 
   /** Nothing is measured any more. */
   clear() {
-    this.#db = FLOOR_DB;
+    this.#db = Math.min(this.#db, FLOOR_DB + FALL_DB);
     this.set(0);
   }
 
   /** @param {number} peak */
   set(peak) {
     const db = peak > 0 ? Math.max(FLOOR_DB, 20 * Math.log10(peak)) : FLOOR_DB;
-    this.#db = Math.max(db, this.#db - FALL_DB, FLOOR_DB);
+    const shown = Math.round(Math.max(db, this.#db - FALL_DB, FLOOR_DB));
+    if (shown === this.#db && this.dataset.hot !== undefined) return;
+    this.#db = shown;
     this.#bar.style.transform = `scaleX(${(1 - this.#db / FLOOR_DB).toFixed(3)})`;
     this.dataset.hot = String(this.#db > -3);
     this.setAttribute("aria-valuenow", this.#db.toFixed(0));

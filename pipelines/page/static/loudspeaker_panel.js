@@ -21,6 +21,7 @@ class LoudspeakerPanel extends HTMLElement {
     this.append(make("header", {}, make("h2", {}, "Loudspeaker"), words), make("div", { class: "sound-row" }, mute, volume, meter));
     const toggle = () => {
       player.muted = !player.muted;
+      mute.setAttribute("aria-pressed", String(player.muted));
     };
     mute.addEventListener("click", toggle);
     volume.addEventListener("input", () => {
@@ -28,11 +29,12 @@ class LoudspeakerPanel extends HTMLElement {
     });
     keyboard.add({ keys: ["m"], what: "mute the loudspeaker", down: toggle });
     player.onchange = () => {
-      mute.setAttribute("aria-pressed", String(player.muted));
       meter.set(player.peak);
       setText(words, player.words);
-      words.title = player.details;
     };
+    words.addEventListener("pointerenter", () => {
+      words.title = player.details;
+    });
     const figure = this.getAttribute("figure");
     if (figure !== null) bindSoundAge(player, figures, figure);
     void player.start();

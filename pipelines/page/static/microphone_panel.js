@@ -57,7 +57,8 @@ class MicrophonePanel extends HTMLElement {
     this.#mute.setAttribute("aria-pressed", String(microphone.muted));
     if (microphone.state === "on") this.#meter.set(microphone.peak);
     else this.#meter.clear();
-    this.dataset.heard = String(microphone.heard);
+    const heardNow = String(microphone.heard);
+    if (this.dataset.heard !== heardNow) this.dataset.heard = heardNow;
     const heard = microphone.heard ? "you are heard" : "muted: hold T to talk";
     setText(this.#words, microphone.state === "on" ? heard : inputWords(microphone));
     this.#words.dataset.level =

@@ -95,8 +95,8 @@ export class PictureView extends HTMLElement {
     this.drawn += 1;
     this.#captureUs = captureUs;
     this.#drawnMs = pageMs();
-    this.#damage.hidden = !damaged;
-    this.#tick();
+    if (this.#damage.hidden === damaged) this.#damage.hidden = !damaged;
+    if (this.stale) this.#tick();
   }
 
   /** Why no new picture comes, as far as is known. */

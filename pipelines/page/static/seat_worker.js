@@ -14,7 +14,6 @@ import { StreamDecoder } from "./stream_decoder.js";
 import {
   Kind,
   kindOf,
-  readHaptics,
   readPong,
   readPreview,
   readSound,
@@ -199,7 +198,7 @@ class Seat {
         this.#handleSound(message);
         break;
       case Kind.HAPTIC:
-        tell({ kind: "haptic", ...readHaptics(message) });
+        tell({ kind: "haptic", message }, [message]);
         break;
       case Kind.PREVIEW:
         this.#handlePreview(message);

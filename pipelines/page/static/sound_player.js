@@ -22,6 +22,8 @@ export class SoundPlayer {
   #muted = false;
   /** @type {PlayingNote | null} */
   #playing = null;
+  /** How old the sound was that left the worklet when it said so. @type {number | null} */
+  #playedMs = null;
   /** @type {DeviceState | "failed"} */
   #device = "waiting";
   /** Called at each note and at each change, ten times a second at most. @type {() => void} */
@@ -55,7 +57,7 @@ export class SoundPlayer {
     node.port.postMessage({ port: channel.port2 }, [channel.port2]);
     this.#connection.attachSound(this.#stream, channel.port1);
     node.port.onmessage = (event) => {
-      this.#playing = event.data;
+      this.#handleNote(event.data);
       this.onchange();
     };
   }
@@ -97,10 +99,8 @@ export class SoundPlayer {
 
   /** How old what is heard now is, in ms; null if nothing is heard, or if it is undated. */
   get ageMs() {
-    const nowUs = this.#connection.nowUs();
-    const captureUs = this.#playing?.captureUs ?? null;
-    if (this.#device !== "playing" || nowUs === null || captureUs === null) return null;
-    return (nowUs - captureUs) / 1000 + this.outputMs;
+    if (this.#device !== "playing" || this.#playedMs === null) return null;
+    return this.#playedMs + this.outputMs;
   }
 
   /** Of what that is made, for people. */
@@ -111,7 +111,15 @@ export class SoundPlayer {
   /** One line for people. */
   get words() {
     if (this.#device !== "playing") return TROUBLE[this.#device];
-    return `plays ${(this.stockMs + this.outputMs).toFixed(0)} ms late`;
+    return `plays ${10 * Math.round((this.stockMs + this.outputMs) / 10)} ms late`;
+  }
+
+  /** @param {PlayingNote} note */
+  #handleNote(note) {
+    this.#playing = note;
+    const nowUs = this.#connection.nowUs();
+    const { captureUs } = note;
+    this.#playedMs = nowUs === null || captureUs === null ? null : (nowUs - captureUs) / 1000;
   }
 
   #apply() {

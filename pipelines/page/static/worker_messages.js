@@ -1,7 +1,7 @@
 /**
  * The types of what a page and its seat worker tell each other.
  *
- * @import { Hand, Haptics } from "./wire.js"
+ * @import { Hand } from "./wire.js"
  * @import { ServerText } from "./texts.js"
  */
 
@@ -25,7 +25,7 @@
  * @property {number | null} captureUs
  */
 
-/** @typedef {Haptics & {kind: "haptic"}} HapticNote */
+/** @typedef {{kind: "haptic", message: ArrayBuffer}} HapticNote As it came: see `readHaptics`. */
 
 /** @typedef {{kind: "text", text: ServerText}} TextNote */
 /** @typedef {{kind: "clock", offsetUs: number, roundTripMs: number}} ClockNote */

@@ -17,6 +17,8 @@ import { colour } from "./theme.js";
  * @property {{xM: number, yM: number} | null} target
  */
 
+/** The LEDs' names, as they stand on the board. */
+const LED_NAMES = ["1", "2", "3", "A", "B"];
 /** Room around the workspace, as a share of it. */
 const MARGIN = 1.12;
 /** The longest arrow, as a share of the map's smaller side. */
@@ -108,7 +110,7 @@ export class WorkspaceMap {
     context.lineTo(wall, height / 2 + halfY);
     context.stroke();
 
-    // The LEDs, with their numbers.
+    // The LEDs, with their names.
     context.font = "11px system-ui, sans-serif";
     context.textAlign = "center";
     context.textBaseline = "middle";
@@ -122,7 +124,7 @@ export class WorkspaceMap {
       context.strokeStyle = lit ? paint("--good") : paint("--quiet");
       context.stroke();
       context.fillStyle = lit ? paint("--panel") : paint("--text");
-      context.fillText(String(index), across(xM), down(yM) + 0.5);
+      context.fillText(LED_NAMES[index] ?? "", across(xM), down(yM) + 0.5);
     });
 
     if (target !== null) {
