@@ -91,7 +91,8 @@ class OwnMedia:
         """Serve one page's socket until it is closed."""
         if role is not Role.OPERATOR:
             return web.Response(status=403, text="a viewer may watch only\n")
-        socket = web.WebSocketResponse(compress=False, max_msg_size=self._most_octets)
+        # aiohttp refuses a message of the limit itself.
+        socket = web.WebSocketResponse(compress=False, max_msg_size=self._most_octets + 1)
         await socket.prepare(request)
         counts.connections += 1
         self._sockets += 1

@@ -15,8 +15,8 @@ import { ownPicture, writeOwnSound, writePing } from "./wire.js";
 
 const RECONNECT_MS = 250;
 const WATCH_MS = 50;
-/** The server's word for a page that broke the protocol (RFC 6455, 7.4.1). */
-const POLICY_VIOLATION = 1008;
+/** Why a connection ends of which another one may do better (RFC 6455, 7.4.1). */
+const TRY_AGAIN = new Set([1000, 1001, 1005, 1006, 1011, 1012, 1013]);
 /** Waiting sound beyond 100 ms is dropped: it would only be late. */
 const MOST_SOUND_OCTETS = 5 * 2000;
 /** Frames may come a little early, but not at twice the rate. */
@@ -54,7 +54,7 @@ class CaptureSocket {
 
   /** @param {ArrayBuffer} message */
   send(message) {
-    if (this.taken) this.#socket?.send(message);
+    if (this.taken && this.#socket?.readyState === WebSocket.OPEN) this.#socket.send(message);
   }
 
   #connect() {
@@ -71,8 +71,8 @@ class CaptureSocket {
     };
     socket.onclose = (event) => {
       this.taken = false;
-      if (event.code === POLICY_VIOLATION) {
-        this.#stop(event.reason || "the server closed the connection");
+      if (!TRY_AGAIN.has(event.code)) {
+        this.#stop(event.reason || `the server closed the connection (${event.code})`);
       } else if (this.#socket === socket) {
         tell({ kind: "lost" });
         setTimeout(() => this.#connect(), RECONNECT_MS);

@@ -41,7 +41,8 @@ export function startSeat() {
 function markLink(connection) {
   const mark = () => {
     const { alive, state } = connection;
-    document.body.dataset.server = alive ? "heard" : "lost";
+    const server = alive ? "heard" : "lost";
+    if (document.body.dataset.server !== server) document.body.dataset.server = server;
     const link = alive && state !== null ? state.link : "lost";
     if (document.body.dataset.link === link) return;
     document.body.dataset.link = link;

@@ -1,13 +1,15 @@
 /**
  * The samples of a voice between their arrival and their playing.
  *
- * Playing begins at 40 ms of stock. A stock above 120 ms is cut to 40 ms: the oldest goes, because
- * late speech is worth less. After it ran dry, playing begins at 40 ms again.
+ * Playing begins at 40 ms of stock, also after it ran dry. A stock above 120 ms is cut to 40 ms: the
+ * oldest goes, because late speech is worth less. So does what was not needed for a second: the
+ * least stock of that second beyond 40 ms.
  */
 
 const SAMPLES_PER_MS = 48;
 const TARGET = 40 * SAMPLES_PER_MS;
 const MOST = 120 * SAMPLES_PER_MS;
+const WINDOW = 1000 * SAMPLES_PER_MS;
 
 export class SoundRing {
   /** @type {{samples: Int16Array, captureUs: number | null}[]} */
@@ -16,6 +18,9 @@ export class SoundRing {
   #played = 0;
   #stock = 0;
   #playing = false;
+  /** The least stock since the window began, and the samples played in it. */
+  #least = Infinity;
+  #window = 0;
   /** Samples that were dropped because too many waited. */
   dropped = 0;
   /** How often it ran dry while it played. */
@@ -60,6 +65,17 @@ export class SoundRing {
       at += count;
       this.#skip(count);
     }
+    this.#trim(output.length);
+  }
+
+  /** @param {number} played */
+  #trim(played) {
+    this.#least = Math.min(this.#least, this.#stock);
+    this.#window += played;
+    if (this.#window < WINDOW) return;
+    if (this.#least > TARGET) this.dropped += this.#skip(this.#least - TARGET);
+    this.#least = Infinity;
+    this.#window = 0;
   }
 
   /** Drops the oldest samples; returns how many. @param {number} count */
