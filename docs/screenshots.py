@@ -37,8 +37,13 @@ _LIVE = (
     "document.querySelector('[data-stale=true]') === null"
     " && document.body.dataset.link === 'connected'"
 )
-#: Pixels from the middle of the map to the wall, into it, and a little along it.
-_STROKES = ((60, 0), (40, 0), (0, -25))
+#: Whether the hand steers and feels a force that can be seen.
+_FELT = (
+    "document.querySelector('hand-panel').dataset.steers === 'true'"
+    " && parseFloat(document.querySelector('.force-words strong').textContent) > 1"
+)
+#: Pixels of the map: from the middle to the wall, and into it.
+ACROSS, INTO = 75, 20
 
 
 def main() -> None:
@@ -62,7 +67,7 @@ def _sit(seat: str, *options: str) -> None:
             page.wait(_SHOWN.format(f"[data-figure='{figure}']"))
         if seat == "space":
             page.wait("document.querySelector('.joystick-state')?.textContent === 'application'")
-            _press(browser)
+            _press(page, ACROSS)
         # Charts and contacts fill.
         page.run("return new Promise((done) => setTimeout(done, 12_000))")
         for theme in ("dark", "light"):
@@ -79,12 +84,22 @@ def _open(browser: Browser, address: str) -> Page:
     return page
 
 
-def _press(browser: Browser) -> None:
-    """Hold the handle, and push it across the workspace and against the wall."""
-    surface = browser.driver.find_element("css selector", ".workspace-map")
-    ActionChains(browser.driver, duration=300).click_and_hold(surface).perform()
-    for x, y in _STROKES:
-        ActionChains(browser.driver, duration=300).move_by_offset(x, y).perform()
+def _press(page: Page, pixels: int) -> None:
+    """Hold the handle anew, and pull it to the right."""
+    driver = page.browser.driver
+    surface = page.find(".workspace-map")
+    ActionChains(driver).release().perform()
+    ActionChains(driver).click_and_hold(surface).perform()
+    ActionChains(driver, duration=300).move_by_offset(pixels, 0).perform()
+
+
+def _feel(page: Page) -> None:
+    """Press against the wall; a machine that stalls for 100 ms lets the handle go."""
+    for _ in range(10):
+        _press(page, INTO)
+        page.run("return new Promise((done) => setTimeout(done, 300))")
+        if page.run(f"return {_FELT}"):
+            return
 
 
 def _take(page: Page, name: str, theme: str) -> None:
@@ -92,6 +107,8 @@ def _take(page: Page, name: str, theme: str) -> None:
     scheme = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", scheme)
     page.run("return new Promise((done) => setTimeout(done, 800))")
+    if page.run("return document.querySelector('hand-panel') !== null"):
+        _feel(page)
     page.wait(_LIVE)
     picture = Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
     path = ROOT / "docs" / "images" / f"{name}.png"
