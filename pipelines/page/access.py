@@ -1,115 +1,163 @@
-"""Who may open a page: tokens, and the checks of Host and Origin. A core.
+"""Who may open what at a seat: the token in the address, and the names by which it is reached."""
 
-Host is checked against DNS rebinding: a foreign name that resolves to this machine is refused.
-Origin is checked because a browser lets any site open a WebSocket to any address.
-"""
-
+import hmac
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from enum import Enum
-from hmac import compare_digest
+from ipaddress import ip_address
+from typing import NamedTuple
 
-_STATIC_NAME = re.compile(r"[a-z][a-z0-9_]{0,63}\.(?:js|css|html|svg)")
-#: By the ending of a file's name.
-CONTENT_TYPES: Mapping[str, str] = {
-    "js": "text/javascript",
-    "css": "text/css",
-    "html": "text/html",
-    "svg": "image/svg+xml",
-}
-#: In the HTML of a seat, the place of the address below which everything else lies.
-BASE_MARK = "__BASE__"
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_DEFAULT_PORTS = {"http": 80, "https": 443}
+_FILE = re.compile(r"[a-z0-9_]+(?:\.[a-z0-9]+)+")
 
 
 class Role(Enum):
-    """What the owner of a token may do."""
+    """What a page may do, by its token."""
 
     OPERATOR = "operator"
     VIEWER = "viewer"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Refusal:
-    """Why a request is refused. reason: a key for the counters: `token`, `host` or `origin`."""
+class Kind(Enum):
+    """What is asked for."""
 
-    reason: str
-    text: str
+    PAGE = "page"
+    FILE = "file"
+    SEAT = "seat"
+    MEDIA = "media"
 
 
-class Gatekeeper:
-    """Checks requests to one listener.
+class Found(NamedTuple):
+    """What a request may have. token: the one in its address. name: of the file."""
 
-    scheme: "http" or "https". names: the hosts that a browser may ask for, in lower case.
+    kind: Kind
+    role: Role
+    token: str
+    name: str = ""
+
+
+class AccessError(Exception):
+    """A request that is not served. status: of HTTP. reason: for the counters, or ""."""
+
+    def __init__(self, status: int, words: str, reason: str = "") -> None:
+        super().__init__(words)
+        self.status = status
+        self.reason = reason
+
+
+class Access:
+    """Checks the requests to one seat.
+
+    seat: the name of its page. scheme, port: of its listener.
+    names: the hosts that a browser may ask for, in lower case and without brackets; none: loopback.
+
+    Beyond loopback any IP address may be asked for. Only names can be rebound by another site.
     """
 
     def __init__(
         self,
         *,
+        seat: str,
         scheme: str,
-        names: tuple[str, ...],
         port: int,
+        names: Iterable[str],
         operator_token: str,
         viewer_token: str,
     ) -> None:
-        default = port == (443 if scheme == "https" else 80)
-        bare = [f"[{name}]" if ":" in name else name for name in names]
-        self._hosts = {f"{name}:{port}" for name in bare} | (set(bare) if default else set())
+        self._seat = seat
         self._scheme = scheme
+        self._port = port
+        self._names = frozenset(names) or frozenset(_LOOPBACK)
+        self._far = not all(_is_loopback(name) for name in self._names)
         self._tokens = {
             Role.OPERATOR: operator_token.encode(),
             Role.VIEWER: viewer_token.encode(),
         }
 
-    def role_of(self, token: str) -> Role | None:
-        """Return what the owner of `token` may do; None for a wrong one."""
-        given = token.encode("utf-8", "surrogateescape")
-        # Both are compared in any case, so that the time tells nothing.
-        matches = [role for role, known in self._tokens.items() if compare_digest(given, known)]
-        return matches[0] if matches else None
+    def find(self, method: str, target: str, host: str, origin: str | None) -> Found:
+        """Return what a request may have, or raise `AccessError`.
 
-    def refusal(
-        self, *, token: str, host: str | None, origin: str | None, socket: bool
-    ) -> Refusal | None:
-        """Return why a request is refused, or None.
-
-        origin: as the request has it; a WebSocket (`socket`) of a browser always has one.
+        target: path and query as they came, not decoded. host, origin: of its header fields.
         """
-        asked = (host or "").lower()
-        if asked not in self._hosts:
-            return Refusal(reason="host", text="this host is not served here")
-        own = f"{self._scheme}://{asked}"
-        if (origin is not None or socket) and (origin or "").lower() != own:
-            return Refusal(reason="origin", text="only the page itself may ask")
-        if self.role_of(token) is None:
-            return Refusal(reason="token", text="open the address that kontur-av has printed")
-        return None
+        if not self._is_own(host):
+            raise AccessError(403, "this seat has another name", "host")
+        path, _, query = target.partition("?")
+        parts = path.split("/")[1:]
+        if parts == [self._seat]:
+            kind, token, name = Kind.PAGE, _token_of(query), ""
+        elif len(parts) == 3 and parts[1] == "static":
+            kind, token, name = Kind.FILE, parts[0], parts[2]
+        elif len(parts) == 2 and parts[1] in ("ws", "media"):
+            kind = Kind.SEAT if parts[1] == "ws" else Kind.MEDIA
+            token, name = parts[0], ""
+        else:
+            # Whether a path exists is none of a stranger's business.
+            kind, token, name = Kind.FILE, parts[0] if parts else "", ""
+        role = self._role_of(token)
+        if role is None:
+            raise AccessError(403, "this address needs the token of the session", "token")
+        if method != "GET":
+            raise AccessError(405, "only GET")
+        # Other origins' pages can open sockets here, and they know no token but a stolen one.
+        own = f"{self._scheme}://{host}".lower()
+        if kind in (Kind.SEAT, Kind.MEDIA) and (origin or "").lower() != own:
+            raise AccessError(403, "another site's page may not connect", "origin")
+        if kind is Kind.FILE and not _FILE.fullmatch(name):
+            raise AccessError(404, "no such file")
+        return Found(kind, role, token, name)
+
+    def _is_own(self, host: str) -> bool:
+        match = re.fullmatch(r"(\[[0-9a-f:.]+\]|[a-z0-9.-]+)(?::(\d{1,5}))?", host.lower())
+        if match is None:
+            return False
+        port = _DEFAULT_PORTS[self._scheme] if match[2] is None else int(match[2])
+        name = match[1].strip("[]")
+        return port == self._port and (name in self._names or (self._far and _is_address(name)))
+
+    def _role_of(self, token: str) -> Role | None:
+        given = token.encode("utf-8", "surrogateescape")
+        # Each is compared in full, so that the time tells nothing.
+        found = [role for role, own in self._tokens.items() if hmac.compare_digest(given, own)]
+        return found[0] if given and found else None
 
 
-def is_static_name(name: str) -> bool:
-    """Whether `name` may be that of a static file: no folders, no dots but the one of its type."""
-    return _STATIC_NAME.fullmatch(name) is not None
+def _token_of(query: str) -> str:
+    for field in query.split("&"):
+        name, _, value = field.partition("=")
+        if name == "token":
+            return value
+    return ""
 
 
-def security_headers(scheme: str, host: str) -> dict[str, str]:
-    """Return the headers of every answer. host: the Host of the request, checked."""
-    sockets = f"{'wss' if scheme == 'https' else 'ws'}://{host}"
-    policy = "; ".join(
-        (
-            "default-src 'none'",
-            "script-src 'self'",
-            "worker-src 'self'",
-            "style-src 'self'",
-            "img-src 'self' data: blob:",
-            f"connect-src 'self' {sockets}",
-            "media-src 'self' blob:",
-            "base-uri 'self'",
-            "form-action 'none'",
-            "frame-ancestors 'none'",
-        )
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_loopback(name: str) -> bool:
+    return ip_address(name).is_loopback if _is_address(name) else name == "localhost"
+
+
+def headers(host: str) -> dict[str, str]:
+    """Return the header fields of every answer. host: of the request, checked."""
+    policy = (
+        "default-src 'none'",
+        "script-src 'self'",
+        "worker-src 'self'",
+        "style-src 'self'",
+        "img-src 'self' data: blob:",
+        f"connect-src 'self' ws://{host} wss://{host}",
+        "media-src 'self' blob:",
+        "base-uri 'self'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
     )
     return {
-        "Content-Security-Policy": policy,
+        "Content-Security-Policy": "; ".join(policy),
         "Referrer-Policy": "no-referrer",
         "X-Content-Type-Options": "nosniff",
         "Cross-Origin-Resource-Policy": "same-origin",

@@ -1,124 +1,180 @@
-"""What waits for one page, and what is left out when it does not keep up. A core.
+"""What waits to be sent to one page. It is bounded, whatever the page does.
 
-| what | depth | when full |
+| what | depth | when it is full |
 |---|---|---|
-| answers | 64 | the socket is closed: nobody asks so much without reading |
-| texts of a kind (state, figures) | 1 | the newest counts |
-| previews, by input | 1 | the newest counts |
-| haptic blocks, by end | 25 (0.5 s) | the oldest goes |
-| sound, by stream | 15 (0.3 s) | the oldest goes |
-| access units, by stream | 45 and 1 MiB, without a replay | all go; the stream waits for a replay |
+| answers | 64 | the page is closed: it asks and does not read |
+| pongs | 32 | the oldest is dropped |
+| state, each preview | 1 | the newest replaces it |
+| figures | 8 | the oldest is dropped |
+| haptics, of each end | 8 blocks of 20 ms | the oldest is dropped |
+| sound, of each stream | 10 blocks | the oldest is dropped, and counted |
+| units, of each picture | 90 or 512 KiB | all are dropped and counted; see `Lane` |
+
+A replay is as long as the history from which it is taken, and there is one at a time of a stream.
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 _MOST_ANSWERS = 64
-_MOST_HAPTICS = 25
-_MOST_SOUNDS = 15
-_MOST_UNITS = 45
-_MOST_UNIT_OCTETS = 1 << 20
+_MOST_PONGS = 32
+_MOST_FIGURES = 8
+_MOST_HAPTICS = 8
+_MOST_SOUNDS = 10
+MOST_UNITS = 90
+MOST_UNIT_OCTETS = 512 << 10
+
+Message = bytes | str
 
 
-class _Stream:
-    """The units of one stream that wait."""
+class Lane:
+    """Units of one stream on their way to one page.
+
+    Each unit refers to the one before, so none may be missing. If they do not fit, all are dropped
+    and the gate closes. It opens again with a key unit, or with a replay of the history.
+
+    open: units pass. left_out: units that were dropped because the page was too slow.
+    """
 
     def __init__(self) -> None:
-        self.replay: deque[bytes] = deque()
-        self.units: deque[bytes] = deque()
-        self.octets = 0
-        #: Whether units count; False until a replay has brought a picture to start at.
         self.open = False
+        self.left_out = 0
+        self._begun = False
+        self._replay: deque[bytes] = deque()
+        self._units: deque[bytes] = deque()
+        self._octets = 0
+
+    def __len__(self) -> int:
+        return len(self._replay) + len(self._units)
+
+    def put_replay(self, messages: Iterable[bytes]) -> None:
+        """Open the gate with these messages."""
+        self._clear()
+        self._replay.extend(messages)
+        self.open = self._begun = True
+
+    def put_unit(self, message: bytes, *, key: bool) -> None:
+        """Put a unit behind those that wait, if the gate is open, or opens with it."""
+        if not self.open and self._begun and key:
+            self.open = True
+        if not self.open:
+            # Before its first picture a page is not slow, it only waits.
+            self.left_out += self._begun
+            return
+        full = len(self._units) >= MOST_UNITS or self._octets + len(message) > MOST_UNIT_OCTETS
+        if self._units and full:
+            self.left_out += len(self) + 1
+            self._clear()
+            self.open = False
+            return
+        self._units.append(message)
+        self._octets += len(message)
+
+    def pop(self) -> bytes | None:
+        """Return the next message, or None."""
+        if self._replay:
+            return self._replay.popleft()
+        if not self._units:
+            return None
+        message = self._units.popleft()
+        self._octets -= len(message)
+        return message
+
+    def _clear(self) -> None:
+        self._replay.clear()
+        self._units.clear()
+        self._octets = 0
 
 
 class ClientQueue:
-    """The messages for one page. After each input, send what `poll_transmit` returns.
+    """What waits to be sent to one page. Take it with `pop` when the page can take more.
 
-    left_out: units and blocks that were dropped. overflowed: the page must be given up.
+    lanes: indices of the streams of pictures.
+    overflowed: the page asks and does not read; close it.
+    sound_left_out: blocks that were dropped because the page was too slow.
     """
 
-    def __init__(self, video_streams: Sequence[int]) -> None:
-        self.left_out = 0
+    def __init__(self, lanes: Iterable[int]) -> None:
         self.overflowed = False
-        self._answers: deque[bytes | str] = deque()
-        self._texts: dict[str, str] = {}
+        self.sound_left_out = 0
+        self._lanes = {index: Lane() for index in lanes}
+        self._answers: deque[str] = deque()
+        self._pongs: deque[bytes] = deque(maxlen=_MOST_PONGS)
+        self._state: str | None = None
+        self._figures: deque[str] = deque(maxlen=_MOST_FIGURES)
         self._haptics: dict[int, deque[bytes]] = {}
         self._sounds: dict[int, deque[bytes]] = {}
         self._previews: dict[int, bytes] = {}
-        self._streams = {index: _Stream() for index in video_streams}
 
-    def handle_answer(self, message: bytes | str) -> None:
-        """An answer or a pong, which goes first."""
+    def __len__(self) -> int:
+        """Messages that wait."""
+        lines: list[Sequence[Message] | Lane | dict[int, bytes]] = [
+            *(self._answers, self._pongs, self._figures, self._previews),
+            *self._lanes.values(),
+            *self._haptics.values(),
+            *self._sounds.values(),
+        ]
+        return sum(len(line) for line in lines) + (self._state is not None)
+
+    @property
+    def units_left_out(self) -> int:
+        """Units and blocks of sound that were dropped because the page was too slow."""
+        return self.sound_left_out + sum(lane.left_out for lane in self._lanes.values())
+
+    def lane(self, stream: int) -> Lane:
+        """The lane of a picture."""
+        return self._lanes[stream]
+
+    def closed_lanes(self) -> Iterator[int]:
+        """Streams whose gate is closed."""
+        return (index for index, lane in self._lanes.items() if not lane.open)
+
+    def put_answer(self, text: str) -> None:
+        """A text that must not be lost."""
         if len(self._answers) >= _MOST_ANSWERS:
             self.overflowed = True
         else:
-            self._answers.append(message)
+            self._answers.append(text)
 
-    def handle_text(self, kind: str, text: str) -> None:
-        """A text that replaces an older one of its kind."""
-        self._texts[kind] = text
+    def put_pong(self, message: bytes) -> None:
+        self._pongs.append(message)
 
-    def handle_haptics(self, end: int, block: bytes) -> None:
-        """A block of haptic rows."""
-        self._append(self._haptics.setdefault(end, deque()), block, _MOST_HAPTICS)
+    def put_state(self, text: str) -> None:
+        self._state = text
 
-    def handle_sound(self, stream: int, block: bytes) -> None:
-        """A block of sound."""
-        self._append(self._sounds.setdefault(stream, deque()), block, _MOST_SOUNDS)
+    def put_figures(self, text: str) -> None:
+        self._figures.append(text)
 
-    def handle_preview(self, preview: int, message: bytes) -> None:
-        """A small picture."""
-        if preview in self._previews:
-            self.left_out += 1
+    def put_haptics(self, end: int, message: bytes) -> None:
+        self._haptics.setdefault(end, deque(maxlen=_MOST_HAPTICS)).append(message)
+
+    def put_preview(self, preview: int, message: bytes) -> None:
         self._previews[preview] = message
 
-    def handle_unit(self, stream: int, message: bytes) -> None:
-        """An access unit. Before a replay, and after a stall, it is left out."""
-        waiting = self._streams[stream]
-        if not waiting.open:
-            self.left_out += 1
-            return
-        waiting.units.append(message)
-        waiting.octets += len(message)
-        if len(waiting.units) > _MOST_UNITS or waiting.octets > _MOST_UNIT_OCTETS:
-            self.left_out += len(waiting.units) + len(waiting.replay)
-            waiting.units.clear()
-            waiting.replay.clear()
-            waiting.octets = 0
-            waiting.open = False
+    def put_sound(self, stream: int, message: bytes) -> None:
+        sounds = self._sounds.setdefault(stream, deque())
+        if len(sounds) >= _MOST_SOUNDS:
+            sounds.popleft()
+            self.sound_left_out += 1
+        sounds.append(message)
 
-    def needs_replay(self, stream: int) -> bool:
-        """Whether the page has drained all that waited, and waits for a picture to start at."""
-        return not self._streams[stream].open
-
-    def handle_replay(self, stream: int, messages: Sequence[bytes]) -> None:
-        """The units with which the stream begins; those that come later follow."""
-        waiting = self._streams[stream]
-        waiting.replay.extend(messages)
-        waiting.open = True
-
-    def poll_transmit(self) -> bytes | str | None:
-        """Return the next message to send, or None."""
+    def pop(self) -> Message | None:
+        """Return the next message, the most urgent first; None if nothing waits."""
+        if self._pongs:
+            return self._pongs.popleft()
         if self._answers:
             return self._answers.popleft()
-        for kind in self._texts:
-            return self._texts.pop(kind)
-        for blocks in (*self._haptics.values(), *self._sounds.values()):
+        if self._state is not None:
+            state, self._state = self._state, None
+            return state
+        for lane in self._lanes.values():
+            if (unit := lane.pop()) is not None:
+                return unit
+        for blocks in (*self._sounds.values(), *self._haptics.values()):
             if blocks:
                 return blocks.popleft()
-        for waiting in self._streams.values():
-            if waiting.replay:
-                return waiting.replay.popleft()
-            if waiting.units:
-                message = waiting.units.popleft()
-                waiting.octets -= len(message)
-                return message
+        if self._figures:
+            return self._figures.popleft()
         for preview in self._previews:
             return self._previews.pop(preview)
         return None
-
-    def _append(self, blocks: deque[bytes], block: bytes, most: int) -> None:
-        blocks.append(block)
-        if len(blocks) > most:
-            blocks.popleft()
-            self.left_out += 1

@@ -1,4 +1,4 @@
-"""Asks the session's console for a camera, without blocking the event loop."""
+"""Asks the session's console for a camera, as `kontur-av select` does, without waiting for it."""
 
 import asyncio
 import os
@@ -6,11 +6,13 @@ import os
 from pipelines.cores.requests import MAX_LINE_OCTETS, Answer, Request, pack_line, parse_answer
 from pipelines.runtime.control import console_path
 
+#: How long a console may take on top of its own `wait_s`.
 _PATIENCE_S = 5.0
+_ENDED = "the session's console has ended before it answered"
 
 
-async def select_camera(session: str, camera: str) -> Answer:
-    """Return the console's answer; one with an error if there is no console."""
+async def ask_console(session: str, camera: str) -> Answer:
+    """Return the console's answer; an error in words if it does not answer."""
     try:
         reader, writer = await asyncio.open_unix_connection(
             os.fspath(console_path(session)), limit=MAX_LINE_OCTETS
@@ -19,12 +21,16 @@ async def select_camera(session: str, camera: str) -> Answer:
         return Answer(ok=False, error="the session's console is not running")
     try:
         writer.write(pack_line(Request(select=camera)))
-        answer = parse_answer(await asyncio.wait_for(reader.readline(), _PATIENCE_S))
+        answer = await _next_answer(reader, _PATIENCE_S)
         if answer is not None and answer.wait_s is not None:
-            within_s = answer.wait_s + _PATIENCE_S
-            answer = parse_answer(await asyncio.wait_for(reader.readline(), within_s))
+            answer = await _next_answer(reader, answer.wait_s + _PATIENCE_S)
     except (OSError, ValueError, TimeoutError):
         answer = None
     finally:
         writer.close()
-    return answer or Answer(ok=False, error="the session's console has ended before it answered")
+    return Answer(ok=False, error=_ENDED) if answer is None else answer
+
+
+async def _next_answer(reader: asyncio.StreamReader, patience_s: float) -> Answer | None:
+    async with asyncio.timeout(patience_s):
+        return parse_answer(await reader.readline())

@@ -1,53 +1,78 @@
-"""The topics that a seat shows, as readers on an event loop."""
+"""The topics of a seat, read whenever there is something new."""
 
 import asyncio
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 
 from kontur_av.topics.bus import Lease, Reader, TopicBus, Waiter
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Feed:
-    """A topic and what is done with its samples. The handler does not keep the lease.
+    """One topic in an event loop.
 
-    newest: older samples that were not read yet are skipped.
+    handle: called for each sample, oldest first; it must not keep the lease.
+    depth: unread samples that are kept.
     """
 
-    topic: str
-    handle: Callable[[Lease], None]
-    depth: int = 8
-    newest: bool = False
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        bus: TopicBus,
+        topic: str,
+        handle: Callable[[Lease], None],
+        *,
+        depth: int,
+    ) -> None:
+        self._loop, self._bus = loop, bus
+        self._topic, self._handle, self._depth = topic, handle, depth
+        self._reader: Reader | None = None
+        self._waiter: Waiter | None = None
 
-
-class Feeds:
-    """Readers of several topics, which an event loop wakes. `close` before the bus."""
-
-    def __init__(self, bus: TopicBus, feeds: Sequence[Feed]) -> None:
-        self._feeds = feeds
-        self._readers: list[Reader] = [bus.reader(feed.topic, depth=feed.depth) for feed in feeds]
-        self._waiter = Waiter(self._readers)
-        self._loop = asyncio.get_running_loop()
-        self._fd = self._waiter.fileno()
-        self._loop.add_reader(self._fd, self._read)
-        # What was published before the reader came is there without a notification.
-        self.read_all()
-
-    def read_all(self) -> None:
-        """Handle all samples that are there; also for topics that notify nobody."""
-        for feed, reader in zip(self._feeds, self._readers, strict=True):
-            take = reader.latest if feed.newest else reader.next
-            while (lease := take()) is not None:
-                with lease:
-                    feed.handle(lease)
+    def open(self) -> None:
+        """Read from now on; a second call does nothing."""
+        if self._reader is None:
+            self._reader = self._bus.reader(self._topic, depth=self._depth)
+            self._waiter = self._bus.waiter([self._reader])
+            self._loop.add_reader(self._waiter.fileno(), self._drain)
+            # What came before the first notification.
+            self._drain()
 
     def close(self) -> None:
-        """Leave the topics."""
-        self._loop.remove_reader(self._fd)
-        del self._waiter
-        for reader in self._readers:
-            reader.close()
+        """Leave the topic, so that nobody writes it in vain."""
+        if self._reader is not None and self._waiter is not None:
+            self._loop.remove_reader(self._waiter.fileno())
+            self._reader.close()
+            self._reader = self._waiter = None
 
-    def _read(self) -> None:
-        self._waiter.wait(0)
-        self.read_all()
+    def _drain(self) -> None:
+        if self._waiter is not None:
+            self._waiter.wait(0)
+        while self._reader is not None and (lease := self._reader.next()) is not None:
+            with lease:
+                self._handle(lease)
+
+
+class State:
+    """A topic of which only the newest sample counts, read when asked."""
+
+    def __init__(self, bus: TopicBus, topic: str) -> None:
+        self._bus, self._topic = bus, topic
+        self._reader: Reader | None = None
+
+    def open(self) -> None:
+        """Read from now on; a second call does nothing."""
+        if self._reader is None:
+            self._reader = self._bus.reader(self._topic)
+
+    def close(self) -> None:
+        """Leave the topic."""
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None
+
+    def latest(self) -> bytes | None:
+        """Return the newest sample that was not read yet, or None."""
+        lease = None if self._reader is None else self._reader.latest()
+        if lease is None:
+            return None
+        with lease:
+            return lease.octets()

@@ -1,20 +1,21 @@
-"""The server of a segment's browser pages: sockets, topics and timers around the cores."""
+"""The server of one seat: HTTP and web sockets around `Seat`, and the topics that it reads."""
 
 import asyncio
+import logging
+import socket
 import ssl
-from collections import deque
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
-from dataclasses import dataclass, field
-from importlib.resources import files
+from functools import partial
 from itertools import count
-from typing import Any
+from pathlib import Path
 
-import msgspec
-from aiohttp import WSCloseCode, WSMsgType, web
+import numpy as np
+from aiohttp import WSMessage, WSMsgType, web
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.media import CaptureStamp, Quality
+from kontur_av.media import I420, CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.topics.bus import Lease, TopicBus, Writer
 from pipelines.cores.figures import PageCounters, PageGauges
@@ -22,581 +23,516 @@ from pipelines.cores.following import Choice
 from pipelines.cores.hand_topics import (
     INPUT_OCTETS,
     REQUEST_OCTETS,
-    HandRequest,
-    JoystickStatus,
     pack_input,
     pack_request,
     unpack_status,
 )
-from pipelines.cores.haptic_trace import rows_of
-from pipelines.cores.session_switch import Order
-from pipelines.page import wire
-from pipelines.page.access import (
-    BASE_MARK,
-    CONTENT_TYPES,
-    Gatekeeper,
-    Role,
-    is_static_name,
-    security_headers,
-)
-from pipelines.page.client import POLICY, PageClient
-from pipelines.page.client_queue import ClientQueue
-from pipelines.page.console_link import select_camera
-from pipelines.page.feeds import Feed, Feeds
-from pipelines.page.hand_gate import HandGate
-from pipelines.page.own_media import OwnMedia
-from pipelines.page.ownership import HandleOwnership
-from pipelines.page.seat_streams import SeatStream, seat_streams
-from pipelines.page.start_picture import StartPictures
-from pipelines.page.texts import (
-    JoystickText,
-    StateText,
-    hand_text,
-    hello,
-    own_inputs,
-    previewed_inputs,
-)
-from pipelines.page.unit_history import HistoryUnit, UnitHistory
+from pipelines.page.access import Access, AccessError, Found, Kind, Role, headers
+from pipelines.page.console_link import ask_console
+from pipelines.page.feeds import Feed, State
+from pipelines.page.local_key import key_of
+from pipelines.page.messages import MOST_SEAT_OCTETS, most_media_octets
+from pipelines.page.own_inputs import Given
+from pipelines.page.plan import SeatStream, Via, seat_plan
+from pipelines.page.seat import CameraAsked, CommandGiven, HandMoved, Seat, SessionOrdered
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
     JOYSTICK_STATE_TOPIC,
-    JOYSTICK_TRACE_TOPIC,
     PAGES,
-    ROBOT_TRACE_TOPIC,
     SELECTED_TOPIC,
     Segment,
-    VideoRow,
 )
-from telepresence.haptics.device.page import PageInput
-from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.link.backlog import Backlog
 
-_STATE_S = 0.1
-_EVENTS_KEPT = 200
-#: How long a joystick may take to answer a command.
-_JOYSTICK_S = 1.0
-#: Octets that wait in the library below the queue, so that what is late is left out above it.
-_WRITE_LIMIT_OCTETS = 1 << 16
-_END_S = 1.0
-
-_encode = msgspec.json.encode
-
-
-@dataclass(kw_only=True)
-class _Counts:
-    connections: int = 0
-    refused: dict[str, int] = field(default_factory=dict)
-    garbage: int = 0
-    left_out: int = 0
-    closed: int = 0
+STATIC = Path(__file__).parent / "static"
+_TYPES = {
+    ".css": "text/css",
+    ".html": "text/html",
+    ".js": "text/javascript",
+    ".svg": "image/svg+xml",
+}
+#: In an HTML file: where the seat's own files are.
+_BASE = "__BASE__"
+#: Sockets beyond these are refused.
+_MOST_PAGES, _MOST_MEDIA = 16, 16
+#: The kernel's buffer for one page: a stalled page keeps less than a second, and gets the newest.
+_SEND_OCTETS = 64 << 10
+#: A page that takes nothing for so long is closed.
+_STALLED_NS = 30 * NS_PER_S
+_CLOSE_S = 0.5
+#: After so many messages to one page the others have their turn.
+_TURN = 16
+#: Unread samples of a topic that are kept: the most that there can be.
+_DEPTH = 8
+_GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
 
 
 class PageServer:
-    """Serves the pages of `segment` on an event loop, until `context.stopping`.
+    """Serves the pages of `segment` until `context.stopping`.
 
-    joystick: the kind that `--joystick` names, for the page to know whether it may steer.
+    While nobody looks, only the units of pictures are read, for those who join.
     """
 
     def __init__(self, context: Context, segment: Segment, bus: TopicBus) -> None:
-        self._context, self._segment, self._bus = context, segment, bus
-        self._clock, self._topology = context.clock, context.topology
-        topology = self._topology
+        self._context, self._bus, self._segment = context, bus, segment
+        self._now_ns = context.clock.now_ns
         self._listener = context.pages[PAGES[segment]]
-        self._gate = Gatekeeper(
+        self._access = Access(
+            seat=segment.value,
             scheme=self._listener.scheme,
-            names=self._listener.names,
             port=self._listener.port,
+            names=self._listener.names,
             operator_token=self._listener.operator_token,
             viewer_token=self._listener.viewer_token,
         )
-        self._streams = seat_streams(topology, segment)
-        self._videos = [one for one in self._streams if one.via != "sound"]
-        self._histories = {one.index: UnitHistory() for one in self._videos}
-        self._starts = StartPictures(bus, self._videos, self._histories, self._begin_at)
-        self._clients: dict[int, PageClient] = {}
-        self._numbers = count(1)
-        self._counts = _Counts()
-        self._watched: Feeds | None = None
-        self._ownership = HandleOwnership()
-        self._hand = HandGate(self._ownership)
-        space = segment is Segment.SPACE
-        self._to_hand = self._writer(HAND_INPUT_TOPIC, INPUT_OCTETS) if space else None
-        self._to_joystick = self._writer(HAND_REQUEST_TOPIC, REQUEST_OCTETS) if space else None
-        #: Above those of an earlier life of this process.
-        self._requests = count(self._clock.now_ns())
-        self._samples = count()
-        self._joystick: JoystickStatus | None = None
-        self._joystick_kind = str(topology.process("joystick").arguments.get("spec", ""))
-        self._signal = False
-        self._camera: str | None = None
-        self._figures: dict[str, object] | None = None
-        self._events: deque[Any] = deque(maxlen=_EVENTS_KEPT)
-        self._previews = {
-            row.name: index for index, row in enumerate(previewed_inputs(topology, segment))
+        plan = seat_plan(context.topology, segment, context.session)
+        self._seat = Seat(plan, first_command=self._now_ns())
+        self._loop = asyncio.get_running_loop()
+        self._ended: asyncio.Future[None] = self._loop.create_future()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._sockets: set[web.WebSocketResponse] = set()
+        self._wakes: dict[int, asyncio.Event] = {}
+        self._media = 0
+        #: By page: since when it takes nothing.
+        self._blocked: dict[int, tuple[int, asyncio.Transport]] = {}
+        self._connections = self._garbage = self._closed = 0
+        self._refused: dict[str, int] = {}
+        self._numbers = count()
+        self._histories = [
+            Feed(self._loop, bus, each.topic, partial(self._unit, each.index), depth=_DEPTH)
+            for each in plan.streams
+            if each.via is not Via.SOUND
+        ]
+        self._live = [
+            *(
+                Feed(self._loop, bus, one.topic, partial(self._sound, one.index), depth=_DEPTH)
+                for one in plan.streams
+                if one.via is Via.SOUND
+            ),
+            *(
+                Feed(self._loop, bus, topic, partial(self._haptics, end), depth=_DEPTH)
+                for end, topic in plan.traces.items()
+            ),
+            *(
+                Feed(self._loop, bus, one.topic, partial(self._preview, one.index), depth=1)
+                for one in plan.previews
+            ),
+        ]
+        self._backlog = State(bus, plan.backlog_topic)
+        self._selected: State | None = None
+        self._decoded: dict[int, Feed] = {}
+        self._coding: set[int] = set()
+        self._hand: Writer | None = None
+        self._commands: Writer | None = None
+        if segment is Segment.SPACE:
+            self._live.append(
+                Feed(self._loop, bus, JOYSTICK_STATE_TOPIC, self._status, depth=_DEPTH)
+            )
+            self._hand = bus.writer(HAND_INPUT_TOPIC, max_octets=INPUT_OCTETS, wake=False)
+            self._commands = bus.writer(HAND_REQUEST_TOPIC, max_octets=REQUEST_OCTETS, wake=False)
+        else:
+            self._selected = State(bus, SELECTED_TOPIC)
+        self._own = {
+            each.index: bus.writer(
+                each.topic,
+                max_octets=each.size[0] * each.size[1] * 3 // 2 if each.size else 2 * 960,
+            )
+            for each in plan.inputs
         }
-        self.own = OwnMedia(bus, topology, own_inputs(topology, segment), self._clock)
-        self._tasks: set[asyncio.Task[Any]] = set()
-        self._base = files("pipelines.page") / "static"
 
     async def run(self) -> None:
-        """Serve until the process is told to stop."""
+        """Serve, and close all sockets in the end."""
         context = self._context
         context.on_flush(self._tell)
-        loop = asyncio.get_running_loop()
-        units = Feeds(self._bus, [self._unit_feed(one) for one in self._videos])
+        self._loop.set_exception_handler(self._handle_bug)
+        for feed in self._histories:
+            feed.open()
         if context.link is not None:
-            loop.add_reader(context.link.fileno(), self._read_figures)
-        application = web.Application()
-        application.router.add_route("*", "/{path:.*}", self._serve)
-        runner = web.AppRunner(
-            application, access_log=None, handle_signals=False, shutdown_timeout=_END_S
-        )
+            self._loop.add_reader(context.link.fileno(), self._figures)
+        # Requests that are no HTTP are no news; our own mistakes end the process.
+        quiet = logging.getLogger("pipelines.page")
+        quiet.addHandler(logging.NullHandler())
+        quiet.propagate = False
+        server = web.Server(self._handle, access_log=None, logger=quiet)
+        runner = web.ServerRunner(server, shutdown_timeout=_CLOSE_S)
         await runner.setup()
         site = web.SockSite(runner, self._listener.socket, ssl_context=self._tls())
         await site.start()
-        state_ns = 0
-        while not context.stopping:
-            now_ns = self._clock.now_ns()
-            context.tick(now_ns)
-            if self._clients and now_ns >= state_ns:
-                state_ns = now_ns + round(_STATE_S * NS_PER_S) - NS_PER_MS
-                self._tell_state(now_ns)
-            await asyncio.sleep(PATIENCE_NS / NS_PER_S)
-        for client in [*self._clients.values()]:
-            with suppress(Exception):
-                await asyncio.wait_for(client.socket.close(code=WSCloseCode.GOING_AWAY), _END_S)
-        await asyncio.wait_for(runner.cleanup(), 2 * _END_S)
-        units.close()
-        if self._watched is not None:
-            self._watched.close()
-        self._starts.close()
-
-    # Requests
-
-    async def _serve(self, request: web.Request) -> web.StreamResponse:
-        headers = security_headers(self._listener.scheme, request.headers.get("Host", ""))
-        path = request.match_info["path"]
-        first, _, rest = path.partition("/")
-        seat = path == self._segment.value
-        token = request.query.get("token", "") if seat else first
-        refusal = self._gate.refusal(
-            token=token,
-            host=request.headers.get("Host"),
-            origin=request.headers.get("Origin"),
-            socket=rest in ("ws", "media"),
-        )
-        if refusal is not None:
-            refused = self._counts.refused
-            refused[refusal.reason] = refused.get(refusal.reason, 0) + 1
-            return web.Response(status=403, text=refusal.text + "\n")
-        if request.method != "GET":
-            return web.Response(status=405, text="only GET\n", headers=headers)
-        role = self._gate.role_of(token)
-        assert role is not None
-        if seat:
-            page = (self._base / f"{self._segment.value}.html").read_text("utf-8")
-            page = page.replace(BASE_MARK, f"/{token}/static/")
-            return web.Response(text=page, content_type="text/html", headers=headers)
-        if rest == "ws":
-            return await self._watch(request, role)
-        if rest == "media":
-            return await self.own.serve(request, role, self._counts)
-        name = rest.removeprefix("static/")
-        if rest.startswith("static/") and is_static_name(name):
-            file = self._base / name
-            if file.is_file():
-                kind = CONTENT_TYPES[name.rpartition(".")[2]]
-                return web.Response(
-                    body=file.read_bytes(), content_type=kind, charset="utf-8", headers=headers
-                )
-        return web.Response(status=404, text="nothing is here\n", headers=headers)
-
-    async def _watch(self, request: web.Request, role: Role) -> web.WebSocketResponse:
-        socket = web.WebSocketResponse(
-            compress=False,
-            max_msg_size=wire.MOST_TEXT_OCTETS,
-            writer_limit=_WRITE_LIMIT_OCTETS,
-        )
-        await socket.prepare(request)
-        now_ns = self._clock.now_ns()
-        queue = ClientQueue([one.index for one in self._videos])
-        client = PageClient(next(self._numbers), role, socket, queue, now_ns)
-        self._join(client)
-        sending = asyncio.create_task(client.send_all())
+        self._tick()
         try:
-            async for message in socket:
-                self._handle_message(client, message.type, message.data)
-        except ProtocolError as error:
-            self._counts.garbage += 1
-            self._counts.closed += 1
-            with suppress(ConnectionError):
-                await socket.close(code=POLICY, message=str(error).encode()[:120])
+            await self._ended
         finally:
-            self._leave(client)
-            sending.cancel()
-        return socket
-
-    def _join(self, client: PageClient) -> None:
-        self._counts.connections += 1
-        first = not self._clients
-        self._clients[client.number] = client
-        if client.role is Role.OPERATOR:
-            self._ownership.handle_joined(client.number)
-        if first:
-            self._watched = Feeds(self._bus, self._watched_feeds())
-            self._context.flush(self._clock.now_ns())
-        text = hello(
-            self._topology,
-            self._segment,
-            self._streams,
-            role=client.role,
-            page=client.number,
-            now_ns=self._clock.now_ns(),
-            session=self._context.session,
-            joystick=self._joystick_kind,
-        )
-        client.queue.handle_answer(_encode(text).decode())
-        if self._figures is not None:
-            figures = {**self._figures, "events": [*self._events]}
-            client.queue.handle_text("figures", _encode(figures).decode())
-        for one in self._videos:
-            self._replay(client, one.index)
-        self._tell_state(self._clock.now_ns())
-
-    def _leave(self, client: PageClient) -> None:
-        self._counts.left_out += client.queue.left_out
-        del self._clients[client.number]
-        self._ownership.handle_gone(client.number)
-        self._release()
-        if not self._clients and self._watched is not None:
-            self._watched.close()
-            self._watched = None
-            self._signal, self._joystick = False, None
-
-    def _handle_message(self, client: PageClient, kind: WSMsgType, data: Any) -> None:
-        now_ns = self._clock.now_ns()
-        if kind is WSMsgType.TEXT:
-            client.rates.handle_message("text", now_ns)
-            self._handle_request(client, wire.parse_request(data))
-        elif kind is WSMsgType.BINARY:
-            message = wire.parse_binary(data)
-            if isinstance(message, wire.Ping):
-                client.rates.handle_message("ping", now_ns)
-                client.queue.handle_answer(wire.pack_pong(message, now_ns))
-                client.wake()
-            elif isinstance(message, wire.HandMoved):
-                client.rates.handle_message("hand", now_ns)
-                self._handle_hand(client, message, now_ns)
-            else:
-                raise ProtocolError("pictures and sound have a socket of their own")
-
-    def _handle_hand(self, client: PageClient, moved: wire.HandMoved, now_ns: int) -> None:
-        told = PageInput(
-            moved.dead_man, moved.x, moved.y, moved.buttons, moved.sequence, received_ns=now_ns
-        )
-        passed = self._hand.handle_input(client.number, told)
-        if passed is not None:
-            self._publish_hand(passed)
-
-    def _release(self) -> None:
-        released = self._hand.poll_release(self._clock.now_ns())
-        if released is not None:
-            self._publish_hand(released)
-
-    def _publish_hand(self, hand: PageInput) -> None:
-        if self._to_hand is not None:
-            stamp = CaptureStamp(hand.received_ns, next(self._samples), "page")
-            self._to_hand.publish_octets(pack_input(hand), stamp)
-
-    # What a page asks for in words
-
-    def _handle_request(self, client: PageClient, request: wire.Request) -> None:
-        if client.role is not Role.OPERATOR:
-            self._answer(client, request, "a viewer may watch only")
-            return
-        match request.do:
-            case "hand":
-                self._answer(client, request, self._ask_hand(client, request.action))
-                self._release()
-                self._tell_state(self._clock.now_ns())
-            case "select":
-                self._run(self._select(client, request))
-            case "joystick":
-                self._run(self._command(client, request))
-            case "session":
-                self._answer(client, request, self._order(request.action))
-            case "input":
-                self._answer(client, request, "inputs are taken on a socket of their own")
-
-    def _ask_hand(self, client: PageClient, action: str) -> str:
-        if self._to_hand is None:
-            return "the handle is at the operator's seat"
-        handlers = {
-            "take": self._ownership.handle_take,
-            "give": self._ownership.handle_give,
-            "ask": self._ownership.handle_ask,
-            "refuse": self._ownership.handle_refuse,
-        }
-        handler = handlers.get(action)
-        return f"{action[:20]}: unknown" if handler is None else handler(client.number)
-
-    def _order(self, action: str) -> str:
-        if self._segment is not Segment.GROUND:
-            return "the session is started and stopped on the ground"
-        try:
-            order = Order(action)
-        except ValueError:
-            return f"{action[:20]}: unknown"
-        self._context.order(order, self._clock.now_ns())
-        return ""
-
-    async def _select(self, client: PageClient, request: wire.Request) -> None:
-        if self._segment is not Segment.SPACE:
-            self._answer(client, request, "the operator selects the camera")
-            return
-        answer = await select_camera(self._context.session, request.camera)
-        if answer.ok:
-            self._camera = answer.camera
-        error = "" if answer.ok else answer.error or "the console gave no reason"
-        self._answer(client, request, error, round_trip_ms=answer.round_trip_ms)
-
-    async def _command(self, client: PageClient, request: wire.Request) -> None:
-        if self._to_joystick is None:
-            self._answer(client, request, "the joystick is at the operator's seat")
-            return
-        try:
-            event = JoystickEvent(request.event)
-            packed = pack_request(HandRequest(number := next(self._requests), event))
-        except ValueError:
-            self._answer(client, request, f"{request.event[:20]}: unknown")
-            return
-        self._to_joystick.publish_octets(packed, CaptureStamp(self._clock.now_ns(), number, "page"))
-        until_ns = self._clock.now_ns() + round(_JOYSTICK_S * NS_PER_S)
-        while self._clock.now_ns() < until_ns:
-            status = self._joystick
-            if status is not None and status.answered == number:
-                self._answer(client, request, status.refusal)
-                return
-            await asyncio.sleep(0.02)
-        self._answer(client, request, "the joystick does not answer")
-
-    def _answer(
-        self,
-        client: PageClient,
-        request: wire.Request,
-        error: str,
-        *,
-        round_trip_ms: float | None = None,
-    ) -> None:
-        answer = wire.Answer(
-            request=request.request, ok=not error, error=error, round_trip_ms=round_trip_ms
-        )
-        client.queue.handle_answer(_encode(answer).decode())
-        client.wake()
-
-    # What the seat shows
-
-    def _unit_feed(self, stream: SeatStream) -> Feed:
-        history = self._histories[stream.index]
-
-        def handle(lease: Lease) -> None:
-            try:
-                unit = CodedUnit.unpack(lease.octets())
-            except ProtocolError:
-                self._counts.garbage += 1
-                return
-            stamp = lease.stamp
-            one = HistoryUnit(
-                unit=unit,
-                sequence=stamp.sequence,
-                capture_ns=stamp.capture_ns if unit.dated else None,
-                rtp_timestamp=stamp.rtp_timestamp,
+            await asyncio.gather(
+                *(self._close(each, _GOING_AWAY, "the server ends") for each in self._sockets)
             )
-            history.handle_unit(one)
-            if unit.refused or not self._clients:
-                return
-            message = packed_unit(stream.index, one)
-            for client in self._clients.values():
-                if client.queue.needs_replay(stream.index):
-                    self._replay(client, stream.index)
-                else:
-                    client.queue.handle_unit(stream.index, message)
-                client.wake()
-
-        return Feed(topic=stream.topic, handle=handle)
-
-    def _replay(self, client: PageClient, index: int) -> None:
-        """Begin a stream at a page: by what is kept, or by a local IDR that is asked for."""
-        units = self._histories[index].replay
-        if units is None:
-            self._starts.want(index)
-            return
-        *earlier, newest = units
-        messages = [packed_unit(index, one, flags=wire.REPLAYED) for one in earlier]
-        client.queue.handle_replay(index, [*messages, packed_unit(index, newest)])
-        client.wake()
-
-    def _begin_at(self, index: int, messages: list[bytes]) -> None:
-        """A local IDR and the units after it are there for all pages that wait for them."""
-        for client in self._clients.values():
-            if client.queue.needs_replay(index):
-                client.queue.handle_replay(index, messages)
-                client.wake()
-
-    def _watched_feeds(self) -> list[Feed]:
-        """What is read only while somebody watches."""
-        topology, segment = self._topology, self._segment
-        feeds = [
-            Feed(topic=one.topic, handle=self._sound_handler(one))
-            for one in self._streams
-            if one.via == "sound"
-        ]
-        link = topology.link(segment.transmits)
-        feeds.append(Feed(topic=link.backlog_topic, handle=self._handle_backlog, newest=True))
-        if segment is Segment.SPACE:
-            feeds += [
-                Feed(topic=JOYSTICK_TRACE_TOPIC, handle=lambda lease: self._haptics(0, lease)),
-                Feed(topic=JOYSTICK_STATE_TOPIC, handle=self._handle_joystick, newest=True),
-            ]
-        else:
-            feeds += [
-                Feed(topic=ROBOT_TRACE_TOPIC, handle=lambda lease: self._haptics(1, lease)),
-                Feed(topic=SELECTED_TOPIC, handle=self._handle_selected, newest=True),
-                *(
-                    Feed(
-                        topic=topology.input(name).preview_topic,
-                        handle=self._preview_handler(index),
-                        depth=1,
-                        newest=True,
-                    )
-                    for name, index in self._previews.items()
-                ),
-            ]
-        return feeds
-
-    def _sound_handler(self, stream: SeatStream) -> Any:
-        def handle(lease: Lease) -> None:
-            stamp = lease.stamp
-            message = wire.pack_sound(
-                stream.index,
-                lease.octets(),
-                flags=wire.CONCEALED if stamp.quality is Quality.CONCEALED else 0,
-                sequence=stamp.sequence,
-                capture_ns=stamp.capture_ns,
-            )
-            for client in self._clients.values():
-                client.queue.handle_sound(stream.index, message)
-                client.wake()
-
-        return handle
-
-    def _preview_handler(self, index: int) -> Any:
-        def handle(lease: Lease) -> None:
-            message = wire.pack_preview(
-                index, lease.width, lease.height, lease.stamp.capture_ns, lease.octets()
-            )
-            for client in self._clients.values():
-                client.queue.handle_preview(index, message)
-                client.wake()
-
-        return handle
-
-    def _haptics(self, end: int, lease: Lease) -> None:
-        message = wire.pack_haptics(end, rows_of(lease.octets()))
-        for client in self._clients.values():
-            client.queue.handle_haptics(end, message)
-            client.wake()
-
-    def _handle_backlog(self, lease: Lease) -> None:
-        self._signal = Backlog.unpack(lease.octets()).peer_heard
-
-    def _handle_selected(self, lease: Lease) -> None:
-        self._camera = Choice.unpack(lease.octets()).camera
-
-    def _handle_joystick(self, lease: Lease) -> None:
-        self._joystick = unpack_status(lease.octets())
-
-    def _read_figures(self) -> None:
-        while (text := self._context.receive_figures()) is not None:
-            self._figures = figures = msgspec.json.decode(text)
-            self._events.extend(figures["events"])
-            camera = figures["figures"].get("processes.selector.selected")
-            if camera is not None and self._segment is Segment.SPACE:
-                self._camera = camera
-            for client in self._clients.values():
-                client.queue.handle_text("figures", text.decode())
-                client.wake()
-
-    def _tell_state(self, now_ns: int) -> None:
-        if self._watched is not None:
-            # The state of the link and of commands is published without a notification.
-            self._watched.read_all()
-        status = self._joystick
-        joystick = None
-        if status is not None:
-            joystick = JoystickText(
-                state=JoystickState(status.state).words,
-                reason=status.reason,
-                dead_man=status.dead_man,
-                force_limit_n=status.force_limit_n,
-                device=status.device,
-            )
-        for client in self._clients.values():
-            text = StateText(
-                now_us=now_ns // NS_PER_US,
-                link="connected" if self._signal else "lost",
-                signal=self._signal,
-                camera=self._camera,
-                joystick=joystick,
-                hand=hand_text(self._ownership.state, client.number),
-                inputs=self.own.holders,
-            )
-            client.queue.handle_text("state", _encode(text).decode())
-            client.wake()
-
-    def _writer(self, topic: str, octets: int) -> Writer:
-        return self._bus.writer(topic, max_octets=octets, wake=False)
-
-    def _run(self, work: Any) -> None:
-        task = asyncio.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+            for task in self._tasks:
+                task.cancel()
+            await runner.cleanup()
+            for feed in (*self._histories, *self._live, *self._decoded.values()):
+                feed.close()
 
     def _tls(self) -> ssl.SSLContext | None:
-        certificate = self._listener.certificate
-        if certificate is None:
+        if self._listener.scheme != "https" or self._listener.certificate is None:
             return None
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.load_cert_chain(certificate)
-        return context
+        tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        tls.load_cert_chain(self._listener.certificate)
+        return tls
+
+    # Time
+
+    def _tick(self) -> None:
+        context, now_ns = self._context, self._now_ns()
+        context.tick(now_ns)
+        if context.stopping:
+            if not self._ended.done():
+                self._ended.set_result(None)
+            return
+        self._loop.call_later(PATIENCE_NS / NS_PER_S, self._tick)
+        if self._seat.watching:
+            self._look(now_ns)
+            self._seat.handle_time(now_ns)
+            self._settle()
+        for since_ns, transport in list(self._blocked.values()):
+            if now_ns - since_ns > _STALLED_NS:
+                transport.abort()
+
+    def _look(self, now_ns: int) -> None:
+        """Read what changes too often to wake for it."""
+        told = self._backlog.latest()
+        if told is not None:
+            self._seat.handle_signal(Backlog.unpack(told).peer_heard, now_ns)
+        chosen = None if self._selected is None else self._selected.latest()
+        if chosen is not None:
+            self._seat.handle_camera(Choice.unpack(chosen).camera, now_ns)
+
+    # Topics
+
+    def _unit(self, stream: int, lease: Lease) -> None:
+        unit = CodedUnit.unpack(lease.octets())
+        self._seat.handle_unit(stream, unit, lease.stamp, self._now_ns())
+        self._settle()
+
+    def _sound(self, stream: int, lease: Lease) -> None:
+        self._seat.handle_sound(stream, lease.octets(), lease.stamp)
+        self._settle()
+
+    def _haptics(self, end: int, lease: Lease) -> None:
+        self._seat.handle_haptics(end, lease.octets())
+        self._settle()
+
+    def _preview(self, preview: int, lease: Lease) -> None:
+        self._seat.handle_preview(preview, lease.video().data, lease.stamp)
+        self._settle()
+
+    def _status(self, lease: Lease) -> None:
+        status = unpack_status(lease.octets())
+        if status is not None:
+            self._seat.handle_status(status, self._now_ns())
+            self._settle()
+
+    def _figures(self) -> None:
+        while (text := self._context.receive_figures()) is not None:
+            self._seat.handle_figures(text, self._now_ns())
+        self._settle()
+
+    def _picture(self, stream: SeatStream, lease: Lease) -> None:
+        """A decoded picture, for those who cannot begin otherwise."""
+        timestamp = lease.stamp.rtp_timestamp
+        if stream.index in self._coding or timestamp is None:
+            return
+        self._coding.add(stream.index)
+        picture = lease.video().data.copy()
+        self._begin(self._code(stream.index, picture, timestamp))
+
+    async def _code(self, stream: int, picture: I420, timestamp: int) -> None:
+        # In a thread, because it takes longer than pages may wait.
+        key = await asyncio.to_thread(key_of, picture)
+        self._coding.discard(stream)
+        self._seat.handle_decoded(stream, key, timestamp)
+        self._settle()
+
+    def _watch(self) -> None:
+        """Open what pages are shown with the first of them, and close it with the last."""
+        feeds: list[Feed | State] = [*self._live, self._backlog]
+        if self._selected is not None:
+            feeds.append(self._selected)
+        for feed in feeds:
+            if self._seat.watching:
+                feed.open()
+            else:
+                feed.close()
+        # The launcher sends figures only when it knows.
+        self._context.flush(self._now_ns())
+
+    def _settle(self) -> None:
+        """Do what the seat has decided, and wake the pages for which something waits."""
+        seat = self._seat
+        while (event := seat.next_event()) is not None:
+            match event:
+                case HandMoved(hand) if self._hand is not None:
+                    stamp = CaptureStamp(hand.received_ns, hand.sequence, "page")
+                    self._hand.publish_octets(pack_input(hand), stamp)
+                case CommandGiven(request) if self._commands is not None:
+                    stamp = CaptureStamp(self._now_ns(), next(self._numbers), "page")
+                    self._commands.publish_octets(pack_request(request), stamp)
+                case CameraAsked():
+                    self._begin(self._ask(event))
+                case SessionOrdered(order):
+                    self._context.order(order, self._now_ns())
+        for number, wake in self._wakes.items():
+            if seat.waits(number):
+                wake.set()
+        self._fetch_pictures()
+
+    def _fetch_pictures(self) -> None:
+        wanted = set(self._seat.wanted_pictures())
+        for index in [index for index in self._decoded if index not in wanted]:
+            self._decoded.pop(index).close()
+        for each in self._seat.plan.streams:
+            if each.index in wanted - self._decoded.keys() and each.decoded_topic is not None:
+                feed = Feed(
+                    self._loop, self._bus, each.decoded_topic, partial(self._picture, each), depth=1
+                )
+                self._decoded[each.index] = feed
+                feed.open()
+
+    async def _ask(self, asked: CameraAsked) -> None:
+        answer = await ask_console(self._context.session, asked.camera)
+        self._seat.handle_selection(
+            asked,
+            error="" if answer.ok else answer.error or "the selection failed",
+            round_trip_ms=answer.round_trip_ms,
+            now_ns=self._now_ns(),
+        )
+        self._settle()
+
+    # HTTP
+
+    async def _handle(self, request: web.BaseRequest) -> web.StreamResponse:
+        host = request.headers.get("Host", "")
+        try:
+            found = self._access.find(
+                request.method, request.raw_path, host, request.headers.get("Origin")
+            )
+            return await self._serve(request, found, host)
+        except AccessError as refusal:
+            if refusal.reason:
+                self._refused[refusal.reason] = self._refused.get(refusal.reason, 0) + 1
+            return web.Response(
+                status=refusal.status, text=f"{refusal}\n", headers=headers("localhost")
+            )
+        except (ConnectionError, asyncio.CancelledError):
+            raise
+        except Exception as error:
+            self._fail(error)
+            raise
+
+    async def _serve(self, request: web.BaseRequest, found: Found, host: str) -> web.StreamResponse:
+        if found.kind is Kind.SEAT:
+            return await self._serve_seat(request, found.role)
+        if found.kind is Kind.MEDIA:
+            return await self._serve_media(request, found.role)
+        name = f"{self._segment.value}.html" if found.kind is Kind.PAGE else found.name
+        data = _file(name)
+        if found.kind is Kind.PAGE:
+            data = data.replace(_BASE.encode(), f"/{found.token}/static/".encode())
+        kind = _TYPES[Path(name).suffix]
+        fields = headers(host) | {"Content-Type": f"{kind}; charset=utf-8"}
+        return web.Response(body=data, headers=fields)
+
+    async def _serve_seat(self, request: web.BaseRequest, role: Role) -> web.StreamResponse:
+        if self._seat.watching >= _MOST_PAGES:
+            raise AccessError(503, "too many pages are open")
+        ws = await self._open(request, MOST_SEAT_OCTETS)
+        transport = request.transport
+        if transport is None:
+            return ws
+        number = self._seat.handle_opened(role, self._now_ns())
+        if self._seat.watching == 1:
+            self._watch()
+        self._wakes[number] = asyncio.Event()
+        sending = asyncio.create_task(self._send(ws, transport, number))
+        self._settle()
+        try:
+            await self._receive(ws, partial(self._take_seat, number))
+        finally:
+            sending.cancel()
+            self._wakes.pop(number)
+            self._seat.handle_closed(number, self._now_ns())
+            self._settle()
+            if not self._seat.watching:
+                self._watch()
+            with suppress(asyncio.CancelledError):
+                await sending
+        return ws
+
+    async def _serve_media(self, request: web.BaseRequest, role: Role) -> web.StreamResponse:
+        if self._media >= _MOST_MEDIA:
+            raise AccessError(503, "too many cameras and microphones are open")
+        seat = self._seat
+        ws = await self._open(request, most_media_octets(seat.plan.sizes))
+        number = seat.handle_media_opened(role)
+        self._media += 1
+        answers: asyncio.Queue[str | bytes] = asyncio.Queue(_TURN)
+        sending = asyncio.create_task(_send_all(ws, answers))
+        try:
+            await self._receive(ws, partial(self._take_media, number, answers))
+        finally:
+            sending.cancel()
+            self._media -= 1
+            seat.inputs.handle_closed(number)
+            with suppress(asyncio.CancelledError):
+                await sending
+        return ws
+
+    async def _open(self, request: web.BaseRequest, most_octets: int) -> web.WebSocketResponse:
+        # aiohttp refuses messages of its limit, too.
+        ws = web.WebSocketResponse(
+            timeout=_CLOSE_S, compress=False, max_msg_size=most_octets + 1, writer_limit=0
+        )
+        await ws.prepare(request)
+        transport = request.transport
+        if transport is not None:
+            # Then a message is written only when the one before has left this process.
+            transport.set_write_buffer_limits(high=0)
+            connection = transport.get_extra_info("socket")
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_OCTETS)
+        self._connections += 1
+        self._sockets.add(ws)
+        return ws
+
+    async def _receive(self, ws: web.WebSocketResponse, take: Callable[[WSMessage], None]) -> None:
+        """Take what comes until the socket is closed; close it after garbage."""
+        try:
+            async for message in ws:
+                take(message)
+        except ProtocolError as error:
+            self._garbage += 1
+            self._closed += 1
+            await self._close(ws, _POLICY_VIOLATION, str(error))
+        finally:
+            self._sockets.discard(ws)
+
+    def _take_seat(self, number: int, message: WSMessage) -> None:
+        now_ns = self._now_ns()
+        if message.type is WSMsgType.BINARY:
+            self._seat.handle_message(number, message.data, now_ns)
+        elif message.type is WSMsgType.TEXT:
+            self._seat.handle_text(number, message.data, now_ns)
+        else:
+            raise ProtocolError("no message of a page")
+        if self._seat.overflowed(number):
+            raise ProtocolError("answers are not read")
+        self._settle()
+
+    def _take_media(
+        self, number: int, answers: "asyncio.Queue[str | bytes]", message: WSMessage
+    ) -> None:
+        now_ns, inputs = self._now_ns(), self._seat.inputs
+        result: str | bytes | Given | None
+        if message.type is WSMsgType.BINARY:
+            result = inputs.handle_message(number, message.data, now_ns)
+        elif message.type is WSMsgType.TEXT:
+            result = inputs.handle_text(number, message.data, now_ns)
+        else:
+            raise ProtocolError("no message of a page")
+        if isinstance(result, Given):
+            self._publish(result)
+        elif result is not None:
+            if answers.full():
+                raise ProtocolError("answers are not read")
+            answers.put_nowait(result)
+
+    def _publish(self, given: Given) -> None:
+        writer, size = self._own[given.input.index], given.input.size
+        if size is None:
+            writer.publish_octets(bytes(given.data), given.stamp)
+            return
+        loan = writer.loan_picture(*size)
+        loan.payload[:] = np.frombuffer(given.data, np.uint8)
+        loan.publish(given.stamp)
+
+    async def _send(
+        self, ws: web.WebSocketResponse, transport: asyncio.Transport, number: int
+    ) -> None:
+        """Send to one page what waits for it, as fast as it takes it."""
+        wake, sent = self._wakes[number], 0
+        with suppress(ConnectionError):
+            while True:
+                message = self._seat.poll_transmit(number)
+                if message is None:
+                    wake.clear()
+                    await wake.wait()
+                    continue
+                self._blocked[number] = self._now_ns(), transport
+                try:
+                    if isinstance(message, bytes):
+                        await ws.send_bytes(message)
+                    else:
+                        await ws.send_str(message)
+                finally:
+                    del self._blocked[number]
+                sent += 1
+                if sent % _TURN == 0:
+                    await asyncio.sleep(0)
+
+    async def _close(self, ws: web.WebSocketResponse, code: int, words: str) -> None:
+        """Close a socket, also one whose page reads nothing."""
+        with suppress(TimeoutError, ConnectionError):
+            async with asyncio.timeout(_CLOSE_S):
+                # A close frame has room for 123 octets of reason (RFC 6455 section 5.5).
+                await ws.close(code=code, message=words.encode()[:120])
+
+    # Faults of our own
+
+    def _begin(self, task: Coroutine[None, None, None]) -> None:
+        begun = self._loop.create_task(task)
+        self._tasks.add(begun)
+        begun.add_done_callback(self._handle_done)
+
+    def _handle_done(self, task: "asyncio.Task[None]") -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._fail(error)
+
+    def _handle_bug(self, loop: asyncio.AbstractEventLoop, told: dict[str, object]) -> None:
+        error = told.get("exception")
+        if isinstance(error, Exception) and not isinstance(error, OSError):
+            self._fail(error)
+
+    def _fail(self, error: BaseException) -> None:
+        """A bug ends the process; the launcher starts it again."""
+        if not self._ended.done():
+            self._ended.set_exception(error)
 
     def _tell(self) -> None:
-        counts, probe = self._counts, self._context.probe
-        waiting = sum(client.queue.left_out for client in self._clients.values())
+        probe = self._context.probe
+        probe.gauge(PageGauges(watching=self._seat.watching))
         probe.count(
             PageCounters(
-                connections=counts.connections,
-                refused=dict(counts.refused),
-                garbage=counts.garbage,
-                units_left_out=counts.left_out + waiting,
-                sockets_closed=counts.closed,
+                connections=self._connections,
+                refused=dict(self._refused),
+                garbage=self._garbage,
+                units_left_out=self._seat.left_out,
+                sockets_closed=self._closed,
             )
         )
-        probe.gauge(PageGauges(watching=len(self._clients)))
 
 
-def packed_unit(index: int, one: HistoryUnit, *, flags: int = 0) -> bytes:
-    """Return a unit as a message to a page."""
-    unit: CodedUnit = one.unit
-    flags |= wire.KEY * unit.key | wire.DAMAGED * unit.damaged
-    return wire.pack_unit(
-        index, unit.data, flags=flags, sequence=one.sequence, capture_ns=one.capture_ns
-    )
+async def _send_all(ws: web.WebSocketResponse, answers: "asyncio.Queue[str | bytes]") -> None:
+    with suppress(ConnectionError):
+        while True:
+            answer = await answers.get()
+            if isinstance(answer, bytes):
+                await ws.send_bytes(answer)
+            else:
+                await ws.send_str(answer)
 
 
-def row_of(stream: SeatStream) -> VideoRow:
-    """Return the row of a stream of pictures."""
-    assert isinstance(stream.row, VideoRow)
-    return stream.row
+def _file(name: str) -> bytes:
+    path = STATIC / name
+    if path.suffix not in _TYPES or not path.is_file():
+        raise AccessError(404, "no such file")
+    return path.read_bytes()

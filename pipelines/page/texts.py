@@ -1,26 +1,79 @@
-"""The JSON texts that a page is sent. A core. `_us`: the session's monotonic clock."""
+"""The JSON texts between a seat's server and its pages.
+
+A page's requests are checked in full: a field too many, or one of another type, is no request.
+"""
+
+from typing import Annotated, Literal
 
 import msgspec
 
-from kontur_av.clock import NS_PER_MS, NS_PER_US
-from pipelines.page.access import Role
-from pipelines.page.ownership import HandleState
-from pipelines.page.seat_streams import SeatStream
-from pipelines.setup.table import VideoStream
-from pipelines.topology import InputRow, Segment, Topology
-from telepresence.haptics.device.simulated import FACTS
-from telepresence.world.state import BOARD_HEIGHT_M, BOARD_WIDTH_M, LEDS_M, WALL_X_M
+from kontur_av.errors import ProtocolError
 
-#: The size of previews at most; `pipelines.cores.previewing` keeps the shape of the picture.
-_PREVIEW_WIDTH = 160
+_Number = Annotated[int, msgspec.Meta(ge=0, le=1 << 53)]
+_Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
-class _Text(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    pass
+class _Request(msgspec.Struct, frozen=True, tag_field="do", forbid_unknown_fields=True):
+    request: _Number
 
 
-class StreamText(_Text, frozen=True, kw_only=True):
-    """A stream of the seat."""
+class SelectRequest(_Request, frozen=True, tag="select"):
+    """Select a camera for the uplink video."""
+
+    camera: _Name
+
+
+class JoystickRequest(_Request, frozen=True, tag="joystick"):
+    """A person's command to the joystick."""
+
+    event: Literal["calibrate", "start", "halt", "acknowledge", "stop", "resume"]
+
+
+class HandRequest(_Request, frozen=True, tag="hand"):
+    """Who holds the handle."""
+
+    action: Literal["take", "give", "ask", "refuse"]
+
+
+class SessionRequest(_Request, frozen=True, tag="session"):
+    """Start or stop the session."""
+
+    action: Literal["start", "stop"]
+
+
+class InputRequest(_Request, frozen=True, tag="input"):
+    """Take an input over with the page's own camera or microphone, or give it back."""
+
+    name: _Name
+    on: bool
+
+
+SeatRequest = SelectRequest | JoystickRequest | HandRequest | SessionRequest
+
+_SEAT = msgspec.json.Decoder(SeatRequest)
+_MEDIA = msgspec.json.Decoder(InputRequest)
+_ENCODER = msgspec.json.Encoder()
+
+
+def parse_seat_request(text: str) -> SeatRequest:
+    """Return a request on the socket of a seat; ProtocolError for anything else."""
+    try:
+        request: SeatRequest = _SEAT.decode(text)
+    except (msgspec.MsgspecError, RecursionError, UnicodeEncodeError) as error:
+        raise ProtocolError(f"no request: {error}") from None
+    return request
+
+
+def parse_media_request(text: str) -> InputRequest:
+    """Return a request on the socket of a camera or microphone; ProtocolError otherwise."""
+    try:
+        return _MEDIA.decode(text)
+    except (msgspec.MsgspecError, RecursionError, UnicodeEncodeError) as error:
+        raise ProtocolError(f"no request: {error}") from None
+
+
+class StreamText(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A stream that a page is sent. via: `coded`, `sent` or `sound`."""
 
     index: int
     name: str
@@ -30,57 +83,56 @@ class StreamText(_Text, frozen=True, kw_only=True):
     stale_after_ms: float
     width: int | None = None
     height: int | None = None
-    fps: int | None = None
+    fps: float | None = None
 
 
-class CameraText(_Text, frozen=True, kw_only=True):
-    """A camera that can be selected, and the inputs in its picture."""
+class CameraText(msgspec.Struct, frozen=True, kw_only=True):
+    """A camera that can be selected."""
 
     name: str
     inputs: tuple[str, ...]
 
 
-class PreviewText(_Text, frozen=True, kw_only=True):
-    """A small picture of an input."""
+class PreviewText(msgspec.Struct, frozen=True, kw_only=True):
+    """The small pictures of an input."""
 
     index: int
     input: str
+    width: int
+    height: int
 
 
-class InputText(_Text, frozen=True, kw_only=True):
-    """An input that the page's own camera or microphone can take over."""
+class InputText(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """An input that a page's own camera or microphone can take over."""
 
     index: int
     name: str
     kind: str
     width: int | None = None
     height: int | None = None
-    fps: int | None = None
+    fps: float | None = None
 
 
-class BoardText(_Text, frozen=True, kw_only=True):
-    """The task board of the built-in world."""
-
-    width_m: float = BOARD_WIDTH_M
-    height_m: float = BOARD_HEIGHT_M
-    wall_x_m: float = WALL_X_M
-    leds_m: tuple[tuple[float, float], ...] = tuple((x, y) for x, y in LEDS_M)
-
-
-class WorkspaceText(_Text, frozen=True, kw_only=True):
-    """Half of the handle's workspace."""
+class WorkspaceText(msgspec.Struct, frozen=True, kw_only=True):
+    """The workspace of the joystick, from its middle."""
 
     half_width_m: float
     half_height_m: float
 
 
-class HelloText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="hello"):
-    """The first text of a connection: what there is at this seat."""
+class BoardText(msgspec.Struct, frozen=True, kw_only=True):
+    """The robot's task board; its middle is (0, 0)."""
+
+    width_m: float
+    height_m: float
+    wall_x_m: float
+    leds_m: tuple[tuple[float, float], ...]
+
+
+class SeatText(msgspec.Struct, frozen=True, kw_only=True):
+    """What does not change at a seat."""
 
     seat: str
-    role: str
-    page: int
-    now_us: int
     setup: str
     session: str
     streams: tuple[StreamText, ...]
@@ -89,11 +141,12 @@ class HelloText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag
     inputs: tuple[InputText, ...]
     joystick: str
     workspace: WorkspaceText
-    board: dict[str, object]
+    board: BoardText
+    caps: dict[str, int]
 
 
 class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
-    """The joystick."""
+    """The joystick's state in words."""
 
     state: str
     reason: str
@@ -103,7 +156,7 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class HandText(msgspec.Struct, frozen=True, kw_only=True):
-    """Who holds the handle."""
+    """Who holds the handle, and who asks for it, by numbers of pages."""
 
     holder: int | None
     you: bool
@@ -111,10 +164,10 @@ class HandText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StateText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="state"):
-    """The state ten times a second, which is also the heartbeat."""
+    """The heartbeat, 10 times a second, and at each change."""
 
     now_us: int
-    link: str
+    link: Literal["connected", "lost"]
     signal: bool
     camera: str | None
     joystick: JoystickText | None
@@ -122,92 +175,23 @@ class StateText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag
     inputs: dict[str, int | None]
 
 
-def hello(
-    topology: Topology,
-    segment: Segment,
-    streams: tuple[SeatStream, ...],
-    *,
-    role: Role,
-    page: int,
-    now_ns: int,
-    session: str,
-    joystick: str,
-) -> HelloText:
-    """Return the first text of a page."""
-    setup = topology.setup
-    told = []
-    for one in streams:
-        stream = one.row.stream
-        video = isinstance(stream, VideoStream)
-        told.append(
-            StreamText(
-                index=one.index,
-                name=one.row.name,
-                kind="video" if video else "voice",
-                via=one.via,
-                cap_bps=stream.cap_bps,
-                stale_after_ms=setup.stale_after_ns(stream) / NS_PER_MS,
-                width=stream.width if isinstance(stream, VideoStream) else None,
-                height=stream.height if isinstance(stream, VideoStream) else None,
-                fps=stream.fps if isinstance(stream, VideoStream) else None,
-            )
-        )
-    return HelloText(
-        seat=segment.value,
-        role=role.value,
-        page=page,
-        now_us=now_ns // NS_PER_US,
-        setup=setup.name,
-        session=session,
-        streams=tuple(told),
-        cameras=tuple(CameraText(name=row.name, inputs=row.inputs) for row in topology.cameras),
-        previews=tuple(
-            PreviewText(index=index, input=row.name)
-            for index, row in enumerate(previewed_inputs(topology, segment))
-        ),
-        inputs=tuple(
-            _input(topology, index, row) for index, row in enumerate(own_inputs(topology, segment))
-        ),
-        joystick=joystick,
-        workspace=WorkspaceText(half_width_m=FACTS.half_width_m, half_height_m=FACTS.half_height_m),
-        board=msgspec.to_builtins(
-            {name: getattr(BoardText(), name) for name in BoardText.__struct_fields__}
-        ),
-    )
+class AnswerText(
+    msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="answer", omit_defaults=True
+):
+    """The answer to a request of this number. error: "" if it was carried out."""
+
+    request: int
+    ok: bool
+    error: str
+    round_trip_ms: float | None = None
 
 
-def own_inputs(topology: Topology, segment: Segment) -> tuple[InputRow, ...]:
-    """Return the inputs that a page of this seat can take over: those of its segment."""
-    return tuple(
-        row for row in topology.inputs if topology.media(row.stream).direction.sender is segment
-    )
+def hello(seat: SeatText, *, role: str, page: int, now_us: int) -> str:
+    """Return the first text of a connection."""
+    said: dict[str, object] = {"kind": "hello", "role": role, "page": page, "now_us": now_us}
+    return pack_text(said | msgspec.to_builtins(seat))
 
 
-def previewed_inputs(topology: Topology, segment: Segment) -> tuple[InputRow, ...]:
-    """Return the inputs of which the seat shows small pictures."""
-    if segment is Segment.SPACE:
-        return ()
-    return tuple(
-        row
-        for row in own_inputs(topology, segment)
-        if isinstance(topology.media(row.stream).stream, VideoStream)
-    )
-
-
-def hand_text(state: HandleState, page: int) -> HandText:
-    """Return who holds the handle, as page `page` is told."""
-    return HandText(holder=state.holder, you=state.holder == page, wanted_by=state.wanted_by)
-
-
-def _input(topology: Topology, index: int, row: InputRow) -> InputText:
-    stream = topology.media(row.stream).stream
-    if not isinstance(stream, VideoStream):
-        return InputText(index=index, name=row.name, kind="audio")
-    return InputText(
-        index=index,
-        name=row.name,
-        kind="video",
-        width=stream.width,
-        height=stream.height,
-        fps=stream.fps,
-    )
+def pack_text(text: msgspec.Struct | dict[str, object]) -> str:
+    """Return a text as JSON."""
+    return _ENCODER.encode(text).decode()

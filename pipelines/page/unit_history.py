@@ -1,101 +1,177 @@
-"""The access units of a stream that a page needs to join it in the middle. A core.
+"""The access units of a stream that a decoder needs to begin now.
 
-Refresh waves have no key picture at which a decoder of a browser would start. So the units since
-the last IDR picture are kept. A page decodes them all and draws only the newest: it then has
-exactly the picture that the stream's own receiver has, and no octet of the radio was spent.
+A browser's decoder begins with an IDR picture only, and a stream seldom has one. So a page that
+joins is sent all units since a point from which they decode to the same pictures as the live ones:
+
+1. an IDR picture of the stream; or
+2. a refresh wave that was completed, behind a black picture: the wave renews all of it; or
+3. a picture of the live decoder, coded anew, with the units that came after it. This costs time
+   and is not exact until the next wave. It is needed only when neither 1 nor 2 is here, as after a
+   restart of this process.
 """
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
+from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.codecs.healing import recovery_pictures
+from kontur_av.media import CaptureStamp, Quality
+from kontur_av.rtp.payload_h264 import join_annex_b, nal_type, split_annex_b
 from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.page.local_key import black_key
+from pipelines.page.messages import UNKNOWN_US
 
-#: What a page may have to decode before its first picture. 0.4 s or less in Chromium, measured.
-MOST_PIXELS = 70_000_000
-#: Of the units without an IDR picture before them, so many are kept for a local IDR.
-_TAIL = 90
+#: A replay that is shorter is not exchanged for one that begins with a wave.
+_SHORT_NS = 10 * NS_PER_S
+#: Longer histories are given up.
+_MOST_NS = 60 * NS_PER_S
+_MOST_OCTETS = 4 << 20
+#: Units that are kept without a point from which they can be decoded, to wait for one.
+_KEPT = 64
+_SPS, _PPS = 7, 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HistoryUnit:
-    """A unit of the stream with its stamp. capture_ns: None if unknown."""
+class KeptUnit(NamedTuple):
+    """An access unit of the history. capture_us: `UNKNOWN_US` if not known."""
 
-    unit: CodedUnit
+    data: bytes
+    key: bool
+    damaged: bool
     sequence: int
-    capture_ns: int | None
+    capture_us: int
     rtp_timestamp: int | None
+    received_ns: int
 
 
 class UnitHistory:
-    """Keeps the units since the last IDR picture, as long as they are few enough to replay.
+    """The units of one stream, from a point at which a decoder can begin.
 
-    parameter_sets: the newest SPS and PPS of the stream, as Annex B; b"" until there are some.
+    Of the newest wave it knows where it began and how many units are left of it. Without a
+    beginning, the units since the newest wave are kept, and at least 64.
     """
 
-    def __init__(self, *, most_pixels: int = MOST_PIXELS) -> None:
-        self._most_pixels = most_pixels
-        self._units: deque[HistoryUnit] = deque()
-        #: Whether `_units` begins with an IDR picture and has no gap.
+    def __init__(self) -> None:
+        self._units: deque[KeptUnit] = deque()
+        self._octets = 0
+        #: What comes before the units: nothing if they begin with an IDR picture.
+        self._ahead: KeptUnit | None = None
         self._whole = False
-        self._pixels = 0
         self._next_sequence: int | None = None
-        self.parameter_sets = b""
+        self._sets = b""
+        self._size = (0, 0)
+        #: The running wave: number of its first unit, and how many units are left of it.
+        self._wave: tuple[int, int] | None = None
 
     @property
-    def replay(self) -> Sequence[HistoryUnit] | None:
-        """The units for a page that joins now; None if it needs a local IDR, or must wait."""
-        return tuple(self._units) if self._whole and self._units else None
+    def needs_picture(self) -> bool:
+        """Whether a picture for `handle_picture` would help: there are units, but no beginning."""
+        return not self._whole and bool(self._units) and bool(self._sets)
 
-    def handle_unit(self, unit: HistoryUnit) -> None:
-        """A unit of the stream has come. One that the decoder refused is not kept."""
-        gap = self._next_sequence is not None and unit.sequence != self._next_sequence
-        self._next_sequence = unit.sequence + 1
-        coded = unit.unit
-        if coded.refused:
-            # The stream's own decoder went on without it, and so does a page's.
-            self._whole = self._whole and not gap
-            return
-        found = parameter_sets_of(coded.data)
-        if found:
-            self.parameter_sets = found
-        if coded.key:
-            self._units.clear()
-            self._pixels = 0
+    def handle_unit(self, unit: CodedUnit, stamp: CaptureStamp, now_ns: int) -> KeptUnit | None:
+        """A unit has come; return it as it goes to pages, or None if it must not.
+
+        A decoder may close on a unit that ours refused, so it is withheld.
+        """
+        if stamp.sequence != self._next_sequence:
+            self._clear()
+        self._next_sequence = stamp.sequence + 1
+        if unit.refused:
+            self._wave = None
+            return None
+        kept = KeptUnit(
+            data=unit.data,
+            key=unit.key,
+            damaged=stamp.quality is Quality.DAMAGED or unit.damaged,
+            sequence=stamp.sequence,
+            capture_us=stamp.capture_ns // NS_PER_US if unit.dated else UNKNOWN_US,
+            rtp_timestamp=stamp.rtp_timestamp,
+            received_ns=now_ns,
+        )
+        self._sets = _parameter_sets(unit.data) or self._sets
+        if unit.key and not unit.damaged:
+            self._clear()
             self._whole = True
-        elif gap:
-            self._whole = False
-        self._units.append(unit)
-        self._pixels += coded.width * coded.height
-        if self._pixels > self._most_pixels:
-            self._whole = False
-        if not self._whole:
-            while len(self._units) > _TAIL:
-                self._units.popleft()
+        self._size = unit.width, unit.height
+        self._units.append(kept)
+        self._octets += len(kept.data)
+        self._follow_wave(unit, kept)
+        self._trim(now_ns)
+        return kept
 
-    def after(self, rtp_timestamp: int) -> Sequence[HistoryUnit] | None:
-        """Return the units after the one of this timestamp; None if it is not kept any more."""
-        units = list(self._units)
-        for index, one in enumerate(units):
-            if one.rtp_timestamp == rtp_timestamp:
-                return units[index + 1 :]
-        return None
+    def replay(self) -> list[KeptUnit] | None:
+        """Return the units with which a decoder can begin, or None if there is no beginning."""
+        if not self._whole or (not self._units and self._ahead is None):
+            return None
+        return [*([] if self._ahead is None else [self._ahead]), *self._units]
+
+    def handle_picture(self, key: bytes, rtp_timestamp: int) -> bool:
+        """Begin with `key`, the live decoder's picture of this unit, coded anew.
+
+        Return False if that unit is not among those that are kept.
+        """
+        numbers = [unit.sequence for unit in self._units if unit.rtp_timestamp == rtp_timestamp]
+        if self._whole or not numbers:
+            return False
+        picture = next(unit for unit in self._units if unit.sequence == numbers[-1])
+        self._drop_before(picture.sequence + 1)
+        self._begin(picture._replace(data=key, key=True))
+        return True
+
+    def _begin(self, ahead: KeptUnit) -> None:
+        """Begin with `ahead`; the stream's own parameter sets follow it."""
+        self._ahead, self._whole = ahead, True
+        if self._units and not _parameter_sets(self._units[0].data):
+            # Parameter sets alone are no access unit, and browsers refuse them.
+            first = self._units.popleft()
+            self._units.appendleft(first._replace(data=self._sets + first.data))
+            self._octets += len(self._sets)
+
+    def _follow_wave(self, unit: CodedUnit, kept: KeptUnit) -> None:
+        if unit.damaged:
+            self._wave = None
+            return
+        if self._wave is not None:
+            first, left = self._wave
+            self._wave = (first, left - 1) if left > 1 else None
+            if left == 1 and not kept.damaged:
+                self._handle_wave(first)
+        pictures = recovery_pictures(unit.data)
+        if pictures:
+            self._wave = kept.sequence, pictures
+
+    def _handle_wave(self, first: int) -> None:
+        """The wave that began with the unit `first` is complete."""
+        long = self._units[-1].received_ns - self._units[0].received_ns > _SHORT_NS
+        if (self._whole and not long) or not all(self._size):
+            return
+        self._drop_before(first)
+        wave = self._units[0]
+        self._begin(wave._replace(data=black_key(*self._size), key=True, capture_us=UNKNOWN_US))
+
+    def _trim(self, now_ns: int) -> None:
+        units = self._units
+        if self._octets > _MOST_OCTETS or units[0].received_ns < now_ns - _MOST_NS:
+            self._ahead, self._whole = None, False
+        if self._whole:
+            return
+        needed = units[-1].sequence + 1 if self._wave is None else self._wave[0]
+        while len(units) > _KEPT and units[0].sequence < needed:
+            self._octets -= len(units.popleft().data)
+        while units and (self._octets > _MOST_OCTETS or units[0].received_ns < now_ns - _MOST_NS):
+            self._octets -= len(units.popleft().data)
+            self._wave = None
+
+    def _drop_before(self, sequence: int) -> None:
+        while self._units and self._units[0].sequence < sequence:
+            self._octets -= len(self._units.popleft().data)
+
+    def _clear(self) -> None:
+        self._units.clear()
+        self._octets = 0
+        self._ahead, self._whole, self._wave = None, False, None
 
 
-def parameter_sets_of(data: bytes) -> bytes:
-    """Return the SPS and PPS of an access unit as Annex B; b"" unless it has both.
-
-    NAL unit types 7 and 8 of ITU-T H.264, table 7-1.
-    """
-    found = {7: b"", 8: b""}
-    at = data.find(b"\x00\x00\x01")
-    while at >= 0 and at + 3 < len(data):
-        kind = data[at + 3] & 0x1F
-        if kind in (1, 5):
-            break  # slices follow the parameter sets
-        following = data.find(b"\x00\x00\x01", at + 3)
-        if kind in found:
-            end = len(data) if following < 0 else following
-            found[kind] = b"\x00\x00\x00\x01" + data[at + 3 : end].rstrip(b"\x00")
-        at = following
-    return found[7] + found[8] if all(found.values()) else b""
+def _parameter_sets(unit: bytes) -> bytes:
+    """Return SPS and PPS of an access unit, as an Annex B byte stream; b"" if it has no SPS."""
+    nals = [nal for nal in split_annex_b(unit) if nal_type(nal) in (_SPS, _PPS)]
+    return join_annex_b(nals) if any(nal_type(nal) == _SPS for nal in nals) else b""
