@@ -31,7 +31,7 @@ from kontur_av.media import (
     empty_picture,
     planes,
 )
-from kontur_av.rtp.payload_h264 import NAL_SEI, join_annex_b, nal_type, split_annex_b
+from kontur_av.rtp.payload_h264 import NAL_IDR, NAL_SEI, join_annex_b, nal_type, split_annex_b
 
 _SEI_USER_DATA_UNREGISTERED = 5
 
@@ -147,7 +147,9 @@ class H264Encoder:
         packet = self._give(data, force_keyframe=force_keyframe)
         self.encoded += 1
         unit = without_user_data(bytes(packet)) if packet.is_keyframe else bytes(packet)
-        return AccessUnit(unit, frame.stamp, packet.is_keyframe)
+        # x264 also flags the first picture of a refresh wave, at which not every decoder can start.
+        idr = packet.is_keyframe and any(nal_type(nal) == NAL_IDR for nal in split_annex_b(unit))
+        return AccessUnit(unit, frame.stamp, idr)
 
     def _follow(self, coding: Coding) -> None:
         """Open a new encoder if `coding` changes rate, refresh or cap; the coded size stays."""
