@@ -78,8 +78,12 @@ class UnitHistory:
         if unit.refused:
             self._wave = None
             return None
+        data = unit.data
+        if self._whole and not self._units and not unit.key and not _parameter_sets(data):
+            # The first one behind a picture that was coded here: see `_begin`.
+            data = self._sets + data
         kept = KeptUnit(
-            data=unit.data,
+            data=data,
             key=unit.key,
             damaged=stamp.quality is Quality.DAMAGED or unit.damaged,
             sequence=stamp.sequence,
@@ -118,10 +122,12 @@ class UnitHistory:
         return True
 
     def _begin(self, ahead: KeptUnit) -> None:
-        """Begin with `ahead`; the stream's own parameter sets follow it."""
+        """Begin with `ahead`, which has parameter sets of its own; the next unit has the stream's.
+
+        They are not sent alone, because that is no access unit: browsers close their decoder.
+        """
         self._ahead, self._whole = ahead, True
         if self._units and not _parameter_sets(self._units[0].data):
-            # Parameter sets alone are no access unit, and browsers refuse them.
             first = self._units.popleft()
             self._units.appendleft(first._replace(data=self._sets + first.data))
             self._octets += len(self._sets)
