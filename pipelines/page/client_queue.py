@@ -6,10 +6,11 @@
 | pongs | 32 | the oldest is dropped |
 | state, each preview | 1 | the newest replaces it |
 | figures | 8 | the oldest is dropped |
-| haptics, of each end | 8 blocks of 20 ms | the oldest is dropped |
-| sound, of each stream | 10 blocks | the oldest is dropped, and counted |
-| units, of each picture | 90 or 512 KiB | all are dropped and counted; see `Lane` |
+| haptics, of each end | 25 blocks, 0.5 s | the oldest is dropped |
+| sound, of each stream | 15 blocks, 0.3 s | the oldest is dropped, and counted |
+| units, of each picture | 45 or 1 MiB | all are dropped and counted; see `Lane` |
 
+They are sent in this order: pongs, answers, state, sound, haptics, units, figures, previews.
 A replay is as long as the history from which it is taken, and there is one at a time of a stream.
 """
 
@@ -19,10 +20,10 @@ from collections.abc import Iterable, Iterator, Sequence
 _MOST_ANSWERS = 64
 _MOST_PONGS = 32
 _MOST_FIGURES = 8
-_MOST_HAPTICS = 8
-_MOST_SOUNDS = 10
-MOST_UNITS = 90
-MOST_UNIT_OCTETS = 512 << 10
+_MOST_HAPTICS = 25
+_MOST_SOUNDS = 15
+MOST_UNITS = 45
+MOST_UNIT_OCTETS = 1 << 20
 
 Message = bytes | str
 
@@ -167,12 +168,12 @@ class ClientQueue:
         if self._state is not None:
             state, self._state = self._state, None
             return state
-        for lane in self._lanes.values():
-            if (unit := lane.pop()) is not None:
-                return unit
         for blocks in (*self._sounds.values(), *self._haptics.values()):
             if blocks:
                 return blocks.popleft()
+        for lane in self._lanes.values():
+            if (unit := lane.pop()) is not None:
+                return unit
         if self._figures:
             return self._figures.popleft()
         for preview in self._previews:

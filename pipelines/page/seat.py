@@ -101,7 +101,9 @@ class Seat:
         self._numbers = count(1)
         self._pages: dict[int, _Page] = {}
         self._histories = {
-            each.index: UnitHistory() for each in plan.streams if each.via is not Via.SOUND
+            each.index: UnitHistory(pictures=each.decoded_topic is not None)
+            for each in plan.streams
+            if each.via is not Via.SOUND
         }
         self._hand = HandleOwnership()
         self._gate = HandGate(self._hand)
@@ -275,7 +277,9 @@ class Seat:
         return [
             each.index
             for each in self.plan.streams
-            if each.decoded_topic is not None and self._histories[each.index].needs_picture
+            if each.index in self._histories
+            and self._histories[each.index].needs_picture
+            and any(not page.queue.lane(each.index).open for page in self._pages.values())
         ]
 
     def handle_sound(self, stream: int, samples: bytes, stamp: CaptureStamp) -> None:

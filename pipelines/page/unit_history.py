@@ -5,9 +5,9 @@ joins is sent all units since a point from which they decode to the same picture
 
 1. an IDR picture of the stream; or
 2. a refresh wave that was completed, behind a black picture: the wave renews all of it; or
-3. a picture of the live decoder, coded anew, with the units that came after it. This costs time
-   and is not exact until the next wave. It is needed only when neither 1 nor 2 is here, as after a
-   restart of this process.
+3. a picture of the live decoder, coded anew, with the units that came after it. It is nearly exact
+   at once, and exact after the next wave. It is taken when neither 1 nor 2 is here, as after a
+   restart of this process, or when either would take a browser too long to decode.
 """
 
 from collections import deque
@@ -21,8 +21,10 @@ from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.page.local_key import black_key
 from pipelines.page.messages import UNKNOWN_US
 
+#: What a page may have to decode before its first picture: 0.4 s or less in Chromium, measured.
+MOST_PIXELS = 70_000_000
 #: A replay that is shorter is not exchanged for one that begins with a wave.
-_SHORT_NS = 10 * NS_PER_S
+_SHORT_PIXELS = MOST_PIXELS // 2
 #: Longer histories are given up.
 _MOST_NS = 60 * NS_PER_S
 _MOST_OCTETS = 4 << 20
@@ -35,6 +37,7 @@ class KeptUnit(NamedTuple):
     """An access unit of the history. capture_us: `UNKNOWN_US` if not known."""
 
     data: bytes
+    pixels: int
     key: bool
     damaged: bool
     sequence: int
@@ -48,11 +51,14 @@ class UnitHistory:
 
     Of the newest wave it knows where it began and how many units are left of it. Without a
     beginning, the units since the newest wave are kept, and at least 64.
+
+    pictures: the pictures of the live decoder can be had.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, pictures: bool) -> None:
+        self._pictures = pictures
         self._units: deque[KeptUnit] = deque()
-        self._octets = 0
+        self._octets = self._pixels = 0
         #: What comes before the units: nothing if they begin with an IDR picture.
         self._ahead: KeptUnit | None = None
         self._whole = False
@@ -64,8 +70,9 @@ class UnitHistory:
 
     @property
     def needs_picture(self) -> bool:
-        """Whether a picture for `handle_picture` would help: there are units, but no beginning."""
-        return not self._whole and bool(self._units) and bool(self._sets)
+        """Whether a page that joins needs a picture for `handle_picture`."""
+        lacks = not self._whole or self._pixels > MOST_PIXELS
+        return self._pictures and lacks and bool(self._units) and bool(self._sets)
 
     def handle_unit(self, unit: CodedUnit, stamp: CaptureStamp, now_ns: int) -> KeptUnit | None:
         """A unit has come; return it as it goes to pages, or None if it must not.
@@ -84,6 +91,7 @@ class UnitHistory:
             data = self._sets + data
         kept = KeptUnit(
             data=data,
+            pixels=unit.width * unit.height,
             key=unit.key,
             damaged=stamp.quality is Quality.DAMAGED or unit.damaged,
             sequence=stamp.sequence,
@@ -98,6 +106,7 @@ class UnitHistory:
         self._size = unit.width, unit.height
         self._units.append(kept)
         self._octets += len(kept.data)
+        self._pixels += kept.pixels
         self._follow_wave(unit, kept)
         self._trim(now_ns)
         return kept
@@ -114,7 +123,7 @@ class UnitHistory:
         Return False if that unit is not among those that are kept.
         """
         numbers = [unit.sequence for unit in self._units if unit.rtp_timestamp == rtp_timestamp]
-        if self._whole or not numbers:
+        if not self.needs_picture or not numbers:
             return False
         picture = next(unit for unit in self._units if unit.sequence == numbers[-1])
         self._drop_before(picture.sequence + 1)
@@ -147,8 +156,7 @@ class UnitHistory:
 
     def _handle_wave(self, first: int) -> None:
         """The wave that began with the unit `first` is complete."""
-        long = self._units[-1].received_ns - self._units[0].received_ns > _SHORT_NS
-        if (self._whole and not long) or not all(self._size):
+        if (self._whole and self._pixels <= _SHORT_PIXELS) or not all(self._size):
             return
         self._drop_before(first)
         wave = self._units[0]
@@ -162,18 +170,23 @@ class UnitHistory:
             return
         needed = units[-1].sequence + 1 if self._wave is None else self._wave[0]
         while len(units) > _KEPT and units[0].sequence < needed:
-            self._octets -= len(units.popleft().data)
+            self._drop_oldest()
         while units and (self._octets > _MOST_OCTETS or units[0].received_ns < now_ns - _MOST_NS):
-            self._octets -= len(units.popleft().data)
+            self._drop_oldest()
             self._wave = None
 
     def _drop_before(self, sequence: int) -> None:
         while self._units and self._units[0].sequence < sequence:
-            self._octets -= len(self._units.popleft().data)
+            self._drop_oldest()
+
+    def _drop_oldest(self) -> None:
+        oldest = self._units.popleft()
+        self._octets -= len(oldest.data)
+        self._pixels -= oldest.pixels
 
     def _clear(self) -> None:
         self._units.clear()
-        self._octets = 0
+        self._octets = self._pixels = 0
         self._ahead, self._whole, self._wave = None, False, None
 
 
