@@ -24,7 +24,7 @@ class FigureTable extends HTMLElement {
   #have(names) {
     const fresh = names.filter((name) => !this.#rows.has(name));
     for (const name of fresh) {
-      const row = make("div", {}, make("dt", {}, name), make("dd", { class: "number", "data-figure": name }));
+      const row = make("div", {}, make("dt", { title: name }, name), make("dd", { class: "number", "data-figure": name }));
       this.#rows.set(name, row);
       this.#list.append(row);
     }

@@ -1,6 +1,6 @@
 /**
- * `<haptic-charts>`: force and position of the joystick and of the robot, at 1 kHz, over the last
- * 2, 10 or 60 seconds.
+ * `<haptic-charts>`: force and position at 1 kHz over the last 2, 10 or 60 seconds, of each end of
+ * haptics that this page is sent.
  *
  * @import { Connection } from "./connection.js"
  * @import { Seat } from "./seat.js"
@@ -13,10 +13,10 @@ import { StripChart } from "./strip_chart.js";
 const SPANS_S = [2, 10, 60];
 /** The one at first. */
 const SPAN_S = 10;
-/** Joystick, then robot: as the ends are numbered. The thick one is drawn below. */
+/** The thick one is drawn below. */
 const SIGNALS = [
-  { colour: "--end-joystick", thick: true },
-  { colour: "--end-robot", thick: false },
+  { end: "joystick", colour: "--end-joystick", thick: true },
+  { end: "robot", colour: "--end-robot", thick: false },
 ];
 /** @typedef {{value: number, title: string, unit: string, factor: number, least: number}} Strip */
 
@@ -32,8 +32,9 @@ const STRIPS = [
 const KEPT_ROWS = 61_000;
 
 class HapticCharts extends HTMLElement {
-  /** Joystick and robot. */
-  #traces = [new HapticTrace(KEPT_ROWS), new HapticTrace(KEPT_ROWS)];
+  /** As `SIGNALS`. */
+  #traces = SIGNALS.map(() => new HapticTrace(KEPT_ROWS));
+  #keys = SIGNALS.map(({ end }) => make("span", { class: "key", "data-end": end, hidden: true }, end));
   /** Rows of each trace that the charts have already. */
   #shown = [0, 0];
   /** @type {StripChart[]} */
@@ -44,7 +45,9 @@ class HapticCharts extends HTMLElement {
   follow({ connection }) {
     this.#build();
     connection.on("haptic", (haptics) => {
-      this.#traces[haptics.end === "joystick" ? 0 : 1].append(haptics);
+      const signal = SIGNALS.findIndex(({ end }) => end === haptics.end);
+      this.#traces[signal].append(haptics);
+      this.#keys[signal].hidden = false;
     });
     drawOften(this, () => this.#draw(connection));
   }
@@ -69,12 +72,7 @@ class HapticCharts extends HTMLElement {
       radio.addEventListener("change", () => this.#choose(span));
       spans.append(make("label", {}, radio, make("span", {}, `${span} s`)));
     }
-    const legend = make(
-      "p",
-      { class: "legend" },
-      make("span", { class: "key", "data-end": "joystick" }, "joystick"),
-      make("span", { class: "key", "data-end": "robot" }, "robot"),
-    );
+    const legend = make("p", { class: "legend" }, ...this.#keys);
     this.#strips = STRIPS.map(
       (strip) => new StripChart({ ...strip, signals: SIGNALS }, (chart) => this.#refill(chart, strip)),
     );

@@ -78,7 +78,8 @@ class PreviewStrip extends HTMLElement {
       const silent = performance.now() - drawnMs > SILENT_MS;
       setAttribute(figure, "data-selected", String(selected));
       setAttribute(figure, "data-silent", String(silent));
-      setText(mark, silent ? "no picture" : selected ? "selected" : "");
+      setText(mark, silent ? "no picture" : selected ? "✓" : "");
+      setAttribute(mark, "aria-label", selected ? "selected" : null);
     }
   }
 }

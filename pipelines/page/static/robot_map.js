@@ -1,6 +1,6 @@
 /**
- * `<robot-map>`: the task board with the robot's stylus, its force, what it touches, the lit LED,
- * and where the joystick's handle is.
+ * `<robot-map>`: the task board with the robot's stylus, its force as an arrow, what it touches and
+ * the lit LED.
  *
  * @import { Seat } from "./seat.js"
  * @import { Row } from "./newest_row.js"
@@ -23,28 +23,28 @@ class RobotMap extends HTMLElement {
   follow({ connection }) {
     const { canvas } = this.#map;
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", "Task board: stylus, force, joystick");
+    canvas.setAttribute("aria-label", "Task board with the robot's stylus and its force");
     this.append(
       canvas,
-      make("p", { class: "map-keys quiet small" }, "● stylus  + joystick  → force"),
       make("dl", { class: "values" }, make("dt", {}, "Stylus"), make("dd", {}, this.#contact), make("dt", {}, "Force"), this.#force, make("dt", {}, "Position x, y"), this.#place),
     );
-    const [joystick, robot] = [new NewestRow(connection, "joystick"), new NewestRow(connection, "robot")];
-    let [drawn, drawnTarget] = /** @type {(Row | null | undefined)[]} */ ([undefined, undefined]);
+    const robot = new NewestRow(connection, "robot");
+    /** @type {Row | null | undefined} */
+    let drawn;
     let said = 0;
     connection.on("hello", () => {
       drawn = undefined;
     });
     drawOften(this, () => {
-      const [handle, target] = [robot.row, joystick.row];
+      const handle = robot.row;
       if (performance.now() - said >= SAY_MS) {
         said = performance.now();
         this.#say(handle);
       }
-      if (connection.hello === null || (handle === drawn && target === drawnTarget)) return;
-      [drawn, drawnTarget] = [handle, target];
+      if (connection.hello === null || handle === drawn) return;
+      drawn = handle;
       const { workspace, board } = connection.hello;
-      this.#map.show({ workspace, board, handle, target });
+      this.#map.show({ workspace, board, handle, target: handle });
     });
   }
 

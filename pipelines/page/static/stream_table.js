@@ -117,7 +117,7 @@ function showRow(row, figures, fullMs) {
   row.fill.style.width = share(now, cap);
   row.peak.style.left = share(most, cap);
   row.peak.hidden = !Number.isFinite(most);
-  setAttribute(row.fill, "data-full", String(now > 0.98 * cap));
+  setAttribute(row.fill, "data-over", String(most > cap));
 
   const [p50, p99] = [of("latency_ms.p50"), of("latency_ms.p99")];
   const stages = STAGES.map(({ stage }) => of(`latency_ms.stages.${stage}.p50`));
