@@ -8,7 +8,7 @@
 import { make, setText } from "./dom.js";
 import { drawOften } from "./drawing_loop.js";
 import { NewestRow } from "./newest_row.js";
-import { WorkspaceMap } from "./workspace_map.js";
+import { LED_NAMES, WorkspaceMap } from "./workspace_map.js";
 
 /** People read no faster, and each change of a text is laid out. */
 const SAY_MS = 200;
@@ -50,7 +50,7 @@ class RobotMap extends HTMLElement {
 
   /** @param {Row | null} row */
   #say(row) {
-    const led = row === null || row.lit === null ? "" : `, LED ${row.lit}`;
+    const led = row === null || row.lit === null ? "" : `, LED ${LED_NAMES[row.lit]}`;
     setText(this.#contact, row === null ? "no samples" : row.contact ? `CONTACT${led}` : "free");
     this.#contact.dataset.contact = String(row?.contact === true);
     const force = row === null ? "–" : `${Math.hypot(row.forceXN, row.forceYN).toFixed(1)} N`;

@@ -18,7 +18,7 @@ import { colour } from "./theme.js";
  */
 
 /** The LEDs' names, as they stand on the board. */
-const LED_NAMES = ["1", "2", "3", "A", "B"];
+export const LED_NAMES = ["1", "2", "3", "A", "B"];
 /** Room around the workspace, as a share of it. */
 const MARGIN = 1.12;
 /** The longest arrow, as a share of the map's smaller side. */
