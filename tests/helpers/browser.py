@@ -17,8 +17,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from running_session import PATIENCE_S, eventually
+import running_session
 
+#: Protects against a hang. A browser whose pictures are drawn by the processor needs more of it.
+PATIENCE_S = 90.0
 PROGRAMS = ("chromium", "chromedriver")
 #: Chromium's own words where a script failed or was refused; "network" says that a server is gone.
 _NETWORK = "network"
@@ -32,6 +34,10 @@ def missing():
         return None
     mend = "apt-get install chromium chromium-driver; pip install selenium"
     return f"no {', no '.join(lacking)}: {mend}"
+
+
+#: Whether a seat's page shows the present.
+LIVE = "document.querySelector('#picture').dataset.stale === 'false'"
 
 
 class Browser:
@@ -148,7 +154,7 @@ class Page:
 
     def run(self, script, *values):
         """Run a script as a function's body in the page; return what it returns."""
-        return self._driver().execute_script(script, *values)
+        return self.driver().execute_script(script, *values)
 
     def wait(self, condition, what=None):
         """Wait until an expression in the page is true; return its value."""
@@ -156,12 +162,12 @@ class Page:
 
     def find(self, selector):
         """Return the one element that a CSS selector names."""
-        (element,) = self._driver().find_elements("css selector", selector)
+        (element,) = self.driver().find_elements("css selector", selector)
         return element
 
     def close(self):
         """Close the window or tab."""
-        self._driver().close()
+        self.driver().close()
         handles = self.browser.driver.window_handles
         if handles:
             self.browser.driver.switch_to.window(handles[0])
@@ -194,14 +200,31 @@ class Page:
 
     def screenshot(self, path):
         """Write what a person sees as a PNG file."""
-        Path(path).write_bytes(self._driver().get_screenshot_as_png())
+        Path(path).write_bytes(self.driver().get_screenshot_as_png())
 
-    def _driver(self):
+    def driver(self):
+        """Return selenium's driver, with this page in front."""
         driver = self.browser.driver
         # To switch moves the focus and shows a hidden tab, so not without need.
         if driver.current_window_handle != self._handle:
             driver.switch_to.window(self._handle)
         return driver
+
+
+def eventually(ask, what):
+    """Call `ask()` until its result is true; return the result."""
+    return running_session.eventually(ask, what, PATIENCE_S)
+
+
+def drawn(page):
+    """Return how many pictures the main view of a seat's page has drawn."""
+    return page.run("return document.querySelector('picture-view').drawn")
+
+
+def wait_for_pictures(page, count=5):
+    """Wait until a seat's page has drawn that many more pictures."""
+    before = drawn(page)
+    eventually(lambda: drawn(page) >= before + count, "new pictures")
 
 
 def luma(pixels):

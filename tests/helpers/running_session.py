@@ -45,12 +45,12 @@ def free_base_port():
     pytest.skip("no block of free UDP ports")
 
 
-def eventually(ask, what):
+def eventually(ask, what, patience_s=PATIENCE_S):
     """Call `ask()` until its result is true; return the result."""
-    deadline_s = time.monotonic() + PATIENCE_S
+    deadline_s = time.monotonic() + patience_s
     while not (answer := ask()):
         if time.monotonic() > deadline_s:
-            pytest.fail(f"{what} did not happen in {PATIENCE_S:g} s")
+            pytest.fail(f"{what} did not happen in {patience_s:g} s")
         time.sleep(0.02)
     return answer
 

@@ -1,0 +1,444 @@
+"""Both seats of one live session: seen, switched, joined, steered, heard, and left alone."""
+
+import asyncio
+import time
+import wave
+from urllib.parse import parse_qs, urlsplit
+
+import aiohttp
+import browser as browsers
+import numpy as np
+import pytest
+from browser import LIVE, drawn, eventually, psnr_db, wait_for_pictures
+from numbered_pictures import NumberedPictures, number_of, number_on, write_pictures
+from running_session import RunningSession
+from selenium.webdriver import ActionChains
+
+from pipelines.cores.hand_topics import unpack_status
+from pipelines.parts.robot_state import unpack_state
+from pipelines.topology import JOYSTICK_STATE_TOPIC, ROBOT_TOPIC
+
+#: Below what a local IDR picture reaches at once, far above a picture that began wrongly.
+ALIKE_DB = 45.0
+STALE = "document.querySelector('#picture').dataset.stale === 'true'"
+#: A tone that noise suppression does not take for noise: half a second of it in every second.
+TONE_HZ, SOUND_HZ = 600, 48_000
+#: A level between silence and a voice, on the pages' meters.
+HEARD_DB = -45
+
+
+def write_tone(path):
+    at = np.arange(4 * SOUND_HZ) / SOUND_HZ
+    samples = 12_000 * np.sin(2 * np.pi * TONE_HZ * at) * (at % 1 < 0.5)
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(SOUND_HZ)
+        file.writeframes(samples.astype("<i2").tobytes())
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    with NumberedPictures(tmp_path_factory.mktemp("fifo") / "static.y4m") as written:
+        yield written
+
+
+@pytest.fixture(scope="module")
+def session(pictures, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("session")
+    with RunningSession(
+        "spacejustin",
+        *("--page", "24100", "--joystick", "page"),
+        *("--source", f"static=pipe:{pictures.path}", "--source", "ground_mic=page"),
+        directory=directory,
+    ) as running:
+        running.pids()
+        yield running
+        code, report = running.interrupt()
+        assert code == 0, running.errors()
+        assert running.errors() == ""
+        assert report["failures"] == []
+        assert {n for n, entry in report["processes"].items() if entry["restarts"]} == set()
+
+
+@pytest.fixture(scope="module")
+def browser(session, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("devices")
+    camera, microphone = directory / "camera.y4m", directory / "microphone.wav"
+    write_pictures(camera, 60)
+    write_tone(microphone)
+    with browsers.Browser(camera=camera, microphone=microphone) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def space(session, browser):
+    return browser.open(session.pages()["space"])
+
+
+@pytest.fixture(scope="module")
+def ground(session, browser):
+    return browser.open(session.pages()["ground"])
+
+
+@pytest.fixture(autouse=True)
+def no_errors(browser):
+    yield
+    browser.assert_no_errors()
+
+
+def wait_for_number(page, more_than, selector="#picture"):
+    """Wait until a page shows a picture with a larger number; return it."""
+
+    def newer():
+        number = number_on(page, selector)
+        return number if number is not None and number > more_than else None
+
+    return eventually(newer, f"a picture after number {more_than}")
+
+
+def select(page, camera):
+    """Select a camera by click; wait until its selection is acknowledged."""
+    page.find(f"button[data-camera={camera}]").click()
+    page.wait(
+        f"document.querySelector('button[data-camera={camera}]').ariaCurrent === 'true'"
+        f" && document.querySelector('camera-buttons').textContent.includes('{camera}: ack')",
+        f"the acknowledgement of {camera}",
+    )
+
+
+def test_both_seats_show_the_session(space, ground):
+    for page in (space, ground):
+        page.wait(LIVE)
+        page.wait("document.body.dataset.link === 'connected'")
+        wait_for_pictures(page)
+        # Nothing comes from anywhere else.
+        assert page.run(
+            "return performance.getEntriesByType('resource')"
+            ".every((entry) => entry.name.startsWith(location.origin))"
+        )
+    ground.wait("document.querySelector('#sent').dataset.stale === 'false'")
+    eventually(lambda: isinstance(space.figure("uplink_video.age_ms"), float | int), "the age")
+    eventually(lambda: isinstance(ground.figure("downlink_video.age_ms"), float | int), "the age")
+    assert space.figure("gateways.space.supervision.state") == "connected"
+
+
+def test_a_click_selects_a_camera_whose_pictures_come_one_after_the_other(space, ground, pictures):
+    select(space, "static")
+    numbers = [wait_for_number(space, -1)]
+    while len(numbers) < 8:
+        numbers.append(wait_for_number(space, numbers[-1]))
+        assert numbers[-1] <= pictures.newest + 1
+    assert wait_for_number(ground, numbers[-1], "#sent") <= pictures.newest + 1
+
+
+def test_a_page_that_joins_in_the_middle_shows_what_another_shows(
+    space, browser, session, pictures
+):
+    seen = wait_for_number(space, -1)
+    late = browser.open(session.pages()["space"])
+    wait_for_number(late, seen)
+    pictures.pause()
+    for page in (space, late):
+        page.wait(STALE)
+    eventually(lambda: number_on(space) == number_on(late), "the same picture")
+    likeness_db = psnr_db(space.pixels(), late.pixels())
+    print(f"a page that joined shows the same picture with {likeness_db:.0f} dB")
+    assert likeness_db > ALIKE_DB
+    pictures.go_on()
+    late.close()
+
+
+def test_a_stream_that_changes_its_size_goes_on(space, ground, pictures):
+    size = "(({ width, height }) => `${width}x${height}`)(document.querySelector('#picture'))"
+    space.wait(f"{size} === '384x288'")
+    # Cuts that follow each other make the encoder choose the smaller size.
+    while space.run(f"return {size}") != "256x192":
+        pictures.bright = not pictures.bright
+        wait_for_pictures(space, 10)
+    for page, selector in ((space, "#picture"), (ground, "#sent")):
+        first = wait_for_number(page, -1, selector)
+        assert wait_for_number(page, first, selector) <= pictures.newest + 1
+
+
+class Robot:
+    """The robot and the joystick of the session, by their topics."""
+
+    def __init__(self, bus):
+        self._state = bus.reader(ROBOT_TOPIC)
+        self._joystick = bus.reader(JOYSTICK_STATE_TOPIC)
+        self._held = False
+
+    def x_m(self):
+        """Return the newest place of the tip."""
+        return eventually(self._newest, "a state of the robot").x_m
+
+    def held(self):
+        """Return whether the joystick's dead-man button is pressed."""
+        lease = self._joystick.latest()
+        if lease is not None:
+            with lease:
+                self._held = unpack_status(lease.octets()).dead_man
+        return self._held
+
+    def _newest(self):
+        lease = self._state.latest()
+        if lease is None:
+            return None
+        with lease:
+            return unpack_state(lease.octets())
+
+
+@pytest.fixture
+def robot(session, monkeypatch):
+    with session.bus(monkeypatch) as bus:
+        yield Robot(bus)
+
+
+MAP = ".workspace-map"
+
+
+def press(page, robot):
+    """Press on the map of the workspace until the joystick is held."""
+
+    def pressed():
+        act = ActionChains(page.browser.driver, duration=20)
+        # A page that could not answer for 100 ms has let go and wants to be pressed anew.
+        act.release().click_and_hold(page.find(MAP)).perform()
+        for _ in range(20):
+            if robot.held():
+                return True
+            time.sleep(0.05)
+        return False
+
+    page.wait("document.querySelector('joystick-panel').textContent.includes('application')")
+    eventually(pressed, "a held joystick")
+
+
+def drag(page, x, y):
+    ActionChains(page.browser.driver, duration=50).move_by_offset(x, y).perform()
+
+
+def release(page):
+    ActionChains(page.browser.driver).release().perform()
+
+
+def test_a_pointer_moves_the_robot_and_its_release_stops_it(space, robot):
+    def moved(from_m, pixels):
+        if not robot.held():
+            press(space, robot)
+        drag(space, pixels, 0)
+        return abs(robot.x_m() - from_m) > 0.01
+
+    press(space, robot)
+    start_m = robot.x_m()
+    eventually(lambda: moved(start_m, -20), "a movement of the robot")
+    assert robot.x_m() < start_m
+    release(space)
+    eventually(lambda: not robot.held(), "the release")
+    space.wait("!document.querySelector('hand-tile').textContent.includes('YOU STEER')")
+
+    def rests():
+        place_m = robot.x_m()
+        time.sleep(0.3)
+        return abs(robot.x_m() - place_m) < 0.0005
+
+    eventually(rests, "a robot at rest")
+    # A pointer that is not pressed moves nothing.
+    rest_m = robot.x_m()
+    drag(space, 40, 0)
+    time.sleep(0.3)
+    assert abs(robot.x_m() - rest_m) < 0.002
+
+
+def test_a_tab_that_is_hidden_lets_go(space, browser, robot):
+    press(space, robot)
+    tab = browser.open("about:blank", "tab")
+    eventually(lambda: not robot.held(), "the release")
+    tab.close()
+    space.wait("!document.hidden")
+    time.sleep(0.3)
+    assert not robot.held()
+    release(space)
+
+
+def test_only_one_page_has_the_handle(space, browser, session, robot):
+    def button(words):
+        return (
+            "[...document.querySelectorAll('hand-panel button')]"
+            f".find((one) => !one.hidden && one.textContent.startsWith('{words}'))"
+        )
+
+    def click(page, words):
+        page.wait(f"{button(words)} !== undefined", f"the button {words}")
+        page.run(f"{button(words)}.click()")
+
+    # A press takes the handle, and a release keeps it.
+    press(space, robot)
+    release(space)
+    space.wait(f"{button('Give')} !== undefined")
+    other = browser.open(session.pages()["space"])
+    other.wait(f"{button('Ask')} !== undefined && {button('Take')} === undefined")
+    ActionChains(browser.driver, duration=20).click_and_hold(other.find(MAP)).perform()
+    other.wait("document.querySelector('hand-panel').textContent.includes('has the handle')")
+    time.sleep(0.3)
+    assert not robot.held()
+    release(other)
+    click(other, "Ask")
+    space.wait("document.querySelector('hand-panel').textContent.includes('asks for it')")
+    click(space, "Give")
+    other.wait(f"{button('Give')} !== undefined")
+    space.wait(f"{button('Ask')} !== undefined")
+    press(other, robot)
+    # The handle of a page that is gone is free, and nobody holds it.
+    other.close()
+    eventually(lambda: not robot.held(), "the release")
+    click(space, "Take")
+    space.wait(f"{button('Give')} !== undefined")
+    click(space, "Give")
+
+
+def level_db(page):
+    meter = page.find("loudspeaker-panel level-meter")
+    return float(meter.get_attribute("aria-valuenow"))
+
+
+def toggle(page, panel):
+    page.run(f"document.querySelector('{panel} button').click()")
+
+
+def test_camera_and_microphone_arrive_at_the_other_page(space, ground, browser, session):
+    page_may = "document.querySelector('{} button').disabled === false"
+    space.wait(page_may.format("camera-panel"))
+    assert number_on(ground) is None
+    toggle(space, "camera-panel")
+    first = wait_for_number(ground, -1)
+    assert wait_for_number(ground, -1) < 60 > first
+
+    # A page that joins now begins at a local IDR picture.
+    late = browser.open(session.pages()["ground"])
+
+    def likeness_db():
+        shown = [page.pixels() for page in (ground, late)]
+        numbers = [number_of(one) for one in shown]
+        return numbers[0] is not None and numbers[0] == numbers[1] and psnr_db(*shown)
+
+    found_db = eventually(likeness_db, "the same picture")
+    print(f"a page that joined by a local IDR shows the same picture with {found_db:.0f} dB")
+    assert found_db > ALIKE_DB
+    late.close()
+    toggle(space, "camera-panel")
+    eventually(lambda: number_on(ground) is None, "the built-in camera")
+
+    assert level_db(space) < HEARD_DB
+    toggle(ground, "microphone-panel")
+    eventually(lambda: level_db(space) > HEARD_DB, "the tone")
+    toggle(ground, "microphone-panel")
+    eventually(lambda: level_db(space) < HEARD_DB, "silence")
+
+
+def test_a_machine_without_sound_and_camera_says_so_and_shows_the_pictures(start_browser, session):
+    bare = start_browser(devices=False)
+    page = bare.open(session.pages()["ground"])
+    page.wait(LIVE)
+    toggle(page, "microphone-panel")
+    page.wait("document.querySelector('microphone-panel').textContent.includes('no microphone')")
+    assert page.run("return document.querySelector('loudspeaker-panel header span').textContent")
+    wait_for_pictures(page)
+    bare.assert_no_errors()
+
+
+def test_a_page_that_stalls_disturbs_no_other(start_browser, space, ground, session):
+    stalling = start_browser()
+    pages = [stalling.open(address) for address in list(session.pages().values())[:2]]
+    for page in pages:
+        page.wait(LIVE)
+    before = [drawn(page) for page in pages]
+    with stalling.stalled():
+        until_s = time.monotonic() + 10
+        while time.monotonic() < until_s:
+            wait_for_pictures(space)
+            wait_for_pictures(ground)
+    for page, count in zip(pages, before, strict=True):
+        page.wait(LIVE)
+        eventually(lambda page=page, count=count: drawn(page) > count, "new pictures")
+        page.wait("document.body.dataset.link === 'connected'")
+    # Chromium says so if it closed a connection in its sleep.
+    stalling.assert_no_errors(server_gone=True)
+
+
+FOREIGN = """
+const [socket, page, done] = [new WebSocket(arguments[0]), arguments[1], arguments[2]];
+const result = [];
+const end = (what) => { if (result.push(what) === 2) done(result.sort()); };
+socket.onopen = () => end("socket");
+socket.onerror = () => end("refused");
+fetch(page).then(() => end("page"), () => end("unreadable"));
+"""
+
+
+def test_strangers_get_nothing(start_browser, session, space):
+    where = urlsplit(session.pages()["space"])
+    token = parse_qs(where.query)["token"][0]
+    shown = drawn(space)
+    other = start_browser()
+    page = other.open(f"http://{where.netloc}/space")
+    text = page.run("return document.documentElement.textContent")
+    assert text.strip() == "open the address that kontur-av has printed"
+    # A page of another site knows the address, and even the token.
+    page = other.open("data:text/html,<title>Another site</title>")
+    done = page.driver().execute_async_script(
+        FOREIGN, f"ws://{where.netloc}/{token}/ws", session.pages()["space"]
+    )
+    assert done == ["refused", "unreadable"]
+    assert drawn(space) > shown
+
+
+def garbage(rng):
+    """Yield what no page sends, in bytes or text."""
+    yield from (b"", "", b"\x00", b"\xff" * 24, "{}", "[]", "null", "{" * 4000, "\u20ac" * 1000)
+    yield '{"request":1,"do":"format"}'
+    yield '{"request":1,"do":"hand","action":' + "[" * 2000
+    for kind in range(0x80, 0x86):
+        for length in (1, 15, 16, 17, 23, 24, 25, 4000):
+            yield bytes([kind]) + rng.bytes(length - 1)
+    yield bytes(10_000)
+    yield "x" * 10_000
+    yield b"\x82\x01" + b"\x00" * 6 + b"\x00\x00\xc0\x7f" * 2 + b"\x00" * 8
+
+
+async def answers(url, origin, messages):
+    """Send each message on a web socket of its own; return the codes with which they closed."""
+    codes = []
+    async with aiohttp.ClientSession() as client:
+        for message in messages:
+            async with client.ws_connect(url, origin=origin) as socket:
+                if isinstance(message, str):
+                    await socket.send_str(message)
+                else:
+                    await socket.send_bytes(message)
+                while (got := await socket.receive(30)).type in (
+                    aiohttp.WSMsgType.TEXT,
+                    aiohttp.WSMsgType.BINARY,
+                ):
+                    pass
+                codes.append(got.data if got.type is aiohttp.WSMsgType.CLOSE else None)
+    return codes
+
+
+def test_garbage_closes_its_own_socket_only(session, space, ground):
+    rng = np.random.default_rng(3)
+    names = [page.find("seat-name").text for page in (space, ground)]
+    for address in list(session.pages().values())[:2]:
+        where = urlsplit(address)
+        token = parse_qs(where.query)["token"][0]
+        messages = list(garbage(rng))
+        for path in ("ws", "media"):
+            url = f"ws://{where.netloc}/{token}/{path}"
+            codes = asyncio.run(answers(url, f"http://{where.netloc}", messages))
+            # Policy violation, or a message that is too big.
+            assert set(codes) <= {1008, 1009}, dict(zip(messages, codes, strict=True))
+    for page, name in zip((space, ground), names, strict=True):
+        wait_for_pictures(page)
+        # A page that had connected anew would have another number.
+        assert page.find("seat-name").text == name
