@@ -72,6 +72,7 @@ class HandPanel extends HTMLElement {
     connection.on("state", () => this.#show());
     connection.on("hello", () => this.#show());
     connection.on("lost", () => this.#show());
+    this.#show();
     const redraw = onNextFrame(() => this.#draw());
     newest.onchange = redraw;
     control.addEventListener("target", redraw);
