@@ -54,6 +54,12 @@ def nal_type(nal_unit: bytes) -> int:
     return nal_unit[0] & _TYPE_BITS
 
 
+def parameter_sets(access_unit: bytes) -> bytes:
+    """Return the SPS and PPS of an access unit as an Annex B byte stream; b"" if it has no SPS."""
+    nals = [nal for nal in split_annex_b(access_unit) if nal_type(nal) in (NAL_SPS, NAL_PPS)]
+    return join_annex_b(nals) if any(nal_type(nal) == NAL_SPS for nal in nals) else b""
+
+
 def packetize(
     nal_units: Sequence[bytes], max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS
 ) -> list[bytes]:

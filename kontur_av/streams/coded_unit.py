@@ -6,8 +6,8 @@ from typing import Self
 
 from kontur_av.errors import ProtocolError
 
-#: Flags, an octet without meaning, width, height, length of the access unit.
-_HEADER = struct.Struct("<BxHHI")
+#: Flags, an octet without meaning, width, height, lengths of parameter sets and access unit.
+_HEADER = struct.Struct("<BxHHHI")
 _KEY, _DAMAGED, _REFUSED, _DATED = 1, 2, 4, 8
 
 #: A larger access unit is not published, so that no peer makes shared memory grow.
@@ -27,6 +27,8 @@ class CodedUnit:
     dated: the stamp's `capture_ns` is known. False before the first sender report of a received
         stream; `capture_ns` is 0 then.
     width, height: size of its picture in pixels; 0 if it is refused.
+    parameter_sets: SPS and PPS with which it is decoded, as Annex B, for a reader that has missed
+        them: they come with a key picture or a refresh wave only. b"" if they are not known.
 
     The `sequence` of the stamp counts the units of one life of the writer. A gap means that this
     reader missed some, or that none were published while nobody read.
@@ -39,6 +41,7 @@ class CodedUnit:
     dated: bool = True
     width: int = 0
     height: int = 0
+    parameter_sets: bytes = b""
 
     def pack(self) -> bytes:
         """Return it as octets, for `Writer.publish_octets`."""
@@ -48,15 +51,18 @@ class CodedUnit:
             | _REFUSED * self.refused
             | _DATED * self.dated
         )
-        return _HEADER.pack(flags, self.width, self.height, len(self.data)) + self.data
+        sets = self.parameter_sets
+        header = _HEADER.pack(flags, self.width, self.height, len(sets), len(self.data))
+        return header + sets + self.data
 
     @classmethod
     def unpack(cls, octets: bytes) -> Self:
         """Return the unit that `pack` packed; ProtocolError for octets of another length."""
         if len(octets) < _HEADER.size:
             raise ProtocolError(f"a coded unit of {len(octets)} octets: {_HEADER.size} are least")
-        flags, width, height, length = _HEADER.unpack_from(octets)
-        data = octets[_HEADER.size :]
+        flags, width, height, sets, length = _HEADER.unpack_from(octets)
+        begin = _HEADER.size + sets
+        data = octets[begin:]
         if len(data) != length or length > MOST_UNIT_OCTETS:
             raise ProtocolError(f"a coded unit of {length} octets in {len(data)}")
         return cls(
@@ -67,4 +73,5 @@ class CodedUnit:
             dated=bool(flags & _DATED),
             width=width,
             height=height,
+            parameter_sets=octets[_HEADER.size : begin],
         )

@@ -1,7 +1,7 @@
 """Samples of the topics that carry access units. A core."""
 
 from kontur_av.media import AccessUnit, CaptureStamp, Quality
-from kontur_av.rtp.payload_h264 import NAL_IDR, ReceivedUnit, nal_type, split_annex_b
+from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.streams.coded_unit import CodedUnit
 
 
@@ -13,13 +13,14 @@ def received_unit(
     capture_ns: int | None,
     sequence: int,
     source: str,
+    parameter_sets: bytes,
 ) -> tuple[CodedUnit, CaptureStamp]:
     """Return a received access unit and its stamp.
 
     size: width and height of its picture in pixels; None: the decoder returned none.
     shown: the stamp with which the picture was published; None: it was not.
     capture_ns: when it was captured; None: not known yet.
-    sequence: number of the unit. source: the stream.
+    sequence: number of the unit. source: the stream. parameter_sets: the newest of the stream.
     """
     # A dated picture that is not published is too large.
     refused = size is None or (shown is None and capture_ns is not None)
@@ -33,6 +34,7 @@ def received_unit(
         dated=capture_ns is not None,
         width=width,
         height=height,
+        parameter_sets=parameter_sets,
     )
     return coded, CaptureStamp(
         capture_ns or 0,
@@ -48,7 +50,5 @@ def sent_unit(
 ) -> tuple[CodedUnit, CaptureStamp]:
     """Return an access unit and its stamp as they were sent. size: in which it was coded."""
     width, height = size
-    # The encoder also calls the start of a refresh wave a key picture.
-    key = any(nal_type(nal) == NAL_IDR for nal in split_annex_b(unit.data))
-    coded = CodedUnit(data=unit.data, key=key, width=width, height=height)
+    coded = CodedUnit(data=unit.data, key=unit.keyframe, width=width, height=height)
     return coded, CaptureStamp(unit.stamp.capture_ns, sequence, source)

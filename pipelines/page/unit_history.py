@@ -16,7 +16,7 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.codecs.healing import recovery_pictures
 from kontur_av.media import CaptureStamp, Quality
-from kontur_av.rtp.payload_h264 import join_annex_b, nal_type, split_annex_b
+from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.page.local_key import black_key
 from pipelines.page.messages import UNKNOWN_US
@@ -30,7 +30,6 @@ _MOST_NS = 60 * NS_PER_S
 _MOST_OCTETS = 4 << 20
 #: Units that are kept without a point from which they can be decoded, to wait for one.
 _KEPT = 64
-_SPS, _PPS = 7, 8
 
 
 class KeptUnit(NamedTuple):
@@ -86,7 +85,7 @@ class UnitHistory:
             self._wave = None
             return None
         data = unit.data
-        if self._whole and not self._units and not unit.key and not _parameter_sets(data):
+        if self._whole and not self._units and not unit.key and not parameter_sets(data):
             # The first one behind a picture that was coded here: see `_begin`.
             data = self._sets + data
         kept = KeptUnit(
@@ -99,7 +98,7 @@ class UnitHistory:
             rtp_timestamp=stamp.rtp_timestamp,
             received_ns=now_ns,
         )
-        self._sets = _parameter_sets(unit.data) or self._sets
+        self._sets = parameter_sets(unit.data) or unit.parameter_sets or self._sets
         if unit.key and not unit.damaged:
             self._clear()
             self._whole = True
@@ -136,7 +135,7 @@ class UnitHistory:
         They are not sent alone, because that is no access unit: browsers close their decoder.
         """
         self._ahead, self._whole = ahead, True
-        if self._units and not _parameter_sets(self._units[0].data):
+        if self._units and not parameter_sets(self._units[0].data):
             first = self._units.popleft()
             self._units.appendleft(first._replace(data=self._sets + first.data))
             self._octets += len(self._sets)
@@ -188,9 +187,3 @@ class UnitHistory:
         self._units.clear()
         self._octets = self._pixels = 0
         self._ahead, self._whole, self._wave = None, False, None
-
-
-def _parameter_sets(unit: bytes) -> bytes:
-    """Return SPS and PPS of an access unit, as an Annex B byte stream; b"" if it has no SPS."""
-    nals = [nal for nal in split_annex_b(unit) if nal_type(nal) in (_SPS, _PPS)]
-    return join_annex_b(nals) if any(nal_type(nal) == _SPS for nal in nals) else b""

@@ -4,7 +4,7 @@ from itertools import count
 
 from kontur_av.codecs.h264 import DecodedPicture
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.payload_h264 import ReceivedUnit, parameter_sets
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.topics.bus import TopicBus, Writer
 from pipelines.cores.coded_units import received_unit, sent_unit
@@ -25,6 +25,7 @@ class ReceivedTopics:
         self._decoded = bus.writer(
             row.decoded_topic, max_octets=stream.width * stream.height * 3 // 2
         )
+        self._sets = b""
         self._size: tuple[int, int] | None = None
         self._shown: CaptureStamp | None = None
 
@@ -43,6 +44,8 @@ class ReceivedTopics:
         """
         number, size, shown = next(self._numbers), self._size, self._shown
         self._size = self._shown = None
+        # Also without a reader, because one that comes later needs them.
+        self._sets = parameter_sets(unit.data) or self._sets
         if self._coded.has_readers():
             coded, stamp = received_unit(
                 unit,
@@ -51,6 +54,7 @@ class ReceivedTopics:
                 capture_ns=capture_ns,
                 sequence=number,
                 source=self._source,
+                parameter_sets=self._sets,
             )
             _publish(self._coded, coded, stamp)
 

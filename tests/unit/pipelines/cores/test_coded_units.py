@@ -2,16 +2,22 @@
 
 import pytest
 
-from kontur_av.media import AccessUnit, CaptureStamp, Quality
+from kontur_av.media import CaptureStamp, Quality
 from kontur_av.rtp.payload_h264 import ReceivedUnit
-from pipelines.cores.coded_units import received_unit, sent_unit
+from pipelines.cores.coded_units import received_unit
 
 
 def received(*, size=(384, 288), quality=None, capture_ns=5, damaged=False):
     unit = ReceivedUnit(b"unit", 90, True, damaged, 0, 1, 2)
     shown = None if quality is None else CaptureStamp(5, 0, "uplink_video", quality, 90)
     return received_unit(
-        unit, size=size, shown=shown, capture_ns=capture_ns, sequence=7, source="uplink_video"
+        unit,
+        size=size,
+        shown=shown,
+        capture_ns=capture_ns,
+        sequence=7,
+        source="uplink_video",
+        parameter_sets=b"sets",
     )
 
 
@@ -20,6 +26,7 @@ def test_the_stamp_says_when_a_unit_was_captured_and_whether_a_loss_shows():
     assert stamp == CaptureStamp(5, 7, "uplink_video", Quality.DAMAGED, 90)
     assert (coded.key, coded.damaged, coded.refused, coded.dated) == (True, False, False, True)
     assert (coded.width, coded.height) == (384, 288)
+    assert coded.parameter_sets == b"sets"
 
 
 def test_an_undated_unit_can_be_decoded():
@@ -33,12 +40,3 @@ def test_a_unit_without_a_picture_to_show_is_refused(size):
     coded, _ = received(size=size)
     assert coded.refused
     assert (coded.width, coded.height) == (0, 0)
-
-
-@pytest.mark.parametrize(("nal_type", "key"), [(5, True), (1, False)], ids=["idr", "wave"])
-def test_no_refresh_wave_passes_for_a_key_picture(nal_type, key):
-    data = b"\0\0\0\1\x67sps\0\0\0\1" + bytes([0x60 | nal_type]) + b"slice"
-    unit = AccessUnit(data, CaptureStamp(5, 3, "iss_camera"), keyframe=True)
-    coded, stamp = sent_unit(unit, size=(64, 48), sequence=2, source="downlink_video")
-    assert coded.key is key
-    assert stamp == CaptureStamp(5, 2, "downlink_video")
