@@ -7,7 +7,6 @@ from typing import Final, TypeVar
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.records import (
-    Attachment,
     AttachmentIndex,
     Channel,
     ChunkIndex,
@@ -34,8 +33,7 @@ LENGTH_4, LENGTH_8 = struct.Struct("<I"), struct.Struct("<Q")
 MESSAGE: Final = struct.Struct("<HIQQ")
 
 Readable = (
-    Attachment
-    | AttachmentIndex
+    AttachmentIndex
     | Channel
     | ChunkIndex
     | DataEnd

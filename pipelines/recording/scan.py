@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import lz4.frame
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, DataEnd, Footer, Header, Message, Metadata, Schema
+from mcap.records import Channel, DataEnd, Footer, Header, Message, Metadata, Schema
 
 from kontur_av.errors import ProtocolError
 from pipelines.recording.facts import FACTS, FORMAT_KEY, is_sealed, needs_seal
@@ -221,12 +221,12 @@ class Scan:
         return _Read([record], at + len(octets_of(record)) if checked else end, checked)
 
     def _attachment(self, begin: int, end: int) -> _Read | None:
+        """An attachment is passed over. Other programs may leave its check 0."""
         (told,) = LENGTH_4.unpack_from(self._octets, end - 4)
-        checked = told == crc32(self._octets[begin : end - 4])
-        right = checked or (told == 0 and self._is_followed(end))
-        if not right or self._read(Attachment, begin, end) is None:
-            return None
-        return _Read([], end, checked)
+        if told == crc32(self._octets[begin : end - 4]):
+            return _Read([], end, True)
+        unchecked = told == 0 and not self.ours and self._is_followed(end)
+        return _Read([], end, False) if unchecked else None
 
     def _loose_message(self, begin: int, end: int) -> _Read | None:
         """A message outside of chunks: only in a file of another program, which has no chunks."""

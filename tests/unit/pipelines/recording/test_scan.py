@@ -128,6 +128,16 @@ def test_a_file_of_another_program_is_read(chunks, compression):
     assert len(scan.channels) == 3
 
 
+def test_an_attachment_without_a_check_is_passed_over_in_a_file_of_another_program():
+    octets = other_program(chunks=True, compression=CompressionType.ZSTD)
+    text = octets.index(b"text", octets.index(b"a.txt") + 20)
+    without = octets[: text + 4] + bytes(4) + octets[text + 8 :]
+    assert without != octets
+    scan, found, _ = scanned(without)
+    assert len(found) == 9
+    assert scan.figures.sound
+
+
 def test_octets_that_are_no_mcap_file_are_refused():
     for octets in (b"", MAGIC[:-1], b"RIFF" + bytes(40), b"\x89MCAP1\r\n" + bytes(40)):
         with pytest.raises(ProtocolError, match="not an MCAP file"):
