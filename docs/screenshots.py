@@ -23,7 +23,7 @@ from browser import Browser, Page  # noqa: E402
 from running_session import RunningSession  # noqa: E402
 
 SIZE = (1280, 800)
-COLOURS = 128
+COLOURS = 256
 PORT = "24500"
 #: By seat: what must be known before the picture is taken.
 SHOWN = {
@@ -94,7 +94,7 @@ def _press(page: Page, pixels: int) -> None:
 
 
 def _feel(page: Page) -> None:
-    """Press against the wall; a machine that stalls for 100 ms lets the handle go."""
+    """Press against the wall; a page that stalls for 100 ms lets the handle go."""
     for _ in range(10):
         _press(page, INTO)
         page.run("return new Promise((done) => setTimeout(done, 300))")
@@ -112,7 +112,7 @@ def _take(page: Page, name: str, theme: str) -> None:
     page.wait(_LIVE)
     picture = Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
     path = ROOT / "docs" / "images" / f"{name}.png"
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    picture.quantize(COLOURS, kmeans=1).save(path, optimize=True)
     print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
 
 
