@@ -45,9 +45,10 @@ class PreviewStrip extends HTMLElement {
         const canvas = make("canvas", { width: String(width), height: String(height) });
         canvas.setAttribute("role", "img");
         canvas.setAttribute("aria-label", `Camera input ${nameText(input)}`);
-        const mark = make("span", { class: "preview-mark" });
+        const mark = make("span");
         const caption = make("figcaption", {}, make("span", {}, nameText(input)), mark);
-        const figure = make("figure", { "data-input": input }, canvas, caption);
+        const silent = make("span", { class: "preview-silent" }, "no picture");
+        const figure = make("figure", { "data-input": input }, canvas, silent, caption);
         const context = canvas.getContext("2d", { alpha: false });
         if (context === null) throw new Error("preview-strip: the browser draws no canvas");
         this.#cells.set(index, { input, figure, canvas, context, mark, drawnMs: -Infinity });
@@ -78,7 +79,7 @@ class PreviewStrip extends HTMLElement {
       const silent = performance.now() - drawnMs > SILENT_MS;
       setAttribute(figure, "data-selected", String(selected));
       setAttribute(figure, "data-silent", String(silent));
-      setText(mark, silent ? "no picture" : selected ? "✓" : "");
+      setText(mark, selected ? "✓" : "");
       setAttribute(mark, "aria-label", selected ? "selected" : null);
     }
   }

@@ -23,11 +23,11 @@ class ProcessGrid extends HTMLElement {
 
   /** @param {Seat} seat */
   follow({ connection }) {
-    connection.on("figures", ({ processes }) => this.#showAll(processes));
+    connection.on("figures", ({ processes, state }) => this.#showAll(processes, state === "stopped"));
   }
 
-  /** @param {readonly ProcessText[]} processes */
-  #showAll(processes) {
+  /** @param {readonly ProcessText[]} processes @param {boolean} stopped Then none is missed. */
+  #showAll(processes, stopped) {
     if (processes.length !== this.#rows.size || processes.some(({ name }) => !this.#rows.has(name))) {
       this.#build(processes);
     }
@@ -36,22 +36,22 @@ class ProcessGrid extends HTMLElement {
       cpu += process.cpu ?? 0;
       restarts += process.restarts;
       if (!process.running) dead += 1;
-      this.#show(process);
+      this.#show(process, stopped);
     }
     const ill = dead > 0 ? `, ${dead} not running` : "";
     const again = restarts > 0 ? `, ${restarts} restart${restarts > 1 ? "s" : ""}` : "";
-    const alert = dead > 0 ? `${dead} not running` : "";
+    const alert = dead > 0 && !stopped ? `${dead} not running` : "";
     this.dispatchEvent(new CustomEvent("alert", { bubbles: true, detail: alert }));
     setText(this.#total, `${processes.length} processes, ${cpu.toFixed(2)} cores${ill}${again}`);
   }
 
-  /** @param {ProcessText} process */
-  #show({ name, cpu, restarts, running, error }) {
+  /** @param {ProcessText} process @param {boolean} stopped */
+  #show({ name, cpu, restarts, running, error }, stopped) {
     const row = this.#rows.get(name);
     if (row === undefined) return;
     setText(row.cpu, cpu === null ? "–" : `${(100 * cpu).toFixed(1)} %`);
     row.meter.value = Math.min(1, cpu ?? 0);
-    const state = !running ? "dead" : restarts > 0 ? "restarted" : "well";
+    const state = !running ? (stopped ? "stopped" : "dead") : restarts > 0 ? "restarted" : "well";
     setAttribute(row.item, "data-state", state);
     const again = restarts > 0 ? `restarted ${restarts}×` : "";
     setText(row.note, running ? again : `not running ${again}`.trim());
