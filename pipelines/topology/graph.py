@@ -63,7 +63,7 @@ def dot(topology: Topology) -> str:
             lines += [f"    {node}" for node in nodes]
             lines.append("  }")
     for topic in shared:
-        lines += _fan(topic)
+        lines += _fan(topic, places)
     for connections, style in ((topics, "solid"), (datagrams, "dashed"), (radio, "bold")):
         for (sender, receiver), names in connections.items():
             label = f"label={_quoted(chr(10).join(names))}, style={style}"
@@ -86,10 +86,15 @@ def _hops(gateways: Iterable[str], connections: Iterable[tuple[str, str]]) -> Ma
     return hops
 
 
-def _fan(topic: TopicRow) -> Iterable[str]:
-    yield _edge(topic.writer, topic.name, "style=solid, dir=none")
+def _fan(topic: TopicRow, places: Mapping[str, int]) -> Iterable[str]:
+    """The topic stands on the side of its writer on which most of its readers are."""
+    writer = places[topic.writer]
+    left = sum(places[reader] < writer for reader in topic.readers)
+    back = 2 * left > len(topic.readers)
+    no_head = f"style=solid, arrow{'tail' if back else 'head'}=none"
+    yield _edge(topic.writer, topic.name, no_head, back=back)
     for reader in topic.readers:
-        yield _edge(topic.name, reader, "style=solid")
+        yield _edge(topic.name, reader, "style=solid", back=places[reader] < writer)
 
 
 def _edge(sender: str, receiver: str, look: str, *, back: bool = False) -> str:

@@ -13,7 +13,7 @@ from pipelines.topology.tables import processes_table, streams_table, topics_tab
 SESSION = topology_of(BUILT_IN["spacejustin"], snapshots=True, pages=True)
 EDGE = re.compile(
     r'  "([\w/]+)" -> "([\w/]+)" \[(?:label="[^"]*", )?style=(solid|dashed|bold)'
-    r"(?:(, dir=back)|, dir=none)?\];"
+    r"(?:, arrow(?:head|tail)=none)?(, dir=back)?\];"
 )
 
 
