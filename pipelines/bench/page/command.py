@@ -2,8 +2,8 @@
 
 Chromium draws on a virtual screen (Xvfb) without a frame limit; a process of its own reads the
 numbers of the pictures from the framebuffer. The peer is aiortc with a <video> and no playout
-delay, in turn with the page. Live sessions run without pages, with nobody looking, and with the
-operator's page open.
+delay, in turn with the page. Live sessions run without pages, with nobody looking, with one reader
+that draws nothing, and with the operator's page open on this machine.
 """
 
 import argparse
@@ -15,16 +15,17 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.bench.console import open_console
 from pipelines.bench.page.browser import lacking
-from pipelines.bench.page.figures import PageResult, headlines
+from pipelines.bench.page.figures import ALONE, LIVE, DelayRun, PageResult, headlines
 from pipelines.bench.page.footage import FPS, coded
-from pipelines.bench.page.sessions import pointer_run, session_run
+from pipelines.bench.page.pointer import pointer_run
+from pipelines.bench.page.session import PAGES, session_run
 from pipelines.bench.page.views import CONTENDERS, measured
+from pipelines.bench.page.voice import voice_run
 from pipelines.bench.result import Headline, spread
 from pipelines.bench.result_file import write_result
 from pipelines.bench.video.marks import NUMBERS
 from pipelines.report.report_file import check_writable
 
-_PAGES = ("none", "nobody looks", "open")
 #: For Chromium to start, beside the measured time.
 _SPARE_S = 60
 
@@ -53,11 +54,12 @@ def run(args: argparse.Namespace) -> int:
     missing = lacking()
     if missing:
         console.print(f"not measured: {missing}", soft_wrap=True)
-        write_result(args.report, PageResult(views=(), sessions=(), pointer_ms=()), [])
+        write_result(args.report, PageResult(), [])
         return 0
     with console.status("coding the pictures"):
         units = coded(round((args.seconds + _SPARE_S) * FPS))
-    views, curves, pointer, sessions = [], dict[str, list[float]](), [], []
+    views, pointer, voice, sessions = [], [], [], []
+    curves: dict[str, list[float]] = {}
     for number in range(1, args.runs + 1):
         for who, count in CONTENDERS:
             name = f"{who}, {count} view{'s' * (count > 1)}"
@@ -65,12 +67,19 @@ def run(args: argparse.Namespace) -> int:
                 found, delays_ms = measured(who, count, units, args.seconds)
             views.append(found)
             curves.setdefault(name, []).extend(delays_ms)
-        with console.status(f"run {number}: pointer"):
-            pointer.append(spread(pointer_run(seconds=args.seconds, base_port=args.base_port)))
-        for page in _PAGES:
+        for where, shown in ((ALONE, units), (LIVE, None)):
+            with console.status(f"run {number}: pointer, {where}"):
+                moved = pointer_run(shown, seconds=args.seconds, base_port=args.base_port)
+            pointer.append(DelayRun(where=where, delay_ms=spread(moved)))
+        with console.status(f"run {number}: voice"):
+            heard = voice_run(seconds=args.seconds, base_port=args.base_port)
+        voice.append(DelayRun(where=LIVE, delay_ms=spread(heard)))
+        for page in PAGES:
             with console.status(f"run {number}: session, page: {page}"):
                 sessions.append(session_run(page, seconds=args.seconds, base_port=args.base_port))
-    result = PageResult(views=tuple(views), sessions=tuple(sessions), pointer_ms=tuple(pointer))
+    result = PageResult(
+        views=tuple(views), sessions=tuple(sessions), pointer=tuple(pointer), voice=tuple(voice)
+    )
     lines = headlines(result)
     console.print(_table(lines, args.runs))
     write_result(args.report, result, lines)

@@ -8,6 +8,8 @@ from statistics import median
 from pipelines.bench.result import Headline, Percentiles
 
 OURS, PEER = "page", "aiortc to <video>"
+#: What else runs on the machine: only the page and its server, or a session with all its processes.
+ALONE, LIVE = "page alone", "beside a live session"
 
 #: By the number of views: p50 and p99 from the topic to the pixel, in ms.
 _VIEW_TARGETS_MS = {1: (8.0, 20.0), 3: (None, 35.0)}
@@ -36,27 +38,42 @@ class ViewRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionRun:
-    """A live session. page: "none", "nobody looks" or "open".
+    """A live session. page: how its pages are (`pipelines.bench.page.session.PAGES`).
 
     page_cpu: share of a core of the operator's page process; None without pages.
+    session_cpu: cores that the whole session took.
     video_p50_ms, video_p99_ms: the uplink picture, capture to display.
     slot_p99_us: lateness of the ground gateway's slots.
     """
 
     page: str
     page_cpu: float | None
+    session_cpu: float
     video_p50_ms: float
     video_p99_ms: float
     slot_p99_us: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PageResult:
-    """All runs. pointer_ms: from the pointer's event to the hand in its topic, of each run."""
+class DelayRun:
+    """Delays of a run. where: ALONE or LIVE."""
 
-    views: tuple[ViewRun, ...]
-    sessions: tuple[SessionRun, ...]
-    pointer_ms: tuple[Percentiles, ...]
+    where: str
+    delay_ms: Percentiles
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageResult:
+    """All runs.
+
+    pointer: from the pointer's event to the hand in its topic.
+    voice: from ground control's microphone to the worklet of the operator's page.
+    """
+
+    views: tuple[ViewRun, ...] = ()
+    sessions: tuple[SessionRun, ...] = ()
+    pointer: tuple[DelayRun, ...] = ()
+    voice: tuple[DelayRun, ...] = ()
 
 
 def headlines(result: PageResult) -> list[Headline]:
@@ -83,15 +100,23 @@ def headlines(result: PageResult) -> list[Headline]:
             found.append(
                 _headline(group, "the page's server", who, "cores", value, _WATCHED_TARGET)
             )
-    if result.pointer_ms:
-        for name, target_ms in (("p50", None), ("p99", _POINTER_TARGET_MS)):
-            value = _middle([getattr(run, name) for run in result.pointer_ms])
-            what = f"pointer to the joystick's topic, {name}"
-            found.append(_headline("hand", what, OURS, "ms", value, target_ms))
+    for what, delays, target_ms in (
+        ("pointer to the joystick's topic", result.pointer, _POINTER_TARGET_MS),
+        ("microphone to the other page's worklet", result.voice, None),
+    ):
+        for where in dict.fromkeys(run.where for run in delays):
+            for name in ("p50", "p99"):
+                value = _middle(
+                    [getattr(run.delay_ms, name) for run in delays if run.where == where]
+                )
+                most_ms = target_ms if (name, where) == ("p99", ALONE) else None
+                found.append(
+                    _headline("hand and voice", f"{what}, {name}", where, "ms", value, most_ms)
+                )
     for page in dict.fromkeys(run.page for run in result.sessions):
         sessions = [run for run in result.sessions if run.page == page]
         cpus = [run.page_cpu for run in sessions if run.page_cpu is not None]
-        target = {"nobody looks": _IDLE_TARGET, "open": _WATCHED_TARGET}.get(page)
+        target = {"nobody looks": _IDLE_TARGET, "one reader": _WATCHED_TARGET}.get(page)
         group = "live session, beside its pages"
         if cpus:
             value = _middle(cpus)
@@ -99,6 +124,7 @@ def headlines(result: PageResult) -> list[Headline]:
                 _headline(group, "the operator's page process", page, "cores", value, target)
             )
         for what, unit, name in (
+            ("all processes", "cores", "session_cpu"),
             ("uplink_video, capture to display, p50", "ms", "video_p50_ms"),
             ("uplink_video, capture to display, p99", "ms", "video_p99_ms"),
             ("lateness of slots, p99", "µs", "slot_p99_us"),

@@ -36,8 +36,8 @@ def measured(
 
     RuntimeError if a window shows no picture.
     """
-    published = _numbers()
-    seen = [_numbers() for _ in range(views)]
+    published = numbers()
+    seen = [numbers() for _ in range(views)]
     ended = multiprocessing.RawValue("b", 0)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory()))
@@ -75,18 +75,18 @@ def measured(
             cpu_s(server) - begun_cpu_s,
             _count(published),
         )
-    numbers = range(first + 1, max(first + 1, last - FPS // 3))
+    counted = range(first + 1, max(first + 1, last - FPS // 3))
     delays_ms = [
         (shown[number] - published[number]) / NS_PER_MS
         for shown in seen
-        for number in numbers
+        for number in counted
         if shown[number] and published[number]
     ]
     run = ViewRun(
         who=who,
         views=views,
         pixel_ms=spread(delays_ms),
-        published=len(numbers) * views,
+        published=len(counted) * views,
         seen=len(delays_ms),
         join_ms=joins,
         server_cpu=took_cpu_s / took_s if who == OURS else None,
@@ -98,7 +98,8 @@ def measured(
 CONTENDERS = ((OURS, 1), (PEER, 1), (OURS, 3))
 
 
-def _numbers() -> Any:
+def numbers() -> Any:
+    """Return a shared array with an instant in ns for each number; 0 for none."""
     return multiprocessing.RawArray("q", NUMBERS)
 
 

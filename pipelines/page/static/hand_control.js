@@ -101,8 +101,8 @@ export class HandControl extends EventTarget {
   move(source, x, y) {
     if (this.#source !== source) return;
     this.#target = { x: cut(x), y: cut(y) };
-    this.dispatchEvent(new Event("target"));
     this.#send();
+    this.dispatchEvent(new Event("target"));
   }
 
   /** @param {number} buttons One bit a button. */

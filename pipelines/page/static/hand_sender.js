@@ -2,8 +2,10 @@
 
 /** The page must say at least this often what the hand does, or the handle is released. */
 const PATIENCE_MS = 100;
-/** Two messages are at least so far apart, because the server closes a page that sends too many. */
+/** Two news are at least so far apart, because the server closes a page that sends too many. */
 const LEAST_APART_MS = 1.5;
+/** A hand without news is sent again after this time. */
+const AGAIN_MS = 3;
 
 /** @type {Hand} */
 const RELEASED = Object.freeze({ deadMan: false, x: 0, y: 0, buttons: 0 });
@@ -19,6 +21,9 @@ export class HandSender {
   #held = null;
   #heardMs = 0;
   #sentMs = -Infinity;
+  /** Whether the page said something that was not sent yet, and when such news went out last. */
+  #news = false;
+  #newsMs = -Infinity;
   #releasing = false;
   #pressAnew = false;
 
@@ -40,6 +45,7 @@ export class HandSender {
       this.#release();
     } else if (!this.#pressAnew) {
       this.#held = hand;
+      this.#news = true;
       this.#releasing = false;
     }
   }
@@ -60,7 +66,11 @@ export class HandSender {
       this.#releasing = false;
       return RELEASED;
     }
-    if (this.#held === null || nowMs - this.#sentMs < LEAST_APART_MS) return null;
+    if (this.#held === null) return null;
+    const news = this.#news && nowMs - this.#newsMs >= LEAST_APART_MS;
+    if (!news && nowMs - this.#sentMs < AGAIN_MS) return null;
+    if (news) this.#newsMs = nowMs;
+    this.#news = false;
     this.#sentMs = nowMs;
     return this.#held;
   }
