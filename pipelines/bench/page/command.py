@@ -17,6 +17,7 @@ from pipelines.bench.console import open_console
 from pipelines.bench.page.browser import lacking
 from pipelines.bench.page.figures import ALONE, LIVE, DelayRun, PageResult, headlines
 from pipelines.bench.page.footage import FPS, coded
+from pipelines.bench.page.heap import heap_run
 from pipelines.bench.page.pointer import pointer_run
 from pipelines.bench.page.session import PAGES, session_run
 from pipelines.bench.page.views import CONTENDERS, measured
@@ -28,6 +29,7 @@ from pipelines.report.report_file import check_writable
 
 #: For Chromium to start, beside the measured time.
 _SPARE_S = 60
+_MOST_OPEN_S = 86_400.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=int, default=3, metavar="N", help="of each (default 3)")
     parser.add_argument(
         "--seconds", type=float, default=15.0, metavar="S", help="of each run (default 15)"
+    )
+    parser.add_argument(
+        "--open-s", type=float, metavar="S", help="also keep each seat open for S seconds: its heap"
     )
     parser.add_argument("--base-port", type=int, default=27_000, metavar="P", help="of sessions")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
@@ -48,6 +53,8 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds {args.seconds:g}: give 1 to {most_s:.0f}")
     if not 1 <= args.runs <= 100:
         raise ConfigError(f"--runs {args.runs}: give 1 to 100")
+    if args.open_s is not None and not 1 <= args.open_s <= _MOST_OPEN_S:
+        raise ConfigError(f"--open-s {args.open_s:g}: give 1 to {_MOST_OPEN_S:g}")
     check_writable(args.report)
     check_plot(args.plot)
     console = open_console(args)
@@ -77,8 +84,16 @@ def run(args: argparse.Namespace) -> int:
         for page in PAGES:
             with console.status(f"run {number}: session, page: {page}"):
                 sessions.append(session_run(page, seconds=args.seconds, base_port=args.base_port))
+    heaps = []
+    for seat in ("space", "ground") if args.open_s is not None else ():
+        with console.status(f"/{seat} stays open"):
+            heaps.append(heap_run(seat, seconds=args.open_s, base_port=args.base_port))
     result = PageResult(
-        views=tuple(views), sessions=tuple(sessions), pointer=tuple(pointer), voice=tuple(voice)
+        views=tuple(views),
+        sessions=tuple(sessions),
+        pointer=tuple(pointer),
+        voice=tuple(voice),
+        heaps=tuple(heaps),
     )
     lines = headlines(result)
     console.print(_table(lines, args.runs))

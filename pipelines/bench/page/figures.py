@@ -63,6 +63,24 @@ class DelayRun:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class HeapSample:
+    """A page after a garbage collection. at_s: since it was opened."""
+
+    at_s: float
+    heap_octets: int
+    nodes: int
+    listeners: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeapRun:
+    """A seat ("space" or "ground") that stays open."""
+
+    seat: str
+    samples: list[HeapSample]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PageResult:
     """All runs.
 
@@ -74,6 +92,7 @@ class PageResult:
     sessions: tuple[SessionRun, ...] = ()
     pointer: tuple[DelayRun, ...] = ()
     voice: tuple[DelayRun, ...] = ()
+    heaps: tuple[HeapRun, ...] = ()
 
 
 def headlines(result: PageResult) -> list[Headline]:
@@ -131,6 +150,17 @@ def headlines(result: PageResult) -> list[Headline]:
         ):
             value = _middle([getattr(run, name) for run in sessions])
             found.append(_headline(group, what, page, unit, value, None))
+    for heap in result.heaps:
+        first, last = heap.samples[0], heap.samples[-1]
+        group = f"/{heap.seat} open for {last.at_s / 60:.3g} min, after {first.at_s / 60:.2g} min"
+        for what, unit, name, per in (
+            ("heap", "MB", "heap_octets", 1e6),
+            ("nodes", "", "nodes", 1),
+            ("listeners", "", "listeners", 1),
+        ):
+            for when, sample in (("first", first), ("last", last)):
+                value = getattr(sample, name) / per
+                found.append(_headline(group, f"{what}, {when}", OURS, unit, value, None))
     return found
 
 
