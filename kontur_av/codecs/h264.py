@@ -241,6 +241,12 @@ class DecodedPicture:
     height: int
     _frame: Any
 
+    @property
+    def frame(self) -> av.VideoFrame:
+        """The picture in FFmpeg's own form, which other code of FFmpeg can take."""
+        frame: av.VideoFrame = self._frame
+        return frame
+
     def copy_to(self, into: I420) -> None:
         """Copy the picture once, into `into` of shape (height * 3 // 2, width).
 

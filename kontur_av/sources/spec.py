@@ -1,7 +1,7 @@
 """Opens the sources that SPECs name, as in `--source NAME=SPEC`.
 
-A SPEC is a path to a media file, or `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`, `scene:NAME`, or
-`page` for an input of a session that only browser pages fill.
+A SPEC is a path to a media file, or `mcap:FILE#CHANNEL`, `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`,
+`scene:NAME`, or `page` for an input of a session that only browser pages fill.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,7 +20,7 @@ from kontur_av.sources.source import (
 
 # Kinds are imported on demand, so that a process that draws a scene does not load FFmpeg.
 
-_KINDS = ("pipe", "v4l2", "alsa", "scene")
+_KINDS = ("mcap", "pipe", "v4l2", "alsa", "scene")
 
 
 def open_video(
@@ -56,6 +56,10 @@ def open_video(
         return CameraVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
     if kind == PAGE:
         return PageVideo(clock)
+    if kind == "mcap":
+        from kontur_av.sources.recording import RecordedVideo
+
+        return RecordedVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
     if kind == "alsa":
         raise _no_pictures(spec)
     from kontur_av.sources.file import FileVideo
@@ -82,6 +86,10 @@ def open_audio(
         return MicrophoneAudio(rest, name=name, clock=clock)
     if kind == PAGE:
         return PageAudio(clock)
+    if kind == "mcap":
+        from kontur_av.sources.recording import RecordedAudio
+
+        return RecordedAudio(rest, name=name, clock=clock)
     if kind in ("pipe", "v4l2"):
         raise _no_sound(spec)
     from kontur_av.sources.file import FileAudio
@@ -105,6 +113,10 @@ def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str]
         raise _no_pictures(spec)
     elif kind == "audio" and family in ("pipe", "v4l2"):
         raise _no_sound(spec)
+    elif family == "mcap":
+        from kontur_av.sources.recording import check_recording
+
+        check_recording(rest, kind)
     elif family == "pipe":
         from kontur_av.sources.pipe import check_fifo
 
@@ -133,8 +145,8 @@ def _split(spec: str) -> tuple[str, str]:
         return PAGE, ""
     if not spec:
         raise ConfigError(
-            "a source is empty: give a media file, pipe:PATH, v4l2:DEVICE, alsa:DEVICE, "
-            "scene:NAME or page"
+            "a source is empty: give a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, "
+            "alsa:DEVICE, scene:NAME or page"
         )
     return "file", spec
 

@@ -45,7 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=SPEC",
-        help="what an input captures: scene:NAME or a media file; may be given several times",
+        help="what an input captures: scene:NAME, a media file or mcap:FILE#CHANNEL; may be given "
+        "several times",
     )
     parser.add_argument(
         "--select",

@@ -31,7 +31,7 @@ def check_sources(setup: Setup) -> None:
         if (colon and kind in ("pipe", "v4l2", "alsa")) or setup.source(name) == PAGE:
             raise ConfigError(
                 f"input {name}: {setup.source(name)} lives in real time; "
-                "a simulation takes scene:NAME or a media file"
+                "a simulation takes scene:NAME, a media file or mcap:FILE#CHANNEL"
             )
 
 

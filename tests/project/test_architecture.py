@@ -110,6 +110,7 @@ SHELL_FOLDERS = (PROCESSES, "pipelines/commands/", "pipelines/runtime/")
 #: Modules that read or write files. Cores are handed what is in them.
 FILES = {
     "kontur_av/sources/file.py",
+    "kontur_av/sources/recording.py",
     "pipelines/bench/all/records.py",
     "pipelines/bench/charts.py",
     "pipelines/bench/ports.py",
@@ -125,6 +126,7 @@ FILES = {
 
 #: Modules without a door of their own that use shells, and why.
 USERS_OF_SHELLS = {
+    "kontur_av/sources/looped.py": "waits for its next picture",
     "kontur_av/sources/page.py": "waits for a page",
     "kontur_av/sources/scene.py": "waits for its next picture",
     "kontur_av/sources/source.py": "waits for its next block",
@@ -205,6 +207,11 @@ LIBRARIES = {
     "kontur_av/rtp/wire.py": ({"aiortc"}, "RTP and RTCP, octets only"),
     "kontur_av/sources/file.py": ({"av", "pathlib"}, "a file"),
     "kontur_av/sources/fit.py": ({"av"}, "scales a picture"),
+    "kontur_av/sources/looped.py": ({"av"}, "decoded pictures and their faults"),
+    "kontur_av/sources/recording.py": (
+        {"google", "mcap", "pathlib", "struct", "zstandard"},
+        "a file",
+    ),
     "kontur_av/topics/bus.py": ({"ctypes", "iceoryx2"}, "shared memory"),
     "telepresence/link/radio/orbit.py": ({"sgp4"}, "the model of orbits"),
     "telepresence/link/radio/profile_file.py": ({"pathlib"}, "a file"),

@@ -219,7 +219,7 @@ def test_real_time_sources_are_refused_in_one_line(capsys, source):
     assert main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "static" in line
-    assert "real time; a simulation takes scene:NAME or a media file" in line
+    assert "real time; a simulation takes scene:NAME, a media file or mcap:FILE#CHANNEL" in line
 
 
 @pytest.mark.parametrize(

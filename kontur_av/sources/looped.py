@@ -1,0 +1,189 @@
+"""What plays a file again and again, at its own pace: the part that all kinds of files share."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Generator, Iterator
+from fractions import Fraction
+from typing import NamedTuple
+
+import av
+import numpy as np
+
+from kontur_av.clock import NS_PER_S, Clock
+from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm
+from kontur_av.sources.fit import Fitter
+from kontur_av.sources.pace import Pace
+from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS
+
+#: A reader that is later than this resumes where it stopped, without decoding what it missed.
+CATCH_UP_NS = NS_PER_S
+
+
+class PlayedPicture(NamedTuple):
+    """A decoded picture, `time_ns` after the first one of its file.
+
+    aspect: width of one pixel over its height; None: 1.
+    """
+
+    frame: av.VideoFrame
+    time_ns: int
+    aspect: Fraction | None
+
+
+class LoopedVideo(ABC):
+    """The pictures of a file (a `VideoSource`), captured at the file's own instants.
+
+    It decodes one picture ahead, on one thread. The file is opened again at each end, so that a
+    replaced or repaired file takes effect. While it cannot be read, there are no pictures.
+    """
+
+    def __init__(
+        self, path: str, *, name: str, width: int, height: int, fps: int, clock: Clock
+    ) -> None:
+        self.faults = 0
+        self.last_fault = ""
+        self._path = path
+        self._name = name
+        self._clock = clock
+        self._period_ns = NS_PER_S // fps
+        #: How long the last picture of the present pass is shown.
+        self._step_ns = self._period_ns
+        self._fitter = Fitter(width, height)
+        self._pictures = self._play()
+        self._next: tuple[av.VideoFrame, int] | None = None
+        self._base_ns: int | None = None
+        self._retry_ns = clock.now_ns()
+        self._sequence = 0
+
+    @abstractmethod
+    def _pass(self) -> Iterator[PlayedPicture]:
+        """Open the file and yield its pictures once, in order; set `_step_ns` if it is known.
+
+        Raises OSError, ValueError or FFmpegError for a file that cannot be read (on).
+        """
+
+    def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
+        give_up_ns = self._clock.now_ns() + timeout_ns
+        if self._next is None:
+            self._next = self._prepare()
+        if self._next is None or self._next[1] > give_up_ns:
+            self._clock.sleep_until_ns(give_up_ns)
+            return None
+        scaled, due_ns = self._next
+        self._clock.sleep_until_ns(due_ns)
+        self._fitter.write(scaled, into)
+        self._next = None
+        stamp = CaptureStamp(due_ns, self._sequence, self._name)
+        self._sequence += 1
+        return stamp
+
+    def close(self) -> None:
+        self._pictures.close()
+
+    def _prepare(self) -> tuple[av.VideoFrame, int] | None:
+        """Return the next picture, scaled, and the instant at which it is due."""
+        while (now_ns := self._clock.now_ns()) >= self._retry_ns:
+            item = next(self._pictures, None)
+            if item is None:
+                self._retry_ns = now_ns + RETRY_NS
+                self._base_ns = None
+                break
+            frame, offset_ns, aspect = item
+            if self._base_ns is None or now_ns - (self._base_ns + offset_ns) > CATCH_UP_NS:
+                self._base_ns = now_ns - offset_ns
+            due_ns = self._base_ns + offset_ns
+            if now_ns - due_ns > self._period_ns:
+                continue
+            try:
+                return self._fitter.scale(frame, aspect), due_ns
+            except (av.FFmpegError, ValueError) as error:
+                self._fault(error)
+        return None
+
+    def _play(self) -> Generator[PlayedPicture | None]:
+        """Yield all pictures repeatedly with their time since the start; None if there are none."""
+        start_ns = 0
+        while True:
+            faults, shown, time_ns = self.faults, 0, 0
+            self._step_ns = self._period_ns
+            item = None
+            try:
+                for picture in self._pass():
+                    shown += 1
+                    time_ns = picture.time_ns
+                    item = picture._replace(time_ns=start_ns + time_ns)
+                    yield item
+            except (av.FFmpegError, OSError, ValueError) as error:
+                self._fault(error)
+            start_ns += time_ns + self._step_ns
+            if item is None:
+                yield None
+            while shown == 1 and item is not None and faults == self.faults:
+                yield item._replace(time_ns=start_ns)
+                start_ns += self._period_ns
+
+    def _fault(self, error: Exception) -> None:
+        self.faults += 1
+        self.last_fault = f"{self._path}: {error}"
+
+
+class LoopedAudio(ABC):
+    """The sound of a file (an `AudioSource`): mono, 48 kHz, without a gap at the loop."""
+
+    def __init__(self, path: str, *, name: str, clock: Clock) -> None:
+        self.faults = 0
+        self.last_fault = ""
+        self._path = path
+        self._name = name
+        self._clock = clock
+        self._blocks = self._play()
+        self._retry_ns = clock.now_ns()
+        self._pace = Pace(Fraction(NS_PER_S, BLOCK_NS), clock.now_ns(), patience=2)
+        self._sequence = 0
+
+    @abstractmethod
+    def _pass(self) -> Iterator[Pcm]:
+        """Open the file and yield its sound once, in pieces of any length; errors: LoopedVideo."""
+
+    def read(self, timeout_ns: int) -> AudioFrame | None:
+        now_ns = self._clock.now_ns()
+        skipped = self._pace.skipped
+        complete_ns = self._pace.due_ns(now_ns)
+        missed = self._pace.skipped - skipped
+        if complete_ns > now_ns + timeout_ns or now_ns < self._retry_ns:
+            self._clock.sleep_until_ns(now_ns + timeout_ns)
+            return None
+        for _ in range(min(missed, CATCH_UP_NS // BLOCK_NS)):
+            next(self._blocks, None)
+        samples = next(self._blocks, None)
+        if samples is None:
+            self._retry_ns = now_ns + RETRY_NS
+            return None
+        self._clock.sleep_until_ns(complete_ns)
+        self._pace.handle_taken()
+        stamp = CaptureStamp(complete_ns - BLOCK_NS, self._sequence, self._name)
+        self._sequence += 1
+        return AudioFrame(samples, stamp)
+
+    def close(self) -> None:
+        self._blocks.close()
+
+    def _play(self) -> Generator[Pcm | None]:
+        """Yield all blocks repeatedly; None if the file has no sound."""
+        rest = np.zeros(0, np.int16)
+        while True:
+            heard = 0
+            try:
+                for samples in self._pass():
+                    heard += len(samples)
+                    rest = np.concatenate((rest, samples))
+                    while len(rest) >= BLOCK_SAMPLES:
+                        yield rest[:BLOCK_SAMPLES]
+                        rest = rest[BLOCK_SAMPLES:]
+            except (av.FFmpegError, OSError, ValueError) as error:
+                self._fault(error)
+            if not heard:
+                yield None
+
+    def _fault(self, error: Exception) -> None:
+        self.faults += 1
+        self.last_fault = f"{self._path}: {error}"

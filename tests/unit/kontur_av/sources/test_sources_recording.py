@@ -1,0 +1,169 @@
+"""Channels of recordings as sources, on virtual time: their times, gaps and faults."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
+from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.opus import OpusEncoder
+from kontur_av.errors import ConfigError
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
+from kontur_av.sources import check_spec, open_audio, open_video
+from pipelines.recording.messages import RecordedPicture, RecordedSound, pack
+from pipelines.recording.schemas import descriptor_set
+
+WALL_NS = 1_800_000_000 * NS_PER_S
+SIZE = (64, 48)
+#: When each picture was captured: neither a fixed rate nor without a gap.
+TIMES_MS = (0, 33, 70, 100, 20_100, 20_133)
+LEVELS = (40, 60, 80, 100, 120, 140)
+
+
+def units(levels=LEVELS):
+    encoder = H264Encoder(width=SIZE[0], height=SIZE[1], fps=30, cap_bps=400_000)
+    for level in levels:
+        picture = empty_picture(*SIZE)
+        planes(picture)[0][:] = level
+        yield encoder.encode(VideoFrame(picture, CaptureStamp(0, 0, ""))).data
+
+
+def packets(count):
+    encoder = OpusEncoder(bitrate_bps=64_000)
+    t = np.arange(960 * count) / 48_000
+    tone = (np.sin(2 * np.pi * 440 * t) * 12_000).astype(np.int16)
+    return [encoder.encode(tone[960 * k : 960 * (k + 1)]) for k in range(count)]
+
+
+def write(path, channels):
+    """Write {topic: [(ms, message)]} as any program would, with the plain `mcap` package."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for topic, messages in channels.items():
+            kind = type(messages[0][1]) if messages else RecordedPicture
+            schema = writer.register_schema(
+                kind.schema.full_name, "protobuf", descriptor_set(kind.schema)
+            )
+            channel = writer.register_channel(topic, "protobuf", schema)
+            for ms, value in messages:
+                instant_ns = WALL_NS + ms * NS_PER_MS
+                writer.add_message(channel, instant_ns, pack(value), instant_ns)
+        writer.finish()
+
+
+def picture(data, format="h264"):
+    return RecordedPicture(wall_ns=WALL_NS, frame_id="head", data=data, format=format)
+
+
+def sound(data):
+    return RecordedSound(wall_ns=WALL_NS, data=data)
+
+
+@pytest.fixture
+def path(tmp_path):
+    file = tmp_path / "a#b.mcap"
+    spoken = [
+        (20 * k, sound(data)) for k, data in enumerate(packets(50)) if k != 10 and not 20 <= k < 30
+    ]
+    pictures = list(zip(TIMES_MS, map(picture, units()), strict=True))
+    write(
+        file,
+        {
+            "/head": pictures,
+            "/voice": spoken,
+            "/empty": [],
+            "/h265": [(0, picture(b"1", "h265"))],
+        },
+    )
+    return file
+
+
+def test_a_recorded_camera_keeps_its_intervals_and_loops(path):
+    source = open_video(
+        f"mcap:{path}#/head", name="head", width=64, height=48, fps=30, clock=ManualClock(7)
+    )
+    into, seen = empty_picture(*SIZE), []
+    while len(seen) < 2 * len(TIMES_MS):
+        stamp = source.read(into, NS_PER_S)
+        if stamp is not None:
+            seen.append((stamp.capture_ns, planes(into)[0].mean()))
+    steps = [b - a for (a, _), (b, _) in pairwise(seen)]
+    wanted = [(b - a) * NS_PER_MS for a, b in pairwise(TIMES_MS)]
+    assert steps == [*wanted, NS_PER_S // 30, *wanted]
+    assert np.abs(np.subtract([level for _, level in seen], LEVELS * 2)).max() < 4
+    assert source.faults == 0
+
+
+def test_missing_sound_is_concealed_and_a_long_gap_is_silence(path):
+    source = open_audio(f"mcap:{path}#/voice", name="mic", clock=ManualClock(0))
+    blocks = []
+    while len(blocks) < 100:
+        frame = source.read(NS_PER_S)
+        if frame is not None:
+            blocks.append(frame.samples)
+    loud = [bool(np.abs(block.astype(int)).max() > 6000) for block in blocks]
+    # The missing block 10 is there, and the sound after the gap comes at its own time.
+    assert all(loud[1:20])
+    assert not any(np.any(block) for block in blocks[23:30])
+    assert all(loud[31:50])
+    assert loud[1:50] == loud[51:100]
+
+
+def test_a_coded_size_that_was_rounded_fills_the_picture(tmp_path):
+    write(tmp_path / "a.mcap", {"/head": list(zip(TIMES_MS, map(picture, units()), strict=True))})
+    into = empty_picture(88, 64)
+    source = open_video(
+        f"mcap:{tmp_path / 'a.mcap'}#/head",
+        name="head",
+        width=88,
+        height=64,
+        fps=30,
+        clock=ManualClock(0),
+    )
+    source.read(into, NS_PER_S)
+    assert planes(into)[0].min() > 30
+
+
+@pytest.mark.parametrize(
+    ("channel", "kind", "told"),
+    [
+        ("#/feet", "video", "no channel '/feet' with pictures; .* one of /empty, /h265, /head"),
+        ("#/voice", "video", "no channel '/voice' with pictures"),
+        ("#/head", "audio", "one of /voice"),
+        ("#/empty", "video", "channel /empty of .* is empty"),
+        ("#/h265", "video", "is h265: take one with h264"),
+    ],
+)
+def test_a_channel_that_cannot_be_played_is_refused(path, channel, kind, told):
+    with pytest.raises(ConfigError, match=told):
+        check_spec(f"mcap:{path}{channel}", kind)
+
+
+def test_a_file_that_is_no_whole_recording_is_refused(tmp_path, path):
+    torn, text = tmp_path / "torn.mcap", tmp_path / "text.mcap"
+    torn.write_bytes(path.read_bytes()[:-300])
+    text.write_bytes(b"not a recording at all, but long enough to have a footer of its own")
+    for file, told in [
+        (torn, "is no whole MCAP file .* `kontur-av recover` if it is torn"),
+        (text, "is no whole MCAP file"),
+        (tmp_path / "none.mcap", "no file"),
+        (tmp_path, "is no file"),
+    ]:
+        with pytest.raises(ConfigError, match=told):
+            check_spec(f"mcap:{file}#/head", "video")
+
+
+def test_a_damaged_access_unit_costs_its_picture_and_is_counted(tmp_path):
+    data = list(units())
+    data[2] = b"\0\0\0\1\x65garbage"
+    write(tmp_path / "a.mcap", {"/head": list(zip(TIMES_MS, map(picture, data), strict=True))})
+    spec = f"mcap:{tmp_path / 'a.mcap'}#/head"
+    source = open_video(spec, name="head", width=64, height=48, fps=30, clock=ManualClock(0))
+    into = empty_picture(*SIZE)
+    seen = sum(source.read(into, NS_PER_S) is not None for _ in range(26))
+    assert seen >= len(data) - 1
+    assert source.faults >= 1
+    assert "cannot be decoded" in source.last_fault
