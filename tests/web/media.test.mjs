@@ -54,18 +54,42 @@ test("of too much sound the oldest goes", () => {
   assert.equal(ring.dropped, 5 * 960);
 });
 
-test("a stock that was not needed for a second goes", () => {
+test("what was not needed for a second goes, and the spare shrinks while nothing runs dry", () => {
   const ring = new SoundRing();
   const output = new Float32Array(960);
   for (let number = 0; number < 5; number += 1) ring.handleSound(block(1), null);
-  for (let reads = 0; reads < 49; reads += 1) {
+  /** @param {number} seconds */
+  const play = (seconds) => {
+    for (let reads = 0; reads < 50 * seconds; reads += 1) {
+      ring.read(output);
+      ring.handleSound(block(1), null);
+    }
     ring.read(output);
+    const { stockMs } = ring;
     ring.handleSound(block(1), null);
+    return stockMs;
+  };
+  assert.equal(play(2), 20);
+  assert.equal(play(18), 10);
+  for (let reads = 0; reads < 3; reads += 1) ring.read(output);
+  assert.equal(ring.dry, 1);
+});
+
+test("a voice that ran dry begins again with a larger spare", () => {
+  const ring = new SoundRing();
+  const output = new Float32Array(960);
+  for (const blocks of [2, 3, 4, 4]) {
+    for (let number = 1; number < blocks; number += 1) {
+      ring.handleSound(block(16384), null);
+      ring.read(output);
+      assert.equal(output[0], 0, `${blocks} blocks are waited for`);
+    }
+    ring.handleSound(block(16384), null);
+    for (let reads = 0; reads < blocks; reads += 1) ring.read(output);
+    assert.equal(output[0], 0.5);
+    ring.read(output);
   }
-  assert.equal(ring.dropped, 0);
-  ring.read(output);
-  assert.equal(ring.dropped, 2 * 960);
-  assert.equal(ring.stockMs, 40);
+  assert.equal(ring.dry, 4);
 });
 
 test("the codec is that of the first SPS", () => {
