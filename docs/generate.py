@@ -212,7 +212,7 @@ def run_table() -> str:
 
 def topology_blocks() -> dict[str, str]:
     """By name: what stands between `<!-- generated: NAME -->` and `<!-- /generated -->`."""
-    session = topology_of(load_setup("spacejustin"), snapshots=True, pages=True)
+    session = topology_of(load_setup("spacejustin"), snapshots=True, pages=True, recorder=True)
     processes = tables.processes_table(session)
     for heading in ("priority", "reads", "writes"):
         processes = processes.without(heading)

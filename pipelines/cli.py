@@ -33,6 +33,7 @@ _COMMANDS = {
     "send": "send one stream as plain RTP, under a hard cap",
     "receive": "receive one stream of plain RTP",
     "select": "switch the camera of a running session",
+    "record": "record a running session, and leave it again",
     "info": "list what is in a recording, gaps and losses included",
     "recover": "make a whole recording of a torn one",
     "doctor": "check what this machine can do",

@@ -222,8 +222,14 @@ class Lease:
 class Reader:
     """Reads one topic: either the newest sample (`latest`) or each in turn (`next`)."""
 
-    def __init__(self, subscriber: Any, listener: NotificationListener) -> None:
+    def __init__(
+        self,
+        subscriber: Any,
+        listener: NotificationListener,
+        closed: Callable[["Reader"], None] = lambda _: None,
+    ) -> None:
         self._subscriber = subscriber
+        self._closed = closed
         self._wait_set: WaitSet | None = None
         #: For a `Waiter`.
         self.listener = listener
@@ -241,10 +247,14 @@ class Reader:
         return self._wait_set.wait(timeout_ns, has_samples) or bool(has_samples())
 
     def close(self) -> None:
-        """Leave the topic."""
+        """Leave the topic; a second call does nothing."""
+        if self._subscriber is None:
+            return
         self._wait_set = None
         self._subscriber.delete()
+        self._subscriber = None
         self.listener.close()
+        self._closed(self)
 
     def has_new(self) -> bool:
         """Whether there is a sample that was not read yet."""
@@ -299,7 +309,7 @@ class TopicBus:
         self._joined = False
         self._ports: list[Any] = []
         self._notifiers: list[Notifier] = []
-        self._readers: list[Reader] = []
+        self._readers: set[Reader] = set()
 
     @classmethod
     def join(cls, session: str | None = None) -> Self:
@@ -345,8 +355,8 @@ class TopicBus:
         service = self._data_service(topic)
         listener = NotificationListener(notifier_path(self._session, topic))
         subscriber = service.subscriber_builder().buffer_size(depth).create()
-        reader = Reader(subscriber, listener)
-        self._readers.append(reader)
+        reader = Reader(subscriber, listener, self._readers.discard)
+        self._readers.add(reader)
         return reader
 
     def waiter(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> "Waiter":
@@ -355,8 +365,8 @@ class TopicBus:
 
     def close(self) -> None:
         """Close the ports, then the node."""
-        while self._readers:
-            self._readers.pop().close()
+        for reader in list(self._readers):
+            reader.close()
         while self._notifiers:
             self._notifiers.pop().close()
         while self._ports:

@@ -13,6 +13,7 @@ from kontur_av.sources.page import PAGE
 from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.doctor import NEEDED_SHM_OCTETS, check_shared_memory
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
+from pipelines.commands.record_options import add_record_arguments, wish_of
 from pipelines.commands.session_options import (
     add_deadband_argument,
     add_hand_argument,
@@ -23,6 +24,8 @@ from pipelines.commands.session_options import (
     port_changes,
     radio_changes,
 )
+from pipelines.recording.control import write_wish
+from pipelines.recording.part_files import check_recordable, clear_parts
 from pipelines.report.collector import Collector
 from pipelines.report.live import LiveView
 from pipelines.report.report_file import check_writable, write_report
@@ -52,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
+    add_record_arguments(parser)
     add_radio_arguments(parser)
     add_deadband_argument(parser)
     add_hand_argument(parser)
@@ -79,6 +83,9 @@ def run(args: argparse.Namespace) -> int:
     check_joystick(args.joystick)
     snapshots = _made_directory(args.snapshots)
     check_writable(args.report)
+    wish = wish_of(args, held=False)
+    if wish is not None:
+        check_recordable(Path(wish.file), overwrite=args.overwrite)
     clear_dead_sessions()
     check_room(setup, pages=not args.no_page)
     topology = topology_of(
@@ -86,18 +93,22 @@ def run(args: argparse.Namespace) -> int:
         joystick=args.joystick,
         snapshots=snapshots is not None,
         pages=not args.no_page,
+        recorder=True,
     )
     held = hold_ports(topology)
-    wish = bound_pages(args)
+    page_wish = bound_pages(args)
     load_libraries()
     clock = MonotonicClock()
     draw_backgrounds(setup, clock)
     collector = Collector(topology)
     with (
         hold_session(setup.name) as session,
-        announced_pages(wish, session, quiet=args.quiet) as pages,
+        announced_pages(page_wish, session, quiet=args.quiet) as pages,
         _live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
+        if wish is not None:
+            clear_parts(Path(wish.file))
+            write_wish(session, wish)
         launcher = Launcher(
             session=session,
             topology=topology,

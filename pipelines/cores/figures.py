@@ -364,6 +364,33 @@ class PageGauges(Gauges):
     watching: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecorderCounters(Counters):
+    """The recorder, by channel."""
+
+    #: Messages in the file.
+    kept: Mapping[str, int] = field(default_factory=dict)
+    #: Messages that were gone before they were read.
+    missed: Mapping[str, int] = field(default_factory=dict)
+    #: Messages dropped because the disk was too slow or full.
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    #: Files begun.
+    parts: int = 0
+    #: Octets written.
+    octets: int = 0
+    #: How often a file could not be opened or written.
+    disk_faults: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecorderGauges(Gauges):
+    """The recorder. file: the newest, "" while it does not record. fault: why it cannot write."""
+
+    file: str
+    fault: str
+    waiting_octets: int
+
+
 def _sum(
     one: int | Mapping[str, int] | None, other: int | Mapping[str, int] | None
 ) -> int | Mapping[str, int] | None:

@@ -85,7 +85,7 @@ def _channels(topology: Topology, *, link_frames: bool) -> Iterator[tuple[str, M
                 yield f"{topic}/facts", UNIT_FACTS, f"facts about the access unit as {way}"
     for row in topology.inputs:
         if topology.media(row.stream).kind is Kind.VIDEO:
-            yield f"/camera/{row.name}", VIDEO, "access unit of the camera's own picture"
+            yield f"/camera/{row.name}", VIDEO, "access unit, while no stream carries the camera"
     for haptic in topology.haptics:
         for way, end in ((SENT, haptic.sender), (RECEIVED, haptic.receiver)):
             what = f"cycles of the {end}, each with the number of the sample that it {_used(way)}"

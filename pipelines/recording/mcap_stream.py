@@ -11,6 +11,8 @@ Written after the MCAP specification, https://mcap.dev/spec.
 from binascii import crc32
 from collections import Counter, deque
 from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
 
 import zstandard
 from mcap.opcode import Opcode
@@ -43,6 +45,16 @@ ZSTD = "zstd"
 _ZSTD_LEVEL = 1
 
 
+NO_MESSAGES: Mapping[int, int] = MappingProxyType({})
+
+
+class Piece(NamedTuple):
+    """Octets of a file, and how many messages of each channel are in them."""
+
+    octets: bytes
+    messages: Mapping[int, int]
+
+
 class McapStream:
     """One file. Write what `poll_transmit` returns, in order and without a gap, until it is None.
 
@@ -61,7 +73,7 @@ class McapStream:
         self.waiting_octets = 0
         self._most_waiting_octets = most_waiting_octets
         self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
-        self._waiting: deque[tuple[int, bytes]] = deque()
+        self._waiting: deque[tuple[int, Piece]] = deque()
         self._crc = 0
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
@@ -79,6 +91,11 @@ class McapStream:
     def messages(self) -> int:
         """Messages that were taken."""
         return self._counts.total()
+
+    @property
+    def counts(self) -> Mapping[int, int]:
+        """Messages that were taken, by channel."""
+        return self._counts
 
     def waiting_since_ns(self) -> int | None:
         """When the oldest octets that wait came to be; None if none wait."""
@@ -160,19 +177,24 @@ class McapStream:
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """Return the next octets of the file, or None."""
+        piece = self.poll_piece(now_ns)
+        return None if piece is None else piece.octets
+
+    def poll_piece(self, now_ns: int) -> Piece | None:
+        """As `poll_transmit`, with the number of messages in the octets."""
         due_ns = self.poll_timeout()
         if due_ns is not None and now_ns >= due_ns:
             self._end_chunk(now_ns)
         if not self._waiting:
             return None
-        _, octets = self._waiting.popleft()
-        self.waiting_octets -= len(octets)
-        return octets
+        _, piece = self._waiting.popleft()
+        self.waiting_octets -= len(piece.octets)
+        return piece
 
-    def _emit(self, octets: bytes, now_ns: int) -> None:
+    def _emit(self, octets: bytes, now_ns: int, messages: Mapping[int, int] = NO_MESSAGES) -> None:
         if self._ended:
             raise ValueError("the file has its summary already")
-        self._waiting.append((now_ns, octets))
+        self._waiting.append((now_ns, Piece(octets, messages)))
         self.waiting_octets += len(octets)
         self.octets += len(octets)
         self._crc = crc32(octets, self._crc)
@@ -211,7 +233,8 @@ class McapStream:
                 message_index_offsets=offsets,
             )
         )
-        self._emit(record + indexes, now_ns)
+        messages = {channel_id: len(entries) for channel_id, entries in chunk.indexes.items()}
+        self._emit(record + indexes, now_ns, messages)
 
     def _summary(self) -> bytes:
         """The summary, the offsets of its groups, the footer, and the magic octets of the end."""

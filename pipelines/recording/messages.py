@@ -112,6 +112,7 @@ class UnitFacts(Recorded):
     width_px: int
     height_px: int
     octets: int
+    added: bool = False
 
     @classmethod
     def of(cls, unit: CodedUnit, stamp: CaptureStamp) -> "UnitFacts":

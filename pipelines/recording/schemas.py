@@ -131,7 +131,8 @@ UNIT_FACTS = _own(
     ("bool", "dated", "the instant of capture is known"),
     ("uint32", "width_px", "width of its picture, pixels; 0 if refused"),
     ("uint32", "height_px", "height of its picture, pixels"),
-    ("uint32", "octets", "length of the access unit"),
+    ("uint32", "octets", "length of the access unit; more in front of it are parameter sets"),
+    ("bool", "added", "no unit of the stream: a key picture that the recorder put ahead of it"),
 )
 HAPTIC_SAMPLES = _own(
     "HapticSamples",

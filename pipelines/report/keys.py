@@ -28,7 +28,11 @@ _UNITS = {
     "deg": "°",
 }
 #: By counter that is a table: what its keys are.
-_KEYS = {"strangers": "_PORT", "refused": "_REASON"}
+_KEYS = {
+    "strangers": "_PORT",
+    "refused": "_REASON",
+    **dict.fromkeys(("kept", "missed", "dropped"), "_CHANNEL"),
+}
 _WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "true or false"}
 
 

@@ -17,12 +17,18 @@ from telepresence.haptics.device.spec import SIMULATED
 
 
 def topology_of(
-    setup: Setup, *, joystick: str = SIMULATED, snapshots: bool = False, pages: bool = False
+    setup: Setup,
+    *,
+    joystick: str = SIMULATED,
+    snapshots: bool = False,
+    pages: bool = False,
+    recorder: bool = False,
 ) -> Topology:
     """The table of a session of `setup`.
 
     joystick: SPEC of the joystick. snapshots: with the process that keeps pictures as files.
     pages: with the processes that serve a browser page at each end.
+    recorder: with the process that can record the session.
     """
     streams = Topology(
         setup=setup,
@@ -34,7 +40,9 @@ def topology_of(
         cameras=tuple(camera_row(name) for name in setup.cameras),
         launcher_port=setup.base_port + LAUNCHER_OFFSET,
     )
-    processes = process_rows(streams, joystick=joystick, snapshots=snapshots, pages=pages)
+    processes = process_rows(
+        streams, joystick=joystick, snapshots=snapshots, pages=pages, recorder=recorder
+    )
     return replace(
         streams,
         processes=processes,

@@ -40,7 +40,7 @@ PAGES = {segment: f"page_{segment.value}" for segment in Segment}
 
 
 def process_rows(
-    session: Topology, *, joystick: str, snapshots: bool, pages: bool
+    session: Topology, *, joystick: str, snapshots: bool, pages: bool, recorder: bool
 ) -> tuple[ProcessRow, ...]:
     """The processes, in the order in which they are started, of a table that has none yet."""
     rows = [*_ground(session), *_space(session, joystick, pages=pages)]
@@ -49,6 +49,8 @@ def process_rows(
         rows += [_page(session, segment) for segment in Segment]
     if snapshots:
         rows.append(_snapshots(session))
+    if recorder:
+        rows.insert(0, _recorder(session))
     rows.sort(key=lambda row: row.stage)
     return tuple(_with_streams(row, session) for row in rows)
 
@@ -286,6 +288,26 @@ def _snapshots(session: Topology) -> ProcessRow:
         run="pipelines.parts.snapshots:run_snapshots",
         reads=(*(row.displayed_topic for row in rows), *stereo),
         what="keeps what is shown as PNG files",
+    )
+
+
+def _recorder(session: Topology) -> ProcessRow:
+    """It is started first, so that it misses nothing."""
+    videos = [row for row in session.media_streams if isinstance(row, VideoRow)]
+    cameras = (row for row in session.inputs if session.media(row.stream).kind is Kind.VIDEO)
+    return ProcessRow(
+        name="recorder",
+        segment=None,
+        stage=Stage.LINK,
+        run="pipelines.parts.recorder:run_recorder",
+        reads=(
+            ROBOT_TRACE_TOPIC,
+            JOYSTICK_TRACE_TOPIC,
+            SELECTED_TOPIC,
+            *(topic for row in videos for topic in (row.sent_topic, row.coded_topic)),
+            *(row.topic for row in cameras),
+        ),
+        what="records the session, if that is wished",
     )
 
 

@@ -84,7 +84,9 @@ class RunningSession:
         self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
         self.setup = load_setup(setup)
         pages = "--page" in options
-        topology = topology_of(self.setup, snapshots="--snapshots" in options, pages=pages)
+        topology = topology_of(
+            self.setup, snapshots="--snapshots" in options, pages=pages, recorder=True
+        )
         self.names = [row.name for row in topology.processes]
         command = [*COMMAND, "stream", "--setup", setup, "--report", str(self.report_path)]
         command += ["--base-port", str(self.base_port), *options]

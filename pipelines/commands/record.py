@@ -1,0 +1,115 @@
+"""`kontur-av record`: record a running session from another terminal, and leave it again."""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from kontur_av.errors import ConfigError
+from pipelines.commands.common import stopped_by_signals
+from pipelines.commands.record_options import add_recording_arguments, wish_of
+from pipelines.recording.control import RecorderLink, find_session
+from pipelines.recording.part_files import check_recordable
+from pipelines.recording.requests import (
+    START,
+    STATE,
+    STOP,
+    RecordAnswer,
+    RecordingWish,
+    RecordRequest,
+)
+
+#: How often it asks whether the recorder is still there.
+_LOOK_S = 0.2
+#: A recorder that was killed is there again within this time.
+_RETURN_S = 4.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The file, the session where several run, and how long."""
+    parser.add_argument("record", type=Path, metavar="FILE.mcap", help="what to write")
+    parser.add_argument(
+        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
+    )
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    add_recording_arguments(parser)
+    parser.description = (
+        "Record a running session until Ctrl-C, or until it ends. The session goes on. "
+        "Exit code 1 if messages were lost."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once the recording is whole; 1 if messages are missing in it."""
+    if args.seconds is not None and not 0 < args.seconds < 1e9:
+        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    wish = wish_of(args, held=True)
+    assert wish is not None
+    check_recordable(Path(wish.file), overwrite=args.overwrite)
+    session = find_session(args.session)
+    with stopped_by_signals() as ended:
+        link = _begin(session, wish, overwrite=args.overwrite)
+        print(f"session {session} is recorded to {wish.file}", flush=True)
+        answer = _hold(link, session, wish, ended, args.seconds)
+    if answer is None:
+        print(f"the session has ended; {wish.file} is closed")
+        return 0
+    lost = f", {answer.lost} lost: `kontur-av info` says of which channels" if answer.lost else ""
+    parts = f" in {answer.files} parts" if answer.files > 1 else ""
+    print(f"{wish.file}{parts}: {answer.messages} messages{lost}")
+    return 1 if answer.lost else 0
+
+
+def _begin(session: str, wish: RecordingWish, *, overwrite: bool) -> RecorderLink:
+    try:
+        link = RecorderLink(session)
+        answer = link.ask(RecordRequest(record=START, wish=wish, overwrite=overwrite))
+    except OSError as error:
+        raise ConfigError(f"the recorder of {session} does not answer: {error}") from None
+    if not answer.ok:
+        link.close()
+        raise ConfigError(answer.error)
+    return link
+
+
+def _hold(
+    link: RecorderLink,
+    session: str,
+    wish: RecordingWish,
+    ended: Callable[[], bool],
+    seconds: float | None,
+) -> RecordAnswer | None:
+    """Wait for the end; the answer to the order to stop, or None if the session has ended."""
+    end_s = None if seconds is None else time.monotonic() + seconds
+    fault = ""
+    while True:
+        left_s = _LOOK_S if end_s is None else min(_LOOK_S, end_s - time.monotonic())
+        time.sleep(max(0.0, left_s))
+        over = ended() or (end_s is not None and time.monotonic() >= end_s)
+        try:
+            answer = link.ask(RecordRequest(record=STOP if over else STATE))
+        except OSError:
+            link.close()
+            found = _returned(session, wish)
+            if found is None:
+                return None
+            link = found
+            continue
+        if over:
+            link.close()
+            return answer if answer.ok else None
+        if answer.fault and answer.fault != fault:
+            print(f"kontur-av: {answer.fault}; the recorder tries again", file=sys.stderr)
+        fault = answer.fault
+
+
+def _returned(session: str, wish: RecordingWish) -> RecorderLink | None:
+    """The recorder that the launcher has started again; None if it does not come."""
+    end_s = time.monotonic() + _RETURN_S
+    while time.monotonic() < end_s:
+        with suppress(OSError, ConfigError):
+            return _begin(session, wish, overwrite=False)
+        time.sleep(0.1)
+    return None

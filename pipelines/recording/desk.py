@@ -1,0 +1,155 @@
+"""Takes requests to record and to stop, and says what became of them. A core."""
+
+from collections import deque
+from typing import NamedTuple
+
+from kontur_av.clock import NS_PER_S
+from pipelines.recording.requests import (
+    MAX_LINE_OCTETS,
+    START,
+    STATE,
+    STOP,
+    RecordAnswer,
+    RecordingWish,
+    pack_line,
+    parse_record_request,
+)
+
+#: The most terminals at once; others are refused.
+MOST_TERMINALS = 8
+#: A held recording goes on for so long without its terminal: that may come back.
+HOLD_NS = 5 * NS_PER_S
+
+
+class Reply(NamedTuple):
+    """Octets for a terminal. last: close the connection after them."""
+
+    terminal: int
+    octets: bytes
+    last: bool
+
+
+class Start(NamedTuple):
+    """Begin to record, and report with `handle_started`."""
+
+    wish: RecordingWish
+    overwrite: bool
+    terminal: int
+
+
+class Stop(NamedTuple):
+    """End the recording, and report with `handle_stopped`. terminal: who asked; None: nobody."""
+
+    terminal: int | None
+
+
+class Ask(NamedTuple):
+    """A terminal asks how it goes: answer with `handle_state`."""
+
+    terminal: int
+
+
+class RecorderDesk:
+    """A terminal is a connection, known by a number that is never used again.
+
+    wish: what is recorded at present. A held recording ends when no terminal holds it any more.
+    After each input drain `next_event`. Call `handle_time` at least once a second.
+    """
+
+    def __init__(self, wish: RecordingWish | None, now_ns: int) -> None:
+        self.wish = wish
+        self._lines: dict[int, bytes] = {}
+        self._holders: set[int] = set()
+        self._free_ns = now_ns
+        self._events: deque[Reply | Start | Stop | Ask] = deque()
+
+    @property
+    def terminals(self) -> list[int]:
+        """Those to read from."""
+        return list(self._lines)
+
+    def handle_terminal(self, terminal: int) -> None:
+        """A terminal has connected."""
+        if len(self._lines) >= MOST_TERMINALS:
+            self._events.append(Reply(terminal, b"", last=True))
+        else:
+            self._lines[terminal] = b""
+
+    def handle_octets(self, terminal: int, data: bytes, now_ns: int) -> None:
+        """A terminal has sent octets; b"" if it has gone."""
+        if terminal not in self._lines:
+            return
+        self._lines[terminal] += data
+        *lines, rest = self._lines[terminal].split(b"\n")
+        self._lines[terminal] = rest
+        for line in lines:
+            self._handle_line(terminal, line)
+        if not data or len(rest) > MAX_LINE_OCTETS:
+            self._close(terminal, now_ns)
+
+    def handle_started(self, start: Start, error: str = "") -> None:
+        """The recording has begun, or cannot: error says why."""
+        if not error:
+            self.wish = start.wish
+            if start.wish.held:
+                self._holders.add(start.terminal)
+        answer = RecordAnswer(ok=not error, error=error, mistake=bool(error), file=start.wish.file)
+        self._answer(start.terminal, answer)
+
+    def handle_stopped(self, stop: Stop, answer: RecordAnswer) -> None:
+        """The recording has ended."""
+        self.wish = None
+        for terminal in self._holders | ({stop.terminal} if stop.terminal is not None else set()):
+            self._answer(terminal, answer)
+        self._holders.clear()
+
+    def handle_state(self, ask: Ask, answer: RecordAnswer) -> None:
+        """How it goes."""
+        self._answer(ask.terminal, answer)
+
+    def handle_time(self, now_ns: int) -> None:
+        """Stop a held recording whose terminal has gone for long."""
+        if self.wish is None or not self.wish.held or self._holders:
+            self._free_ns = now_ns
+        elif now_ns - self._free_ns >= HOLD_NS:
+            self._free_ns = now_ns
+            self._events.append(Stop(None))
+
+    def next_event(self) -> Reply | Start | Stop | Ask | None:
+        """Return what is to be done next, or None."""
+        return self._events.popleft() if self._events else None
+
+    def _handle_line(self, terminal: int, line: bytes) -> None:
+        request = parse_record_request(line)
+        if request is None or request.record not in (START, STOP, STATE):
+            self._refuse(terminal, "no request to a recorder")
+        elif request.record == STATE:
+            self._events.append(Ask(terminal))
+        elif request.record == STOP:
+            if self.wish is None:
+                self._refuse(terminal, "the session is not being recorded")
+            else:
+                self._events.append(Stop(terminal))
+        elif request.wish is None:
+            self._refuse(terminal, "no request to a recorder")
+        elif self.wish is None:
+            self._events.append(Start(request.wish, request.overwrite, terminal))
+        elif self.wish.held and request.wish == self.wish:
+            # Its own terminal again, after this process was restarted.
+            self._holders.add(terminal)
+            self._answer(terminal, RecordAnswer(ok=True, file=self.wish.file))
+        else:
+            self._refuse(terminal, f"the session is being recorded already, to {self.wish.file}")
+
+    def _refuse(self, terminal: int, why: str) -> None:
+        self._answer(terminal, RecordAnswer(ok=False, error=why, mistake=True))
+
+    def _answer(self, terminal: int, answer: RecordAnswer) -> None:
+        if terminal in self._lines:
+            self._events.append(Reply(terminal, pack_line(answer), last=False))
+
+    def _close(self, terminal: int, now_ns: int) -> None:
+        del self._lines[terminal]
+        self._holders.discard(terminal)
+        self._free_ns = now_ns
+        self._events.append(Reply(terminal, b"", last=True))

@@ -1,0 +1,196 @@
+"""The files of a recording's parts: written in one thread, handed to the disk in another. A shell.
+
+So neither a slow disk nor a full one holds up whoever reads the topics.
+"""
+
+import os
+import threading
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from queue import SimpleQueue
+
+from kontur_av.errors import ConfigError
+from pipelines.recording.recorder import PartPiece
+from pipelines.recording.recording_file import check_new
+
+_SYNC_S = 1.0
+_MOST_PARTS = 100_000
+_TRIAL = ".trial"
+
+
+def part_path(path: Path, part: int) -> Path:
+    """Return the name of a part's file: FILE.mcap, FILE-2.mcap, FILE-3.mcap, …"""
+    return path if part == 1 else path.with_name(f"{path.stem}-{part}{path.suffix}")
+
+
+def present_parts(path: Path) -> Iterator[Path]:
+    """The parts of a recording that are there, up to the first that is not."""
+    for part in range(1, _MOST_PARTS):
+        if not part_path(path, part).exists() and part > 1:
+            return
+        if part_path(path, part).exists():
+            yield part_path(path, part)
+
+
+def check_recordable(path: Path, *, overwrite: bool) -> None:
+    """Raise ConfigError unless a recording can begin at `path`; nothing is changed."""
+    for present in present_parts(path):
+        check_new(present, overwrite=overwrite)
+    trial = path.with_name(path.name + _TRIAL)
+    try:
+        with trial.open("wb"):
+            pass
+        trial.unlink()
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def clear_parts(path: Path) -> None:
+    """Remove an earlier recording of this name, after `check_recordable`; else ConfigError."""
+    try:
+        for present in list(present_parts(path)):
+            present.unlink()
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be replaced: {error.strerror}") from None
+
+
+class PartFiles:
+    """The files of one recording.
+
+    After `open` (in the caller's thread), `put` pieces; then `results` says what became of each.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._pieces: SimpleQueue[PartPiece | None] = SimpleQueue()
+        self._results: deque[tuple[int, str]] = deque()
+        self._waiting = 0
+        self._lock = threading.Lock()
+        #: By part: its open file. Only the writing thread closes one.
+        self._files: dict[int, int] = {}
+        #: By part: why the other thread found it lost.
+        self._lost: dict[int, str] = {}
+        #: By part: how much of it is whole, and whether messages are in it.
+        self._whole: dict[int, int] = {}
+        self._valuable: set[int] = set()
+        self._ended = threading.Event()
+        self._last = 0
+        self._threads = [
+            threading.Thread(target=run, daemon=True) for run in (self._write, self._sync)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def newest(self) -> Path:
+        """The file of the newest part."""
+        return part_path(self._path, max(1, self._last))
+
+    @property
+    def waiting_octets(self) -> int:
+        """How much was put and is not written yet."""
+        return self._waiting
+
+    def open(self) -> int:
+        """Create the file of the next part and return its number; OSError if that fails."""
+        for part in range(self._last + 1, _MOST_PARTS):
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+            try:
+                file = os.open(part_path(self._path, part), flags, 0o644)
+            except FileExistsError:
+                continue
+            with self._lock:
+                self._files[part] = file
+                self._last = part
+                self._whole[part] = 0
+            return part
+        raise OSError(f"{self._path} has too many parts")
+
+    def put(self, piece: PartPiece) -> None:
+        """Write a piece as soon as the disk permits."""
+        with self._lock:
+            self._waiting += len(piece.octets)
+        self._pieces.put(piece)
+
+    def results(self) -> Iterator[tuple[int, str]]:
+        """Yield part and "" for each piece that was written, in order.
+
+        For a part of which no more can be written: its number and why, once.
+        """
+        while self._results:
+            yield self._results.popleft()
+
+    def close(self, patience_s: float) -> bool:
+        """Write what was put, and close all files; False if the disk takes too long."""
+        self._pieces.put(None)
+        self._threads[0].join(patience_s)
+        self._ended.set()
+        self._threads[1].join(patience_s)
+        return not any(thread.is_alive() for thread in self._threads)
+
+    def _write(self) -> None:
+        while (piece := self._pieces.get()) is not None:
+            if piece.part in self._files:
+                self._write_piece(piece)
+            with self._lock:
+                self._waiting -= len(piece.octets)
+        for part in list(self._files):
+            self._forget(part)
+
+    def _write_piece(self, piece: PartPiece) -> None:
+        part, file = piece.part, self._files[piece.part]
+        try:
+            if part in self._lost:
+                raise OSError(0, self._lost[part])
+            _write_all(file, piece.octets)
+            self._whole[part] += len(piece.octets)
+            if piece.messages:
+                self._valuable.add(part)
+            if piece.last:
+                os.fdatasync(file)
+        except OSError as error:
+            self._fail(part, error.strerror or str(error))
+            return
+        self._results.append((part, ""))
+        if piece.last:
+            self._forget(part)
+
+    def _sync(self) -> None:
+        while not self._ended.wait(_SYNC_S):
+            with self._lock:
+                copies = {part: os.dup(file) for part, file in self._files.items()}
+            for part, copy in copies.items():
+                try:
+                    os.fdatasync(copy)
+                    if not os.fstat(copy).st_nlink:
+                        self._lost[part] = "the file was removed"
+                except OSError as error:
+                    self._lost[part] = error.strerror or str(error)
+                finally:
+                    os.close(copy)
+
+    def _fail(self, part: int, why: str) -> None:
+        """No more is written of a part. Whole pieces stay; without a message it is removed."""
+        with suppress(OSError):
+            os.ftruncate(self._files[part], self._whole[part])
+        if part not in self._valuable:
+            with suppress(OSError):
+                part_path(self._path, part).unlink()
+            with self._lock:
+                self._last = min(self._last, part - 1)
+        self._forget(part)
+        self._results.append((part, why))
+
+    def _forget(self, part: int) -> None:
+        with self._lock:
+            file = self._files.pop(part)
+        self._lost.pop(part, None)
+        os.close(file)
+
+
+def _write_all(file: int, octets: bytes) -> None:
+    left = memoryview(octets)
+    while left:
+        left = left[os.write(file, left) :]

@@ -1,0 +1,362 @@
+"""Turns samples of a session's topics into the parts of a recording, and counts losses. A core.
+
+Every message that came is either in a part, or counted as lost, by channel:
+
+- missed: it was gone from its topic before it was read, by the sequence numbers of the topic;
+- dropped: it was read, but the disk was too slow or full.
+"""
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.media import CaptureStamp
+from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.cores.figures import RecorderCounters, RecorderGauges
+from pipelines.cores.haptic_trace import rows_of
+from pipelines.recording.camera_coder import CameraCoder
+from pipelines.recording.channels import EVENTS, LOG_LINES, RECORDER_LOSSES, channels_of
+from pipelines.recording.contacts import ContactWatch
+from pipelines.recording.facts import FACTS, LIBRARY, RecordingFacts
+from pipelines.recording.mcap_stream import McapStream, Piece
+from pipelines.recording.messages import (
+    ChannelLoss,
+    LogLevel,
+    LogLine,
+    RecordedEvent,
+    RecordedPicture,
+    RecorderLosses,
+    UnitFacts,
+    haptic_samples,
+    pack,
+    pack_haptics,
+)
+from pipelines.recording.sources import Content, Source
+from pipelines.recording.stream_start import StreamStart
+from pipelines.topology import Topology
+
+#: After a fault of the disk, a new part is tried this often.
+RETRY_NS: Final = 2 * NS_PER_S
+#: How often the losses are written, while they change.
+_LOSSES_NS = NS_PER_S
+#: Octets that may wait for a slow disk: minutes of a session.
+MOST_WAITING_OCTETS: Final = 32 << 20
+#: A key picture that the recorder adds comes this long before its unit.
+_AHEAD_NS = NS_PER_US
+#: Kinds of events that are warnings in the log.
+_WARNINGS = frozenset({"process", "stale", "recorder"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartLimits:
+    """When a new part begins: after `ns`, or with `octets`."""
+
+    ns: int = 600 * NS_PER_S
+    octets: int = 256_000_000
+
+
+class PartPiece(NamedTuple):
+    """Octets for the file of a part, with so many messages. last: close the file after them."""
+
+    part: int
+    octets: bytes
+    messages: int
+    last: bool
+
+
+class Recorder:
+    """One recording.
+
+    While `wants_part` is True, open a new file, and report with `handle_opened` or `handle_fault`.
+    Write what `poll_transmit` returns, each into the file of its part, and report each piece in
+    order with `handle_written`, or with `handle_fault` that no more of this part can be written.
+    After `handle_end` take what is left.
+
+    facts: of the first part. wall_offset_ns: wall time less the session's clock.
+    """
+
+    def __init__(
+        self,
+        topology: Topology,
+        facts: RecordingFacts,
+        *,
+        wall_offset_ns: int,
+        link_frames: bool = False,
+        limits: PartLimits | None = None,
+        most_waiting_octets: int = MOST_WAITING_OCTETS,
+    ) -> None:
+        self._facts, self._offset_ns = facts, wall_offset_ns
+        self._limits = limits or PartLimits()
+        self._most_waiting_octets = most_waiting_octets
+        rows = channels_of(topology, link_frames=link_frames)
+        self._records = [row.records() for row in rows]
+        self._numbers = {row.topic: row.number for row in rows}
+        self._topics = {row.number: row.topic for row in rows}
+        self._starts: dict[str, StreamStart] = {}
+        self._coders: dict[str, CameraCoder] = {}
+        self._coded: Counter[str] = Counter()
+        self._contact = ContactWatch()
+        self._events = 0
+        #: By topic: the sequence number of its newest sample.
+        self._sequences: dict[str, int] = {}
+        self._stream: McapStream | None = None
+        self._part = 0
+        self._begun_ns = 0
+        self._ended = False
+        self._retry_ns: int | None = None
+        #: Pieces of parts that have ended, and the counts of those that are being written.
+        self._left: deque[tuple[int, Piece, bool]] = deque()
+        self._writing: deque[tuple[int, Mapping[int, int], int]] = deque()
+        self._kept: Counter[int] = Counter()
+        self._missed: Counter[int] = Counter()
+        self._dropped: Counter[int] = Counter()
+        self._told_losses = 0
+        self._losses_ns = 0
+        self._own_number = 0
+        self._parts = self._octets = self._faults = 0
+        self._fault = ""
+
+    # Samples
+
+    def handle_missed(self, source: Source, stamp: CaptureStamp) -> None:
+        """Look at the number of a sample that was read; the handlers of samples call it."""
+        before = self._sequences.get(source.topic)
+        self._sequences[source.topic] = stamp.sequence
+        # A smaller number is that of a writer that was started again.
+        if before is not None and stamp.sequence > before + 1:
+            for channel in source.channels:
+                self._missed[self._numbers[channel]] += stamp.sequence - before - 1
+
+    def handle_sample(
+        self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
+    ) -> None:
+        """A sample of a topic, other than a camera's."""
+        self.handle_missed(source, stamp)
+        if source.content is Content.UNIT:
+            self._handle_unit(source, CodedUnit.unpack(octets), stamp, now_ns)
+        elif source.content is Content.HAPTICS:
+            self._handle_haptics(source, octets, stamp, now_ns)
+        else:
+            raise ValueError(f"{source.topic}: its samples are not octets")
+
+    def coder(self, source: Source) -> CameraCoder:
+        """Return what codes the pictures of a camera."""
+        return self._coders.setdefault(source.name, CameraCoder())
+
+    def handle_camera(self, source: Source, unit: bytes, stamp: CaptureStamp, now_ns: int) -> None:
+        """A picture of a camera was coded. Pictures between two coded ones are not missed."""
+        wall_ns = stamp.capture_ns + self._offset_ns
+        self._coded[source.name] += 1
+        picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=unit)
+        number = self._coded[source.name]
+        self._put(source.channels[0], pack(picture), wall_ns, number, now_ns)
+
+    def handle_event(self, event: RecordedEvent, now_ns: int) -> None:
+        """Something happened in the session."""
+        wall_ns = event.session_ns + self._offset_ns
+        level = LogLevel.WARNING if event.what in _WARNINGS else LogLevel.INFO
+        line = LogLine(wall_ns=wall_ns, level=level, message=event.text, name=event.what)
+        self._events += 1
+        self._put(EVENTS, pack(event), wall_ns, self._events, now_ns)
+        self._put(LOG_LINES, pack(line), wall_ns, self._events, now_ns)
+
+    def _handle_unit(
+        self, source: Source, unit: CodedUnit, stamp: CaptureStamp, now_ns: int
+    ) -> None:
+        channel, facts_channel = source.channels
+        if channel not in self._starts:
+            self._starts[channel] = StreamStart()
+        wall_ns = (stamp.capture_ns if unit.dated else now_ns) + self._offset_ns
+        key, data = self._starts[channel].handle_unit(unit, stamp, now_ns)
+        facts = UnitFacts.of(unit, stamp)
+        if key is not None and self._stream is not None:
+            added = replace(facts, key=True, damaged=False, octets=len(key), added=True)
+            number = max(0, stamp.sequence - 1)
+            at_ns = wall_ns - _AHEAD_NS
+            picture = RecordedPicture(wall_ns=at_ns, frame_id=source.name, data=key)
+            self._put(channel, pack(picture), at_ns, number, now_ns)
+            self._put(facts_channel, pack(added), at_ns, number, now_ns)
+        picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=data)
+        self._put(channel, pack(picture), wall_ns, stamp.sequence, now_ns)
+        self._put(facts_channel, pack(facts), wall_ns, stamp.sequence, now_ns)
+
+    def _handle_haptics(
+        self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
+    ) -> None:
+        rows = rows_of(octets)
+        if not len(rows):
+            return
+        packed = pack_haptics(haptic_samples(rows))
+        wall_ns = int(rows["time_ns"][0]) + self._offset_ns
+        for channel in source.channels:
+            self._put(channel, packed, wall_ns, stamp.sequence, now_ns)
+        if source.name == "robot":
+            for at_ns, text in self._contact.handle_rows(rows):
+                event = RecordedEvent(session_ns=at_ns, number=0, what="contact", text=text)
+                self.handle_event(event, now_ns)
+
+    def _put(self, channel: str, data: bytes, log_ns: int, sequence: int, now_ns: int) -> None:
+        number = self._numbers[channel]
+        if self._stream is None:
+            self._dropped[number] += 1
+            return
+        taken = self._stream.handle_message(
+            number,
+            data,
+            log_ns=max(0, log_ns),
+            publish_ns=now_ns + self._offset_ns,
+            sequence=sequence,
+            now_ns=now_ns,
+        )
+        self._dropped[number] += not taken
+
+    # Files
+
+    def wants_part(self, now_ns: int) -> bool:
+        """Whether to open the file of a new part now."""
+        if self._ended or (self._retry_ns is not None and now_ns < self._retry_ns):
+            return False
+        if self._stream is None:
+            return True
+        return (
+            now_ns - self._begun_ns >= self._limits.ns or self._stream.octets >= self._limits.octets
+        )
+
+    def handle_opened(self, part: int, now_ns: int) -> None:
+        """The file of this part was opened. part: greater than all before."""
+        self._end_stream(now_ns)
+        self._retry_ns = None
+        self._stream = stream = McapStream(
+            library=LIBRARY, most_waiting_octets=self._most_waiting_octets
+        )
+        self._part, self._begun_ns = part, now_ns
+        self._parts += 1
+        facts = replace(self._facts, part=part, session_ns=now_ns, wall_ns=now_ns + self._offset_ns)
+        stream.handle_metadata(FACTS, facts.items(), now_ns)
+        for schema, channel in self._records:
+            stream.handle_channel(schema, channel)
+        for start in self._starts.values():
+            start.handle_part()
+        for coder in self._coders.values():
+            coder.handle_part()
+        self._losses_ns = now_ns
+        self._told_losses = 0
+
+    def handle_fault(self, part: int | None, why: str, now_ns: int) -> None:
+        """A file cannot be opened, or no more of a part be written.
+
+        part: the part whose file failed; None: a new file could not be opened. why: in words.
+        """
+        self._faults += 1
+        self._fault = why
+        self._retry_ns = now_ns + RETRY_NS
+        if part is None:
+            return
+        for one, messages, _ in self._writing:
+            if one == part:
+                self._dropped.update(messages)
+        self._writing = deque(each for each in self._writing if each[0] != part)
+        for one, piece, _ in self._left:
+            if one == part:
+                self._dropped.update(piece.messages)
+        self._left = deque(each for each in self._left if each[0] != part)
+        if part == self._part and self._stream is not None:
+            stream, self._stream = self._stream, None
+            stream.handle_end(now_ns)
+            while (unwritten := stream.poll_piece(now_ns)) is not None:
+                self._dropped.update(unwritten.messages)
+
+    def handle_written(self) -> None:
+        """The oldest piece that was not reported yet is in its file."""
+        _, messages, octets = self._writing.popleft()
+        self._kept.update(messages)
+        self._octets += octets
+        self._fault = "" if self._stream is not None else self._fault
+
+    def handle_abandoned(self) -> None:
+        """What was not written until now never will be."""
+        for _, messages, _ in self._writing:
+            self._dropped.update(messages)
+        for _, piece, _ in self._left:
+            self._dropped.update(piece.messages)
+        self._writing.clear()
+        self._left.clear()
+
+    def handle_time(self, now_ns: int) -> None:
+        """Write the losses if they have changed. Call it at least once a second."""
+        if self._stream is None or now_ns < self._losses_ns:
+            return
+        self._losses_ns = now_ns + _LOSSES_NS
+        lost = self._missed.total() + self._dropped.total()
+        if lost == self._told_losses:
+            return
+        self._told_losses = lost
+        told = RecorderLosses(
+            session_ns=now_ns,
+            losses=tuple(
+                ChannelLoss(
+                    channel=self._topics[number],
+                    missed=self._missed[number],
+                    dropped=self._dropped[number],
+                )
+                for number in sorted({*(+self._missed), *(+self._dropped)})
+            ),
+        )
+        self._own_number += 1
+        self._put(RECORDER_LOSSES, pack(told), now_ns + self._offset_ns, self._own_number, now_ns)
+
+    def handle_end(self, now_ns: int) -> None:
+        """The recording ends: its last part is closed with a summary."""
+        self._losses_ns = now_ns
+        self.handle_time(now_ns)
+        self._end_stream(now_ns)
+        self._ended = True
+
+    def poll_transmit(self, now_ns: int) -> PartPiece | None:
+        """Return the next octets of a file, or None."""
+        if self._left:
+            part, piece, last = self._left.popleft()
+        elif self._stream is not None and (found := self._stream.poll_piece(now_ns)) is not None:
+            part, piece, last = self._part, found, False
+        else:
+            return None
+        self._writing.append((part, piece.messages, len(piece.octets)))
+        return PartPiece(part, piece.octets, sum(piece.messages.values()), last)
+
+    def _end_stream(self, now_ns: int) -> None:
+        stream, self._stream = self._stream, None
+        if stream is None:
+            return
+        stream.handle_end(now_ns)
+        pieces = []
+        while (piece := stream.poll_piece(now_ns)) is not None:
+            pieces.append(piece)
+        self._left += ((self._part, each, each is pieces[-1]) for each in pieces)
+
+    # Figures
+
+    @property
+    def fault(self) -> str:
+        """Why nothing is written at present; "" if all is well."""
+        return self._fault
+
+    def counters(self) -> RecorderCounters:
+        """Return what was kept and lost so far."""
+        return RecorderCounters(
+            kept=self._named(self._kept),
+            missed=self._named(self._missed),
+            dropped=self._named(self._dropped),
+            parts=self._parts,
+            octets=self._octets,
+            disk_faults=self._faults,
+        )
+
+    def gauges(self, file: str) -> RecorderGauges:
+        """Return its present state. file: of the newest part."""
+        waiting = 0 if self._stream is None else self._stream.waiting_octets
+        return RecorderGauges(file=file, fault=self._fault, waiting_octets=waiting)
+
+    def _named(self, counts: Mapping[int, int]) -> dict[str, int]:
+        return {self._topics[number]: count for number, count in counts.items() if count}

@@ -1,0 +1,70 @@
+"""Which topics of a session become which channels. A core."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+
+from pipelines.recording.channels import RECEIVED, SENT
+from pipelines.topology import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, Topology, VideoRow
+
+#: By end of the hand: its topic.
+_TRACES = {"joystick": JOYSTICK_TRACE_TOPIC, "robot": ROBOT_TRACE_TOPIC}
+
+
+class Content(Enum):
+    """What a sample of a topic holds."""
+
+    UNIT = "access unit"
+    HAPTICS = "cycles of one end of the hand"
+    CAMERA = "captured picture"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A topic that is recorded.
+
+    channels: where its samples go; each sample becomes one message in each. name: of what it is
+    about: a stream, an input, an end of the hand.
+    """
+
+    topic: str
+    content: Content
+    channels: tuple[str, ...]
+    name: str
+
+
+def sources_of(topology: Topology, *, link_frames: bool = False) -> tuple[Source, ...]:
+    """Return what is read of a session. link_frames: with every frame of the radio link."""
+    return tuple(_sources(topology, link_frames=link_frames))
+
+
+def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
+    for haptic in topology.haptics:
+        end = haptic.sender
+        felt = next(row for row in topology.haptics if row.receiver == end)
+        yield Source(
+            topic=_TRACES[end],
+            content=Content.HAPTICS,
+            channels=(f"/haptic/{haptic.key}/{SENT}", f"/haptic/{felt.key}/{RECEIVED}"),
+            name=end,
+        )
+    for media in topology.media_streams:
+        if not isinstance(media, VideoRow):
+            continue
+        for way, topic in ((SENT, media.sent_topic), (RECEIVED, media.coded_topic)):
+            channel = f"/{media.name}/{way}"
+            yield Source(
+                topic=topic,
+                content=Content.UNIT,
+                channels=(channel, f"{channel}/facts"),
+                name=media.name,
+            )
+    # A camera that is alone in its stream is always carried.
+    uplink = topology.setup.uplink_video.name
+    for row in (row for row in topology.inputs if row.stream == uplink):
+        yield Source(
+            topic=row.topic,
+            content=Content.CAMERA,
+            channels=(f"/camera/{row.name}",),
+            name=row.name,
+        )
