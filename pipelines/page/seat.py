@@ -77,9 +77,12 @@ Event = HandMoved | CommandGiven | CameraAsked | SessionOrdered
 
 @dataclass
 class _Page:
+    """idle: it has taken all that there was, so it would take more at once."""
+
     number: int
     role: Role
     queue: ClientQueue
+    idle: bool = True
     texts: TokenBucket = field(default_factory=lambda: TokenBucket(_TEXT_HZ, _TEXT_HZ))
     pings: TokenBucket = field(default_factory=lambda: TokenBucket(_PING_HZ, _PING_HZ))
     hands: TokenBucket = field(default_factory=lambda: TokenBucket(_HAND_HZ, _HAND_HZ))
@@ -172,6 +175,7 @@ class Seat:
             # It has taken all, so it can take a replay of what was left out.
             self._replay(page)
             message = page.queue.pop()
+        page.idle = message is None
         return message
 
     def next_event(self) -> Event | None:
@@ -258,7 +262,7 @@ class Seat:
         message = _packed(stream, kept)
         for page in self._pages.values():
             lane = page.queue.lane(stream)
-            if lane.open or page.queue:
+            if lane.open or not page.idle:
                 lane.put_unit(message, key=kept.key)
             else:
                 self._replay(page)
@@ -267,7 +271,8 @@ class Seat:
         """The picture of a unit, as a key unit. False: that unit is not known."""
         taken = self._histories[stream].handle_picture(key, rtp_timestamp)
         for page in self._pages.values():
-            self._replay(page)
+            if page.idle:
+                self._replay(page)
         return taken
 
     def wanted_pictures(self) -> list[int]:

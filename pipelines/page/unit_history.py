@@ -23,8 +23,6 @@ from pipelines.page.messages import UNKNOWN_US
 
 #: What a page may have to decode before its first picture: 0.4 s or less in Chromium, measured.
 MOST_PIXELS = 70_000_000
-#: A replay that is shorter is not exchanged for one that begins with a wave.
-_SHORT_PIXELS = MOST_PIXELS // 2
 #: Longer histories are given up.
 _MOST_NS = 60 * NS_PER_S
 _MOST_OCTETS = 4 << 20
@@ -51,11 +49,13 @@ class UnitHistory:
     Of the newest wave it knows where it began and how many units are left of it. Without a
     beginning, the units since the newest wave are kept, and at least 64.
 
-    pictures: the pictures of the live decoder can be had.
+    pictures: the pictures of the live decoder can be had. most_pixels: of a replay, then. Those of
+    less than half of it are not exchanged for one that begins with a wave.
     """
 
-    def __init__(self, *, pictures: bool) -> None:
+    def __init__(self, *, pictures: bool, most_pixels: int = MOST_PIXELS) -> None:
         self._pictures = pictures
+        self._most_pixels = most_pixels
         self._units: deque[KeptUnit] = deque()
         self._octets = self._pixels = 0
         #: What comes before the units: nothing if they begin with an IDR picture.
@@ -70,7 +70,7 @@ class UnitHistory:
     @property
     def needs_picture(self) -> bool:
         """Whether a page that joins needs a picture for `handle_picture`."""
-        lacks = not self._whole or self._pixels > MOST_PIXELS
+        lacks = not self._whole or self._pixels > self._most_pixels
         return self._pictures and lacks and bool(self._units) and bool(self._sets)
 
     def handle_unit(self, unit: CodedUnit, stamp: CaptureStamp, now_ns: int) -> KeptUnit | None:
@@ -111,8 +111,8 @@ class UnitHistory:
         return kept
 
     def replay(self) -> list[KeptUnit] | None:
-        """Return the units with which a decoder can begin, or None if there is no beginning."""
-        if not self._whole or (not self._units and self._ahead is None):
+        """Return the units with which a decoder can begin, or None if a page must wait for them."""
+        if not self._whole or self.needs_picture:
             return None
         return [*([] if self._ahead is None else [self._ahead]), *self._units]
 
@@ -155,7 +155,7 @@ class UnitHistory:
 
     def _handle_wave(self, first: int) -> None:
         """The wave that began with the unit `first` is complete."""
-        if (self._whole and self._pixels <= _SHORT_PIXELS) or not all(self._size):
+        if (self._whole and self._pixels <= self._most_pixels // 2) or not all(self._size):
             return
         self._drop_before(first)
         wave = self._units[0]

@@ -1,6 +1,6 @@
 """What waits for one page is bounded, and units are complete or left out."""
 
-import itertools
+from itertools import pairwise
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -125,5 +125,5 @@ def test_bounded_whatever_comes_and_complete_whatever_goes(steps):
         number += 1
         assert len(lane) <= MOST_UNITS
         assert len(queue) <= 64 + 32 + 1 + 8 + 2 * 25 + 3 + 2 * 15 + MOST_UNITS
-    for (before, _), (after, key) in itertools.pairwise(gone):
+    for (before, _), (after, key) in pairwise(gone):
         assert key or after == before + 1

@@ -1,0 +1,174 @@
+"""Whatever pages send in whatever order: either it is done, or that page is closed.
+
+Nothing but ProtocolError leaves the cores. Only the holder's hand moves the joystick, and it has
+been let go whenever no page holds the handle. What waits for a page stays bounded.
+"""
+
+import json
+import struct
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ProtocolError
+from kontur_av.media import CaptureStamp
+from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.page.access import Role
+from pipelines.page.client_queue import MOST_UNITS
+from pipelines.page.plan import seat_plan
+from pipelines.page.seat import HandMoved, Seat
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import Segment, topology_of
+
+PLANS = [
+    seat_plan(topology_of(BUILT_IN["spacejustin"], pages=True), segment, "x") for segment in Segment
+]
+#: More than all depths of a queue together, without a replay.
+MOST_WAITING = 64 + 32 + 1 + 8 + 2 * 25 + 4 + 2 * 15 + 2 * MOST_UNITS
+
+WORDS = st.sampled_from(
+    [
+        *("select", "joystick", "hand", "session", "input", "take", "give", "ask", "refuse", "on"),
+        *("start", "stop", "halt", "calibrate", "head", "iss_mic", "iss_camera", "", "\ud800"),
+    ]
+)
+REQUESTS = st.fixed_dictionaries(
+    {"request": st.integers(-1, 9) | st.none(), "do": WORDS},
+    optional={
+        "camera": WORDS,
+        "event": WORDS,
+        "action": WORDS,
+        "name": WORDS,
+        "on": st.booleans() | WORDS,
+    },
+).map(json.dumps)
+HANDS = st.builds(
+    lambda dead_man, sequence, x: struct.pack("<BBHIffd", 0x82, dead_man, 0, sequence, x, 0.0, 0.0),
+    *(st.booleans(), st.integers(0, 5), st.sampled_from([0.0, 1.0, -1.5, float("nan")])),
+)
+OCTETS = st.binary(max_size=40) | st.builds(
+    lambda kind, rest: bytes([kind]) + rest, st.integers(0x80, 0x85), st.binary(max_size=40)
+)
+
+
+class Pages(RuleBasedStateMachine):
+    def __init__(self):
+        super().__init__()
+        self.now_ns = 0
+        self.number = 0
+        self.roles = {}
+        self.holder = None
+        self.held = False
+
+    @precondition(lambda self: not hasattr(self, "seat"))
+    @rule(plan=st.sampled_from(PLANS))
+    def begin(self, plan):
+        self.seat = Seat(plan, first_command=1)
+        self.media = []
+
+    @precondition(lambda self: hasattr(self, "seat") and len(self.roles) < 4)
+    @rule(role=st.sampled_from(Role))
+    def open(self, role):
+        self.roles[self.seat.handle_opened(role, self.now_ns)] = role
+        self.settle()
+
+    @precondition(lambda self: hasattr(self, "seat") and len(self.media) < 3)
+    @rule(role=st.sampled_from(Role))
+    def open_media(self, role):
+        self.media.append(self.seat.handle_media_opened(role))
+
+    def close(self, page):
+        del self.roles[page]
+        self.seat.handle_closed(page, self.now_ns)
+        self.settle()
+
+    @precondition(lambda self: getattr(self, "roles", None))
+    @rule(data=st.data())
+    def leave(self, data):
+        self.close(data.draw(st.sampled_from(sorted(self.roles))))
+
+    @precondition(lambda self: getattr(self, "roles", None))
+    @rule(data=st.data(), sent=st.one_of(REQUESTS, st.text(max_size=30), HANDS, OCTETS))
+    def send(self, data, sent):
+        page = data.draw(st.sampled_from(sorted(self.roles)))
+        try:
+            if isinstance(sent, str):
+                self.seat.handle_text(page, sent, self.now_ns)
+            else:
+                self.seat.handle_message(page, sent, self.now_ns)
+        except ProtocolError:
+            self.close(page)
+        else:
+            self.settle(page)
+
+    @precondition(lambda self: getattr(self, "media", None))
+    @rule(data=st.data(), sent=st.one_of(REQUESTS, st.text(max_size=30), OCTETS))
+    def send_media(self, data, sent):
+        link = data.draw(st.sampled_from(self.media))
+        try:
+            if isinstance(sent, str):
+                self.seat.inputs.handle_text(link, sent, self.now_ns)
+            else:
+                self.seat.inputs.handle_message(link, sent, self.now_ns)
+        except ProtocolError:
+            self.media.remove(link)
+            self.seat.inputs.handle_closed(link)
+
+    @precondition(lambda self: hasattr(self, "seat"))
+    @rule(key=st.booleans(), gap=st.booleans(), count=st.integers(1, 60))
+    def units(self, key, gap, count):
+        self.number += gap
+        for _ in range(count):
+            stamp = CaptureStamp(self.now_ns, self.number, "x", rtp_timestamp=self.number)
+            data = b"\0\0\0\1\x65i" if key else b"\0\0\0\1\x41d"
+            unit = CodedUnit(data=data, key=key, width=64, height=48, parameter_sets=b"s")
+            self.seat.handle_unit(0, unit, stamp, self.now_ns)
+            self.number += 1
+
+    @precondition(lambda self: hasattr(self, "seat"))
+    @rule(behind=st.integers(1, 9))
+    def decoded(self, behind):
+        for stream in self.seat.wanted_pictures():
+            self.seat.handle_decoded(stream, b"key", self.number - behind)
+
+    @precondition(lambda self: getattr(self, "roles", None))
+    @rule(data=st.data(), most=st.integers(1, 50))
+    def take(self, data, most):
+        page = data.draw(st.sampled_from(sorted(self.roles)))
+        for _ in range(most):
+            if self.seat.poll_transmit(page) is None:
+                assert not self.seat.waits(page)
+                break
+
+    @precondition(lambda self: hasattr(self, "seat"))
+    @rule(by_ms=st.integers(0, 2000))
+    def wait(self, by_ms):
+        self.now_ns += by_ms * NS_PER_MS
+        self.seat.handle_time(self.now_ns)
+        self.settle()
+
+    def settle(self, page=None):
+        """page: the one that has just sent something."""
+        while (event := self.seat.next_event()) is not None:
+            if isinstance(event, HandMoved):
+                self.held = event.hand.dead_man
+                assert not self.held or self.roles.get(page) is Role.OPERATOR
+                assert -1 <= event.hand.x <= 1 and event.hand.received_ns == self.now_ns
+
+    @invariant()
+    def let_go_without_a_holder(self):
+        if hasattr(self, "seat") and not any(role is Role.OPERATOR for role in self.roles.values()):
+            assert not self.held
+
+    @invariant()
+    def bounded(self):
+        for page in self.roles:
+            queue = self.seat._pages[page].queue
+            replay = max((len(lane._replay) for lane in queue._lanes.values()), default=0)
+            assert len(queue) <= MOST_WAITING + 2 * replay
+
+
+Pages.TestCase.settings = settings(max_examples=60, stateful_step_count=60, deadline=None)
+TestPages = Pages.TestCase

@@ -1,0 +1,218 @@
+"""The server of a session's pages, as browsers and strangers meet it."""
+
+import asyncio
+import os
+import signal
+import socket
+import struct
+
+import aiohttp
+import numpy as np
+import pytest
+from page_client import decoded, hand, visit
+from running_session import RunningSession, eventually
+
+SETUP = "spacejustin"
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    with RunningSession(SETUP, "--page", "8310", directory=tmp_path_factory.mktemp("pages")) as one:
+        one.wait_for_flow()
+        yield one
+        code, report = one.interrupt()
+        one.assert_nothing_left()
+        assert code == 0
+        assert report["processes"]["page_space"]["restarts"] == 0
+
+
+def stream_of(page, via):
+    return next(each["index"] for each in page.hello["streams"] if each["via"] == via)
+
+
+def test_strangers_are_refused(session):
+    url = session.pages()["space"]
+
+    async def deeds(visitor):
+        token = visitor.token
+        status, html = await visitor.get(f"/space?token={token}")
+        assert status == 200 and f'href="/{token}/static/"' in html
+        assert (await visitor.get(f"/{token}/static/seat_worker.js"))[0] == 200
+        for path in ("/space", "/space?token=x", "/", "/x/static/space.js", "/x/ws"):
+            status, text = await visitor.get(path)
+            assert (status, text.count("\n")) == (403, 1), path
+        for path in ("../server.py", "..%2fserver.py", "%2e%2e/server.py", "nothing.js"):
+            status, _ = await visitor.get(f"/{token}/static/{path}")
+            assert status in (403, 404), path
+        assert (await visitor.get(f"/space?token={token}", Host="evil.example:8310"))[0] == 403
+        for origin in ("http://evil.example", "null"):
+            with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
+                async with visitor.page(origin=origin):
+                    pass
+            assert refused.value.status == 403
+
+    visit(url, deeds)
+
+
+def test_garbage_closes_the_socket_that_sent_it_only(session):
+    async def deeds(visitor):
+        async with visitor.page() as good:
+            for garbage in (b"", b"\x82", bytes(24), os.urandom(2000), "{", "[" * 4000):
+                async with visitor.page() as bad:
+                    await bad.ws.send_str(garbage) if isinstance(
+                        garbage, str
+                    ) else await bad.ws.send_bytes(garbage)
+                    assert await bad.close_code() == 1008
+            async with visitor.page() as bad:
+                await bad.ws.send_bytes(bytes(5000))
+                assert await bad.close_code() == 1009
+            async with visitor.page("media") as bad:
+                await bad.ws.send_bytes(b"\x83" + bytes(100))
+                assert await bad.close_code() == 1008
+            for _ in range(3):
+                await good.text("state")
+
+    visit(session.pages()["space"], deeds)
+
+
+def test_a_viewer_moves_nothing_and_the_holder_lets_go_with_its_socket(session):
+    pages = session.pages()
+    space, viewer = pages["space"], pages["viewer_token"]
+    watching = space.partition("token=")[0] + f"token={viewer}"
+
+    async def watch(visitor):
+        async with visitor.page() as page:
+            assert page.hello["role"] == "viewer"
+            await page.ws.send_bytes(hand(1))
+            for do, fields in (("hand", {"action": "take"}), ("select", {"camera": "static"})):
+                answer = await page.ask(do, **fields)
+                assert (answer["ok"], answer["error"]) == (False, "a viewer may watch only")
+            assert (await page.text("state"))["hand"]["holder"] is None
+
+    async def hold(visitor):
+        async with visitor.page() as other:
+            async with visitor.page() as page:
+                assert (await page.ask("hand", action="take"))["ok"]
+                for sequence in range(1, 50):
+                    await page.ws.send_bytes(hand(sequence, x=0.1))
+                while (await other.text("state"))["hand"]["holder"] != page.hello["page"]:
+                    pass
+            while (await other.text("state"))["hand"]["holder"] is not None:
+                pass
+
+    visit(watching, watch)
+    visit(space, hold)
+
+
+def test_who_joins_in_the_middle_has_the_same_picture(session):
+    async def deeds(visitor):
+        async with visitor.page() as first:
+            stream = stream_of(first, "coded")
+            seen = await first.units(stream, lambda unit: not unit.replayed)
+            seen += await first.units(stream, lambda unit: unit.sequence >= seen[-1].sequence + 60)
+            async with visitor.page() as late:
+                joined = await late.units(stream, lambda unit: not unit.replayed)
+                assert joined[0].key and joined[0].replayed
+                last = joined[-1].sequence + 30
+                joined += await late.units(stream, lambda unit: unit.sequence >= last)
+            seen += await first.units(stream, lambda unit: unit.sequence >= last)
+        one, other = decoded(seen), decoded(joined)
+        for sequence in range(last - 30, last + 1):
+            np.testing.assert_array_equal(one[sequence], other[sequence])
+
+    visit(session.pages()["space"], deeds)
+
+
+def test_a_page_that_never_reads_delays_no_other(session):
+    async def deeds(visitor):
+        stalled = socket.socket()
+        stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        host, _, port = visitor.origin.partition("//")[2].partition(":")
+        stalled.connect((host, int(port)))
+        stalled.sendall(
+            f"GET /{visitor.token}/ws HTTP/1.1\r\nHost: {host}:{port}\r\n"
+            f"Origin: {visitor.origin}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+            "".encode()
+        )
+        async with visitor.page() as good:
+            stream = stream_of(good, "sent")
+            units = await good.units(stream, lambda unit: not unit.replayed)
+            begin = units[-1].sequence
+            units = await good.units(stream, lambda unit: unit.sequence >= begin + 150)
+            assert [unit.sequence for unit in units] == [*range(begin + 1, begin + 151)]
+        stalled.close()
+
+    visit(session.pages()["ground"], deeds)
+
+
+def test_a_page_that_reads_again_has_a_picture_again(session):
+    async def deeds(visitor):
+        async with visitor.page() as slow, visitor.page() as good:
+            stream = stream_of(good, "sent")
+            slow.ws._response.connection.transport.pause_reading()
+            begin = (await good.units(stream, lambda unit: not unit.replayed))[-1].sequence
+            await good.units(stream, lambda unit: unit.sequence >= begin + 200)
+            slow.ws._response.connection.transport.resume_reading()
+            found = await slow.units(stream, lambda unit: unit.sequence >= begin + 230)
+            live = await good.units(stream, lambda unit: unit.sequence >= begin + 230)
+            assert found[-1].sequence == live[-1].sequence
+            assert found[-1].sequence in decoded(found)
+
+    visit(session.pages()["ground"], deeds)
+
+
+def test_own_sound_is_taken_while_the_page_gives_it(session):
+    async def deeds(visitor):
+        async with visitor.page("media") as media, visitor.page() as page:
+            index = next(each["index"] for each in page.hello["inputs"] if each["kind"] == "audio")
+            name = page.hello["inputs"][0]["name"]
+            assert (await media.ask("input", name=name, on=True))["ok"]
+            async with visitor.page("media") as other:
+                assert not (await other.ask("input", name=name, on=True))["ok"]
+            for number in range(25):
+                header = struct.pack("<BBHId", 0x84, index, 960, number, 1000.0 + 20 * number)
+                await media.ws.send_bytes(header + bytes(1920))
+                await asyncio.sleep(0.02)
+            state = await page.text("state")
+            assert state["inputs"][name] is not None
+            await media.ws.close()
+            while (await page.text("state"))["inputs"][name] is not None:
+                pass
+
+    visit(session.pages()["ground"], deeds)
+
+
+def test_the_page_process_comes_back_with_a_picture_at_the_same_address(tmp_path):
+    with RunningSession(SETUP, "--page", "8330", directory=tmp_path) as session:
+        session.wait_for_flow()
+        url = session.pages()["space"]
+
+        async def picture(visitor):
+            async with visitor.page() as page:
+                stream = stream_of(page, "coded")
+                units = await page.units(stream, lambda unit: not unit.replayed)
+                units += await page.units(stream, lambda unit: not unit.replayed)
+                return units
+
+        async def killed(visitor):
+            async with visitor.page() as page:
+                pid = session.pids()["page_space"]
+                os.kill(pid, signal.SIGKILL)
+                await page.close_code()
+
+        assert decoded(visit(url, picture))
+        visit(url, killed)
+
+        def again():
+            try:
+                return visit(url, picture)
+            except (aiohttp.ClientError, OSError):
+                return None
+
+        units = eventually(again, "the page process")
+        assert units[0].key
+        assert units[-1].sequence in decoded(units)
+        code, report = session.interrupt()
+        assert code == 0
+        assert report["processes"]["page_space"]["restarts"] == 1
