@@ -57,8 +57,8 @@ class _RecorderProcess:
         self._links: dict[int, socket.socket] = {}
         self._numbers = count()
         self._recording: _Recording | None = None
-        #: Of recordings that have ended in this life.
-        self._past = RecorderCounters()
+        #: Of all recordings that have ended in this life, and of the newest of them.
+        self._past = self._newest = RecorderCounters()
         context.on_flush(self._tell)
 
     def run(self) -> None:
@@ -120,18 +120,18 @@ class _RecorderProcess:
             return str(error)
         except OSError as error:
             return f"{path} cannot be written: {error.strerror}"
-        self._past = RecorderCounters()
         self._recording = _Recording(self._context, start.wish)
         return ""
 
     def _end(self) -> None:
         if self._recording is not None:
-            self._past = self._recording.end()
+            self._newest = self._recording.end()
+            self._past = self._past.plus(self._newest)
             self._recording = None
 
     def _answer(self) -> RecordAnswer:
         recording = self._recording
-        counters = self._past if recording is None else recording.counters
+        counters = self._newest if recording is None else recording.counters
         return RecordAnswer(
             ok=True,
             file="" if recording is None else str(recording.file),
@@ -148,7 +148,7 @@ class _RecorderProcess:
             probe.count(self._past)
             probe.gauge(RecorderGauges(file="", fault="", waiting_octets=0))
         else:
-            probe.count(recording.counters)
+            probe.count(self._past.plus(recording.counters))
             probe.gauge(recording.gauges)
 
 
@@ -187,6 +187,10 @@ class _Recording:
             for source in sources
             if source.content is not Content.CAMERA
         ]
+        for _, reader in self._readers:
+            # A sample of before, which may be in an earlier part.
+            if (lease := reader.latest()) is not None:
+                lease.release()
         self._selected = self._bus.reader(SELECTED_TOPIC)
         self._cameras = [
             _Camera(self._bus, source, self._recorder)

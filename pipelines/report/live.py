@@ -19,6 +19,7 @@ from pipelines.cores.session_switch import Activity
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.present import last_bps, shown_now
+from pipelines.report.recording import recording_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import silences
 from pipelines.report.summary import NO_SAMPLE
@@ -86,6 +87,7 @@ class LiveView:
                     Text(first_line(launcher, self._collector, self._console.width), "bold"),
                     streams_table(launcher, self._collector, self._console.width),
                     *_inputs(launcher, self._collector),
+                    *_recording(self._collector),
                     _processes(launcher, verbose=self._verbose),
                 ),
                 refresh=True,
@@ -193,6 +195,14 @@ def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
     return lines
 
 
+def _recording(collector: Collector) -> list[Text]:
+    line = recording_line(collector)
+    if line is None:
+        return []
+    text, bad = line
+    return [Text(text, "bold red" if bad else "dim")]
+
+
 def _processes(launcher: Launcher, *, verbose: bool) -> Columns:
     texts = []
     seconds = max(launcher.seconds, 1e-9)
@@ -233,6 +243,9 @@ def _line(launcher: Launcher, collector: Collector) -> str:
     if not _runs(launcher):
         return "  ".join([*parts, "stopped from a page"])
     parts += map(str, silences(launcher.setup, collector, launcher.clock.now_ns()))
+    recording = recording_line(collector)
+    if recording is not None and recording[1]:
+        parts.append(recording[0])
     down = [child.row.name for child in launcher.children if child.pid is None]
     if down:
         parts.append("down: " + ", ".join(down))

@@ -483,6 +483,34 @@ class SimulationReport(Report, frozen=True, kw_only=True):
     costs: CostsReport
 
 
+class RecordedChannel(Report, frozen=True, kw_only=True):
+    """One channel of a recording, in messages."""
+
+    #: In the file.
+    kept: int
+    #: Gone before they were read.
+    missed: int
+    #: Dropped because the disk was too slow or full.
+    dropped: int
+
+
+class RecorderReport(Report, frozen=True, kw_only=True):
+    """What was recorded of the session; of a recorder that was killed, until its last report."""
+
+    #: The newest file; null if nothing was being recorded at the end.
+    file: str | None
+    #: Files begun.
+    parts: int
+    #: Octets written.
+    octets: int
+    #: How often a file could not be opened or written.
+    disk_faults: int
+    #: Why nothing could be written at the end; null if all was well.
+    fault: str | None
+    #: By name.
+    channels: dict[str, RecordedChannel]
+
+
 class SessionReport(Report, frozen=True, kw_only=True):
     """The report of `stream` and of `simulate`."""
 
@@ -517,6 +545,8 @@ class SessionReport(Report, frozen=True, kw_only=True):
     failures: list[str]
     #: What made the session worse than it has to be, with what mends it.
     warnings: list[Warning]
+    #: The recording; left out without one.
+    recorder: RecorderReport | None = None
     #: Of `simulate` only.
     simulation: SimulationReport | None = None
 

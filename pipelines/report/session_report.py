@@ -32,6 +32,7 @@ from pipelines.report.model import (
     StreamLatency,
     StreamReport,
 )
+from pipelines.report.recording import recorder_report, recorder_warnings
 from pipelines.report.silence import (
     MISSED_NS,
     missed_ns,
@@ -100,7 +101,11 @@ def build_report(
             for name in cpu_s
         },
         failures=failures(setup, collector, seconds, media=media),
-        warnings=find_warnings(setup, collector, seconds=seconds, restarts=restarts, media=media),
+        warnings=[
+            *find_warnings(setup, collector, seconds=seconds, restarts=restarts, media=media),
+            *recorder_warnings(collector),
+        ],
+        recorder=recorder_report(collector),
     )
 
 

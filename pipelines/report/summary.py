@@ -83,6 +83,11 @@ def print_summary(report: SessionReport) -> None:
         if entry.silent_s is not None:
             fault = f" ({entry.source_fault})" if entry.source_fault else ""
             console.print(f"{name}: gave nothing in the last {entry.silent_s} s{escape(fault)}")
+    recorded = report.recorder
+    if recorded is not None:
+        kept = sum(channel.kept for channel in recorded.channels.values())
+        parts = f" in {recorded.parts} parts" if recorded.parts > 1 else ""
+        console.print(f"recorded: {kept} messages, {recorded.octets / 1e6:.1f} MB{parts}")
     for warning in report.warnings:
         line = f"{warning.where}: {warning.measured}; {warning.mend}"
         console.print(f"[bold yellow]warning:[/] {escape(line)}", highlight=False)
