@@ -1,0 +1,115 @@
+"""What the recorder answers to terminals."""
+
+from kontur_av.clock import NS_PER_S
+from pipelines.recording.desk import HOLD_NS, Ask, RecorderDesk, Reply, Start, Stop
+from pipelines.recording.requests import (
+    MAX_LINE_OCTETS,
+    RecordAnswer,
+    RecordingWish,
+    RecordRequest,
+    pack_line,
+    parse_record_answer,
+)
+
+WISH = RecordingWish(file="/tmp/a.mcap")
+HELD = RecordingWish(file="/tmp/a.mcap", held=True)
+
+
+class Talk:
+    """A desk and its terminals, without sockets."""
+
+    def __init__(self, wish=None):
+        self.desk = RecorderDesk(wish, 0)
+        self.answers = {}
+        self.closed = set()
+        self.did = []
+        self.error = ""
+
+    def say(self, terminal, request, now_ns=0):
+        if terminal not in self.desk.terminals:
+            self.desk.handle_terminal(terminal)
+        octets = request if isinstance(request, bytes) else pack_line(request)
+        self.desk.handle_octets(terminal, octets, now_ns)
+        self.drain()
+        return self.answers.get(terminal)
+
+    def drain(self):
+        while (event := self.desk.next_event()) is not None:
+            self.did.append(type(event))
+            match event:
+                case Reply():
+                    if event.octets:
+                        self.answers[event.terminal] = parse_record_answer(event.octets)
+                    if event.last:
+                        self.closed.add(event.terminal)
+                case Start():
+                    self.desk.handle_started(event, self.error)
+                case Stop():
+                    self.desk.handle_stopped(event, RecordAnswer(ok=True, messages=7))
+                case Ask():
+                    self.desk.handle_state(event, RecordAnswer(ok=True, messages=3))
+
+
+def start(wish, **options):
+    return RecordRequest(record="start", wish=wish, **options)
+
+
+def test_a_recording_is_started_asked_about_and_stopped():
+    talk = Talk()
+    assert talk.say(1, start(WISH)).ok
+    assert talk.desk.wish == WISH
+    assert talk.say(2, RecordRequest(record="state")).messages == 3
+    assert talk.say(2, RecordRequest(record="stop")).messages == 7
+    assert talk.desk.wish is None
+    assert talk.say(2, RecordRequest(record="stop")).mistake
+
+
+def test_one_session_has_one_recording():
+    talk = Talk(WISH)
+    answer = talk.say(1, start(RecordingWish(file="/tmp/b.mcap")))
+    assert not answer.ok and answer.mistake and "/tmp/a.mcap" in answer.error
+
+
+def test_what_cannot_begin_is_said_and_nothing_is_recorded():
+    talk = Talk()
+    talk.error = "no such directory"
+    assert talk.say(1, start(WISH)).error == "no such directory"
+    assert talk.desk.wish is None
+
+
+def test_a_held_recording_ends_some_time_after_its_terminal():
+    talk = Talk()
+    talk.say(1, start(HELD))
+    talk.desk.handle_time(100 * NS_PER_S)
+    talk.say(1, b"", 100 * NS_PER_S)
+    assert 1 in talk.closed
+    talk.desk.handle_time(100 * NS_PER_S + HOLD_NS - 1)
+    talk.drain()
+    assert talk.desk.wish == HELD
+    talk.desk.handle_time(100 * NS_PER_S + HOLD_NS)
+    talk.drain()
+    assert talk.desk.wish is None
+
+
+def test_its_terminal_may_come_back_after_the_recorder_was_killed():
+    talk = Talk(HELD)
+    assert talk.say(5, start(HELD), NS_PER_S).ok
+    talk.desk.handle_time(100 * NS_PER_S)
+    talk.drain()
+    assert Start not in talk.did and talk.desk.wish == HELD
+
+
+def test_a_recording_of_the_command_line_needs_no_terminal():
+    talk = Talk(WISH)
+    talk.desk.handle_time(1000 * NS_PER_S)
+    talk.drain()
+    assert talk.desk.wish == WISH
+
+
+def test_garbage_is_refused():
+    talk = Talk()
+    for garbage in (b"{}\n", b"[[[[\n", b'{"record": "jump"}\n', b'{"record": "start"}\n'):
+        assert talk.say(1, garbage).mistake
+    talk.say(1, b"x" * (MAX_LINE_OCTETS + 1))
+    assert 1 in talk.closed
+    assert talk.desk.wish is None

@@ -1,0 +1,309 @@
+"""The recorder's core on virtual time, its files read back with the plain `mcap` package."""
+
+from fractions import Fraction
+from io import BytesIO
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
+from kontur_av.rtp.payload_h264 import parameter_sets
+from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.cores.haptic_trace import CONTACT, ROW
+from pipelines.recording.facts import FACTS, RecordingFacts
+from pipelines.recording.messages import (
+    RecordedEvent,
+    RecordedPicture,
+    RecorderLosses,
+    UnitFacts,
+    unpack,
+    unpack_haptics,
+)
+from pipelines.recording.recorder import RETRY_NS, PartLimits, Recorder
+from pipelines.recording.records import MAGIC
+from pipelines.recording.scan import FoundMessage, Scan
+from pipelines.recording.sources import Content, sources_of
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.setup.setup_text import setup_toml
+from pipelines.topology import topology_of
+
+SETUP = BUILT_IN["spacejustin"]
+TOPOLOGY = topology_of(SETUP, recorder=True)
+OFFSET_NS = 1_800_000_000 * NS_PER_S
+SENT, ROBOT = "sent/uplink_video", "haptic/robot"
+SOURCES = {source.topic: source for source in sources_of(TOPOLOGY)}
+FACTS_OF_TEST = RecordingFacts(
+    session="test",
+    setup=SETUP.name,
+    setup_toml=setup_toml(SETUP),
+    version="0",
+    seed=3,
+    command="kontur-av stream",
+    part=1,
+    session_ns=0,
+    wall_ns=OFFSET_NS,
+)
+
+
+class Disk:
+    """Drives a recorder as its process does; `files` is what a disk would hold."""
+
+    def __init__(self, **options):
+        self.recorder = Recorder(TOPOLOGY, FACTS_OF_TEST, wall_offset_ns=OFFSET_NS, **options)
+        self.files = {}
+        self.full = False
+
+    def pump(self, now_ns):
+        recorder = self.recorder
+        if recorder.wants_part(now_ns):
+            if self.full:
+                recorder.handle_fault(None, "full", now_ns)
+            else:
+                part = len(self.files) + 1
+                self.files[part] = bytearray()
+                recorder.handle_opened(part, now_ns)
+        recorder.handle_time(now_ns)
+        while (piece := recorder.poll_transmit(now_ns)) is not None:
+            if self.full:
+                recorder.handle_fault(piece.part, "full", now_ns)
+            else:
+                self.files[piece.part] += piece.octets
+                recorder.handle_written()
+
+    def end(self, now_ns):
+        self.recorder.handle_end(now_ns)
+        self.pump(now_ns)
+        return [read(bytes(octets)) for octets in self.files.values() if octets[8:].endswith(MAGIC)]
+
+
+def read(octets):
+    """By channel: its messages, in the order of the file."""
+    found = {}
+    messages = make_reader(BytesIO(octets)).iter_messages(log_time_order=False)
+    for _, channel, message in messages:
+        found.setdefault(channel.topic, []).append(message)
+    return found
+
+
+def stamp(number, capture_ns=0):
+    return CaptureStamp(capture_ns, number, "test")
+
+
+def block(first_ns, *, touch=()):
+    rows = np.zeros(20, ROW)
+    rows["time_ns"] = first_ns + np.arange(20) * NS_PER_MS
+    rows["fx_n"] = rows["time_ns"] % 97
+    rows["flags"][list(touch)] = CONTACT
+    return rows
+
+
+def coded(count):
+    """A stream as it is sent: a key picture once, then refresh waves; with its pictures."""
+    encoder = H264Encoder(width=160, height=120, fps=Fraction(30), cap_bps=200_000)
+    decoder, units = H264Decoder(), []
+    for number in range(count):
+        picture = empty_picture(160, 120)
+        picture[:120] = (np.arange(160) * 2 + np.arange(120)[:, None] + 3 * number) % 200 + 20
+        picture[120:] = 128
+        at_ns = number * NS_PER_S // 30
+        unit = encoder.encode(VideoFrame(picture, stamp(number, at_ns)))
+        width, height = encoder.unit_size
+        (shown,) = decoder.decode(unit.data, number)
+        room = empty_picture(width, height)
+        shown.copy_to(room)
+        units.append((unit, (width, height), room))
+    return units
+
+
+def packed(unit, size, sets=b""):
+    width, height = size
+    return CodedUnit(
+        data=unit.data, key=unit.keyframe, width=width, height=height, parameter_sets=sets
+    ).pack()
+
+
+def test_each_message_has_its_wall_time_and_what_was_in_the_topic():
+    disk, now_ns = Disk(), 10 * NS_PER_S
+    disk.pump(now_ns)
+    rows = block(now_ns - 20 * NS_PER_MS)
+    disk.recorder.handle_sample(SOURCES[ROBOT], rows.tobytes(), stamp(7), now_ns)
+    event = RecordedEvent(session_ns=now_ns, number=4, what="link", text="signal lost")
+    disk.recorder.handle_event(event, now_ns)
+    (file,) = disk.end(now_ns + NS_PER_S)
+    (message,) = file["/haptic/up/sent"]
+    assert message.log_time == OFFSET_NS + now_ns - 20 * NS_PER_MS
+    assert message.publish_time == OFFSET_NS + now_ns
+    assert message.sequence == 7
+    assert unpack_haptics(message.data)["fx_n"].tolist() == rows["fx_n"].tolist()
+    assert unpack(RecordedEvent, file["/events"][0].data) == event
+    assert len(file["/log"]) == 1
+
+
+def test_a_recording_that_joins_begins_with_a_black_key_and_is_right_after_a_wave():
+    units = coded(60)
+    sets = parameter_sets(units[0][0].data)
+    disk = Disk()
+    disk.pump(0)
+    first = 20
+    for number, (unit, size, _) in enumerate(units[first:], first):
+        at_ns = number * NS_PER_S // 30
+        octets = packed(unit, size, sets)
+        disk.recorder.handle_sample(SOURCES[SENT], octets, stamp(number, at_ns), at_ns)
+        disk.pump(at_ns)
+    (file,) = disk.end(3 * NS_PER_S)
+    facts = [unpack(UnitFacts, each.data) for each in file["/uplink_video/sent/facts"]]
+    assert [each.added for each in facts] == [True] + [False] * (60 - first)
+    decoder = H264Decoder()
+    for message in sorted(file["/uplink_video/sent"], key=lambda each: each.log_time):
+        shown = decoder.decode(unpack(RecordedPicture, message.data).data, 0)
+        assert len(shown) == 1
+    room = empty_picture(*units[-1][1])
+    shown[0].copy_to(room)
+    assert np.array_equal(room, units[-1][2])
+
+
+def test_a_new_part_begins_with_the_picture_of_the_one_before():
+    units = coded(70)
+    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
+    for number, (unit, size, _) in enumerate(units):
+        at_ns = number * NS_PER_S // 30
+        disk.pump(at_ns)
+        disk.recorder.handle_sample(SOURCES[SENT], packed(unit, size), stamp(number, at_ns), at_ns)
+    files = disk.end(3 * NS_PER_S)
+    assert len(files) == 2
+    first, second = (file["/uplink_video/sent"] for file in files)
+    assert len(first) == 60 and len(second) == 11
+    decoder = H264Decoder()
+    key, *rest = (unpack(RecordedPicture, each.data).data for each in second)
+    decoder.decode(key, 0)
+    room = empty_picture(*units[60][1])
+    for data, (_, _, right) in zip(rest, units[60:], strict=True):
+        decoder.decode(data, 0)[0].copy_to(room)
+        assert np.abs(room.astype(int) - right).mean() < 1.5
+    # Octets as sent: what stands in front of the first unit is parameter sets.
+    facts = [unpack(UnitFacts, each.data) for each in files[1]["/uplink_video/sent/facts"]]
+    kept = [data[-each.octets :] for data, each in zip(rest, facts[1:], strict=True)]
+    assert kept == [unit.data for unit, _, _ in units[60:]]
+
+
+def test_an_own_key_picture_of_the_stream_is_enough():
+    ((unit, size, _),) = coded(1)
+    disk = Disk()
+    disk.pump(0)
+    disk.recorder.handle_sample(SOURCES[SENT], packed(unit, size), stamp(0), 0)
+    (file,) = disk.end(NS_PER_S)
+    (message,) = file["/uplink_video/sent"]
+    assert unpack(RecordedPicture, message.data).data == unit.data
+
+
+def test_missed_samples_are_counted_by_channel_in_the_file_and_in_the_report():
+    disk = Disk()
+    disk.pump(0)
+    for number in (5, 6, 9, 0, 1, 3):  # its writer was started again
+        disk.recorder.handle_sample(SOURCES[ROBOT], block(0).tobytes(), stamp(number), 0)
+    (file,) = disk.end(NS_PER_S)
+    told = unpack(RecorderLosses, file["/recorder/losses"][-1].data)
+    assert {loss.channel: (loss.missed, loss.dropped) for loss in told.losses} == {
+        "/haptic/up/sent": (3, 0),
+        "/haptic/down/received": (3, 0),
+    }
+    assert disk.recorder.counters().missed == {"/haptic/up/sent": 3, "/haptic/down/received": 3}
+
+
+@pytest.mark.parametrize("chunks_before", [0, 3])
+def test_on_a_full_disk_every_message_is_kept_or_counted_as_dropped(chunks_before):
+    disk, handled = Disk(), 0
+    for number in range(2000):
+        now_ns = number * 20 * NS_PER_MS
+        disk.full = chunks_before * NS_PER_S < now_ns < 12 * NS_PER_S
+        disk.pump(now_ns)
+        disk.recorder.handle_sample(SOURCES[ROBOT], block(now_ns).tobytes(), stamp(number), now_ns)
+        handled += 1
+    assert disk.recorder.fault == ""
+    *_, last = disk.end(40 * NS_PER_S)
+    torn = Scan(memoryview(bytes(disk.files[1])))
+    found = [each for each in torn.items() if isinstance(each, FoundMessage)]
+    kept = sum(each.channel.topic == "/haptic/up/sent" for each in found)
+    assert (kept > 0) == (chunks_before > 0)
+    counters = disk.recorder.counters()
+    assert counters.kept["/haptic/up/sent"] == kept + len(last["/haptic/up/sent"])
+    assert counters.kept["/haptic/up/sent"] + counters.dropped["/haptic/up/sent"] == handled
+    # The new part begins with the first try after the disk has room.
+    assert len(last["/haptic/up/sent"]) * 20 * NS_PER_MS >= 28 * NS_PER_S - RETRY_NS
+    assert unpack(RecorderLosses, last["/recorder/losses"][0].data).losses
+
+
+def test_a_disk_that_stands_still_costs_messages_but_no_memory():
+    disk = Disk(most_waiting_octets=100_000)
+    disk.pump(0)
+    noise = np.random.default_rng(0)
+    for number in range(400):
+        rows = block(number)
+        rows["fx_n"] = noise.random(20)
+        rows["fy_n"] = noise.random(20)
+        now_ns = number * NS_PER_S
+        disk.recorder.handle_sample(SOURCES[ROBOT], rows.tobytes(), stamp(number), now_ns)
+    dropped = disk.recorder.counters().dropped["/haptic/up/sent"]
+    assert 0 < dropped < 400
+    (file,) = disk.end(400 * NS_PER_S)
+    assert len(file["/haptic/up/sent"]) + dropped == 400
+    assert disk.recorder.counters().kept["/haptic/up/sent"] == len(file["/haptic/up/sent"])
+
+
+def test_a_part_ends_at_its_size_and_says_its_number():
+    disk = Disk(limits=PartLimits(octets=20_000))
+    noise = np.random.default_rng(0)
+    for number in range(600):
+        now_ns = number * 20 * NS_PER_MS
+        disk.pump(now_ns)
+        rows = block(now_ns)
+        rows["fx_n"] = noise.random(20)
+        disk.recorder.handle_sample(SOURCES[ROBOT], rows.tobytes(), stamp(number), now_ns)
+    files = disk.end(12 * NS_PER_S)
+    assert len(files) > 3
+    sequences = [each.sequence for file in files for each in file["/haptic/up/sent"]]
+    assert sequences == list(range(600))
+    for part, octets in disk.files.items():
+        (record,) = make_reader(BytesIO(bytes(octets))).iter_metadata()
+        assert record.name == FACTS
+        facts = RecordingFacts.of(record.metadata)
+        assert facts.part == part
+        assert facts.wall_ns - facts.session_ns == OFFSET_NS
+
+
+def test_contacts_are_events():
+    disk = Disk()
+    disk.pump(0)
+    touches = [(), (5, 6, 9), (0,), (), (), (), (3,)]
+    for number, touch in enumerate(touches):
+        rows = block(number * 20 * NS_PER_MS, touch=touch)
+        disk.recorder.handle_sample(SOURCES[ROBOT], rows.tobytes(), stamp(number), 0)
+    (file,) = disk.end(NS_PER_S)
+    events = [unpack(RecordedEvent, each.data) for each in file["/events"]]
+    assert [(each.session_ns // NS_PER_MS, each.text) for each in events] == [
+        (25, "contact begins"),
+        (40, "contact ends"),
+        (123, "contact begins"),
+    ]
+
+
+def test_every_channel_that_is_read_exists_and_cameras_are_coded_cheaply():
+    disk = Disk()
+    disk.pump(0)
+    source = SOURCES["input/head"]
+    assert source.content is Content.CAMERA
+    coder, picture = disk.recorder.coder(source), empty_picture(64, 48)
+    picture[:] = 90
+    for number in range(60):
+        at_ns = number * NS_PER_S // 30
+        if coder.due(at_ns):
+            unit = coder.encode(picture, at_ns)
+            disk.recorder.handle_camera(source, unit, stamp(number, at_ns), at_ns)
+    (file,) = disk.end(3 * NS_PER_S)
+    units = [unpack(RecordedPicture, each.data) for each in file["/camera/head"]]
+    assert len(units) == 10
+    assert parameter_sets(units[0].data)
+    assert {unit.frame_id for unit in units} == {"head"}
