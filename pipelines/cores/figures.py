@@ -14,6 +14,9 @@ from kontur_av.streams.staleness import State
 from telepresence.haptics.figures import JoystickFigures
 from telepresence.link.figures import GatewayFigures
 
+#: Name of the figure that tells ground control which page holds the handle.
+HOLDER = "hand.holder"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Counters:
@@ -359,9 +362,14 @@ class PageCounters(Counters):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageGauges(Gauges):
-    """The browser pages of a seat: how many are open. Without any, no figures are sent to it."""
+    """The browser pages of a seat.
+
+    watching: how many are open. Without any, no figures are sent to it.
+    holder: number of the page that holds the handle; 0: nobody does.
+    """
 
     watching: int
+    holder: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

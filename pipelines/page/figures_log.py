@@ -47,6 +47,11 @@ class FiguresLog:
         events = msgspec.Raw(msgspec.json.encode(list(self._events)))
         return msgspec.json.encode(self._newest | {"events": events}).decode()
 
+    def number(self, name: str) -> int | None:
+        """Return a figure that is a whole number; None if it is not known."""
+        value = self._figures.get(name)
+        return value if isinstance(value, int) and not isinstance(value, bool) else None
+
     def word(self, name: str) -> str | None:
         """Return a figure that is a word; None if it is not known."""
         value = self._figures.get(name)

@@ -10,6 +10,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import I420, CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.cores.figures import HOLDER
 from pipelines.cores.hand_topics import HandRequest, JoystickStatus
 from pipelines.cores.haptic_trace import rows_of
 from pipelines.cores.session_switch import Order
@@ -130,6 +131,13 @@ class Seat:
     def left_out(self) -> int:
         """Units and blocks of sound that pages were too slow for."""
         return self._left_out + sum(page.queue.units_left_out for page in self._pages.values())
+
+    @property
+    def holder(self) -> int | None:
+        """Number of the page that holds the handle; ground control is told it by the launcher."""
+        if self.plan.segment is Segment.GROUND:
+            return self._figures.number(HOLDER)
+        return self._hand.state.holder
 
     def handle_opened(self, role: Role, now_ns: int) -> int:
         """A page has come; return its number."""
@@ -387,7 +395,7 @@ class Seat:
                 camera=self._camera,
                 joystick=self._joystick,
                 hand=texts.HandText(
-                    holder=hand.holder, you=hand.holder == number, wanted_by=hand.wanted_by
+                    holder=self.holder, you=hand.holder == number, wanted_by=hand.wanted_by
                 ),
                 inputs=self.inputs.owners,
             )

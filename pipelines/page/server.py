@@ -509,7 +509,7 @@ class PageServer:
 
     def _tell(self) -> None:
         probe = self._context.probe
-        probe.gauge(PageGauges(watching=self._seat.watching))
+        probe.gauge(PageGauges(watching=self._seat.watching, holder=self._seat.holder or 0))
         probe.count(
             PageCounters(
                 connections=self._connections,

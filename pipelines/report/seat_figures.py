@@ -8,6 +8,7 @@ These have none there:
 | STREAM.`age_ms`, `state` | how old what is shown is, and whether it is fresh |
 | STREAM.`rate_bps`, `haptic.`WAY`.rate_bps` | the rate of the last second |
 | `skew_limits_ms.`NAME`.least`, `.most` | what people do not notice |
+| `hand.holder` | the page that holds the handle |
 | `contact.since_acquisition_s`, `contact.until_loss_s` | the present instant in the pass |
 """
 
@@ -19,6 +20,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
+from pipelines.cores.figures import HOLDER, PageGauges
 from pipelines.cores.session_switch import Activity, SessionSwitch
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import Event, EventLog, ProcessNow
@@ -35,7 +37,7 @@ from pipelines.report.session_report import (
 )
 from pipelines.report.sync.limits import LIMITS
 from pipelines.setup.table import Setup
-from pipelines.topology import Segment
+from pipelines.topology import PAGES, Segment
 
 Figure = int | float | str | bool | None
 
@@ -174,6 +176,8 @@ class SeatFigures:
             yield f"skew_limits_ms.{name}.least", LIMITS[name].least_ns / NS_PER_MS
             yield f"skew_limits_ms.{name}.most", LIMITS[name].most_ns / NS_PER_MS
         yield from _flat("joystick", to_builtins(joystick_report(collector))).items()
+        seat = collector.process(PAGES[Segment.SPACE]).gauges(PageGauges)
+        yield HOLDER, (seat.holder or None) if seat is not None else None
         for name, direction in directions.items():
             yield from _flat(f"link.{name}", to_builtins(direction)).items()
         for name, end in ends.items():

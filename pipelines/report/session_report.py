@@ -39,6 +39,7 @@ from pipelines.report.silence import (
     signal_ns,
     silences,
     stopped_ns,
+    taken_by_page,
     waits_for_page,
 )
 from pipelines.report.sync.figures import disagreements
@@ -332,7 +333,8 @@ def failures(
     joystick = joystick_report(collector)
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")
-    found += disagreements(sync_section(setup, collector.sync, media=media))
+    taken = {stream.name for stream in setup.streams if taken_by_page(stream, collector)}
+    found += disagreements(sync_section(setup, collector.sync, media=media), unjudged=taken)
     for process, reported in collector.processes.items():
         dropped = reported.total(ProbeCounters).probe_values_dropped
         if dropped:

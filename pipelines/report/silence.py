@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.sources.page import PAGE
+from pipelines.cores.figures import CaptureCounters
 from pipelines.report.collector import Collector
 from pipelines.setup.table import (
     VOICE_PACKETS_PER_S,
@@ -64,6 +65,14 @@ def waits_for_page(stream: VideoStream | VoiceStream, setup: Setup, collector: C
         and collector.process(collector.topology.input(name).process).captured_ns is None
         for name in inputs
     )
+
+
+def taken_by_page(stream: VideoStream | VoiceStream, collector: Collector) -> bool:
+    """Whether a browser page has given anything for an input of a stream."""
+    topology = collector.topology
+    processes = [row.process for row in topology.inputs if row.stream == stream.name]
+    counters = [collector.process(name).total(CaptureCounters) for name in processes]
+    return any(each.from_page for each in counters)
 
 
 def missed_ns(stream: VideoStream | VoiceStream) -> int:

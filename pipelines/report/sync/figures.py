@@ -1,7 +1,7 @@
 """From contacts and what was perceived of them to latencies, skews and a verdict on the stamps."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import Any
@@ -169,11 +169,16 @@ class SyncFigures:
         )
 
 
-def disagreements(report: SyncReport | None) -> list[str]:
-    """A line for each sense whose stamps contradict its content."""
+def disagreements(report: SyncReport | None, *, unjudged: Container[str] = ()) -> list[str]:
+    """A line for each sense whose stamps contradict its content.
+
+    unjudged: streams that carried something else than the scene's content.
+    """
     lines = []
     for sense, figures in ({} if report is None else report.senses).items():
-        if figures is not None and figures.agrees is False:
+        if figures is None or figures.stream in unjudged:
+            continue
+        if figures.agrees is False:
             assert figures.confident_ms is not None
             least, most = figures.allowed_error_ms
             low, high = figures.confident_ms

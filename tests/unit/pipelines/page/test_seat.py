@@ -284,6 +284,20 @@ def test_figures_pass_unchanged_and_who_joins_gets_all_events():
         seat.handle_figures(b"{}", 0)
 
 
+def test_ground_control_sees_who_holds_the_handle_in_space():
+    seat = seat_of(Segment.GROUND)
+    page = seat.handle_opened(Role.OPERATOR, 0)
+    sent(seat, page)
+    for number, holder in enumerate((None, 4), 1):
+        seat.handle_figures(figures(number, **{"hand.holder": holder}), 0)
+        seat.handle_time(number * NS_PER_S)
+        assert texts(seat, page, "state")[-1]["hand"] == {
+            "holder": holder,
+            "you": False,
+            "wanted_by": None,
+        }
+
+
 def test_a_stopped_session_and_a_link_that_is_refused_are_lost():
     seat = seat_of()
     page = seat.handle_opened(Role.VIEWER, 0)

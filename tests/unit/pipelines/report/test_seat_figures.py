@@ -144,6 +144,17 @@ def test_the_share_of_a_core_is_that_of_the_last_two_seconds(collector):
     assert robot(30, 20.0) is None
 
 
+def test_ground_control_is_told_which_page_holds_the_handle(collector):
+    figures = SeatFigures(SETUP, collector)
+    for holder in (0, 3):
+        at_ns = round((2 + holder) * NS_PER_S)
+        collector.handle_message(
+            "page_space", message(PageGauges(watching=1, holder=holder)), at_ns
+        )
+        look(figures)
+        assert told(figures).figures["hand.holder"] == (holder or None)
+
+
 def test_a_message_has_the_fields_that_pages_rely_on(collector):
     figures = SeatFigures(SETUP, collector)
     look(figures, robot={"restarts": 2, "running": False, "error": "ended by SIGKILL"})

@@ -111,6 +111,12 @@ def test_stamps_that_are_off_are_named(off_ms, wrong):
     assert all("disagree" in line for line in lines)
 
 
+def test_a_stream_that_carried_a_page_is_not_judged():
+    report = figures(40).report(["light", "click", "force"])
+    (line,) = disagreements(report, unjudged={report.senses["light"].stream})
+    assert line.startswith(report.senses["click"].stream)
+
+
 def test_two_contacts_make_no_verdict():
     report = figures(40, contacts=2).report(["light", "click", "force"])
     assert report.senses["light"].agrees is None
