@@ -187,10 +187,6 @@ class _Recording:
             for source in sources
             if source.content is not Content.CAMERA
         ]
-        for _, reader in self._readers:
-            # A sample of before, which may be in an earlier part.
-            if (lease := reader.latest()) is not None:
-                lease.release()
         self._selected = self._bus.reader(SELECTED_TOPIC)
         self._cameras = [
             _Camera(self._bus, source, self._recorder)

@@ -43,6 +43,8 @@ RETRY_NS: Final = 2 * NS_PER_S
 _LOSSES_NS = NS_PER_S
 #: Octets that may wait for a slow disk: minutes of a session.
 MOST_WAITING_OCTETS: Final = 32 << 20
+#: A first sample that is older than this at the begin was published for another reader.
+_OLD_NS = NS_PER_S
 #: A key picture that the recorder adds comes this long before its unit.
 _AHEAD_NS = NS_PER_US
 #: Kinds of events that are warnings in the log.
@@ -103,7 +105,7 @@ class Recorder:
         self._sequences: dict[str, int] = {}
         self._stream: McapStream | None = None
         self._part = 0
-        self._begun_ns = 0
+        self._begun_ns = self._joined_ns = 0
         self._ended = False
         self._retry_ns: int | None = None
         #: Pieces of parts that have ended, and the counts of those that are being written.
@@ -120,8 +122,7 @@ class Recorder:
 
     # Samples
 
-    def handle_missed(self, source: Source, stamp: CaptureStamp) -> None:
-        """Look at the number of a sample that was read; the handlers of samples call it."""
+    def _handle_number(self, source: Source, stamp: CaptureStamp) -> None:
         before = self._sequences.get(source.topic)
         self._sequences[source.topic] = stamp.sequence
         # A smaller number is that of a writer that was started again.
@@ -133,7 +134,9 @@ class Recorder:
         self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
     ) -> None:
         """A sample of a topic, other than a camera's."""
-        self.handle_missed(source, stamp)
+        if source.topic not in self._sequences and 0 < stamp.capture_ns < self._joined_ns - _OLD_NS:
+            return  # a topic gives a new reader its newest sample, however old that is
+        self._handle_number(source, stamp)
         if source.content is Content.UNIT:
             self._handle_unit(source, CodedUnit.unpack(octets), stamp, now_ns)
         elif source.content is Content.HAPTICS:
@@ -232,6 +235,7 @@ class Recorder:
             library=LIBRARY, most_waiting_octets=self._most_waiting_octets
         )
         self._part, self._begun_ns = part, now_ns
+        self._joined_ns = self._joined_ns or now_ns
         self._parts += 1
         facts = replace(self._facts, part=part, session_ns=now_ns, wall_ns=now_ns + self._offset_ns)
         stream.handle_metadata(FACTS, facts.items(), now_ns)

@@ -307,3 +307,14 @@ def test_every_channel_that_is_read_exists_and_cameras_are_coded_cheaply():
     assert len(units) == 10
     assert parameter_sets(units[0].data)
     assert {unit.frame_id for unit in units} == {"head"}
+
+
+def test_a_sample_from_before_the_recording_is_left_out():
+    disk, now_ns = Disk(), 100 * NS_PER_S
+    disk.pump(now_ns)
+    for number, at_ns in ((3, 90 * NS_PER_S), (800, now_ns), (801, now_ns)):
+        octets = block(at_ns).tobytes()
+        disk.recorder.handle_sample(SOURCES[ROBOT], octets, stamp(number, at_ns), now_ns)
+    (file,) = disk.end(now_ns + NS_PER_S)
+    assert [each.sequence for each in file["/haptic/up/sent"]] == [800, 801]
+    assert not disk.recorder.counters().missed

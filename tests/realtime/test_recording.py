@@ -1,0 +1,177 @@
+"""Sessions that are recorded: what the file holds, and that neither kill nor full disk ends it."""
+
+import os
+import resource
+import signal
+import subprocess
+from collections import Counter
+
+import pytest
+from mcap.reader import make_reader
+from running_session import COMMAND, PATIENCE_S, assert_sound, eventually
+
+from kontur_av.clock import NS_PER_S, MonotonicClock
+from pipelines.recording.facts import FACTS, RecordingFacts
+from pipelines.recording.scan import FoundMessage, Scan
+
+pytestmark = pytest.mark.realtime
+
+
+def counted(path):
+    """By channel, how many messages a whole file has, by the plain `mcap` package."""
+    with path.open("rb") as file:
+        return Counter(channel.topic for _, channel, _ in make_reader(file).iter_messages())
+
+
+def scanned(path):
+    """A scan of a file that may be torn, its messages, and the facts of the recording."""
+    scan, messages, facts = Scan(memoryview(path.read_bytes())), [], None
+    for item in scan.items():
+        if isinstance(item, FoundMessage):
+            messages.append(item)
+        elif item.name == FACTS:
+            facts = RecordingFacts.of(item.metadata)
+    return scan, messages, facts
+
+
+def kept(report):
+    return {
+        name: channel["kept"]
+        for name, channel in report["recorder"]["channels"].items()
+        if channel["kept"]
+    }
+
+
+def record(session, *words):
+    command = [*COMMAND, "record", *map(str, words)]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=PATIENCE_S, env=session.environment
+    )
+
+
+def test_the_file_has_what_the_report_says(start, tmp_path):
+    path = tmp_path / "run.mcap"
+    session = start("spacejustin", "--record", str(path))
+    session.wait_for_flow()
+    busy = record(session, tmp_path / "other.mcap")
+    assert busy.returncode == 2 and str(path) in busy.stderr and busy.stderr.count("\n") == 1
+    assert not (tmp_path / "other.mcap").exists()
+    eventually(lambda: path.stat().st_size > 600_000, "some seconds in the file")
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    session.assert_nothing_left()
+    assert_sound(report)
+    found = counted(path)
+    assert found == kept(report)
+    for name in ("uplink_video", "downlink_video"):
+        assert found[f"/{name}/sent"] == found[f"/{name}/sent/facts"] > 0
+        assert found[f"/{name}/received"] > 0
+    for way in ("up/sent", "up/received", "down/sent", "down/received"):
+        assert found[f"/haptic/{way}"] > 0
+    assert found["/camera/static"] > 0 and found["/camera/left"] == 0
+    assert scanned(path)[0].figures.sound
+
+
+def test_a_killed_recorder_goes_on_in_a_new_part(start, tmp_path):
+    path, clock = tmp_path / "run.mcap", MonotonicClock()
+    session = start("taskboard", "--record", str(path))
+    pids = session.pids()
+    session.wait_for_flow()
+    eventually(lambda: path.stat().st_size > 200_000, "some seconds in the file")
+    killed_ns = clock.now_ns()
+    os.kill(pids["recorder"], signal.SIGKILL)
+    second = tmp_path / "run-2.mcap"
+    eventually(lambda: second.exists() and second.stat().st_size > 200_000, "a second part")
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    session.assert_nothing_left()
+    assert report["processes"]["recorder"]["restarts"] == 1
+    assert report["recorder"]["parts"] == 2
+    scan, messages, facts = scanned(path)
+    assert not scan.figures.closed and not scan.figures.orphans
+    last_ns = max(each.message.log_time for each in messages) - facts.wall_ns + facts.session_ns
+    assert killed_ns - last_ns < NS_PER_S
+    later = scanned(second)[2]
+    assert later.part == 2
+    assert later.wall_ns - later.session_ns == facts.wall_ns - facts.session_ns
+    both = Counter(each.channel.topic for each in messages) + counted(second)
+    # The killed one's last report may be half a second old.
+    assert all(both[name] >= count for name, count in kept(report).items())
+    assert not (tmp_path / "run-3.mcap").exists()
+
+
+def test_a_terminal_joins_a_session_and_leaves_it_again(start, tmp_path):
+    session = start("taskboard")
+    session.pids()
+    session.wait_for_flow()
+    first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    done = record(session, first, "--seconds", "1.5")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert scanned(first)[0].figures.sound
+    again = record(session, first, "--seconds", "1")
+    assert again.returncode == 2 and "--overwrite" in again.stderr
+    replaced = record(session, first, "--seconds", "1", "--overwrite")
+    assert replaced.returncode == 0
+    nowhere = record(session, tmp_path / "none" / "c.mcap")
+    assert nowhere.returncode == 2 and nowhere.stderr.count("\n") == 1
+    # A terminal that is killed does not end the session, but its recording.
+    process = subprocess.Popen(
+        [*COMMAND, "record", str(second)], stdout=subprocess.DEVNULL, env=session.environment
+    )
+    eventually(lambda: second.exists() and second.stat().st_size > 10_000, "the second recording")
+    process.kill()
+    process.wait()
+    eventually(lambda: scanned(second)[0].figures.sound, "the end of the second recording")
+    session.wait_for_flow()
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    session.assert_nothing_left()
+    assert report["recorder"]["parts"] == 3
+    assert sum(counted(first).values()) > 0
+
+
+def test_a_full_disk_does_not_end_the_session(start, tmp_path):
+    path = tmp_path / "run.mcap"
+    session = start("taskboard", "--record", str(path))
+    pids = session.pids()
+    session.wait_for_flow()
+    resource.prlimit(pids["recorder"], resource.RLIMIT_FSIZE, (150_000, resource.RLIM_INFINITY))
+    eventually(lambda: "File too large" in session.lines()[-1], "the fault in the live view")
+    session.wait_for_flow()
+    unlimited = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    resource.prlimit(pids["recorder"], resource.RLIMIT_FSIZE, unlimited)
+
+    def newest():
+        return max(tmp_path.glob("run-*.mcap"), key=lambda each: int(each.stem[4:]), default=None)
+
+    eventually(lambda: newest() is not None and newest().stat().st_size > 200_000, "a new part")
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    session.assert_nothing_left()
+    assert report["processes"]["recorder"]["restarts"] == 0
+    recorder = report["recorder"]
+    assert recorder["disk_faults"] >= 1 and recorder["fault"] is None
+    assert sum(channel["dropped"] for channel in recorder["channels"].values()) > 0
+    assert [one["what"] for one in report["warnings"] if one["where"] == "recorder"] == [
+        "not_recorded"
+    ]
+    scans = [scanned(each) for each in tmp_path.glob("run*.mcap")]
+    assert all(not scan.figures.holes for scan, _, _ in scans)
+    total = Counter(each.channel.topic for _, messages, _ in scans for each in messages)
+    assert total == kept(report)
+
+
+@pytest.mark.parametrize("words", [(), ("--seconds", "1")], ids=["stream", "record"])
+def test_without_a_session_or_a_directory_nothing_begins(tmp_path, words):
+    command = [*COMMAND, "record", str(tmp_path / "a.mcap"), *words]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
+    assert done.returncode == 2 and "no session is running" in done.stderr
+    assert not (tmp_path / "a.mcap").exists()
+    kept_file = tmp_path / "kept.mcap"
+    kept_file.write_bytes(b"kept")
+    for file in (kept_file, tmp_path / "none" / "a.mcap", tmp_path):
+        command = [*COMMAND, "stream", "--setup", "taskboard", "--record", str(file)]
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
+        assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+    assert kept_file.read_bytes() == b"kept"
