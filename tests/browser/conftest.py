@@ -1,6 +1,5 @@
 """Fixtures that start browsers and sessions with pages."""
 
-import os
 from pathlib import Path
 
 import pytest
@@ -10,15 +9,11 @@ pytest.register_assert_rewrite("browser", "running_session")
 import browser as browsers  # noqa: E402
 
 ROOM = Path(__file__).parent
-#: Two pages in software rendering and a session need more than two cores have.
-WANTED = "KONTUR_BROWSER_TESTS"
 
 
 def pytest_collection_modifyitems(items):
     """Mark all tests here: they need a browser, and they start processes."""
     lacking = browsers.missing()
-    if lacking is None and not os.environ.get(WANTED):
-        lacking = f"it takes minutes and an idle machine: set {WANTED}=1"
     for item in items:
         if item.path.is_relative_to(ROOM):
             item.add_marker(pytest.mark.browser)

@@ -29,12 +29,15 @@ def numbered_picture(number, *, bright=False):
 
 
 def number_of(pixels):
-    """Return the number of a picture of any size, shape (height, width, 3), RGB; None in doubt."""
+    """Return the number of a picture of any size, shape (height, width, 3), RGB; None in doubt.
+
+    Numbers begin with 1, because any dark picture reads as 0.
+    """
     height, width, _ = pixels.shape
     rows = 2 * -(-marks.MARK_ROWS * height // HEIGHT // 2)
     strip = luma(pixels[:rows])
     strip = cv2.resize(strip, (WIDTH, rows * WIDTH // width), interpolation=cv2.INTER_LINEAR)
-    return marks.read_number(marks.levels(strip))
+    return marks.read_number(marks.levels(strip)) or None
 
 
 def number_on(page, selector="#picture"):
@@ -43,24 +46,24 @@ def number_on(page, selector="#picture"):
 
 
 def write_pictures(path, count):
-    """Write a YUV4MPEG2 file of pictures with the numbers from 0 to count - 1."""
+    """Write a YUV4MPEG2 file of pictures with the numbers from 1 to count."""
     with path.open("wb") as file:
         file.write(_HEADER)
-        for number in range(count):
+        for number in range(1, count + 1):
             file.write(_FRAME + numbered_picture(number).tobytes())
 
 
 class NumberedPictures:
     """Writes numbered pictures into a FIFO until its exit; `pause` and `go_on` in between.
 
-    newest: the number of the picture that was written last; -1 before the first.
+    newest: the number of the picture that was written last; 0 before the first.
     bright: whether pictures are bright. A change is a cut.
     """
 
     def __init__(self, fifo):
         os.mkfifo(fifo)
         self.path = fifo
-        self.newest = -1
+        self.newest = 0
         self.bright = False
         self._ended, self._flows = threading.Event(), threading.Event()
         self._flows.set()
@@ -96,7 +99,7 @@ class NumberedPictures:
             self._write_all(_HEADER)
             while not self._ended.wait(1 / FPS):
                 self._flows.wait()
-                number = (self.newest + 1) % marks.NUMBERS
+                number = self.newest % (marks.NUMBERS - 1) + 1
                 self._write_all(_FRAME + numbered_picture(number, bright=self.bright).tobytes())
                 self.newest = number
 

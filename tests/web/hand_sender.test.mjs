@@ -23,14 +23,25 @@ test("a held hand is sent each time, its release once", () => {
   assert.equal(sender.active, false);
 });
 
-test("a page that is silent for 100 ms lets go, and holds again when it says so", () => {
+test("a page that is silent for 100 ms lets go, and must press anew", () => {
   const sender = new HandSender();
   sender.handleHand(HELD, 0);
   const hands = sent(sender, 0, 200);
   assert.equal(hands.filter((hand) => hand.deadMan).length, 26);
   assert.deepEqual(hands.at(-1), RELEASED);
   sender.handleHand(HELD, 200);
-  assert.deepEqual(sent(sender, 200, 204), [HELD]);
+  assert.deepEqual(sent(sender, 200, 240), []);
+  sender.handleHand(RELEASED, 240);
+  sender.handleHand(HELD, 244);
+  assert.deepEqual(sent(sender, 248, 252), [HELD]);
+});
+
+test("news after a silence in which nothing was sent do not hide it", () => {
+  const sender = new HandSender();
+  sender.handleHand(HELD, 0);
+  sender.handleHand(HELD, 150);
+  assert.deepEqual(sent(sender, 152, 200), [RELEASED]);
+  assert.equal(sender.pressAnew, true);
 });
 
 test("after the loss of the server the hand must press anew", () => {

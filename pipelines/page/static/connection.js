@@ -74,6 +74,13 @@ export class Connection {
     return this.#offsetUs === null ? null : 1000 * pageMs() + this.#offsetUs;
   }
 
+  /** Why nothing passes between the seats; "" if nothing is known to prevent it. */
+  get hindrance() {
+    if (!this.alive) return "the server does not answer";
+    if (this.stopped) return "the session is stopped";
+    return this.state?.link === "lost" ? "the radio link is lost" : "";
+  }
+
   /** Whether this page may act, or only watch. */
   get mayAct() {
     return this.hello?.role === "operator";

@@ -33,7 +33,7 @@ export class HandControl extends EventTarget {
   #buttons = 0;
   /** @type {ReturnType<typeof setInterval> | undefined} */
   #heartbeat;
-  /** Why the last press was refused, or "". */
+  /** Why the last press was refused or ended, or "". */
   refusal = "";
 
   /** @param {Connection} connection */
@@ -47,7 +47,10 @@ export class HandControl extends EventTarget {
       if (document.hidden) letGo();
     });
     connection.on("lost", letGo);
-    connection.on("let_go", letGo);
+    connection.on("let_go", () => {
+      this.refusal = "let go, because this page was busy or the server silent: press anew";
+      letGo();
+    });
     connection.on("hello", letGo);
     connection.on("state", ({ hand, now_us }) => {
       // A state from before the handle was taken may arrive after it.

@@ -13,8 +13,8 @@ const RELEASED = Object.freeze({ deadMan: false, x: 0, y: 0, buttons: 0 });
 /**
  * Decides what is sent of the hand, and when: always while it is held, and once on its release.
  *
- * A page that said nothing for 100 ms lets go, and holds again as soon as it says so. After the
- * loss of the server it must press anew.
+ * It lets go when the page says nothing for 100 ms, and when the server is lost. Then the page must
+ * press anew: it may have missed a release.
  */
 export class HandSender {
   /** @type {Hand | null} */
@@ -27,7 +27,7 @@ export class HandSender {
   #releasing = false;
   #pressAnew = false;
 
-  /** Whether the press is ignored, because the server was lost during it. */
+  /** Whether the press is ignored, because page or server were silent during it. */
   get pressAnew() {
     return this.#pressAnew;
   }
@@ -39,6 +39,7 @@ export class HandSender {
 
   /** The page says what the hand does. @param {Hand} hand @param {number} nowMs */
   handleHand(hand, nowMs) {
+    this.#listen(nowMs);
     this.#heardMs = nowMs;
     if (!hand.deadMan) {
       this.#pressAnew = false;
@@ -59,9 +60,7 @@ export class HandSender {
 
   /** What to send now, or null. @param {number} nowMs @returns {Hand | null} */
   pollTransmit(nowMs) {
-    if (this.#held !== null && nowMs - this.#heardMs > PATIENCE_MS) {
-      this.#release();
-    }
+    this.#listen(nowMs);
     if (this.#releasing) {
       this.#releasing = false;
       return RELEASED;
@@ -73,6 +72,11 @@ export class HandSender {
     this.#news = false;
     this.#sentMs = nowMs;
     return this.#held;
+  }
+
+  /** Lets go if the page said nothing for too long. @param {number} nowMs */
+  #listen(nowMs) {
+    if (nowMs - this.#heardMs > PATIENCE_MS) this.handleLost();
   }
 
   #release() {

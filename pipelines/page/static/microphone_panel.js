@@ -11,13 +11,17 @@ import { inputWords } from "./own_input.js";
 class MicrophonePanel extends HTMLElement {
   /** @type {OwnMicrophone | null} */
   #microphone = null;
+  /** @type {Seat | null} */
+  #seat = null;
   #on = make("button", { type: "button", "aria-pressed": "false", disabled: true }, "Microphone");
   #mute = make("button", { type: "button", "aria-pressed": "false", disabled: true }, "Mute");
   #meter = new LevelMeter();
   #words = make("span", { class: "quiet small", role: "status" });
 
   /** @param {Seat} seat */
-  follow({ connection, keyboard }) {
+  follow(seat) {
+    const { connection, keyboard } = seat;
+    this.#seat = seat;
     this.#meter.setAttribute("aria-label", "Level of your own microphone");
     this.append(
       make("header", {}, make("h2", {}, "Microphone"), this.#words),
@@ -45,6 +49,9 @@ class MicrophonePanel extends HTMLElement {
       if (!usable) setText(this.#words, input === undefined ? "this setup carries no voice from here" : "a viewer may watch only");
       else this.#show();
     });
+    for (const name of /** @type {const} */ (["state", "figures", "lost"])) {
+      connection.on(name, () => this.#show());
+    }
   }
 
   #show() {
@@ -57,12 +64,14 @@ class MicrophonePanel extends HTMLElement {
     this.#mute.setAttribute("aria-pressed", String(microphone.muted));
     if (microphone.state === "on") this.#meter.set(microphone.peak);
     else this.#meter.clear();
-    const heardNow = String(microphone.heard);
-    if (this.dataset.heard !== heardNow) this.dataset.heard = heardNow;
-    const heard = microphone.heard ? "you are heard" : "muted: hold T to talk";
-    setText(this.#words, microphone.state === "on" ? heard : inputWords(microphone));
-    this.#words.dataset.level =
-      microphone.state === "failed" ? "bad" : microphone.heard ? "good" : "none";
+    const hindrance = this.#seat?.connection.hindrance ?? "";
+    const heard = microphone.heard && hindrance === "";
+    if (this.dataset.heard !== String(heard)) this.dataset.heard = String(heard);
+    let words = inputWords(microphone);
+    if (microphone.state === "on") words = heard ? "you are heard" : "muted: hold T to talk";
+    if (microphone.heard && hindrance !== "") words = `nobody hears you: ${hindrance}`;
+    setText(this.#words, words);
+    this.#words.dataset.level = microphone.state === "failed" ? "bad" : heard ? "good" : "none";
   }
 }
 

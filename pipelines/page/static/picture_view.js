@@ -101,10 +101,8 @@ export class PictureView extends HTMLElement {
 
   /** Why no new picture comes, as far as is known. */
   #cause() {
-    const connection = this.#seat?.connection;
-    if (connection?.alive !== true) return "the server does not answer";
-    if (connection.stopped) return "the session is stopped";
-    return connection.state?.link === "lost" ? "the radio link is lost" : "no new picture arrives";
+    const hindrance = this.#seat?.connection.hindrance ?? "the server does not answer";
+    return hindrance || "no new picture arrives";
   }
 
   /** Brings age and mark up to date. */

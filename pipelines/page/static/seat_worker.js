@@ -10,6 +10,7 @@
 import { ClockOffset, pingIntervalMs } from "./clock_offset.js";
 import { HandSender } from "./hand_sender.js";
 import { pageMs } from "./page_clock.js";
+import { Silence } from "./silence.js";
 import { StreamDecoder } from "./stream_decoder.js";
 import {
   Kind,
@@ -104,7 +105,7 @@ class Seat {
   /** @type {WebSocket | null} */
   #socket = null;
   #openedMs = 0;
-  #heardMs = 0;
+  #silence = new Silence();
   #pingedMs = 0;
   #silent = true;
   #clock = new ClockOffset();
@@ -124,7 +125,8 @@ class Seat {
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
     socket.onopen = () => {
-      this.#openedMs = this.#heardMs = pageMs();
+      this.#openedMs = pageMs();
+      this.#silence.handleHeard();
       this.#clock = new ClockOffset();
       this.#ping();
     };
@@ -154,8 +156,9 @@ class Seat {
   /** Looks whether the server is silent, whether to ping, and whether a replay did not come. */
   watch() {
     const nowMs = pageMs();
+    const silentMs = this.#silence.look(nowMs);
     if (this.#socket?.readyState !== WebSocket.OPEN) return;
-    if (!this.#silent && nowMs - this.#heardMs > SILENCE_MS) this.#lose("silent", "");
+    if (!this.#silent && silentMs > SILENCE_MS) this.#lose("silent", "");
     if (nowMs - this.#pingedMs >= pingIntervalMs(nowMs - this.#openedMs)) this.#ping();
     for (const screen of this.#screens.values()) {
       if (screen.faultMs !== null && nowMs - screen.faultMs > REPLAY_PATIENCE_MS) {
@@ -167,7 +170,7 @@ class Seat {
 
   /** @param {string | ArrayBuffer} message */
   #handleMessage(message) {
-    this.#heardMs = pageMs();
+    this.#silence.handleHeard();
     if (this.#silent) {
       this.#silent = false;
       tell({ kind: "heard" });
