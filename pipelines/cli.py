@@ -36,6 +36,7 @@ _COMMANDS = {
     "record": "record a running session, and leave it again",
     "info": "list what is in a recording, gaps and losses included",
     "recover": "make a whole recording of a torn one",
+    "export": "make MATLAB tables, CSV and video files of a recording",
     "doctor": "check what this machine can do",
     "devices": "list cameras, microphones and scenes",
 }

@@ -319,7 +319,7 @@ def pack(value: Recorded) -> bytes:
 
 def unpack(kind: type[Value], octets: bytes) -> Value:
     """Return the value of these octets; ProtocolError for octets of something else."""
-    message = _parsed(kind.schema, octets)
+    message = parse_message(kind.schema, octets)
     found: dict[str, object] = {}
     for row in kind.schema.fields:
         value = getattr(message, row.name)
@@ -338,7 +338,8 @@ def unpack(kind: type[Value], octets: bytes) -> Value:
         raise ProtocolError(f"{kind.schema.full_name}: {error}") from None
 
 
-def _parsed(schema: MessageSchema, octets: bytes) -> Any:
+def parse_message(schema: MessageSchema, octets: bytes) -> Any:
+    """Return protobuf's message; ProtocolError for octets of something else."""
     message = message_class(schema)()
     try:
         message.ParseFromString(octets)
@@ -393,7 +394,7 @@ def pack_haptics(samples: NDArray[np.void]) -> bytes:
 
 def unpack_haptics(octets: bytes) -> NDArray[np.void]:
     """Return the samples of these octets: (n,), dtype `SAMPLE`; else ProtocolError."""
-    message = _parsed(HAPTIC_SAMPLES, octets)
+    message = parse_message(HAPTIC_SAMPLES, octets)
     columns = {row.name: getattr(message, row.name) for row in HAPTIC_SAMPLES.fields}
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:

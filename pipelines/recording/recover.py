@@ -68,10 +68,21 @@ class Recovery:
 def check_ours(scan: Scan) -> None:
     """Raise ProtocolError unless a scan that is done found a recording that can be mended."""
     check_format(scan)
-    if scan.ours:
+    refuse_foreign(
+        ours=scan.ours,
+        library="" if scan.header is None else scan.header.library,
+        messages=scan.figures.messages,
+    )
+
+
+def refuse_foreign(*, ours: bool, library: str, messages: int) -> None:
+    """Raise ProtocolError for a file that is not `ours`, or of which nothing is left.
+
+    library: who wrote it, as its header says.
+    """
+    if ours:
         return
-    library = "" if scan.header is None else scan.header.library
-    if scan.figures.messages and not library.startswith(LIBRARY.split()[0]):
+    if messages and not library.startswith(LIBRARY.split()[0]):
         raise ProtocolError(
             f"it was written by {library or 'an unknown program'}, not by kontur-av: "
             "`kontur-av info` shows what is in it"

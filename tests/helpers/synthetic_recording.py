@@ -171,7 +171,9 @@ def write_recording(path, *, seconds=3.0, parts=1, link_frames=False, end=True):
             if (part == 1 or told.log_ns >= begin_ns) and (end_ns is None or told.log_ns < end_ns)
         ]
         paths.append(part_path(Path(path), part))
-        facts = replace(FACTS_OF_SYNTHETIC, part=part)
+        facts = replace(
+            FACTS_OF_SYNTHETIC, part=part, session_ns=begin_ns, wall_ns=wall_ns(begin_ns)
+        )
         paths[-1].write_bytes(octets_of_part(rows.values(), facts, of_part, end or part < parts))
     by_topic = defaultdict(list)
     for told in sorted(messages, key=lambda told: told.log_ns):
@@ -408,7 +410,7 @@ def link_messages(seconds, link_frames):
                 delay_ns=10 * MS,
                 radio_frames_lost=number // 10,
                 signal=True,
-                state="SYNCHRONISED",
+                state="CONNECTED",
             )
             received = LinkReceived(
                 session_ns=at_ns,
@@ -419,7 +421,7 @@ def link_messages(seconds, link_frames):
                 packets=5 * number,
                 packets_dropped=0,
                 signal=True,
-                state="SYNCHRONISED",
+                state="CONNECTED",
             )
             yield told(f"/link/{direction}/sent", at_ns, number, pack(sent))
             yield told(f"/link/{direction}/received", at_ns, number, pack(received))

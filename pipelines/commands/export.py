@@ -1,0 +1,125 @@
+"""`kontur-av export`: a recording as MATLAB tables, CSV files and Matroska files."""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.commands.common import output_that_may_fail
+from pipelines.recording.export.csv_files import CsvExport
+from pipelines.recording.export.mat_file import MatExport, check_packages
+from pipelines.recording.export.outputs import Outputs
+from pipelines.recording.joined import (
+    JoinedMessage,
+    JoinedRecording,
+    Part,
+    follows,
+    read_part,
+)
+from pipelines.recording.recording_file import octets_of_file
+
+#: The bar moves after this many messages.
+_STEP = 500
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av export`."""
+    parser.add_argument(
+        "file",
+        metavar="FILE.mcap",
+        type=Path,
+        help="a recording; its parts FILE-2.mcap, FILE-3.mcap, … are joined to it",
+    )
+    parser.add_argument("--mat", metavar="OUT.mat", type=Path, help="tables for MATLAB and Octave")
+    parser.add_argument("--csv", metavar="DIR", type=Path, help="a CSV file for each channel")
+    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write all that was asked for, or nothing."""
+    if args.mat is None and args.csv is None:
+        raise ConfigError("give at least one of --mat OUT.mat and --csv DIR")
+    if args.mat is not None:
+        check_packages()
+    paths, recording = read_recording(args.file)
+    exports: list[MatExport | CsvExport] = []
+    if args.mat is not None:
+        exports.append(MatExport(args.mat, recording))
+    if args.csv is not None:
+        exports.append(CsvExport(args.csv, recording))
+    with Outputs(overwrite=args.overwrite) as outputs:
+        for export in exports:
+            outputs.check(export.paths, paths)
+        for export in exports:
+            export.begin(outputs)
+        for message in _with_progress(recording):
+            for export in exports:
+                export.handle_message(message)
+        for export in exports:
+            export.end()
+    lines = [*_losses(paths, recording), *(line for export in exports for line in export.lines())]
+    with output_that_may_fail():
+        print("\n".join(lines))
+    return 0
+
+
+def read_recording(first: Path) -> tuple[list[Path], JoinedRecording]:
+    """Return the parts of a recording, and what is in them.
+
+    A file that has the name of a part but is not of this recording is left out, with a line.
+    Raises ConfigError for a file that cannot be read, or is no recording.
+    """
+    parts, paths = [_part(first)], [first]
+    facts = parts[0].inventory.facts
+    if facts is None or facts.part == 1:
+        for path in _later_parts(first):
+            part = _part(path)
+            if not follows(part, parts[-1]):
+                print(f"kontur-av: {path} is of another recording: left out", file=sys.stderr)
+                break
+            parts.append(part)
+            paths.append(path)
+    return paths, JoinedRecording(parts=parts)
+
+
+def _part(path: Path) -> Part:
+    try:
+        return read_part(octets_of_file(path))
+    except ProtocolError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _later_parts(first: Path) -> Iterator[Path]:
+    number = 2
+    while (path := first.with_name(f"{first.stem}-{number}{first.suffix}")).exists():
+        yield path
+        number += 1
+
+
+def _with_progress(recording: JoinedRecording) -> Iterator[JoinedMessage]:
+    """The messages of a recording, with a bar on a terminal."""
+    total = sum(recording.counts.values())
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        progress.disable = not progress.console.is_terminal
+        task = progress.add_task("export", total=total)
+        for number, message in enumerate(recording.messages()):
+            yield message
+            if number % _STEP == 0:
+                progress.update(task, completed=number)
+
+
+def _losses(paths: Sequence[Path], recording: JoinedRecording) -> Iterator[str]:
+    """A line for each part of which something cannot be read."""
+    for path, part in zip(paths, recording.parts, strict=True):
+        figures = part.inventory.figures
+        if figures.holes:
+            yield (
+                f"{path} is torn or damaged: {figures.unread_octets} of {figures.octets} octets "
+                "cannot be read; the rest is exported"
+            )
+        elif not figures.sound:
+            yield f"{path} is torn, but every message in it is exported"

@@ -1,0 +1,1 @@
+"""What `kontur-av export` makes of a recording: tables for MATLAB, CSV files, Matroska files."""

@@ -1,0 +1,210 @@
+"""Messages of a recording as columns of a table. A core.
+
+Every channel is a table, every message a row; of haptic samples and transfer frames, each sample
+and frame. A column is an array of numbers or a list of texts. Its name has its unit.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ProtocolError
+from pipelines.cores.haptic_trace import ACTED, CONTACT, DEAD_MAN
+from pipelines.recording.joined import JoinedMessage
+from pipelines.recording.messages import (
+    SAMPLE,
+    RecordedFrames,
+    RecorderLosses,
+    parse_message,
+    unpack,
+    unpack_haptics,
+)
+from pipelines.recording.schemas import (
+    HAPTIC_SAMPLES,
+    LOSSES,
+    SCHEMAS,
+    TIMESTAMP,
+    TRANSFER_FRAMES,
+    MessageSchema,
+)
+
+#: Numbers of any type, (rows,), or a text for each row.
+Column = NDArray[Any] | list[str]
+Columns = dict[str, Column]
+#: What a message adds to each column.
+Rows = Mapping[str, Sequence[Any] | NDArray[Any]]
+_NewRows = dict[str, Sequence[Any] | NDArray[Any]]
+
+_TYPES = {
+    "bool": np.bool_,
+    "fixed32": np.uint32,
+    "float": np.float32,
+    "int64": np.int64,
+    "sfixed32": np.int32,
+    "sfixed64": np.int64,
+    "uint32": np.uint32,
+    "uint64": np.uint64,
+    "Level": np.int32,
+}
+_BY_NAME = {schema.full_name: schema for schema in SCHEMAS}
+#: Fields that are the row's instant already.
+_INSTANTS = {"session_ns", "capture_ns", "timestamp"}
+_STATE_BIT, _STATES, _LIT_BIT, _LIT = 8, 0xF, 16, 0xFF
+
+
+class Columnizer:
+    """Turns messages into rows.
+
+    begin_ns: the instant on the session's clock at which `time_s` is 0.
+    unreadable: messages that are not of their schema, by channel.
+    """
+
+    def __init__(self, begin_ns: int) -> None:
+        self.unreadable: dict[str, int] = {}
+        self._begin_ns = begin_ns
+
+    def rows(self, message: JoinedMessage) -> Rows | None:
+        """Return what a message adds; None for a schema that this version does not know."""
+        schema = _BY_NAME.get(message.schema)
+        if schema is None:
+            return None
+        special = _SPECIAL.get(schema.full_name)
+        try:
+            read = _one_row if special is None else special
+            instants, rows = read(message)
+            session_ns = np.asarray(instants, np.int64)
+        except (ProtocolError, OverflowError):
+            # OverflowError: an instant beyond 64 bits.
+            self.unreadable[message.topic] = self.unreadable.get(message.topic, 0) + 1
+            return None
+        time_s = (session_ns - self._begin_ns) / NS_PER_S
+        return {"time_s": time_s, "session_ns": session_ns, **rows}
+
+    def lines(self) -> list[str]:
+        """What could not be read, in words."""
+        return [
+            f"{topic}: {count} messages are not of their schema, and were left out"
+            for topic, count in self.unreadable.items()
+        ]
+
+
+def joined(blocks: Iterable[Rows]) -> Columns:
+    """Return the columns of many rows, in order.
+
+    A column that a block lacks is 0, False or "" there: a figure that was not counted yet.
+    """
+    blocks = list(blocks)
+    names = list(dict.fromkeys(name for block in blocks for name in block))
+    return {name: _joined_column(name, blocks) for name in names}
+
+
+def _joined_column(name: str, blocks: Sequence[Rows]) -> Column:
+    kind = next(block[name] for block in blocks if name in block)
+    if isinstance(kind, np.ndarray):
+        return np.concatenate(
+            [
+                block[name] if name in block else np.zeros(len(block["time_s"]), kind.dtype)
+                for block in blocks
+            ]
+        )
+    return [
+        text
+        for block in blocks
+        for text in (block[name] if name in block else [""] * len(block["time_s"]))
+    ]
+
+
+def _one_row(message: JoinedMessage) -> tuple[list[int], Rows]:
+    schema = _BY_NAME[message.schema]
+    parsed = parse_message(schema, message.data)
+    session_ns = message.session_ns
+    rows: _NewRows = {
+        "recorded_ns": np.array([message.recorded_ns], np.int64),
+        "message_number": np.array([message.sequence], np.uint32),
+    }
+    for row in schema.fields:
+        value = getattr(parsed, row.name)
+        if row.name == "session_ns":
+            session_ns = value
+        if row.name in _INSTANTS or row.type == TIMESTAMP:
+            continue
+        if row.repeated:
+            rows |= _nested(schema, row.type, row.name, value)
+        else:
+            _add(rows, row.name, row.type, value, picture=schema.package == "foxglove")
+    return [session_ns], rows
+
+
+def _nested(schema: MessageSchema, kind: str, name: str, parts: Iterable[Any]) -> Rows:
+    """Columns such as `carried_voice_octets`: of each part, named by its first field."""
+    (inner,) = (each for each in schema.nested if each.name == kind)
+    key, *fields = inner.fields
+    rows: _NewRows = {}
+    for part in parts:
+        told = identifier(getattr(part, key.name))
+        for row in fields:
+            _add(rows, f"{name}_{told}_{row.name}", row.type, getattr(part, row.name))
+    return rows
+
+
+def _add(rows: _NewRows, name: str, kind: str, value: Any, *, picture: bool = False) -> None:
+    if kind == "bytes" and picture:
+        rows["octets"] = np.array([len(value)], np.uint32)
+    elif kind == "bytes":
+        rows[f"{name}_hex"] = [value.hex()]
+    elif kind == "string":
+        rows[name] = [value]
+    else:
+        rows[name] = np.array([value], _TYPES[kind])
+
+
+def _haptics(message: JoinedMessage) -> tuple[NDArray[np.int64], Rows]:
+    samples = unpack_haptics(message.data)
+    rows = {name: samples[name] for name in SAMPLE.names or () if name != "time_ns"}
+    return samples["time_ns"], rows | flag_columns(samples["flags"])
+
+
+def flag_columns(flags: NDArray[np.uint32]) -> dict[str, NDArray[Any]]:
+    """The flags of haptic samples, as `haptic_trace.flags_of` packed them, each as a column."""
+    return {
+        "contact": (flags & CONTACT) != 0,
+        "dead_man": (flags & DEAD_MAN) != 0,
+        "passivity_acted": (flags & ACTED) != 0,
+        "joystick_state": (flags >> _STATE_BIT & _STATES).astype(np.uint8),
+        "lit_led": (flags >> _LIT_BIT & _LIT).astype(np.uint8),
+    }
+
+
+def _frames(message: JoinedMessage) -> tuple[Sequence[int], Rows]:
+    frames = unpack(RecordedFrames, message.data)
+    octets = np.array([len(data) for data in frames.data], np.uint32)
+    return frames.time_ns, {"octets": octets, "data_hex": [data.hex() for data in frames.data]}
+
+
+def _losses(message: JoinedMessage) -> tuple[list[int], Rows]:
+    losses = unpack(RecorderLosses, message.data)
+    return [losses.session_ns] * len(losses.losses), {
+        "channel": [loss.channel for loss in losses.losses],
+        "missed": np.array([loss.missed for loss in losses.losses], np.uint64),
+        "dropped": np.array([loss.dropped for loss in losses.losses], np.uint64),
+    }
+
+
+_SPECIAL: Mapping[str, Callable[[JoinedMessage], tuple[Any, Rows]]] = {
+    HAPTIC_SAMPLES.full_name: _haptics,
+    TRANSFER_FRAMES.full_name: _frames,
+    LOSSES.full_name: _losses,
+}
+
+
+def identifier(text: str) -> str:
+    """Return a text as a name: lower case, digits and underscores."""
+    return "".join(sign if sign.isascii() and sign.isalnum() else "_" for sign in text).lower()
+
+
+def table_name(topic: str) -> str:
+    """Return the name of a channel's table: `haptic_up_sent` for `/haptic/up/sent`."""
+    return identifier(topic.strip("/"))

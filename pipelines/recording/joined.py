@@ -1,0 +1,151 @@
+"""The parts of a recording as one: messages in their order, on the session's clock. A core."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ProtocolError
+from pipelines.recording.facts import RecordingFacts
+from pipelines.recording.inventory import Inventory, take_inventory
+from pipelines.recording.messages import RecordedEvent, unpack, unpack_haptics
+from pipelines.recording.recover import refuse_foreign
+from pipelines.recording.scan import FoundMessage, Scan
+from pipelines.recording.schemas import EVENT, HAPTIC_SAMPLES
+
+#: Clocks of parts of one recording differ by less: the recorder reads them once.
+_MOST_CLOCK_CHANGE_NS = NS_PER_S
+
+
+class JoinedMessage(NamedTuple):
+    """A message of a recording.
+
+    session_ns: its `log_time` on the session's clock. recorded_ns: its `publish_time`, likewise.
+    part: counts the parts that were joined, from 0.
+    """
+
+    topic: str
+    schema: str
+    session_ns: int
+    recorded_ns: int
+    sequence: int
+    data: bytes
+    part: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A file of a recording. wall_offset_ns: wall time less the session's clock."""
+
+    octets: memoryview
+    inventory: Inventory
+    wall_offset_ns: int
+
+    def messages(self, part: int) -> Iterator[JoinedMessage]:
+        """Its messages in the order of the file; part: its number among those joined."""
+        for schema, channel, message in _found(self.octets):
+            yield JoinedMessage(
+                channel.topic,
+                "" if schema is None else schema.name,
+                message.log_time - self.wall_offset_ns,
+                message.publish_time - self.wall_offset_ns,
+                message.sequence,
+                message.data,
+                part,
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class JoinedRecording:
+    """Parts that follow each other."""
+
+    parts: Sequence[Part]
+
+    @property
+    def facts(self) -> RecordingFacts | None:
+        """Those of the first part whose facts are not lost."""
+        return next((part.inventory.facts for part in self.parts if part.inventory.facts), None)
+
+    @property
+    def begin_ns(self) -> int:
+        """The instant on the session's clock from which exports count.
+
+        When the recording began; where that is lost, the instant of its earliest message.
+        """
+        facts = self.parts[0].inventory.facts
+        if facts is not None:
+            return facts.session_ns
+        return min(_first_ns(part) for part in self.parts)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """The number of messages by channel; 0 for one that has none."""
+        found: dict[str, int] = {}
+        for part in self.parts:
+            for channel in part.inventory.channels:
+                found[channel.topic] = found.get(channel.topic, 0) + channel.messages
+        return found
+
+    def messages(self) -> Iterator[JoinedMessage]:
+        """All messages, part by part in the order of the files."""
+        for number, part in enumerate(self.parts):
+            yield from part.messages(number)
+
+
+def read_part(octets: memoryview) -> Part:
+    """Look through a file; ProtocolError unless it is a recording of this project, of our format.
+
+    The offset of its clocks is in its facts. Where they are lost, a message says it, too.
+    """
+    inventory = take_inventory(octets)
+    refuse_foreign(
+        ours=inventory.ours, library=inventory.library, messages=inventory.figures.messages
+    )
+    facts = inventory.facts
+    offset_ns = _offset_of_messages(octets) if facts is None else facts.wall_ns - facts.session_ns
+    return Part(octets=octets, inventory=inventory, wall_offset_ns=offset_ns)
+
+
+def follows(part: Part, before: Part) -> bool:
+    """Whether a part is of the same recording as `before`, and later. Lost facts do not speak."""
+    newer, older = part.inventory.facts, before.inventory.facts
+    if newer is None or older is None:
+        return True
+    same = (newer.session, newer.setup, newer.seed) == (older.session, older.setup, older.seed)
+    moved_ns = abs(part.wall_offset_ns - before.wall_offset_ns)
+    return (
+        same
+        and newer.part > older.part
+        and moved_ns < _MOST_CLOCK_CHANGE_NS
+        and _first_ns(part) >= _first_ns(before)
+    )
+
+
+def _first_ns(part: Part) -> int:
+    """The earliest instant in it on the session's clock; of an empty part, that of its facts."""
+    facts = part.inventory.facts
+    return min(
+        (
+            channel.first_ns - part.wall_offset_ns
+            for channel in part.inventory.channels
+            if channel.messages
+        ),
+        default=0 if facts is None else facts.session_ns,
+    )
+
+
+def _offset_of_messages(octets: memoryview) -> int:
+    for schema, _, message in _found(octets):
+        name = "" if schema is None else schema.name
+        try:
+            if name == EVENT.full_name:
+                return message.log_time - unpack(RecordedEvent, message.data).session_ns
+            if name == HAPTIC_SAMPLES.full_name:
+                return message.log_time - int(unpack_haptics(message.data)["time_ns"][0])
+        except (ProtocolError, IndexError):
+            continue
+    return 0
+
+
+def _found(octets: memoryview) -> Iterator[FoundMessage]:
+    return (item for item in Scan(octets).items() if isinstance(item, FoundMessage))

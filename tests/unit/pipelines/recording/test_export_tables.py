@@ -1,0 +1,119 @@
+"""Tables of a recording: each sample with what became of it, each event with its haptic row."""
+
+import numpy as np
+import pytest
+from synthetic_recording import BEGIN_NS, LINK_CYCLES, MS, S, write_recording
+
+from pipelines.recording.export.columns import Columnizer, joined
+from pipelines.recording.export.tables import TableCollector, haptic_tables, rows_of_haptics
+from pipelines.recording.joined import JoinedMessage, JoinedRecording, follows, read_part
+from pipelines.recording.messages import NO_SAMPLE
+from pipelines.recording.schemas import EVENT, LINK_SENT
+
+
+def read(recording):
+    """The parts of a recording as one."""
+    parts = [read_part(memoryview(path.read_bytes())) for path in recording.paths]
+    return JoinedRecording(parts=parts)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return write_recording(tmp_path_factory.mktemp("recording") / "a.mcap", parts=2)
+
+
+@pytest.fixture(scope="module")
+def tables(written):
+    recording = read(written)
+    collector = TableCollector(recording.begin_ns)
+    for message in recording.messages():
+        collector.handle_message(message)
+    assert not collector.columnizer.unreadable
+    return collector.tables()
+
+
+def test_parts_are_joined_on_the_clock_of_the_session(written, tables):
+    for key in ("up", "down"):
+        table, cycles = tables[f"haptic_{key}"], written.haptics[f"/haptic/{key}/sent"]
+        assert np.array_equal(table["session_ns"], cycles["time_ns"])
+        for name in cycles.dtype.names[1:]:
+            assert np.array_equal(table[name], cycles[name])
+        assert table["time_s"] == pytest.approx((cycles["time_ns"] - BEGIN_NS) / S, abs=1e-12)
+    received = tables["uplink_video_received"]
+    assert len(received["time_s"]) == len(written.told["/uplink_video/received"])
+    assert received["shows_loss"].sum() == 1
+
+
+def test_each_sample_says_when_the_other_end_acted_on_it(written, tables):
+    table = tables["haptic_up"]
+    late = table["delay_s"]
+    assert np.isnan(late[-LINK_CYCLES:]).all()
+    assert late[:-LINK_CYCLES] == pytest.approx(LINK_CYCLES / 1000 + 143e-9, abs=1e-9)
+    acted_on = written.haptics["/haptic/down/received"]["sequence"]
+    assert np.array_equal(table["acted_on"], acted_on)
+
+
+def test_events_and_commands_have_the_haptic_row_in_which_they_happened(written, tables):
+    events = tables["events"]
+    touches = [text == "contact" for text in events["what"]]
+    rows = events["haptic_up_row"][touches].astype(int)
+    cycles = tables["haptic_up"]
+    # Counted from 1.
+    assert [cycles["session_ns"][row - 1] for row in rows] == [at for at, _ in written.contacts]
+    assert cycles["contact"][rows - 1].all()
+    assert not cycles["contact"][rows - 2].any()
+    commands = tables["commands"]
+    selected = commands["what"].index("select static, token 7")
+    row = int(commands["haptic_down_row"][selected])
+    assert 0 <= commands["session_ns"][selected] - tables["haptic_down"]["session_ns"][row - 1] < MS
+    kinds = {*zip(commands["kind"], commands["way"], strict=True)}
+    ways = ("sent", "received")
+    assert kinds == {(kind, way) for kind in ("telecommand", "telemetry") for way in ways}
+
+
+def cycles(instants_ms, sequences):
+    """A haptic channel's columns."""
+    instants = np.array([round(at * MS) for at in instants_ms], np.int64)
+    return {"session_ns": instants, "sequence": np.array(sequences, np.int32)}
+
+
+def test_a_number_that_comes_again_means_the_newest_sample():
+    """Numbers have 16 bits: at 1 kHz the same one comes every 65.5 s."""
+    sent = cycles([0, 1, 65_536, 65_537, 65_538], [0, 1, 0, NO_SAMPLE, 2])
+    received = cycles([10, 11, 65_546, 65_547], [0, 0, 0, NO_SAMPLE])
+    channels = {"/haptic/up/sent": sent, "/haptic/up/received": received}
+    found = haptic_tables(channels, 0)["haptic_up"]["received_s"]
+    assert np.array_equal(found, [0.01, np.nan, 65.546, np.nan, np.nan], equal_nan=True)
+
+
+def test_an_event_far_from_any_cycle_has_no_row():
+    haptics = {"haptic_up": cycles([100, 101], [0, 1])}
+    events = cycles([99.9, 100, 101.5, 121, 121.1], [0] * 5)
+    rows = rows_of_haptics(events, haptics)["haptic_up_row"]
+    assert np.array_equal(rows, [np.nan, 1, 2, 2, np.nan], equal_nan=True)
+
+
+def test_a_figure_that_begins_late_was_zero_before(written):
+    topic = "/link/uplink/sent"
+    columnizer = Columnizer(BEGIN_NS)
+    first, *_ = (one for one in written.told[topic])
+    late = JoinedMessage(topic, LINK_SENT.full_name, 0, 0, 0, first.data, 0)
+    early = late._replace(data=b"")
+    columns = joined([columnizer.rows(early), columnizer.rows(late)])
+    assert columns["carried_haptic_octets"].tolist() == [0, 0]
+    assert columns["capacity_bps"].tolist() == [0, 256_000]
+
+
+def test_messages_that_are_not_of_their_schema_are_counted():
+    columnizer = Columnizer(0)
+    message = JoinedMessage("/events", EVENT.full_name, 0, 0, 0, b"\xff", 0)
+    assert columnizer.rows(message) is None
+    assert columnizer.unreadable == {"/events": 1}
+    assert columnizer.rows(message._replace(schema="some.Other")) is None
+
+
+def test_a_part_of_another_recording_does_not_follow(tmp_path, written):
+    first, second = (read_part(memoryview(path.read_bytes())) for path in written.paths)
+    assert follows(second, first)
+    assert not follows(first, second)
+    assert not follows(first, first)
