@@ -47,7 +47,9 @@ MAX_READERS = 16
 #: A killed writer counts until another process has cleaned up after it.
 _MAX_WRITERS = 4
 _MAX_NODES = 64
-_MAX_DEPTH = 8
+#: A recorder that sleeps half a second loses nothing of a topic with 50 samples a second. Room in
+#: shared memory is taken only when it is written.
+_MAX_DEPTH = 32
 #: Two that a reader holds, and one that `latest` receives before it releases an older one.
 _MAX_LEASES = 3
 _SOURCE_OCTETS = 16

@@ -18,6 +18,7 @@ BENCHES = {
     "link": "the radio link: delays on virtual time, punctuality and cost on this machine",
     "page": "the browser pages: topic to pixel beside WebRTC, pointer to hand, cost of a session",
     "passes": "many sessions of a whole pass on virtual time, and whether each was usable",
+    "record": "a recording: what a kill and a cut file lose, and what it costs the session",
     "sync": "how far sight, hearing and touch lie apart, from what they show; also of recordings",
     "video": "pictures through a thin channel: latency, quality, rate and cost, beside GStreamer's",
     "voice": "speech through a lossy network: mouth to ear, rate and quality, beside GStreamer's",

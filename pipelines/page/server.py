@@ -64,7 +64,7 @@ _STALLED_NS = 30 * NS_PER_S
 _CLOSE_S = 0.5
 #: After so many messages to one page the others have their turn.
 _TURN = 16
-#: Unread samples of a topic that are kept: the most that there can be.
+#: Unread samples of a topic that are kept.
 _DEPTH = 8
 _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
 

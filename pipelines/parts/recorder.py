@@ -40,7 +40,7 @@ _DRAIN_NS = 150 * NS_PER_MS
 #: How long a slow disk may take at the end.
 _CLOSE_S = 1.5
 #: Unread samples of a topic that are kept: the most that there can be.
-_DEPTH = 8
+_DEPTH = 32
 
 
 def run_recorder(context: Context) -> None:

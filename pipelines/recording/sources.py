@@ -39,15 +39,6 @@ def sources_of(topology: Topology, *, link_frames: bool = False) -> tuple[Source
 
 
 def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
-    for haptic in topology.haptics:
-        end = haptic.sender
-        felt = next(row for row in topology.haptics if row.receiver == end)
-        yield Source(
-            topic=_TRACES[end],
-            content=Content.HAPTICS,
-            channels=(f"/haptic/{haptic.key}/{SENT}", f"/haptic/{felt.key}/{RECEIVED}"),
-            name=end,
-        )
     for media in topology.media_streams:
         if not isinstance(media, VideoRow):
             continue
@@ -67,4 +58,14 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
             content=Content.CAMERA,
             channels=(f"/camera/{row.name}",),
             name=row.name,
+        )
+    # Last, because they are opened in this order, and these are the fastest.
+    for haptic in topology.haptics:
+        end = haptic.sender
+        felt = next(row for row in topology.haptics if row.receiver == end)
+        yield Source(
+            topic=_TRACES[end],
+            content=Content.HAPTICS,
+            channels=(f"/haptic/{haptic.key}/{SENT}", f"/haptic/{felt.key}/{RECEIVED}"),
+            name=end,
         )

@@ -40,6 +40,7 @@ _TITLES = {
     "passes": "Sessions of a whole pass",
     "fanout": "One picture for many processes",
     "page": "The browser pages",
+    "record": "Recordings",
 }
 _VIRTUAL = ("haptics", "sync", "passes")
 
@@ -57,6 +58,7 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "passes": "--sessions 3 --no-media",
         "fanout": "--seconds 2 --readers 1,8",
         "page": "--runs 1 --seconds 8",
+        "record": "--kills 10 --cuts 500 --pairs 1 --seconds 20",
     },
     "full": {
         "latency": "--seconds 60 --live-seconds 60",
@@ -70,6 +72,7 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "passes": "--sessions 23",
         "fanout": "--seconds 10",
         "page": "--runs 1 --seconds 30",
+        "record": "--kills 200 --cuts 0 --pairs 3 --seconds 60",
     },
     "smoke": {
         "latency": "--seconds 1 --live-seconds 5",
@@ -83,6 +86,7 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "passes": "--sessions 1 --seconds 4 --radio clean --no-media",
         "fanout": "--seconds 0.2 --readers 1",
         "page": "--runs 1 --seconds 2",
+        "record": "--kills 1 --cuts 10 --pairs 1 --seconds 5",
     },
 }
 #: `smoke` shows that all of it works; its figures mean nothing.
