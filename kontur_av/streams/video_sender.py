@@ -110,6 +110,8 @@ class VideoSender(PacedSender):
         self._scheduler = EncodeScheduler(pacer, fps=fps)
         self._losses = PictureLossListener(ssrc=identity.ssrc)
         self._events: deque[PictureCoded | UnitSent] = deque(maxlen=EVENTS_KEPT)
+        #: Pictures that came coded.
+        self._coded = 0
         self._adapt_refresh = adapt_refresh
         self._slow_refresh = False
         self._way_back: bool | None = None
@@ -193,6 +195,25 @@ class VideoSender(PacedSender):
         )
         self._queue(packetized, capture_ns, encoded_ns)
 
+    def handle_coded(self, unit: AccessUnit, now_ns: int) -> None:
+        """A picture comes that is coded already, such as one of a recording.
+
+        It goes into the pacer behind those before it, however long they wait. A sender takes either
+        such pictures, or encodes its own.
+        """
+        self._coded += 1
+        packetized = self._rtp.video_packets(unit)
+        packets, timestamp, octets = packetized
+        capture_ns = unit.stamp.capture_ns
+        self._events.append(
+            PictureCoded(timestamp, capture_ns, now_ns, now_ns, now_ns, sum(octets), len(packets))
+        )
+        self._queue(packetized, capture_ns, now_ns)
+
+    def timestamp(self, capture_ns: int) -> int:
+        """Return the 32-bit RTP timestamp of a picture captured at this instant."""
+        return self._rtp.timestamp(capture_ns)
+
     def finish(self) -> None:
         """Encode no more pictures; packets that wait still leave."""
         self._scheduler.finish()
@@ -210,7 +231,7 @@ class VideoSender(PacedSender):
     def counts(self) -> VideoSenderCounts:
         """The counts so far."""
         return VideoSenderCounts(
-            captured=self._scheduler.captured,
+            captured=self._scheduler.captured + self._coded,
             refused=self._scheduler.refused,
             encoded=self._encoded,
             sent=self._sent,

@@ -9,11 +9,13 @@ from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile_file import load_radio
 
 
-def add_setup_argument(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
-    """`--setup`, which must be given where it has no default."""
+def add_setup_argument(
+    parser: argparse.ArgumentParser, *, default: str | None = None, needed: bool = True
+) -> None:
+    """`--setup`, which must be given where it has no default; needed: False if it need not be."""
     parser.add_argument(
         "--setup",
-        required=default is None,
+        required=needed and default is None,
         default=default,
         metavar="NAME",
         help=f"spacejustin, taskboard or FILE.toml{_said(default)}",

@@ -9,6 +9,12 @@ from pathlib import Path
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import output_that_may_fail, stopped_by_signals
+from pipelines.commands.replay_options import (
+    add_replay_arguments,
+    check_caps,
+    load_recording,
+    replay_setup,
+)
 from pipelines.commands.session_options import (
     add_deadband_argument,
     add_hand_argument,
@@ -19,6 +25,7 @@ from pipelines.commands.session_options import (
     radio_changes,
 )
 from pipelines.commands.stream import check_sources, parse_sources
+from pipelines.recording.recorded_session import RecordedSession
 from pipelines.report.model import SessionReport
 from pipelines.report.report_file import check_writable, write_report
 from pipelines.report.summary import print_summary
@@ -26,6 +33,7 @@ from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import Setup
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.inputs import check_sources as check_virtual_sources
+from pipelines.simulation.replay import Replay
 from pipelines.simulation.session import Selection, Simulation
 from pipelines.simulation.workers import Workers
 
@@ -35,9 +43,18 @@ _STRIDE_NS = 50 * NS_PER_MS
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av simulate`."""
-    add_setup_argument(parser)
-    parser.add_argument("--seconds", type=float, required=True, metavar="S", help="of virtual time")
+    add_setup_argument(parser, needed=False)
+    parser.add_argument("--seconds", type=float, metavar="S", help="of virtual time")
+    parser.add_argument(
+        "--replay",
+        type=Path,
+        metavar="FILE.mcap",
+        help="send again what a recorded session sent; its setup, radio and seed, unless others "
+        "are given",
+    )
+    add_replay_arguments(parser)
     add_radio_arguments(parser)
+    parser.set_defaults(seed=None)
     add_deadband_argument(parser)
     add_hand_argument(parser)
     parser.add_argument(
@@ -76,8 +93,26 @@ def run(args: argparse.Namespace) -> int:
 
     Ctrl-C and SIGTERM end it early; the report then covers the time until then.
     """
-    if not 0 < args.seconds < 1e6:
+    if args.seconds is not None and not 0 < args.seconds < 1e6:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0 and below 1000000")
+    costs = CodingCosts(**{cost.name: getattr(args, cost.name) for cost in fields(CodingCosts)})
+    check_writable(args.report)
+    report = _simulate(args, costs) if args.replay is None else _replay(args, costs)
+    if args.report is not None:
+        write_report(args.report, report)
+    if not args.quiet:
+        with output_that_may_fail():
+            print_summary(report)
+    return 1 if report.failures else 0
+
+
+def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
+    for option in ("setup", "seconds"):
+        if getattr(args, option) is None:
+            raise ConfigError(f"--{option} is missing: a simulation without --replay needs it")
+    for option in ("recode", "cap_kbps"):
+        if getattr(args, option):
+            raise ConfigError(f"--{option.replace('_', '-')} changes a replay: give --replay, too")
     changes = {**radio_changes(args), **deadband_changes(args), **hand_changes(args)}
     setup = load_setup(
         args.setup,
@@ -87,25 +122,37 @@ def run(args: argparse.Namespace) -> int:
     )
     check_virtual_sources(setup)
     check_sources(setup)
-    check_writable(args.report)
     selections = parse_selections(args.select, setup, args.seconds)
-    costs = CodingCosts(**{cost.name: getattr(args, cost.name) for cost in fields(CodingCosts)})
     with stopped_by_signals() as stopped:
-        report = simulate(
+        return simulate(
             setup,
             seconds=args.seconds,
-            seed=args.seed,
+            seed=args.seed or 0,
             media=not args.no_media,
             selections=selections,
             costs=costs,
             stopped=stopped,
         )
-    if args.report is not None:
-        write_report(args.report, report)
-    if not args.quiet:
-        with output_that_may_fail():
-            print_summary(report)
-    return 1 if report.failures else 0
+
+
+def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
+    for option in ("source", "select", "deadband", "hand"):
+        if getattr(args, option):
+            raise ConfigError(f"--{option} changes what is sent: a replay sends what was recorded")
+    session = load_recording(args.replay)
+    setup = replay_setup(args, args.replay, session)
+    check_caps(args.replay, setup, session, recode=args.recode)
+    with stopped_by_signals() as stopped:
+        return replay(
+            session,
+            setup,
+            seconds=args.seconds,
+            seed=session.facts.seed if args.seed is None else args.seed,
+            media=not args.no_media,
+            costs=costs,
+            recode=str(args.replay) if args.recode else None,
+            stopped=stopped,
+        )
 
 
 def simulate(
@@ -126,17 +173,48 @@ def simulate(
         simulation = Simulation(
             setup, workers, seed=seed, media=media, selections=selections, costs=costs
         )
-        # The present objects stay until the end, so the garbage collector need not visit them.
-        gc.collect()
-        gc.freeze()
-        try:
-            now_ns, end_ns = 0, round(seconds * NS_PER_S)
-            while now_ns < end_ns and not stopped():
-                now_ns = min(now_ns + _STRIDE_NS, end_ns)
-                simulation.run(now_ns)
-        finally:
-            gc.unfreeze()
+        _run(simulation, round(seconds * NS_PER_S), stopped)
         return simulation.report()
+
+
+def replay(
+    session: RecordedSession,
+    setup: Setup,
+    *,
+    seed: int,
+    seconds: float | None = None,
+    media: bool = True,
+    costs: CodingCosts | None = None,
+    recode: str | None = None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> SessionReport:
+    """Send a recorded session through the link of `setup` on virtual time.
+
+    seconds: of virtual time; None: until everything has arrived. recode, seed, media, costs: as of
+    `Replay`. stopped: as of `simulate`.
+    """
+    with Workers() as workers:
+        simulation = Replay(
+            session, setup, workers, seed=seed, media=media, costs=costs, recode=recode
+        )
+        end_ns = simulation.end_ns
+        if seconds is not None:
+            end_ns = min(end_ns, simulation.start_ns + round(seconds * NS_PER_S))
+        _run(simulation, end_ns, stopped)
+        return simulation.report()
+
+
+def _run(simulation: Simulation, end_ns: int, stopped: Callable[[], bool]) -> None:
+    # The present objects stay until the end, so the garbage collector need not visit them.
+    gc.collect()
+    gc.freeze()
+    try:
+        now_ns = simulation.start_ns
+        while now_ns < end_ns and not stopped():
+            now_ns = min(now_ns + _STRIDE_NS, end_ns)
+            simulation.run(now_ns)
+    finally:
+        gc.unfreeze()
 
 
 def parse_selections(options: Sequence[str], setup: Setup, seconds: float) -> list[Selection]:

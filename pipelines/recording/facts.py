@@ -5,7 +5,7 @@ MCAP gives metadata no check of its own. So one of its items is the CRC-32 of th
 
 from binascii import crc32
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Self
 
 from kontur_av import __version__
@@ -30,6 +30,8 @@ class RecordingFacts:
     part: counts the files of a recording from 1.
     session_ns, wall_ns: the same instant on the session's clock and in wall time. Their difference
         is fixed for the whole recording, so differences of wall times are true durations.
+    started_ns: when the session began, on its clock, which is time 0 of its radio; 0: not known.
+    radio_start_s: how long after its acquisition of signal the radio's contact was at that time.
     """
 
     session: str
@@ -41,6 +43,8 @@ class RecordingFacts:
     part: int
     session_ns: int
     wall_ns: int
+    started_ns: int = 0
+    radio_start_s: float = 0.0
 
     def items(self) -> dict[str, str]:
         """Return them for a metadata record, with format and check."""
@@ -51,7 +55,13 @@ class RecordingFacts:
     def of(cls, items: Mapping[str, str]) -> Self:
         """Return the facts in a metadata record; ProtocolError if one is missing or no number."""
         try:
-            return cls(**{one.name: one.type(items[one.name]) for one in fields(cls)})  # type: ignore[operator]
+            return cls(
+                **{
+                    one.name: one.type(items[one.name])  # type: ignore[operator]
+                    for one in fields(cls)
+                    if one.default is MISSING or one.name in items
+                }
+            )
         except KeyError as error:
             raise ProtocolError(f"metadata {FACTS!r} lack {error}") from None
         except ValueError as error:

@@ -472,6 +472,42 @@ class CostsReport(Report, frozen=True, kw_only=True):
     voice_decode_ms: float
 
 
+class ReplayedStream(Report, frozen=True, kw_only=True):
+    """The pictures of a replayed stream, held against those of the recording."""
+
+    #: Access units in the recording, as they were sent.
+    units_sent: int
+    #: Of these, arrived whole; 0 if they were coded anew.
+    units_received: int
+    #: Of these, arrived whole in the recorded session; left out if that is not known.
+    recorded_received: int | None = None
+    #: Arrived alike, octet by octet, in both.
+    same_received: int | None = None
+    #: Decoded pictures that equal what was sent.
+    pictures_same: int
+    #: PSNR of the luma of all decoded pictures against what was sent, at most 99; with losses.
+    psnr_db_mean: float | None = None
+    #: The twentieth that is worst begins here.
+    psnr_db_p5: float | None = None
+
+
+class ReplayReport(Report, frozen=True, kw_only=True):
+    """A recording that was sent again."""
+
+    #: The recorded session.
+    session: str
+    #: The seed of its radio.
+    recorded_seed: int
+    #: Whether the pictures were coded anew.
+    recoded: bool
+    #: By stream of pictures.
+    streams: dict[str, ReplayedStream]
+    #: Haptic samples that were not sent, because a newer one belonged to the same cycle.
+    samples_superseded: int
+    #: By channel: messages that the recording lacks.
+    missing: dict[str, int]
+
+
 class SimulationReport(Report, frozen=True, kw_only=True):
     """The inputs of this simulation."""
 
@@ -481,6 +517,8 @@ class SimulationReport(Report, frozen=True, kw_only=True):
     #: Whether it had media streams.
     media: bool
     costs: CostsReport
+    #: Of a replay only.
+    replay: ReplayReport | None = None
 
 
 class RecordedChannel(Report, frozen=True, kw_only=True):

@@ -3,6 +3,7 @@
 A mistake in the file is a ConfigError that names the field and the mend.
 """
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -79,9 +80,31 @@ def load_setup(
     `Setup` to replace. radio_start_s: begin the session this long after the acquisition of signal
     of the radio's pass.
     """
-    values = _values_of(name)
+    return _built(_values_of(name), sources, changes, radio_start_s)
+
+
+def setup_from_text(
+    text: str, *, changes: Mapping[str, Any] = _NOTHING, radio_start_s: float | None = None
+) -> Setup:
+    """A setup from the text of a TOML file, as `setup_text.setup_toml` writes it.
+
+    changes, radio_start_s: as of `load_setup`. Raises ConfigError for a text that is no setup.
+    """
+    try:
+        values = _values(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"its setup is no TOML: {error}") from None
+    return _built(values, _NOTHING, changes, radio_start_s)
+
+
+def _built(
+    found: Mapping[str, Any],
+    sources: Mapping[str, str],
+    changes: Mapping[str, Any],
+    radio_start_s: float | None,
+) -> Setup:
     # Put them in before the setup is built: an input may have its only source on the command line.
-    values |= {"sources": {**values["sources"], **sources}, **changes}
+    values = {**found, "sources": {**found["sources"], **sources}, **changes}
     radio = values["radio"]
     if isinstance(radio, str) and (radio_start_s is not None or radio not in RADIOS):
         values["radio"] = radio = load_radio(radio)

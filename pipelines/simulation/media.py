@@ -7,7 +7,7 @@ from random import Random
 
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity
-from pipelines.cores.following import CameraFollower
+from pipelines.cores.following import CameraFollower, Choice
 from pipelines.cores.gain import gain_of
 from pipelines.cores.session_streams import (
     video_receiver,
@@ -31,7 +31,7 @@ from pipelines.simulation.agenda import Agenda
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.inputs import Camera, Microphone, ShowPicture, Stereo
 from pipelines.simulation.receivers import Display, VideoReceiveProcess, VoiceReceiveProcess
-from pipelines.simulation.senders import VideoSendProcess, VoiceSendProcess
+from pipelines.simulation.senders import RecordedVideoProcess, VideoSendProcess, VoiceSendProcess
 from pipelines.simulation.studio import (
     Picture,
     VideoDecoding,
@@ -40,14 +40,14 @@ from pipelines.simulation.studio import (
     VoiceStudio,
 )
 from pipelines.simulation.telling import Telling
-from pipelines.simulation.workers import Worker, Workers
+from pipelines.simulation.workers import Coder, Worker, Workers
 from pipelines.topology import Topology
 from telepresence.link.backlog import Backlog
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 
 #: The instants of virtual time are Unix times.
-_WALL_OFFSET_NS = 0
+WALL_OFFSET_NS = 0
 
 #: Takes the datagrams of a flow that come out of the link, with the instant.
 Consumer = Callable[[bytes, int], object]
@@ -78,7 +78,6 @@ class Media:
 
     on_confirmed: called with the number of a choice that the sender has confirmed, and the instant.
     consumers: by flow, to be called with (datagram, now_ns) that come out of the link.
-    handle_choice: to be called with each choice of the camera, and the instant.
     backlogs: by direction, to be called with (backlog, now_ns) that the gateway reports.
     """
 
@@ -88,8 +87,10 @@ class Media:
         self._scene = scene
         self._on_confirmed = on_confirmed
         self._receivers: list[VideoReceiveProcess | VoiceReceiveProcess] = []
+        self._video_receivers: dict[str, VideoReceiveProcess] = {}
         #: By display.
         self._displays: dict[str, Display] = {}
+        self._follow_choice: Callable[[Choice, int], None] | None = None
         #: Everything shown up to this instant is known.
         self._settled_ns = scene.start_ns
         setup = scene.setup
@@ -101,9 +102,7 @@ class Media:
         pictures_down = None
         if setup.downlink_video is not None:
             pictures_down = self._receive_video(setup.downlink_video)
-            studio = self._studio(setup.downlink_video, [ISS_CAMERA])
-            sender = self._video_sender(setup.downlink_video, scene.space, studio)
-            self._camera(ISS_CAMERA, setup.downlink_video, studio, sender.handle_picture)
+            self._send_downlink_video(setup.downlink_video)
         if setup.downlink_voice is not None:
             self._receive_voice(setup.downlink_voice, pictures_down)
             self._send_voice(setup.downlink_voice, ISS_MIC, scene.space)
@@ -122,7 +121,7 @@ class Media:
         sender = self._video_sender(stream, self._scene.ground, studio)
         follower = sender.follower = CameraFollower()
         sender.on_confirmed = self._on_confirmed
-        self.handle_choice = sender.handle_choice
+        self._follow_choice = sender.handle_choice
 
         def select(camera: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
             if camera == follower.camera:
@@ -143,20 +142,35 @@ class Media:
             select(camera, picture, stamp, now_ns)
 
         for name in setup.camera_inputs:
-            self._camera(name, stream, studio, partial(show, name))
+            self._camera(name, stream, self._film(name, studio), partial(show, name))
+
+    def _send_downlink_video(self, stream: VideoStream) -> None:
+        studio = self._studio(stream, [ISS_CAMERA])
+        sender = self._video_sender(stream, self._scene.space, studio)
+        self._camera(ISS_CAMERA, stream, self._film(ISS_CAMERA, studio), sender.handle_picture)
+
+    def handle_choice(self, choice: Choice, now_ns: int) -> None:
+        """The selector says which camera to take."""
+        if self._follow_choice is not None:
+            self._follow_choice(choice, now_ns)
 
     def _studio(self, stream: VideoStream, cameras: Sequence[str]) -> Worker:
         specs = {name: self._scene.setup.source(name) for name in cameras}
         return self._scene.workers.start(partial(VideoStudio, stream, specs, self._scene.start_ns))
 
-    def _camera(self, name: str, stream: VideoStream, studio: Worker, show: ShowPicture) -> None:
+    def _film(self, name: str, studio: Worker) -> Worker | None:
+        """What plays the file of an input; None for a scene."""
+        return None if self._scene.setup.source(name).startswith("scene:") else studio
+
+    def _camera(
+        self, name: str, stream: VideoStream, film: Worker | None, show: ShowPicture
+    ) -> None:
         scene = self._scene
-        spec = scene.setup.source(name)
         camera = Camera(
             name,
             stream.fps,
             agenda=scene.agenda,
-            worker=None if spec.startswith("scene:") else studio,
+            worker=film,
             probe=scene.telling.probe(scene.topology.input(name).process),
             state_at=scene.state_at,
             cost_ns=scene.costs.ns("capture"),
@@ -172,7 +186,7 @@ class Media:
         identity = self._identity(stream.name)
         sender = VideoSendProcess(
             stream.name,
-            video_sender(scene.setup, stream, identity, wall_offset_ns=_WALL_OFFSET_NS),
+            video_sender(scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS),
             scene.telling.probe(scene.topology.media(stream.name).sender),
             gain_of(scene.setup, stream),
             agenda=scene.agenda,
@@ -180,10 +194,16 @@ class Media:
             studio=studio,
             costs=scene.costs,
         )
+        self._add_sender(stream, sender)
+        return sender
+
+    def _add_sender(
+        self, stream: VideoStream, sender: VideoSendProcess | RecordedVideoProcess
+    ) -> None:
+        scene = self._scene
         scene.telling.add(sender.tell)
         self.consumers[scene.topology.video(stream.name).feedback] = sender.handle_feedback
         self.backlogs[scene.setup.profile_of(stream).name] = sender.handle_backlog
-        return sender
 
     def _send_voice(self, stream: VoiceStream, name: str, gateway: Gateway) -> None:
         scene = self._scene
@@ -192,7 +212,7 @@ class Media:
         identity = self._identity(stream.name)
         sender = VoiceSendProcess(
             stream.name,
-            voice_sender(scene.setup, stream, identity, wall_offset_ns=_WALL_OFFSET_NS),
+            voice_sender(scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS),
             scene.telling.probe(scene.topology.media(stream.name).sender),
             agenda=scene.agenda,
             gateway=gateway,
@@ -219,23 +239,30 @@ class Media:
         ssrc = Random(f"{scene.seed} {stream.name} receiver").getrandbits(32)
         receiver = VideoReceiveProcess(
             stream.name,
-            video_receiver(stream, ssrc=ssrc, wall_offset_ns=_WALL_OFFSET_NS),
+            video_receiver(stream, ssrc=ssrc, wall_offset_ns=WALL_OFFSET_NS),
             probe,
             display,
             agenda=scene.agenda,
-            decoder=scene.workers.start(partial(VideoDecoding, watched)),
+            decoder=scene.workers.start(self._decoding(stream, watched)),
             costs=scene.costs,
             ask=partial(far.handle_datagram, scene.topology.video(stream.name).feedback),
         )
         self._add_receiver(stream.name, receiver)
+        self._video_receivers[stream.name] = receiver
         return receiver
+
+    def _decoding(
+        self, stream: VideoStream, watched: tuple[int, int] | None
+    ) -> Callable[[], Coder]:
+        """What makes the decoder of a stream, in the process of its worker."""
+        return partial(VideoDecoding, watched)
 
     def _receive_voice(self, stream: VoiceStream, pictures: VideoReceiveProcess | None) -> None:
         scene, display = self._scene, self._display(stream.name)
         probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
         receiver = VoiceReceiveProcess(
             stream.name,
-            voice_receiver(scene.topology, stream, wall_offset_ns=_WALL_OFFSET_NS),
+            voice_receiver(scene.topology, stream, wall_offset_ns=WALL_OFFSET_NS),
             probe,
             display,
             agenda=scene.agenda,

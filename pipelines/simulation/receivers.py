@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import partial
 
 from kontur_av.media import CaptureStamp
+from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
@@ -73,6 +74,10 @@ class VideoReceiveProcess:
         self._ask = ask
         #: Called with (instant, latency) of each picture when it is shown.
         self.on_shown: Callable[[int, int], None] | None = None
+        #: Called with each access unit that was received.
+        self.on_unit: Callable[[ReceivedUnit], None] | None = None
+        #: PSNR of each picture against its original, where that is known.
+        self.quality_db: list[float] = []
         self._cost_ns = costs.ns("decode")
         self._free_ns = 0
         self._decoding: deque[tuple[int, int, int | None]] = deque()
@@ -97,6 +102,8 @@ class VideoReceiveProcess:
     def _drain(self, now_ns: int) -> None:
         while (unit := self._receiver.next_event()) is not None:
             note_unit(self._probe, unit)
+            if self.on_unit is not None:
+                self.on_unit(unit)
             # One at a time, as in the live process.
             self._free_ns = max(now_ns, self._free_ns) + self._cost_ns
             self._decoder.submit((unit.data, unit.timestamp, self._free_ns))
@@ -116,7 +123,8 @@ class VideoReceiveProcess:
         """Wait for pictures decoded by `until_ns`, and show each at its own instant."""
         while self._decoding and self._decoding[0][0] <= until_ns:
             shown_ns, timestamp, dated_ns = self._decoding.popleft()
-            pictures, self._counts, lights = self._decoder.next_result()
+            pictures, self._counts, lights, quality = self._decoder.next_result()
+            self.quality_db.extend(quality)
             for of, width, height, corrupt in pictures:
                 capture_ns = dated_ns if of == timestamp else self._receiver.capture_ns(of)
                 stamp = self._receiver.handle_picture(

@@ -21,7 +21,7 @@ from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 
 
-class _Process:
+class SendProcess:
     """Sends packets that are due, and encodes what its sender asks for."""
 
     def __init__(
@@ -55,7 +55,7 @@ class _Process:
         self._timer.set(self._sender.poll_timeout(), now_ns)
 
 
-class VideoSendProcess(_Process):
+class VideoSendProcess(SendProcess):
     """Encodes the newest picture when the stream's budget has room for one.
 
     Packets leave meanwhile: the live process encodes in a thread.
@@ -157,7 +157,7 @@ class VideoSendProcess(_Process):
         self._look(now_ns)
 
 
-class VoiceSendProcess(_Process):
+class VoiceSendProcess(SendProcess):
     """Encodes every block of sound as it comes.
 
     No packet leaves meanwhile, as in the live process.
@@ -210,3 +210,55 @@ class VoiceSendProcess(_Process):
             self._look(now_ns)
 
         return finish
+
+
+class RecordedVideoProcess(SendProcess):
+    """Sends the access units of a recording, each at its instant."""
+
+    def __init__(
+        self,
+        stream: str,
+        sender: VideoSender,
+        probe: Probe,
+        gain: CapGain | None = None,
+        *,
+        agenda: Agenda,
+        gateway: Gateway,
+    ) -> None:
+        super().__init__(stream, sender, probe, agenda=agenda, gateway=gateway)
+        self._core = sender
+        self._linked = LinkedVideoSender(sender, gain)
+        self.handle_feedback = sender.handle_feedback
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        tell_sender(self._probe, self._core, self._linked.gain)
+
+    def handle_unit(self, unit: AccessUnit, now_ns: int) -> None:
+        """A recorded unit is due."""
+        self._core.handle_coded(unit, now_ns)
+        self._send_due(now_ns)
+
+    def handle_backlog(self, backlog: Backlog, now_ns: int) -> None:
+        """The gateway's report, which can only raise the cap."""
+        self._linked.handle_backlog(backlog, now_ns, now_ns)
+
+
+class RecordedVoiceProcess(SendProcess):
+    """Sends the Opus packets of a recording, each at its instant."""
+
+    def __init__(
+        self, stream: str, sender: VoiceSender, probe: Probe, *, agenda: Agenda, gateway: Gateway
+    ) -> None:
+        super().__init__(stream, sender, probe, agenda=agenda, gateway=gateway)
+        self._core = sender
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        tell_sender(self._probe, self._core)
+
+    def handle_packet(self, opus: bytes, stamp: CaptureStamp, now_ns: int) -> None:
+        """A recorded packet is due."""
+        if self._core.handle_block(stamp, now_ns):
+            self._core.handle_packet(opus, stamp, now_ns)
+        self._send_due(now_ns)

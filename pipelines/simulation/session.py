@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from random import Random
+from typing import Protocol
 
 import msgspec
 
@@ -41,8 +42,6 @@ from telepresence.world import WorldState, scripted_state
 #: The figures of a decoder are reported later by this, so that it need not keep step.
 _SETTLE_NS = 400_000_000
 
-_START_NS = 0
-
 
 @dataclass(frozen=True)
 class Selection:
@@ -52,11 +51,26 @@ class Selection:
     camera: str
 
 
+class HapticEnd(Protocol):
+    """Robot or joystick, one cycle at a time; see `pipelines.cores.haptics`."""
+
+    def handle_datagram(self, data: bytes, now_ns: int) -> None: ...
+
+    def handle_cycle(self, now_ns: int, advance_ns: int) -> None: ...
+
+    def poll_transmit(self, now_ns: int) -> bytes | None: ...
+
+    def next_event(self) -> WorldState | None: ...
+
+    def tell(self) -> None: ...
+
+
 class Simulation:
     """A session of `setup`; `run` it, in one piece or in several, then ask for its `report`.
 
     seed: everything random derives from it. media: without, only haptics and telecommands travel.
-    selections: the script of telecommands.
+    selections: the script of telecommands. start_ns: when it begins. epoch_ns: time 0
+    of the radio.
     """
 
     def __init__(
@@ -68,6 +82,8 @@ class Simulation:
         media: bool = True,
         selections: Sequence[Selection] = (),
         costs: CodingCosts | None = None,
+        start_ns: int = 0,
+        epoch_ns: int = 0,
     ) -> None:
         slot_ns = setup.uplink.slot_ns
         if not slot_ns == setup.downlink.slot_ns == CYCLE_NS:
@@ -82,7 +98,8 @@ class Simulation:
         self._costs = costs or CodingCosts()
         self._agenda = agenda = Agenda()
         self._telling = telling = Telling(self.collector)
-        self._now_ns = self._next_slot_ns = _START_NS
+        self._epoch_ns = epoch_ns
+        self.start_ns = self._now_ns = self._next_slot_ns = start_ns
         self._slots = 0
         self._state: WorldState | None = None
         #: What waits for the next haptic cycle.
@@ -91,25 +108,17 @@ class Simulation:
         self._ground = self._gateway(Segment.GROUND)
         self._space = self._gateway(Segment.SPACE)
         self._slots_of = [
-            GatewaySlots(end, first_ns=_START_NS) for end in (self._ground, self._space)
+            GatewaySlots(end, first_ns=start_ns) for end in (self._ground, self._space)
         ]
         # When the next frame arrives: asked twice a slot, so without a detour.
         self._up_timeout = self._ground.radio.poll_timeout
         self._down_timeout = self._space.radio.poll_timeout
-        up, telemetry = self.topology.haptic("up"), self.topology.stream(TELEMETRY)
+        telemetry = self.topology.stream(TELEMETRY)
         assert telemetry.sender is not None and telemetry.receiver is not None
-        lives = [
-            self._random(f"{row} life").randrange(1, LIVES) for row in (up.sender, up.receiver)
-        ]
-        deadband, mediated = setup.deadband != "off", setup.hand == "mediated"
-        self._robot = RobotEnd(
-            self._probe(up.sender), life=lives[0], deadband=deadband, mediated=mediated
-        )
-        self._joystick = JoystickEnd(
-            self._probe(up.receiver), life=lives[1], deadband=deadband, mediated=mediated
-        )
-        self._add(self._robot, self._joystick)
-        self._choice = CameraChoice(setup, self._probe(telemetry.sender), now_ns=_START_NS)
+        self._robot, self._joystick = self._make_ends()
+        telling.add(self._robot.tell)
+        telling.add(self._joystick.tell)
+        self._choice = CameraChoice(setup, self._probe(telemetry.sender), now_ns=start_ns)
         self._console = Console(
             setup,
             self._probe(telemetry.receiver),
@@ -118,7 +127,7 @@ class Simulation:
         self._add(self._choice, self._console)
         self._console_timer = Timer(agenda, self._console_sends)
         self._choice_timer = Timer(agenda, self._choice_sends)
-        self._choice_timer.set(self._choice.poll_timeout(), _START_NS)
+        self._set_choice_timer(start_ns)
         #: What the terminal of each telecommand of the script has been answered.
         self.answers: dict[int, bytes] = dict.fromkeys(range(len(selections)), b"")
         for terminal, selection in enumerate(selections):
@@ -136,20 +145,20 @@ class Simulation:
                 ground=self._ground,
                 space=self._space,
                 state_at=self._state_at,
-                start_ns=_START_NS,
+                start_ns=start_ns,
             )
-            self._media = Media(scene, self._confirm)
-            self._media.handle_choice(self._choice.choice, _START_NS)
+            self._media = self._make_media(scene)
+            self._media.handle_choice(self._choice.choice, start_ns)
         consumers: dict[str, Consumer] = self._media.consumers if self._media else {}
         self._consumers = {
             **consumers,
             TELECOMMAND: self._take_telecommand,
             TELEMETRY: self._take_telemetry,
         }
-        agenda.at(_START_NS + FLUSH_NS, self._flush)
+        agenda.at(start_ns + FLUSH_NS, self._flush)
 
     def run(self, until_ns: int) -> None:
-        """Go on until `until_ns`, counted from the session's start."""
+        """Go on until `until_ns`; the session began at `start_ns`."""
         # Looked up once: what follows is done a thousand times a simulated second.
         ground, space = self._ground, self._space
         ground_slots, space_slots = self._slots_of
@@ -162,7 +171,7 @@ class Simulation:
         feedback, command = ground.handle_haptic, space.handle_haptic
         next_state, advance = robot.next_event, self._advance
         samples_down, samples_up = self._samples_down, self._samples_up
-        mediated = self.setup.hand == "mediated"
+        poll_wall = robot.poll_wall if isinstance(robot, RobotEnd) and self._mediated else None
         half_ns = CYCLE_NS // 2
         slot_ns = self._next_slot_ns
         while slot_ns < until_ns:
@@ -181,7 +190,7 @@ class Simulation:
             samples_up.clear()
             robot_cycle(now_ns, CYCLE_NS)
             joystick_cycle(now_ns, CYCLE_NS)
-            if mediated and (wall := robot.poll_wall(now_ns)) is not None:
+            if poll_wall is not None and (wall := poll_wall(now_ns)) is not None:
                 ground.handle_datagram(TELEMETRY, wall, now_ns)
             sent = robot_sends(now_ns)
             if sent is not None:
@@ -207,7 +216,7 @@ class Simulation:
         report = build_report(
             self.setup,
             self.collector,
-            seconds=(self._now_ns - _START_NS) / NS_PER_S,
+            seconds=(self._now_ns - self.start_ns) / NS_PER_S,
             cpu_s=dict.fromkeys(processes, 0.0),
             restarts=dict.fromkeys(processes, 0),
             launcher_cpu_s=0.0,
@@ -220,6 +229,34 @@ class Simulation:
             costs=CostsReport(**asdict(self._costs)),
         )
         return msgspec.structs.replace(report, simulation=simulation)
+
+    @property
+    def _mediated(self) -> bool:
+        return self.setup.hand == "mediated"
+
+    def _make_ends(self) -> tuple[HapticEnd, HapticEnd]:
+        """Robot and joystick."""
+        up = self.topology.haptic("up")
+        deadband = self.setup.deadband != "off"
+        robot = RobotEnd(
+            self._probe(up.sender),
+            life=self._life(up.sender),
+            deadband=deadband,
+            mediated=self._mediated,
+        )
+        joystick = JoystickEnd(
+            self._probe(up.receiver),
+            life=self._life(up.receiver),
+            deadband=deadband,
+            mediated=self._mediated,
+        )
+        return robot, joystick
+
+    def _life(self, process: str) -> int:
+        return self._random(f"{process} life").randrange(1, LIVES)
+
+    def _make_media(self, scene: Scene) -> Media:
+        return Media(scene, self._confirm)
 
     def _tell_backlogs(self, now_ns: int) -> None:
         """The gateways' reports to the senders of video, as often as live ones send them."""
@@ -271,8 +308,8 @@ class Simulation:
             life=self._random(segment.value).randint(1, 0xFFFF),
             secret=self._random(f"{segment.value} secret").getrandbits(128),
             seed=self._seed,
-            epoch_ns=_START_NS,
-            now_ns=_START_NS,
+            epoch_ns=self._epoch_ns,
+            now_ns=self.start_ns,
         )
         probe = self._probe(self.topology.gateway(segment).name)
 
@@ -286,7 +323,7 @@ class Simulation:
     def _probe(self, process: str) -> Probe:
         return self._telling.probe(process)
 
-    def _add(self, *tellers: RobotEnd | JoystickEnd | CameraChoice | Console) -> None:
+    def _add(self, *tellers: CameraChoice | Console) -> None:
         for teller in tellers:
             self._telling.add(teller.tell)
 
@@ -317,7 +354,8 @@ class Simulation:
 
     def _take_telemetry(self, data: bytes, now_ns: int) -> None:
         self._console.handle_packet(data, now_ns)
-        if (wall := self._console.poll_wall()) is not None:
+        wall = self._console.poll_wall()
+        if wall is not None and isinstance(self._joystick, JoystickEnd):
             self._joystick.handle_wall(wall)
         self._console_sends(now_ns)
 
@@ -341,4 +379,7 @@ class Simulation:
         if now_ns >= self._choice.poll_timeout():
             self._choice.handle_state(self._state_at(now_ns), now_ns)
         self._acknowledge(now_ns)
+        self._set_choice_timer(now_ns)
+
+    def _set_choice_timer(self, now_ns: int) -> None:
         self._choice_timer.set(self._choice.poll_timeout(), now_ns)

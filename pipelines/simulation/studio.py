@@ -5,11 +5,14 @@ Each coder is called with one job after the other, in a process of its own (`sim
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from math import log10
 from typing import NamedTuple
+
+import numpy as np
 
 from kontur_av.clock import NS_PER_S, ManualClock
 from kontur_av.codecs.coding import Coding
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h264 import DecodedPicture, H264Decoder, H264Encoder
 from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, empty_picture
@@ -42,7 +45,10 @@ class Shot(NamedTuple):
 Picture = tuple[Shot] | tuple[Shot | None, Shot | None]
 
 #: The result for one access unit: see `VideoDecoding`.
-Decoded = tuple[list[tuple[int, int, int, bool]], tuple[int, int, int], list[Light]]
+Decoded = tuple[list[tuple[int, int, int, bool]], tuple[int, int, int], list[Light], list[float]]
+
+#: PSNR of a picture that equals its original, in dB.
+SAME_DB = 99.0
 
 
 class VideoStudio:
@@ -131,13 +137,17 @@ class VideoDecoding:
     The result for each unit has:
     - its pictures as (timestamp, width, height, corrupt);
     - the decoder's counters after it: decoded, corrupt, restarts;
-    - the lights that came on, whose tags are the timestamps of their picture and the one before.
+    - the lights that came on, whose tags are the timestamps of their picture and the one before;
+    - the PSNR of each picture against its original, in dB; none without `originals`.
 
     watched: (width, height) of the display in which to look for lights; None: do not look.
     """
 
-    def __init__(self, watched: tuple[int, int] | None = None) -> None:
+    def __init__(
+        self, watched: tuple[int, int] | None = None, originals: "Originals | None" = None
+    ) -> None:
         self._decoder = H264Decoder()
+        self._originals = originals
         self._shown = None if watched is None else empty_picture(*watched)
         self._eye = LightDetector()
 
@@ -145,15 +155,55 @@ class VideoDecoding:
         return [self._decode(*unit) for unit in units]
 
     def _decode(self, data: bytes, timestamp: int, shown_ns: int) -> Decoded:
-        decoder = self._decoder
-        pictures = []
+        decoder, originals = self._decoder, self._originals
+        pictures, quality = [], []
         for picture in decoder.decode(data, timestamp):
             pictures.append((picture.timestamp, picture.width, picture.height, picture.corrupt))
             if self._shown is not None:
                 picture.scale_into(self._shown)
                 self._eye.handle_picture(self._shown, shown_ns, picture.timestamp)
+            db = None if originals is None else originals.psnr_db(picture)
+            if db is not None:
+                quality.append(db)
         lights = list(iter(self._eye.next_event, None))
-        return pictures, (decoder.decoded, decoder.corrupt_units, decoder.restarts), lights
+        counts = decoder.decoded, decoder.corrupt_units, decoder.restarts
+        return pictures, counts, lights, quality
+
+
+class Originals:
+    """What a stream showed where it was sent: its own access units, decoded without a loss.
+
+    units: (RTP timestamp, access unit), in order. size: width and height of the display, in which
+    pictures are compared.
+    """
+
+    def __init__(self, units: Sequence[tuple[int, bytes]], size: tuple[int, int]) -> None:
+        self._units = units
+        self._places = {timestamp: place for place, (timestamp, _) in enumerate(units)}
+        self._decoder = H264Decoder()
+        self._next = 0
+        self._place = -1
+        self._original, self._picture = empty_picture(*size), empty_picture(*size)
+
+    def psnr_db(self, picture: DecodedPicture) -> float | None:
+        """PSNR of the luma, at most `SAME_DB`; None without an original. Call it in order."""
+        place = self._places.get(picture.timestamp)
+        if place is None or place < self._place:
+            return None
+        while self._next <= place:
+            timestamp, data = self._units[self._next]
+            self._next += 1
+            for original in self._decoder.decode(data, timestamp):
+                self._place = self._next - 1
+                if self._place == place:
+                    original.scale_into(self._original)
+        if self._place != place:
+            return None  # no decoder could begin with it
+        picture.scale_into(self._picture)
+        lines = len(self._picture) * 2 // 3
+        away = self._picture[:lines].astype(np.int16) - self._original[:lines]
+        error = float(np.mean(np.square(away, dtype=np.int32)))
+        return min(SAME_DB, 10 * log10(255**2 / error)) if error else SAME_DB
 
 
 class VoiceStudio:

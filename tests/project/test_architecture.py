@@ -149,6 +149,7 @@ USERS_OF_SHELLS = {
     "pipelines/simulation/inputs.py": "workers draw and play files",
     "pipelines/simulation/media.py": "starts workers",
     "pipelines/simulation/receivers.py": "workers decode",
+    "pipelines/simulation/replay.py": "workers decode",
     "pipelines/simulation/senders.py": "workers encode",
     "pipelines/simulation/session.py": "starts workers",
     "pipelines/simulation/studio.py": "what a worker does",
@@ -245,6 +246,7 @@ LIBRARIES = {
     "pipelines/report/keys.py": ({"inspect"}, "reads docstrings"),
     "pipelines/report/live.py": ({"sys"}, "the terminal"),
     "pipelines/report/model.py": ({"json"}, "the report as JSON"),
+    "pipelines/simulation/replay.py": ({"msgspec"}, "copies a part of the report"),
     "pipelines/simulation/session.py": ({"msgspec"}, "copies a part of the report"),
 }
 

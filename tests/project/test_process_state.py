@@ -61,7 +61,7 @@ ALLOWED = {
     "pipelines/bench/video/command.py": {"run"},
     "pipelines/bench/video/ends.py": {"_become"},
     "pipelines/commands/common.py": {"stopped_by_signals"},
-    "pipelines/commands/simulate.py": {"simulate"},
+    "pipelines/commands/simulate.py": {"_run"},
     "pipelines/runtime/launcher.py": {
         "Launcher.run",
         "Launcher._start",

@@ -1,0 +1,142 @@
+"""The options of both kinds of replay: which recording, through which link."""
+
+import argparse
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.commands.session_options import port_changes, radio_changes
+from pipelines.cores.replay_caps import cap_needed_bps
+from pipelines.recording.recorded_session import RecordedSession, SentUnit, read_session
+from pipelines.recording.recording_file import octets_of_file
+from pipelines.setup.setup_file import load_setup, setup_from_text
+from pipelines.setup.table import VIDEO_PAYLOAD_OCTETS, Setup, VideoStream, VoiceStream
+
+
+def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--recode` and `--cap-kbps`."""
+    parser.add_argument(
+        "--recode",
+        action="store_true",
+        help="code the recorded pictures anew, by the session's encoder",
+    )
+    parser.add_argument(
+        "--cap-kbps",
+        action="append",
+        default=[],
+        metavar="STREAM=KBPS",
+        help="another cap for a replayed stream, like uplink_video=60; may be given several times",
+    )
+
+
+def load_recording(path: Path) -> RecordedSession:
+    """What was sent in a recorded session; ConfigError if the file is no recording."""
+    try:
+        return read_session(octets_of_file(path))
+    except ProtocolError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def replay_setup(args: argparse.Namespace, path: Path, session: RecordedSession) -> Setup:
+    """The setup of the recording, or that of `--setup`, with what the options change.
+
+    Raises ConfigError if it cannot work, or does not carry what was recorded.
+    """
+    changes = radio_changes(args)
+    if hasattr(args, "base_port"):
+        changes |= port_changes(args)
+    start_s = args.radio_start
+    if start_s is None and not changes.get("radio") and session.facts.radio_start_s:
+        start_s = session.facts.radio_start_s
+    if args.setup is not None:
+        setup = load_setup(args.setup, changes=changes, radio_start_s=start_s)
+    else:
+        setup = _recorded_setup(path, session, changes, start_s)
+        # What was not recorded cannot be sent.
+        setup = _changed(setup, dict.fromkeys(_silent(setup, session)))
+    setup = _changed(setup, _caps(args.cap_kbps, setup))
+    for stream in _silent(setup, session):
+        raise ConfigError(f"{path} has no channel /{stream}/sent: take a setup without {stream}")
+    return setup
+
+
+def check_caps(
+    path: Path, setup: Setup, session: RecordedSession, *, recode: bool, speed: float = 1.0
+) -> None:
+    """ConfigError if a recorded stream does not fit under its cap."""
+    recorded = {stream.name: stream.cap_bps for stream in _recorded_streams(session)}
+    for stream in setup.streams:
+        video = isinstance(stream, VideoStream)
+        if video and recode:
+            continue
+        units = (session.pictures if video else session.voices).get(stream.name, [])
+        recorded_bps = recorded.get(stream.name, 0) or _mean_bps(units)
+        needed_bps = cap_needed_bps(
+            [(unit.capture_ns, len(unit.data)) for unit in units],
+            cap_bps=stream.cap_bps,
+            recorded_bps=recorded_bps,
+            channel_bps=setup.profile_of(stream).media_bps,
+            payload_octets=VIDEO_PAYLOAD_OCTETS,
+            speed=speed,
+        )
+        if needed_bps > stream.cap_bps:
+            mend = ", or --recode" if video else ""
+            raise ConfigError(
+                f"{path}: {stream.name} needs a cap of {needed_bps / 1000:g} kbit/s, not "
+                f"{stream.cap_bps / 1000:g}: give --cap-kbps {stream.name}={needed_bps / 1000:g}"
+                f"{mend}"
+            )
+
+
+def _recorded_setup(
+    path: Path, session: RecordedSession, changes: Mapping[str, object], start_s: float | None
+) -> Setup:
+    try:
+        return setup_from_text(session.facts.setup_toml, changes=changes, radio_start_s=start_s)
+    except ConfigError as error:
+        raise ConfigError(
+            f"{path}: its setup does not work here ({error}): give another with --setup, or a "
+            "radio with --radio"
+        ) from None
+
+
+def _recorded_streams(session: RecordedSession) -> tuple[VideoStream | VoiceStream, ...]:
+    try:
+        return setup_from_text(session.facts.setup_toml, changes={"radio": "cable"}).streams
+    except ConfigError:
+        return ()
+
+
+def _mean_bps(units: list[SentUnit]) -> int:
+    seconds = max((units[-1].capture_ns - units[0].capture_ns) / 1e9, 1.0) if units else 1.0
+    return round(8 * sum(len(unit.data) for unit in units) / seconds)
+
+
+def _silent(setup: Setup, session: RecordedSession) -> Iterator[str]:
+    """Streams of the setup that are not in the recording; that of the uplink cannot be left out."""
+    for stream in setup.streams:
+        known = session.pictures if isinstance(stream, VideoStream) else session.voices
+        if stream.name not in known and stream.name != setup.uplink_video.name:
+            yield stream.name
+
+
+def _changed(setup: Setup, fields: Mapping[str, object]) -> Setup:
+    return replace(setup, **fields)  # type: ignore[arg-type]
+
+
+def _caps(options: list[str], setup: Setup) -> Mapping[str, object]:
+    streams = {stream.name: stream for stream in setup.streams}
+    for option in options:
+        name, _, text = option.partition("=")
+        try:
+            cap_bps = round(float(text) * 1000)
+        except (ValueError, OverflowError):
+            cap_bps = 0
+        if name not in streams or cap_bps <= 0:
+            known = ", ".join(streams)
+            raise ConfigError(
+                f"--cap-kbps {option}: write STREAM=KBPS with one of {known}, like uplink_video=60"
+            )
+        streams[name] = replace(streams[name], cap_bps=cap_bps)
+    return {name: streams[name] for name in streams}

@@ -1,0 +1,178 @@
+"""What a session sent, read back from its recording, to be sent again. A core.
+
+All instants are on the clock of the recorded session.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from mcap.records import Metadata
+from numpy.typing import NDArray
+
+from kontur_av.errors import ProtocolError
+from pipelines.recording.channels import RECEIVED, SENT
+from pipelines.recording.facts import FACTS, RecordingFacts
+from pipelines.recording.messages import (
+    NO_SAMPLE,
+    SAMPLE,
+    RecordedPacket,
+    RecordedPicture,
+    RecordedSound,
+    UnitFacts,
+    unpack,
+    unpack_haptics,
+)
+from pipelines.recording.recover import check_ours
+from pipelines.recording.scan import FoundMessage, Scan
+from pipelines.recording.schemas import AUDIO, HAPTIC_SAMPLES, SPACE_PACKET, UNIT_FACTS, VIDEO
+
+
+class SentUnit(NamedTuple):
+    """An access unit or an Opus packet, and the instant of its capture."""
+
+    capture_ns: int
+    data: bytes
+    key: bool = False
+
+
+class SentPacket(NamedTuple):
+    """A space packet, and the instant at which it was sent."""
+
+    sent_ns: int
+    data: bytes
+
+
+@dataclass(kw_only=True)
+class RecordedSession:
+    """A recording.
+
+    pictures, voices: by stream, as sent. received: by stream, the access units that its receiver
+        got. haptics: by direction (`up`, `down`), the cycles in which its sender sent a sample, in
+        order; dtype `SAMPLE`. packets: by stream, telecommands and telemetry as sent.
+    missing: by channel, messages of these that are not in the file.
+    """
+
+    facts: RecordingFacts
+    pictures: dict[str, list[SentUnit]] = field(default_factory=dict)
+    voices: dict[str, list[SentUnit]] = field(default_factory=dict)
+    received: dict[str, list[bytes]] = field(default_factory=dict)
+    haptics: dict[str, NDArray[np.void]] = field(default_factory=dict)
+    packets: dict[str, list[SentPacket]] = field(default_factory=dict)
+    missing: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def instants_ns(self) -> tuple[int, int]:
+        """The first and the last instant of anything that was sent."""
+        found = [unit.capture_ns for units in self._media for unit in (units[0], units[-1])]
+        found += [int(rows["time_ns"][at]) for rows in self.haptics.values() for at in (0, -1)]
+        found += [one.sent_ns for each in self.packets.values() for one in (each[0], each[-1])]
+        return min(found), max(found)
+
+    @property
+    def _media(self) -> list[list[SentUnit]]:
+        return [*self.pictures.values(), *self.voices.values()]
+
+
+def read_session(octets: memoryview) -> RecordedSession:
+    """Read a recording, a torn one as far as it goes.
+
+    Raises ProtocolError for octets that are no recording of this project, for one of a newer
+    format, without its facts, or in which nothing was sent.
+    """
+    scan = Scan(octets)
+    facts: RecordingFacts | None = None
+    messages: dict[str, list[FoundMessage]] = defaultdict(list)
+    for item in scan.items():
+        if isinstance(item, Metadata):
+            if item.name == FACTS and facts is None:
+                facts = RecordingFacts.of(item.metadata)
+        elif _is_replayed(item):
+            messages[item.channel.topic].append(item)
+    check_ours(scan)
+    if facts is None:
+        raise ProtocolError("its facts are lost")
+    session = _session(facts, messages)
+    if not (session.pictures or session.voices or session.haptics or session.packets):
+        raise ProtocolError("nothing that was sent is in it")
+    return session
+
+
+def _is_replayed(found: FoundMessage) -> bool:
+    """Whether the message is needed: what was sent, and which pictures came."""
+    way = found.channel.topic.removesuffix("/facts").rpartition("/")[2]
+    name = "" if found.schema is None else found.schema.name
+    video = name in (VIDEO.full_name, UNIT_FACTS.full_name)
+    return (way == SENT and not found.channel.topic.startswith("/link/")) or (
+        way == RECEIVED and video
+    )
+
+
+def _session(facts: RecordingFacts, messages: Mapping[str, list[FoundMessage]]) -> RecordedSession:
+    session = RecordedSession(facts=facts)
+    offset_ns = facts.wall_ns - facts.session_ns
+    for topic, found in messages.items():
+        schema = found[0].schema
+        assert schema is not None
+        name, _, way = topic.strip("/").rpartition("/")
+        if schema.name == VIDEO.full_name:
+            units = _pictures(found, messages.get(f"{topic}/facts", []), offset_ns)
+            if way == SENT:
+                session.pictures[name] = units
+            else:
+                session.received[name] = [unit.data for unit in units]
+        elif schema.name == AUDIO.full_name:
+            session.voices[name] = [
+                SentUnit(
+                    one.message.log_time - offset_ns, unpack(RecordedSound, one.message.data).data
+                )
+                for one in found
+            ]
+        elif schema.name == HAPTIC_SAMPLES.full_name:
+            rows = _sent_rows([unpack_haptics(one.message.data) for one in found])
+            if len(rows):
+                session.haptics[name.rpartition("/")[2]] = rows
+        elif schema.name == SPACE_PACKET.full_name:
+            packets = [unpack(RecordedPacket, one.message.data) for one in found]
+            session.packets[name] = sorted(SentPacket(one.session_ns, one.data) for one in packets)
+        else:
+            continue
+        if way == SENT and (missing := _missing(found)):
+            session.missing[topic] = missing
+    return session
+
+
+def _pictures(
+    found: list[FoundMessage], told: list[FoundMessage], offset_ns: int
+) -> list[SentUnit]:
+    """The access units of a stream, without what the recorder has added to them."""
+    facts = {one.message.log_time: unpack(UnitFacts, one.message.data) for one in told}
+    units = []
+    for one in found:
+        data = unpack(RecordedPicture, one.message.data).data
+        fact = facts.get(one.message.log_time)
+        if fact is not None:
+            if fact.added:
+                continue
+            # In front of it are parameter sets for a reader that begins here.
+            data = data[-fact.octets :]
+        key = fact is not None and fact.key
+        units.append(SentUnit(one.message.log_time - offset_ns, data, key))
+    return units
+
+
+def _sent_rows(blocks: list[NDArray[np.void]]) -> NDArray[np.void]:
+    """The cycles with a sample; all of them where no number is known."""
+    rows = np.concatenate([np.empty(0, SAMPLE), *blocks])
+    rows = rows[np.argsort(rows["time_ns"], kind="stable")]
+    numbered = rows["sequence"] != NO_SAMPLE
+    return rows[numbered] if numbered.any() else rows
+
+
+def _missing(found: list[FoundMessage]) -> int:
+    """Gaps in the sequence numbers; a smaller number is that of a process started again."""
+    numbers = [one.message.sequence for one in found]
+    return sum(after - before - 1 for before, after in pairwise(numbers) if after > before)

@@ -1,0 +1,130 @@
+"""A recorded session through a link again: the same pictures come, or it is said what was lost."""
+
+import pytest
+from synthetic_recording import write_recording
+
+from pipelines.cli import main
+from pipelines.report.model import SessionReport, from_json
+
+SECONDS = 3.0
+#: From the capture of a picture to its access unit, as the options of `simulate` say.
+CODING_MS = 10.0
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return write_recording(tmp_path_factory.mktemp("recording") / "a.mcap", seconds=SECONDS)
+
+
+@pytest.fixture(scope="module")
+def replayed(recording):
+    """Replay with these options, and return the report as octets."""
+    (path,) = recording.paths
+
+    def run(*words):
+        out = path.with_name("report.json")
+        out.unlink(missing_ok=True)
+        words = ["simulate", "--replay", str(path), "--report", str(out), "-q", *map(str, words)]
+        assert main(words) == 0
+        return out.read_bytes()
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def same(replayed):
+    return replayed()
+
+
+def parsed(octets):
+    return from_json(octets, SessionReport)
+
+
+def test_through_the_same_link_the_same_pictures_sounds_and_samples_come(same, recording):
+    report = parsed(same)
+    assert report.failures == []
+    replay = report.simulation.replay
+    for name in ("uplink_video", "downlink_video"):
+        units = len(recording.units[name])
+        stream = replay.streams[name]
+        assert stream.units_sent == stream.units_received == units
+        assert stream.pictures_same == report.streams[name].frames_displayed == units
+        # The recording says that one picture was lost on the uplink.
+        assert stream.same_received == stream.recorded_received == units - (name[0] == "u")
+        stage = report.streams[name].latency_ms.stages.capture_to_encoded
+        assert stage.p50 == stage.max == CODING_MS
+    for name in ("uplink_voice", "downlink_voice"):
+        assert report.streams[name].frames_sent == len(recording.told[f"/{name}/sent"])
+        assert report.streams[name].rtp_lost == 0
+    for key in ("up", "down"):
+        assert report.haptic[key].lost == 0
+        # Some cycles go to the greetings with which a session begins.
+        assert len(recording.haptics[f"/haptic/{key}/sent"]) - report.haptic[key].sent < 200
+        assert report.haptic[key].latency_ms.max == 1.0
+    assert replay.samples_superseded == 0
+    commands = report.processes["selector"].counts
+    assert commands["telecommands"] == 1
+
+
+def test_a_replay_repeats_exactly(replayed, same):
+    assert replayed() == same
+
+
+def test_losses_and_delay_of_another_link_show(replayed, same, tmp_path):
+    radio = tmp_path / "bad.toml"
+    radio.write_text("delay_ms = 250\nframe_loss = 0.01\n")
+    here, there = parsed(same), parsed(replayed("--radio", radio, "--seed", 3))
+    now, then = (report.simulation.replay.streams["uplink_video"] for report in (there, here))
+    assert now.units_sent == then.units_sent
+    assert now.units_received < then.units_received
+    assert now.psnr_db_mean < then.psnr_db_mean
+    assert there.simulation.radio == "bad"
+    slower_ms = (
+        there.streams["uplink_video"].latency_ms.p50 - here.streams["uplink_video"].latency_ms.p50
+    )
+    assert 249 < slower_ms < 300
+    assert there.haptic["up"].lost > 0
+
+
+def test_pictures_coded_anew_fit_under_a_lower_cap(replayed, same, recording):
+    report = parsed(replayed("--recode", "--cap-kbps", "uplink_video=40"))
+    stream = report.simulation.replay.streams["uplink_video"]
+    assert report.streams["uplink_video"].payload_bps_max_1s <= 40_000
+    assert stream.units_received == 0
+    # Held against the picture of the same instant, not just any.
+    assert stream.psnr_db_p5 > 30
+    assert (
+        report.streams["uplink_video"].frames_displayed > len(recording.units["uplink_video"]) / 2
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--cap-kbps", "uplink_video=30"], "uplink_video needs a cap of "),
+        (["--cap-kbps", "downlink_voice=20"], "downlink_voice needs a cap of 6"),
+        (["--cap-kbps", "sidelink=20"], "write STREAM=KBPS with one of uplink_video"),
+        (["--source", "head=scene:head"], "--source changes what is sent"),
+        (["--select", "1=head"], "--select changes what is sent"),
+        (["--radio", "nowhere"], "nowhere"),
+    ],
+)
+def test_what_cannot_be_replayed_is_refused_in_one_line(recording, capsys, words, told):
+    assert main(["simulate", "--replay", str(recording.paths[0]), *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+
+
+def test_a_file_that_is_no_recording_is_refused(tmp_path, capsys):
+    path = tmp_path / "a.mcap"
+    for octets, told in (
+        (b"no recording at all", "it is not an MCAP file"),
+        (None, "No such file"),
+    ):
+        if octets is not None:
+            path.write_bytes(octets)
+        assert main(["simulate", "--replay", str(path if octets else tmp_path / "b")]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert told in line
+    assert main(["simulate", "--setup", "spacejustin"]) == 2
+    assert "--seconds is missing" in capsys.readouterr().err

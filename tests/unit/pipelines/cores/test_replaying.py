@@ -1,0 +1,111 @@
+"""What was sent is sent again: each row in its cycle, and no cap that cannot carry the units."""
+
+import numpy as np
+import pytest
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.haptic_trace import ROW, flags_of
+from pipelines.cores.probe import Probe
+from pipelines.cores.replay_caps import MOST_MORE_NS, cap_needed_bps, longest_wait_ns
+from pipelines.cores.replaying import ReplayedEnd, ReplayTime
+from pipelines.cores.rows import ContactRow, SampleReceivedRow, SampleSentRow
+
+BEGIN_NS = 7_000 * NS_PER_S
+HALF_NS = NS_PER_MS // 2
+
+
+def rows(lateness_ns, *, contact=()):
+    """Cycles of an end, each this late; contact: numbers of those that touch."""
+    found = np.zeros(len(lateness_ns), ROW)
+    number = np.arange(len(lateness_ns))
+    found["time_ns"] = BEGIN_NS + number * NS_PER_MS + HALF_NS + lateness_ns
+    found["fx_n"] = -number / 10
+    found["flags"] = [
+        flags_of(contact=k in contact, dead_man=True, acted=False, state=3, lit=4) for k in number
+    ]
+    return found
+
+
+def pair(robot_rows, joystick_rows, *, speed=1.0):
+    time = ReplayTime(recorded_ns=BEGIN_NS, replayed_ns=0, speed=speed)
+    probes = [Probe(), Probe()]
+    ends = [
+        ReplayedEnd(given, time, probe, robot=robot, life=5)
+        for given, probe, robot in zip(
+            (robot_rows, joystick_rows), probes, (True, False), strict=True
+        )
+    ]
+    return ends, probes
+
+
+def run(ends, cycles):
+    robot, joystick = ends
+    for cycle in range(cycles):
+        now_ns = cycle * NS_PER_MS + HALF_NS
+        for end in ends:
+            end.handle_cycle(now_ns, NS_PER_MS)
+        for sender, receiver in ((robot, joystick), (joystick, robot)):
+            sample = sender.poll_transmit(now_ns)
+            if sample is not None:
+                receiver.handle_datagram(sample, now_ns)
+    for end in ends:
+        end.tell()
+
+
+def test_each_recorded_cycle_is_sent_in_its_cycle_and_contacts_are_told():
+    late = np.random.default_rng(1).integers(-100_000, 400_000, 300)
+    ends, probes = pair(rows(late, contact=range(200, 250)), rows(late))
+    run(ends, 400)
+    sent = [row.sent_ns for row in probes[0].series(SampleSentRow).rows()]
+    received = probes[1].series(SampleReceivedRow).rows()
+    # Some cycles go to the greetings with which the session begins.
+    assert 270 < len(sent) <= 300
+    assert max(sent) == 299 * NS_PER_MS + HALF_NS
+    assert len(received) >= 270
+    assert [
+        (row.instant_ns // NS_PER_MS, row.led) for row in probes[0].series(ContactRow).rows()
+    ] == [(200, 4)]
+    assert all(end.superseded == 0 for end in ends)
+
+
+def test_of_two_rows_in_one_cycle_the_newer_is_sent_and_a_lost_cycle_sends_nothing():
+    late = np.zeros(300, np.int64)
+    late[100] = 900_000
+    late[200:] = 0
+    ends, probes = pair(rows(late), np.delete(rows(late * 0), slice(150, 160)))
+    run(ends, 300)
+    sent = [
+        {row.sent_ns // NS_PER_MS for row in probe.series(SampleSentRow).rows()} for probe in probes
+    ]
+    assert ends[0].superseded == 1
+    assert 100 not in sent[0]
+    assert 101 in sent[0]
+    assert not sent[1] & set(range(150, 160))
+    assert {149, 160} <= sent[1]
+
+
+def test_half_the_speed_takes_twice_the_time():
+    ends, probes = pair(rows(np.zeros(300, int)), rows(np.zeros(300, int)), speed=0.5)
+    run(ends, 700)
+    last = max(row.sent_ns for row in probes[0].series(SampleSentRow).rows())
+    assert last // NS_PER_MS == 599
+
+
+@pytest.mark.parametrize("large", [1, 6])
+def test_the_cap_that_is_named_carries_the_units_and_one_less_does_not(large):
+    """Pictures of 80 kbit/s, one of them large."""
+    units = [(k * NS_PER_S // 25, 400) for k in range(250)]
+    units[100] = units[100][0], 400 * large
+    facts = {"channel_bps": 120_000, "payload_octets": 1000}
+
+    def needed(cap_bps, speed=1.0):
+        return cap_needed_bps(units, cap_bps=cap_bps, recorded_bps=85_000, speed=speed, **facts)
+
+    assert needed(85_000) == 85_000
+    named = needed(30_000)
+    assert 60_000 < named < 85_000
+    most_ns = longest_wait_ns(units, cap_bps=85_000, **facts) + MOST_MORE_NS
+    assert longest_wait_ns(units, cap_bps=named, **facts) <= most_ns
+    assert longest_wait_ns(units, cap_bps=named - 1000, **facts) > most_ns
+    assert needed(named) == named
+    assert needed(85_000, speed=2.0) > 110_000

@@ -1,0 +1,77 @@
+"""A recording as what was sent in it, without what the recorder has added."""
+
+from dataclasses import replace
+
+import pytest
+from synthetic_recording import FACTS_OF_SYNTHETIC, octets_of_part, wall_ns, write_recording
+
+from kontur_av.errors import ProtocolError
+from pipelines.recording.channels import channels_of
+from pipelines.recording.messages import NO_SAMPLE, RecordedPicture, UnitFacts, pack, unpack
+from pipelines.recording.recorded_session import read_session
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import topology_of
+
+ROWS = channels_of(topology_of(BUILT_IN["spacejustin"]))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return write_recording(tmp_path_factory.mktemp("recording") / "a.mcap")
+
+
+def test_all_that_was_sent_comes_back_with_its_instants(written):
+    session = read_session(memoryview(written.paths[0].read_bytes()))
+    assert session.facts == FACTS_OF_SYNTHETIC
+    for name in ("uplink_video", "downlink_video"):
+        coded = [(unit.capture_ns, unit.data, unit.key) for unit in written.units[name]]
+        assert session.pictures[name] == coded
+    assert len(session.received["uplink_video"]) == len(session.pictures["uplink_video"]) - 1
+    assert len(session.voices["uplink_voice"]) == len(written.told["/uplink_voice/sent"])
+    for key in ("up", "down"):
+        assert (session.haptics[key] == written.haptics[f"/haptic/{key}/sent"]).all()
+    assert [packet.sent_ns for packet in session.packets["telecommand"]] == [
+        told.log_ns for told in written.told["/telecommand/sent"]
+    ]
+    assert session.instants_ns[0] == FACTS_OF_SYNTHETIC.session_ns
+    assert "/uplink_video/sent" not in session.missing
+
+
+def part_of(told):
+    return memoryview(octets_of_part(ROWS, FACTS_OF_SYNTHETIC, told, True))
+
+
+def test_what_the_recorder_put_ahead_of_a_part_is_left_out(written):
+    """A key picture of its own, and parameter sets in front of the first unit."""
+    units, facts = (
+        list(written.told[topic][5:])
+        for topic in ("/uplink_video/sent", "/uplink_video/sent/facts")
+    )
+    value = unpack(RecordedPicture, units[0].data)
+    units[0] = replace(units[0], data=pack(replace(value, data=b"\0\0\0\1\x67SPS" + value.data)))
+    ahead_ns = units[0].log_ns - 1000
+    key = RecordedPicture(wall_ns=wall_ns(ahead_ns), frame_id="", data=b"\0\0\0\1\x65added")
+    fact = replace(unpack(UnitFacts, facts[0].data), added=True, octets=len(key.data))
+    told = [
+        replace(units[0], log_ns=ahead_ns, data=pack(key)),
+        replace(facts[0], log_ns=ahead_ns, data=pack(fact)),
+        *units,
+        *facts,
+    ]
+    session = read_session(part_of(told))
+    assert [unit.data for unit in session.pictures["uplink_video"]] == [
+        unit.data for unit in written.units["uplink_video"][5:]
+    ]
+
+
+def test_cycles_without_a_sample_are_not_sent_and_gaps_are_counted(written):
+    told = list(written.told["/haptic/up/received"])
+    as_sent = [replace(one, topic="/haptic/up/sent") for one in told if one.sequence != 7]
+    session = read_session(part_of(as_sent))
+    assert (session.haptics["up"]["sequence"] != NO_SAMPLE).all()
+    assert session.missing == {"/haptic/up/sent": 1}
+
+
+def test_a_file_in_which_nothing_was_sent_is_refused(written):
+    with pytest.raises(ProtocolError, match="nothing that was sent is in it"):
+        read_session(part_of(written.told["/events"]))
