@@ -46,9 +46,23 @@ def received_unit(
 
 
 def sent_unit(
-    unit: AccessUnit, *, size: tuple[int, int], sequence: int, source: str
+    unit: AccessUnit,
+    *,
+    size: tuple[int, int],
+    sequence: int,
+    source: str,
+    parameter_sets: bytes,
 ) -> tuple[CodedUnit, CaptureStamp]:
-    """Return an access unit and its stamp as they were sent. size: in which it was coded."""
+    """Return an access unit and its stamp as they were sent.
+
+    size: in which it was coded. parameter_sets: the newest of the stream.
+    """
     width, height = size
-    coded = CodedUnit(data=unit.data, key=unit.keyframe, width=width, height=height)
+    coded = CodedUnit(
+        data=unit.data,
+        key=unit.keyframe,
+        width=width,
+        height=height,
+        parameter_sets=parameter_sets,
+    )
     return coded, CaptureStamp(unit.stamp.capture_ns, sequence, source)

@@ -7,6 +7,7 @@ import av
 from av.video.frame import PictureType
 
 from kontur_av.codecs.h264 import without_user_data
+from kontur_av.codecs.scaling import shrink
 from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, empty_picture
 
 #: libx264's quantizer: measured 50 dB and more on the built-in scenes.
@@ -26,6 +27,15 @@ def key_of(picture: I420) -> bytes:
     frame.pict_type = PictureType.I
     (packet,) = codec.encode(frame)
     return without_user_data(bytes(packet))
+
+
+def filmed_key(picture: I420, width: int, height: int) -> bytes:
+    """Return `key_of` a camera's picture in the size in which a sender codes it."""
+    small = empty_picture(width, height)
+    if small.shape == picture.shape:
+        return key_of(picture)
+    shrink(picture, small)
+    return key_of(small)
 
 
 @lru_cache(maxsize=8)

@@ -1,7 +1,7 @@
 """What a seat's pages are sent and may send, derived from the table of the session."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 
 from kontur_av.clock import NS_PER_MS
@@ -42,6 +42,7 @@ class SeatStream:
     """A stream for a seat's pages. topic: its units or blocks.
 
     decoded_topic: the pictures of its units; None if there are none here.
+    filmed_topics: by camera, the pictures that its sender encodes; none if they are not here.
     """
 
     index: int
@@ -50,6 +51,7 @@ class SeatStream:
     topic: str
     stream: VideoStream | VoiceStream
     decoded_topic: str | None = None
+    filmed_topics: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +130,7 @@ def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:
                 via=Via.SENT,
                 topic=video.sent_topic,
                 stream=row.stream,
+                filmed_topics={row.name: row.topic for row in topology.cameras},
             )
         else:
             continue

@@ -105,7 +105,9 @@ class Seat:
         self._numbers = count(1)
         self._pages: dict[int, _Page] = {}
         self._histories = {
-            each.index: UnitHistory(pictures=each.decoded_topic is not None)
+            each.index: UnitHistory(
+                pictures=each.decoded_topic is not None, filmed=bool(each.filmed_topics)
+            )
             for each in plan.streams
             if each.via is not Via.SOUND
         }
@@ -278,21 +280,37 @@ class Seat:
     def handle_decoded(self, stream: int, key: bytes, rtp_timestamp: int) -> bool:
         """The picture of a unit, as a key unit. False: that unit is not known."""
         taken = self._histories[stream].handle_picture(key, rtp_timestamp)
-        for page in self._pages.values():
-            if page.idle:
-                self._replay(page)
+        self._replay_idle()
+        return taken
+
+    def handle_filmed(self, stream: int, key: bytes, sequence: int) -> bool:
+        """What was filmed for the unit of this number, as a key unit. False: it is not known."""
+        taken = self._histories[stream].handle_filmed(key, sequence)
+        self._replay_idle()
         return taken
 
     def wanted_pictures(self) -> list[int]:
         """Streams of which the shell is to fetch a decoded picture for `handle_decoded`."""
-        if not self._pages:
-            return []
+        return [index for index in self._joined() if self._histories[index].needs_picture]
+
+    def wanted_filmed(self) -> dict[int, str]:
+        """By stream: the topic of pictures that the shell is to fetch for `handle_filmed`."""
+        camera = self._camera
+        if camera is None:
+            return {}
+        topics = {each.index: each.filmed_topics for each in self.plan.streams}
+        return {
+            index: topics[index][camera]
+            for index in self._joined()
+            if self._histories[index].needs_filmed and camera in topics[index]
+        }
+
+    def _joined(self) -> list[int]:
+        """Streams with units that a page waits for."""
         return [
-            each.index
-            for each in self.plan.streams
-            if each.index in self._histories
-            and self._histories[each.index].needs_picture
-            and any(not page.queue.lane(each.index).open for page in self._pages.values())
+            index
+            for index in self._histories
+            if any(not page.queue.lane(index).open for page in self._pages.values())
         ]
 
     def handle_sound(self, stream: int, samples: bytes, stamp: CaptureStamp) -> None:
@@ -428,6 +446,11 @@ class Seat:
                     )
                 )
             )
+
+    def _replay_idle(self) -> None:
+        for page in self._pages.values():
+            if page.idle:
+                self._replay(page)
 
     def _replay(self, page: _Page) -> None:
         """Open the closed lanes of a page with what a decoder needs to begin now."""

@@ -4,6 +4,7 @@ import asyncio
 import logging
 import socket
 import ssl
+from collections import deque
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from functools import partial
@@ -30,7 +31,7 @@ from pipelines.cores.hand_topics import (
 from pipelines.page.access import Access, AccessError, Found, Kind, Role, headers
 from pipelines.page.console_link import ask_console
 from pipelines.page.feeds import Feed, State
-from pipelines.page.local_key import key_of
+from pipelines.page.local_key import filmed_key, key_of
 from pipelines.page.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.page.own_inputs import Given
 from pipelines.page.plan import SeatStream, Via, seat_plan
@@ -66,6 +67,8 @@ _CLOSE_S = 0.5
 _TURN = 16
 #: Unread samples of a topic that are kept.
 _DEPTH = 8
+#: Pictures that are kept until the unit of one comes: a sender may wait for its channel.
+_FILMED = 8
 _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
 
 
@@ -123,6 +126,8 @@ class PageServer:
         self._backlog = State(bus, plan.backlog_topic)
         self._selected: State | None = None
         self._decoded: dict[int, Feed] = {}
+        #: By stream: the pictures that its sender may encode, and from which topic they come.
+        self._filmed: dict[int, tuple[str, Feed, deque[tuple[int, I420]]]] = {}
         self._coding: set[int] = set()
         self._hand: Writer | None = None
         self._commands: Writer | None = None
@@ -170,7 +175,8 @@ class PageServer:
             for task in self._tasks:
                 task.cancel()
             await runner.cleanup()
-            for feed in (*self._histories, *self._live, *self._decoded.values()):
+            filmed = (feed for _, feed, _ in self._filmed.values())
+            for feed in (*self._histories, *self._live, *self._decoded.values(), *filmed):
                 feed.close()
 
     def _tls(self) -> ssl.SSLContext | None:
@@ -212,6 +218,8 @@ class PageServer:
     def _unit(self, stream: int, lease: Lease) -> None:
         unit = CodedUnit.unpack(lease.octets())
         self._seat.handle_unit(stream, unit, lease.stamp, self._now_ns())
+        if stream in self._filmed and stream not in self._coding:
+            self._match(stream, unit, lease.stamp)
         self._settle()
 
     def _sound(self, stream: int, lease: Lease) -> None:
@@ -244,13 +252,26 @@ class PageServer:
             return
         self._coding.add(stream.index)
         picture = lease.video().data.copy()
-        self._begin(self._code(stream.index, picture, timestamp))
+        taken = partial(self._seat.handle_decoded, stream.index, rtp_timestamp=timestamp)
+        self._begin(self._code(stream.index, partial(key_of, picture), taken))
 
-    async def _code(self, stream: int, picture: I420, timestamp: int) -> None:
+    def _match(self, stream: int, unit: CodedUnit, stamp: CaptureStamp) -> None:
+        """A unit whose picture may be here, for those who cannot begin otherwise."""
+        for capture_ns, picture in self._filmed[stream][2]:
+            if capture_ns == stamp.capture_ns:
+                self._coding.add(stream)
+                taken = partial(self._seat.handle_filmed, stream, sequence=stamp.sequence)
+                coded = partial(filmed_key, picture, unit.width, unit.height)
+                self._begin(self._code(stream, coded, taken))
+                return
+
+    async def _code(
+        self, stream: int, coded: Callable[[], bytes], taken: Callable[[bytes], bool]
+    ) -> None:
         # In a thread, because it takes longer than pages may wait.
-        key = await asyncio.to_thread(key_of, picture)
+        key = await asyncio.to_thread(coded)
         self._coding.discard(stream)
-        self._seat.handle_decoded(stream, key, timestamp)
+        taken(key)
         self._settle()
 
     def _watch(self) -> None:
@@ -296,6 +317,21 @@ class PageServer:
                     self._loop, self._bus, each.decoded_topic, partial(self._picture, each), depth=1
                 )
                 self._decoded[each.index] = feed
+                feed.open()
+        self._fetch_filmed()
+
+    def _fetch_filmed(self) -> None:
+        """Keep the newest pictures of the selected camera while a page waits for a stream of it."""
+        wanted = self._seat.wanted_filmed()
+        for index, (topic, feed, _) in list(self._filmed.items()):
+            if wanted.get(index) != topic:
+                del self._filmed[index]
+                feed.close()
+        for index, topic in wanted.items():
+            if index not in self._filmed:
+                kept: deque[tuple[int, I420]] = deque(maxlen=_FILMED)
+                feed = Feed(self._loop, self._bus, topic, partial(_keep, kept), depth=_DEPTH)
+                self._filmed[index] = topic, feed, kept
                 feed.open()
 
     async def _ask(self, asked: CameraAsked) -> None:
@@ -529,6 +565,10 @@ async def _send_all(ws: web.WebSocketResponse, answers: "asyncio.Queue[str | byt
                 await ws.send_bytes(answer)
             else:
                 await ws.send_str(answer)
+
+
+def _keep(kept: deque[tuple[int, I420]], lease: Lease) -> None:
+    kept.append((lease.stamp.capture_ns, lease.video().data.copy()))
 
 
 def _file(name: str) -> bytes:

@@ -8,6 +8,8 @@ joins is sent all units since a point from which they decode to the same picture
 3. a picture of the live decoder, coded anew, with the units that came after it. It is nearly exact
    at once, and exact after the next wave. It is taken when neither 1 nor 2 is here, as after a
    restart of this process, or when either would take a browser too long to decode.
+   A sender has no such picture: there what was filmed for a unit is coded. It resembles the stream
+   until the next wave, so it is taken only when neither 1 nor 2 is here.
 """
 
 from collections import deque
@@ -49,12 +51,15 @@ class UnitHistory:
     Of the newest wave it knows where it began and how many units are left of it. Without a
     beginning, the units since the newest wave are kept, and at least 64.
 
-    pictures: the pictures of the live decoder can be had. most_pixels: of a replay, then. Those of
+    pictures: the pictures of the live decoder can be had. filmed: what was filmed can be had.
+    most_pixels: of a replay, then. Those of
     less than half of it are not exchanged for one that begins with a wave.
     """
 
-    def __init__(self, *, pictures: bool, most_pixels: int = MOST_PIXELS) -> None:
-        self._pictures = pictures
+    def __init__(
+        self, *, pictures: bool, filmed: bool = False, most_pixels: int = MOST_PIXELS
+    ) -> None:
+        self._pictures, self._filmed = pictures, filmed
         self._most_pixels = most_pixels
         self._units: deque[KeptUnit] = deque()
         self._octets = self._pixels = 0
@@ -71,7 +76,17 @@ class UnitHistory:
     def needs_picture(self) -> bool:
         """Whether a page that joins needs a picture for `handle_picture`."""
         lacks = not self._whole or self._pixels > self._most_pixels
-        return self._pictures and lacks and bool(self._units) and bool(self._sets)
+        return self._pictures and lacks and self._continues
+
+    @property
+    def needs_filmed(self) -> bool:
+        """Whether a page that joins needs what was filmed, for `handle_filmed`."""
+        return self._filmed and not self._whole and self._continues
+
+    @property
+    def _continues(self) -> bool:
+        """Whether a decoder can go on from a picture that was coded here."""
+        return bool(self._units) and bool(self._sets)
 
     def handle_unit(self, unit: CodedUnit, stamp: CaptureStamp, now_ns: int) -> KeptUnit | None:
         """A unit has come; return it as it goes to pages, or None if it must not.
@@ -124,10 +139,25 @@ class UnitHistory:
         numbers = [unit.sequence for unit in self._units if unit.rtp_timestamp == rtp_timestamp]
         if not self.needs_picture or not numbers:
             return False
-        picture = next(unit for unit in self._units if unit.sequence == numbers[-1])
-        self._drop_before(picture.sequence + 1)
-        self._begin(picture._replace(data=key, key=True))
+        self._replace(numbers[-1], key)
         return True
+
+    def handle_filmed(self, key: bytes, sequence: int) -> bool:
+        """Begin with `key`: what was filmed for the unit of this number, coded in its size.
+
+        Return False if that unit is not among those that are kept.
+        """
+        known = any(unit.sequence == sequence for unit in self._units)
+        if not self.needs_filmed or not known:
+            return False
+        self._replace(sequence, key)
+        return True
+
+    def _replace(self, sequence: int, key: bytes) -> None:
+        """Begin with `key` in the place of the unit of this number."""
+        picture = next(unit for unit in self._units if unit.sequence == sequence)
+        self._drop_before(sequence + 1)
+        self._begin(picture._replace(data=key, key=True))
 
     def _begin(self, ahead: KeptUnit) -> None:
         """Begin with `ahead`, which has parameter sets of its own; the next unit has the stream's.

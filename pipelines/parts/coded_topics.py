@@ -66,12 +66,21 @@ class SentTopic:
         self._source = row.name
         self._numbers = count()
         self._writer = bus.writer(row.sent_topic, max_octets=_USUAL_OCTETS)
+        self._sets = b""
 
     def handle_unit(self, unit: AccessUnit, size: tuple[int, int]) -> None:
         """A unit was encoded in `size`, and its packets leave."""
         number = next(self._numbers)
+        # Also without a reader, because one that comes later needs them.
+        self._sets = parameter_sets(unit.data) or self._sets
         if self._writer.has_readers():
-            coded, stamp = sent_unit(unit, size=size, sequence=number, source=self._source)
+            coded, stamp = sent_unit(
+                unit,
+                size=size,
+                sequence=number,
+                source=self._source,
+                parameter_sets=self._sets,
+            )
             _publish(self._writer, coded, stamp)
 
 

@@ -341,9 +341,13 @@ def _page(session: Topology, segment: Segment) -> ProcessRow:
 
 
 def _robot_seen(session: Topology) -> Iterable[str]:
-    """What the ground sees of its own cameras: the picture as it is sent, and all of them small."""
+    """What the ground sees of its own cameras: the picture as it is sent, and all of them small.
+
+    The pictures themselves only for a page that joins a stream of which nothing is known.
+    """
     video = session.video(session.setup.uplink_video.name)
     yield video.sent_topic
+    yield from (row.topic for row in session.cameras)
     yield from (session.input(name).preview_topic for name in video.inputs)
 
 

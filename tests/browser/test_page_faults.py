@@ -30,6 +30,7 @@ setInterval(() => {
 }, 10);
 """
 FORGET_MARKS = "marks.length = 0; gapMs = 0;"
+SENT_LIVE = "document.querySelector('#sent').dataset.stale === 'false'"
 BOTH_MARKS = "marks.find((mark) => mark.stale && mark.lost)?.ms"
 
 
@@ -70,6 +71,19 @@ def test_a_page_comes_back_by_itself_when_its_server_was_killed(session, space):
     eventually(lambda: drawn(space) > before, "new pictures")
     # That nobody answers is no fault of the page.
     space.browser.assert_no_errors(server_gone=True)
+
+
+def test_the_picture_as_sent_comes_back_too(session, start_browser):
+    ground = start_browser().open(session.pages()["ground"])
+    ground.wait(SENT_LIVE)
+    # The process that kept the units since their last beginning has gone.
+    os.kill(session.pids()["page_ground"], signal.SIGKILL)
+    ground.wait(f"!({SENT_LIVE})")
+    killed_ms = now_ms(ground)
+    ground.wait(SENT_LIVE)
+    print(f"the sent picture was back after {now_ms(ground) - killed_ms:.0f} ms")
+    assert ground.pixels("#sent").any()
+    ground.browser.assert_no_errors(server_gone=True)
 
 
 def test_a_page_marks_as_stale_what_a_killed_session_left(session, space):

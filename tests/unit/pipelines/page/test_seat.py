@@ -138,6 +138,23 @@ def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits
     assert units(sent(seat, page)) == [(5, 5), (0, 6)]
 
 
+def test_what_the_selected_camera_films_is_wanted_only_while_a_page_waits_for_it():
+    seat = seat_of(Segment.GROUND)
+    (stream,) = [each.index for each in seat.plan.streams if each.filmed_topics]
+    give_unit(seat, 0, key=True, stream=stream)
+    give_unit(seat, 5, stream=stream)
+    seat.handle_camera("static", 0)
+    assert seat.wanted_filmed() == {}
+    page = seat.handle_opened(Role.VIEWER, 0)
+    assert units(sent(seat, page)) == []
+    assert seat.wanted_filmed() == {stream: TOPOLOGY.camera("static").topic}
+    assert not seat.handle_filmed(stream, KEY, 4)
+    assert seat.handle_filmed(stream, KEY, 5)
+    assert seat.wanted_filmed() == {}
+    give_unit(seat, 6, stream=stream)
+    assert units(sent(seat, page))[-1] == (0, 6)
+
+
 def test_every_page_gets_sound_haptics_and_previews():
     seat = seat_of(Segment.GROUND)
     pages = [seat.handle_opened(Role.VIEWER, 0) for _ in range(2)]

@@ -1,11 +1,13 @@
 """Whoever joins a stream in the middle decodes exactly what the live decoder has."""
 
+import cv2
 import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, Quality, VideoFrame, empty_picture
+from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.page.local_key import key_of
 from pipelines.page.unit_history import UnitHistory
@@ -157,3 +159,25 @@ def test_a_stream_that_never_begins_is_not_kept(stream):
         assert history.handle_unit(unit, stamp, number * NS_PER_S // FPS) is not None
     assert history.replay() is None
     assert len(history._units) <= 64
+
+
+def test_what_was_filmed_begins_a_stream_of_which_nothing_is_known(stream):
+    history = UnitHistory(pictures=False, filmed=True)
+    give(history, stream, range(40, 45), parameter_sets=parameter_sets(stream[0][0].data))
+    assert history.replay() is None and history.needs_filmed
+    assert not history.handle_filmed(key_of(moving(43)), 30)
+    assert history.handle_filmed(key_of(moving(43)), 43)
+    give(history, stream, range(45, 50))
+    # It only resembles the stream, as the coder's faults are missing, until the next wave is over.
+    assert cv2.PSNR(joined(history), stream[49][1]) > 25
+    give(history, stream, range(50, 60 + WAVE + 1))
+    assert np.array_equal(joined(history), stream[60 + WAVE][1])
+    assert not history.needs_filmed
+
+
+def test_what_was_filmed_replaces_no_beginning_that_is_exact(stream):
+    history = UnitHistory(pictures=False, filmed=True, most_pixels=10 * PIXELS)
+    give(history, stream, range(25))
+    assert not history.needs_filmed and not history.needs_picture
+    assert not history.handle_filmed(key_of(moving(24)), 24)
+    assert np.array_equal(joined(history), stream[24][1])
