@@ -5,16 +5,19 @@ is packed at once, because packing row by row would cost several times as much.
 """
 
 import struct
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipelines.cores.watched_topic import WatchedTopic
+from telepresence.haptics.sample import SEQUENCE_MODULUS
 
 #: One cycle. time_ns: its instant. x_m, y_m: place of the handle, or of the tip. fx_n, fy_n: the
 #: force that the handle displays, or that of the board on the tip. energy_uj: credit of the port.
-#: flags: see `flags_of`.
+#: flags: see `flags_of`. sent: number of the sample that this end sent in the cycle. received:
+#: number of the newest sample that it acted on for the first time. `NO_SAMPLE`: there was none.
 ROW: Final = np.dtype(
     [
         ("time_ns", "<i8"),
@@ -24,18 +27,22 @@ ROW: Final = np.dtype(
         ("fy_n", "<f4"),
         ("energy_uj", "<f4"),
         ("flags", "<u4"),
+        ("sent", "<i4"),
+        ("received", "<i4"),
     ]
 )
+NO_SAMPLE: Final = -1
 #: Rows of a block.
 BLOCK_ROWS: Final = 20
 BLOCK_OCTETS: Final = BLOCK_ROWS * ROW.itemsize
 
 CONTACT, DEAD_MAN, ACTED = 1, 2, 4
 _STATE_BIT, _LIT_BIT = 8, 16
-_PACK = struct.Struct("<" + "q5fI" * BLOCK_ROWS).pack
+_PACK = struct.Struct("<" + "q5fI2i" * BLOCK_ROWS).pack
 
-#: The fields of `ROW`, in their order.
-Row = tuple[int, float, float, float, float, float, int]
+#: The fields of `ROW` up to `flags`; then, of this end of the link: samples sent before this cycle,
+#: samples received, number of the newest of these.
+Row = tuple[int, float, float, float, float, float, int, int, int, int]
 
 
 def flags_of(*, contact: bool, dead_man: bool, acted: bool, state: int, lit: int | None) -> int:
@@ -74,8 +81,9 @@ def rows_of(block: bytes) -> NDArray[np.void]:
 class HapticTrace(WatchedTopic):
     """Collects rows while somebody reads them.
 
-    rows: those that wait, at most 20; None while there is no reader. In each cycle, call `add`
-    while it is not None. Call `poll_block` at least once in 20 cycles.
+    rows: those that wait, at most 21; None while there is no reader. In each cycle, call `add`
+    while it is not None. Call `poll_block` at least once in 20 cycles. A block comes one cycle
+    later, because only then is known whether its last cycle sent a sample.
 
     Nothing is dropped but the rows of a block that was begun when the last reader left.
     """
@@ -83,11 +91,14 @@ class HapticTrace(WatchedTopic):
     def __init__(self) -> None:
         super().__init__()
         self.rows: list[Row] | None = None
+        #: Samples received until the row before; None: there was none.
+        self._received: int | None = None
 
     def handle_watched(self, watched: bool) -> None:
         """The topic has readers, or it has none."""
         if watched != self.watched:
             self.rows = [] if watched else None
+            self._received = None
         super().handle_watched(watched)
 
     def add(self, row: Row) -> None:
@@ -98,8 +109,16 @@ class HapticTrace(WatchedTopic):
     def poll_block(self) -> bytes | None:
         """Return 20 rows as octets, or None while there are fewer."""
         rows = self.rows
-        if rows is None or len(rows) < BLOCK_ROWS:
+        if rows is None or len(rows) <= BLOCK_ROWS:
             return None
-        block = rows[:BLOCK_ROWS]
+        values: list[float] = []
+        before = self._received
+        for row, following in pairwise(rows[: BLOCK_ROWS + 1]):
+            sent, received, newest = row[7:]
+            values += row[:7]
+            values.append(NO_SAMPLE if following[7] == sent else sent % SEQUENCE_MODULUS)
+            values.append(NO_SAMPLE if before in (None, received) else newest)
+            before = received
+        self._received = before
         del rows[:BLOCK_ROWS]
-        return _PACK(*(value for row in block for value in row))
+        return _PACK(*values)

@@ -47,6 +47,11 @@ class _End(Generic[Side]):
         before, self._acted = self._acted, self.side.controller.acted
         return before != self._acted
 
+    def _numbers(self) -> tuple[int, int, int]:
+        """Samples sent and received so far, and the number of the newest received."""
+        link = self._link
+        return link.sent, link.received, link.newest_sequence
+
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
@@ -143,7 +148,8 @@ class RobotEnd(_End[RobotSide]):
             lit=side.lit,
         )
         push_x, push_y, credit_uj = robot.push_x_n, robot.push_y_n, side.controller.credit_uj
-        self.trace.add((now_ns, robot.x_m, robot.y_m, push_x, push_y, credit_uj, flags))
+        cycle = (now_ns, robot.x_m, robot.y_m, push_x, push_y, credit_uj, flags)
+        self.trace.add((*cycle, *self._numbers()))
 
 
 class JoystickEnd(_End[JoystickSide]):
@@ -215,4 +221,5 @@ class JoystickEnd(_End[JoystickSide]):
             lit=None if feedback is None else feedback.lit,
         )
         force_x, force_y, credit_uj = side.force_x_n, side.force_y_n, side.controller.credit_uj
-        self.trace.add((now_ns, handle.x_m, handle.y_m, force_x, force_y, credit_uj, flags))
+        cycle = (now_ns, handle.x_m, handle.y_m, force_x, force_y, credit_uj, flags)
+        self.trace.add((*cycle, *self._numbers()))

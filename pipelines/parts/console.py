@@ -13,31 +13,33 @@ from itertools import count
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
+from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root
 from pipelines.cores.console import MOST_TERMINALS, Console
 from pipelines.cores.requests import MAX_LINE_OCTETS
+from pipelines.parts.sample_topic import SampleTopic
 from pipelines.runtime.control import console_path
 from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
-from pipelines.topology import TELECOMMAND, TELEMETRY, WALL_TOPIC
+from pipelines.topology import TELECOMMAND, TELEMETRY, WALL_TOPIC, packets_topic
 from telepresence.haptics.mediated.wall import WALL_OCTETS
 
 
 def run_console(context: Context) -> None:
     """Carry octets between the terminals, the console and the link."""
-    if context.setup.hand == "direct":
-        _serve(context, lambda _wall, _now_ns: None)
-        return
     with context.open_bus() as bus:
+        if context.setup.hand == "direct":
+            _serve(context, bus, lambda _wall, _now_ns: None)
+            return
         writer = bus.writer(WALL_TOPIC, max_octets=WALL_OCTETS, wake=False)
         numbers = count()
 
         def publish(wall: bytes, now_ns: int) -> None:
             writer.publish_octets(wall, CaptureStamp(now_ns, next(numbers), "console"))
 
-        _serve(context, publish)
+        _serve(context, bus, publish)
 
 
-def _serve(context: Context, publish: Callable[[bytes, int], None]) -> None:
+def _serve(context: Context, bus: TopicBus, publish: Callable[[bytes, int], None]) -> None:
     """publish: hands a message with a wall to the joystick."""
     clock, topology = context.clock, context.topology
     udp = context.listen(topology.exit_port(TELEMETRY))
@@ -46,6 +48,8 @@ def _serve(context: Context, publish: Callable[[bytes, int], None]) -> None:
     listener = _listen(context)
     links: dict[int, socket.socket] = {}
     numbers = count()
+    sent = SampleTopic(bus, packets_topic(TELECOMMAND, sent=True))
+    received = SampleTopic(bus, packets_topic(TELEMETRY, sent=False))
     context.on_flush(console.tell)
     while not context.stopping:
         now_ns = clock.now_ns()
@@ -65,10 +69,12 @@ def _serve(context: Context, publish: Callable[[bytes, int], None]) -> None:
                 console.handle_octets(terminal, data, now_ns)
         while (datagram := context.receive(udp)) is not None:
             console.handle_packet(datagram, now_ns)
+            received.handle_sample(datagram, now_ns)
         if (wall := console.poll_wall()) is not None:
             publish(wall, now_ns)
         while (packet := console.poll_transmit(now_ns)) is not None:
             udp.sendto(packet, gateway)
+            sent.handle_sample(packet, now_ns)
         while (reply := console.next_event()) is not None:
             with suppress(OSError):  # the terminal may have gone
                 links[reply.terminal].sendall(reply.octets)

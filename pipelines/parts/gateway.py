@@ -10,9 +10,11 @@ from contextlib import ExitStack
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
+from kontur_av.topics.bus import TopicBus
 from pipelines.cores.ends import make_gateway
 from pipelines.cores.figures import GatewayCounters, GatewayGauges, LoopCounters
 from pipelines.cores.rows import LatenessRow, SendingRow
+from pipelines.parts.link_topics import LinkTopics
 from pipelines.runtime.datagrams import EndAddresses
 from pipelines.runtime.gateway_ports import GatewayPorts
 from pipelines.runtime.process import Context
@@ -33,7 +35,8 @@ def run_gateway(
 ) -> None:
     """Bind the flows' ports, and exchange one frame a slot with the other segment.
 
-    tell_backlog: tell the session's video sender through shared memory how much video waits.
+    tell_backlog: tell the session through shared memory how much video waits, and what a recorder
+        wants to know.
     """
     clock, probe = context.clock, context.probe
     gateway = make_gateway(
@@ -95,7 +98,11 @@ def run_gateway(
 
     context.on_flush(fill)
     with ExitStack() as stack:
-        publish = _backlog_publisher(context, segment, stack) if tell_backlog else None
+        publish = topics = None
+        if tell_backlog:
+            bus = stack.enter_context(context.open_bus())
+            publish = _backlog_publisher(context, segment, bus)
+            topics = LinkTopics(bus, context.topology, segment, gateway)
         alarm_ns = poll_timeout()
         while not context.stopping:
             wait_ns = alarm_ns - clock_ns()
@@ -127,15 +134,16 @@ def run_gateway(
                 # On one machine the peer's slot is at the same time, so its frame is most often
                 # here by now. To read in vain costs less than to ask.
                 fetch_radio(clock_ns())
+                if topics is not None and now_ns >= topics.due_ns:
+                    topics.handle_time(now_ns)
             alarm_ns = poll_timeout()
 
 
 def _backlog_publisher(
-    context: Context, segment: Segment, stack: ExitStack
+    context: Context, segment: Segment, bus: TopicBus
 ) -> Callable[[Backlog, int], None]:
-    """Return a function that publishes a backlog with its instant, while `stack` is open."""
+    """Return a function that publishes a backlog with its instant."""
     topic = context.topology.link(segment.transmits).backlog_topic
-    bus = stack.enter_context(context.open_bus())
     writer = bus.writer(topic, max_octets=BACKLOG_OCTETS, wake=False)
 
     def publish(backlog: Backlog, now_ns: int) -> None:

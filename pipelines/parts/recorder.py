@@ -14,8 +14,10 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
+import msgspec
+
 from kontur_av import __version__
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.cores.figures import RecorderCounters, RecorderGauges
@@ -23,10 +25,12 @@ from pipelines.cores.following import Choice
 from pipelines.recording.control import read_wish, recorder_path, remove_wish, write_wish
 from pipelines.recording.desk import MOST_TERMINALS, Ask, RecorderDesk, Reply, Start, Stop
 from pipelines.recording.facts import RecordingFacts
+from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
 from pipelines.recording.recorder import Recorder
 from pipelines.recording.requests import MAX_LINE_OCTETS, RecordAnswer, RecordingWish
 from pipelines.recording.sources import Content, Source, sources_of
+from pipelines.report.event_log import SessionEvents
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.setup_text import setup_toml
 from pipelines.topology import SELECTED_TOPIC
@@ -70,6 +74,9 @@ class _RecorderProcess:
             wait_ns = PATIENCE_NS if self._recording is None else _WAKE_NS
             self._serve(listener, wait_ns)
             context.tick(now_ns())
+            while (told := context.receive_figures()) is not None:
+                if self._recording is not None:
+                    self._recording.handle_events(told)
             if self._recording is not None:
                 self._recording.handle_wake()
         recorder_path(context.session).unlink(missing_ok=True)
@@ -159,7 +166,7 @@ class _Recording:
         self._now_ns = context.clock.now_ns
         topology, setup = context.topology, context.setup
         offset_ns = context.clock.wall_offset_ns
-        now_ns = self._now_ns()
+        self._begun_ns = now_ns = self._now_ns()
         facts = RecordingFacts(
             session=context.session,
             setup=setup.name,
@@ -211,6 +218,19 @@ class _Recording:
     @property
     def gauges(self) -> RecorderGauges:
         return self._recorder.gauges(str(self.file))
+
+    def handle_events(self, told: bytes) -> None:
+        """The launcher tells what happened; it also knows of what was before the recording."""
+        for event in msgspec.json.decode(told, type=SessionEvents).events:
+            if event.at_us * NS_PER_US < self._begun_ns:
+                continue
+            recorded = RecordedEvent(
+                session_ns=event.at_us * NS_PER_US,
+                number=event.number,
+                what=event.what,
+                text=event.text,
+            )
+            self._recorder.handle_event(recorded, self._now_ns())
 
     def handle_wake(self) -> None:
         """Read what has come, and write what can be written."""

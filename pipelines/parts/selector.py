@@ -12,8 +12,15 @@ from pipelines.cores.choosing import CameraChoice
 from pipelines.cores.following import CHOICE_OCTETS, unpack_confirmed
 from pipelines.parts.reception import replace_file
 from pipelines.parts.robot_state import newest_state
+from pipelines.parts.sample_topic import SampleTopic
 from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
-from pipelines.topology import FOLLOWED_TOPIC, SELECTED_TOPIC, TELECOMMAND, TELEMETRY
+from pipelines.topology import (
+    FOLLOWED_TOPIC,
+    SELECTED_TOPIC,
+    TELECOMMAND,
+    TELEMETRY,
+    packets_topic,
+)
 
 
 def run_selector(context: Context) -> None:
@@ -32,6 +39,8 @@ def run_selector(context: Context) -> None:
         reader = bus.reader(FOLLOWED_TOPIC)
         state_at = newest_state(bus)
         waiter = bus.waiter([reader], [udp.fileno()])
+        received = SampleTopic(bus, packets_topic(TELECOMMAND, sent=False))
+        sent = SampleTopic(bus, packets_topic(TELEMETRY, sent=True))
         publish_ns = 0
         while not context.stopping:
             now_ns = clock.now_ns()
@@ -39,6 +48,7 @@ def run_selector(context: Context) -> None:
             changed = False
             while (datagram := context.receive(udp)) is not None:
                 changed |= choice.handle_packet(datagram, now_ns)
+                received.handle_sample(datagram, now_ns)
             if changed:
                 replace_file(remembered, choice.selected.encode("ascii"))
             if changed or now_ns >= publish_ns:
@@ -54,5 +64,6 @@ def run_selector(context: Context) -> None:
                 choice.handle_state(state_at(now_ns), now_ns)
             while (packet := choice.poll_transmit(now_ns)) is not None:
                 udp.sendto(packet, gateway)
+                sent.handle_sample(packet, now_ns)
             waiter.wait(PATIENCE_NS)
         del waiter

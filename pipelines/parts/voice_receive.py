@@ -7,6 +7,7 @@ from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.cores.session_streams import voice_receiver
 from pipelines.cores.stream_figures import note_arrivals, tell_voice_receiver
 from pipelines.parts.reception import Incoming
+from pipelines.parts.sample_topic import SampleTopic
 from pipelines.runtime.process import Context
 from pipelines.setup.table import VoiceStream
 
@@ -22,6 +23,7 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
         writer = bus.writer(
             context.topology.media(stream.name).received_topic, max_octets=MAX_PACKET_SAMPLES * 2
         )
+        packets = SampleTopic(bus, context.topology.media(stream.name).coded_topic)
         picture = context.topology.shown_with(stream.name)
         lag_reader = None if picture is None else bus.reader(picture.lag_topic)
         while not context.stopping:
@@ -33,6 +35,8 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
                 samples, decoded = player.play(block)
                 capture_ns = receiver.capture_ns(block.timestamp)
                 stamp = receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
+                if block.payload is not None and not block.recovered:
+                    packets.handle_sample(block.payload, capture_ns or 0, block.timestamp)
                 if stamp is not None:
                     writer.publish_audio(AudioFrame(samples, stamp))
                 lag = None if lag_reader is None else lag_reader.latest()

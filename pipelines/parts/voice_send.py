@@ -6,6 +6,7 @@ from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.rtp.sender import RtpIdentity
 from pipelines.cores.session_streams import voice_sender
 from pipelines.cores.stream_figures import tell_sender
+from pipelines.parts.sample_topic import SampleTopic
 from pipelines.parts.sending import to_gateway
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.table import VoiceStream
@@ -23,6 +24,7 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
     context.on_flush(lambda: tell_sender(probe, sender))
     with context.open_bus() as bus:
         reader = bus.reader(topic, depth=8)
+        packets = SampleTopic(bus, context.topology.media(stream.name).sent_topic)
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -35,5 +37,6 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
                     frame = lease.audio()
                     data = encoder.encode(frame.samples)
                 sender.handle_packet(data, frame.stamp, clock.now_ns())
+                packets.handle_sample(data, frame.stamp.capture_ns)
             outgoing.handle_time(clock.now_ns())
         outgoing.close(clock.now_ns())

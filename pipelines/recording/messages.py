@@ -19,6 +19,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.cores import haptic_trace
 from pipelines.recording.schemas import (
     AUDIO,
     EVENT,
@@ -367,7 +368,7 @@ SAMPLE: Final = np.dtype(
     ]
 )
 #: The `sequence` of a cycle without a sample on the link.
-NO_SAMPLE: Final = -1
+NO_SAMPLE: Final = haptic_trace.NO_SAMPLE
 
 
 def haptic_samples(
@@ -378,8 +379,9 @@ def haptic_samples(
     sequences: (rows,), the number of each cycle's sample on the link; None: not known.
     """
     samples = np.empty(len(rows), SAMPLE)
-    for name in rows.dtype.names or ():
-        samples[name] = rows[name]
+    for name in SAMPLE.names or ():
+        if name != "sequence":
+            samples[name] = rows[name]
     samples["sequence"] = NO_SAMPLE if sequences is None else sequences
     return samples
 

@@ -11,31 +11,48 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
+import msgspec
+
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.cores.figures import RecorderCounters, RecorderGauges
+from pipelines.cores.frame_batch import unpack_frames
 from pipelines.cores.haptic_trace import rows_of
 from pipelines.recording.camera_coder import CameraCoder
-from pipelines.recording.channels import EVENTS, LOG_LINES, RECORDER_LOSSES, channels_of
+from pipelines.recording.channels import (
+    EVENTS,
+    LOG_LINES,
+    RECEIVED,
+    RECORDER_LOSSES,
+    SENT,
+    channels_of,
+)
 from pipelines.recording.contacts import ContactWatch
 from pipelines.recording.facts import FACTS, LIBRARY, RecordingFacts
 from pipelines.recording.mcap_stream import McapStream, Piece
 from pipelines.recording.messages import (
     ChannelLoss,
+    LinkReceived,
+    LinkSent,
     LogLevel,
     LogLine,
     RecordedEvent,
+    RecordedFrames,
+    RecordedPacket,
     RecordedPicture,
+    RecordedSound,
     RecorderLosses,
     UnitFacts,
     haptic_samples,
     pack,
     pack_haptics,
+    packet_words,
 )
 from pipelines.recording.sources import Content, Source
 from pipelines.recording.stream_start import StreamStart
 from pipelines.topology import Topology
+from telepresence.link.figures import GatewayFigures
 
 #: After a fault of the disk, a new part is tried this often.
 RETRY_NS: Final = 2 * NS_PER_S
@@ -141,6 +158,18 @@ class Recorder:
             self._handle_unit(source, CodedUnit.unpack(octets), stamp, now_ns)
         elif source.content is Content.HAPTICS:
             self._handle_haptics(source, octets, stamp, now_ns)
+        elif source.content is Content.SOUND:
+            self._handle_sound(source, octets, stamp, now_ns)
+        elif source.content is Content.PACKET:
+            packet = RecordedPacket(
+                session_ns=stamp.capture_ns, data=octets, what=packet_words(octets)
+            )
+            wall_ns = stamp.capture_ns + self._offset_ns
+            self._put(source.channels[0], pack(packet), wall_ns, stamp.sequence, now_ns)
+        elif source.content is Content.GATEWAY:
+            self._handle_gateway(source, octets, stamp, now_ns)
+        elif source.content is Content.FRAMES:
+            self._handle_frames(source, octets, stamp, now_ns)
         else:
             raise ValueError(f"{source.topic}: its samples are not octets")
 
@@ -191,14 +220,43 @@ class Recorder:
         rows = rows_of(octets)
         if not len(rows):
             return
-        packed = pack_haptics(haptic_samples(rows))
         wall_ns = int(rows["time_ns"][0]) + self._offset_ns
-        for channel in source.channels:
+        for channel, way in zip(source.channels, (SENT, RECEIVED), strict=True):
+            packed = pack_haptics(haptic_samples(rows, rows[way]))
             self._put(channel, packed, wall_ns, stamp.sequence, now_ns)
         if source.name == "robot":
             for at_ns, text in self._contact.handle_rows(rows):
                 event = RecordedEvent(session_ns=at_ns, number=0, what="contact", text=text)
                 self.handle_event(event, now_ns)
+
+    def _handle_sound(
+        self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
+    ) -> None:
+        # A receiver that has no sender report yet cannot date its packets.
+        wall_ns = (stamp.capture_ns or now_ns) + self._offset_ns
+        sound = RecordedSound(wall_ns=wall_ns, data=octets)
+        self._put(source.channels[0], pack(sound), wall_ns, stamp.sequence, now_ns)
+
+    def _handle_gateway(
+        self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
+    ) -> None:
+        found = msgspec.msgpack.decode(octets, type=GatewayFigures)
+        at_ns, state = stamp.capture_ns, found.supervision
+        sent = LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
+        received = LinkReceived.of(found.receive, state, session_ns=at_ns)
+        for channel, told in zip(source.channels, (sent, received), strict=True):
+            self._put(channel, pack(told), at_ns + self._offset_ns, stamp.sequence, now_ns)
+
+    def _handle_frames(
+        self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
+    ) -> None:
+        frames = unpack_frames(octets)
+        if not frames:
+            return
+        times, data = zip(*frames, strict=True)
+        told = RecordedFrames(time_ns=times, data=data)
+        wall_ns = times[0] + self._offset_ns
+        self._put(source.channels[0], pack(told), wall_ns, stamp.sequence, now_ns)
 
     def _put(self, channel: str, data: bytes, log_ns: int, sequence: int, now_ns: int) -> None:
         number = self._numbers[channel]

@@ -5,7 +5,17 @@ from dataclasses import dataclass
 from enum import Enum
 
 from pipelines.recording.channels import RECEIVED, SENT
-from pipelines.topology import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, Topology, VideoRow
+from pipelines.topology import (
+    JOYSTICK_TRACE_TOPIC,
+    ROBOT_TRACE_TOPIC,
+    TELECOMMAND,
+    TELEMETRY,
+    Segment,
+    Topology,
+    VideoRow,
+    gateway_topic,
+    packets_topic,
+)
 
 #: By end of the hand: its topic.
 _TRACES = {"joystick": JOYSTICK_TRACE_TOPIC, "robot": ROBOT_TRACE_TOPIC}
@@ -16,6 +26,10 @@ class Content(Enum):
 
     UNIT = "access unit"
     HAPTICS = "cycles of one end of the hand"
+    SOUND = "Opus packet"
+    PACKET = "space packet"
+    GATEWAY = "figures of a gateway"
+    FRAMES = "frames of the radio link"
     CAMERA = "captured picture"
 
 
@@ -40,15 +54,39 @@ def sources_of(topology: Topology, *, link_frames: bool = False) -> tuple[Source
 
 def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
     for media in topology.media_streams:
-        if not isinstance(media, VideoRow):
-            continue
+        video = isinstance(media, VideoRow)
         for way, topic in ((SENT, media.sent_topic), (RECEIVED, media.coded_topic)):
             channel = f"/{media.name}/{way}"
             yield Source(
                 topic=topic,
-                content=Content.UNIT,
-                channels=(channel, f"{channel}/facts"),
+                content=Content.UNIT if video else Content.SOUND,
+                channels=(channel, f"{channel}/facts") if video else (channel,),
                 name=media.name,
+            )
+    for name in (TELECOMMAND, TELEMETRY):
+        for way in (SENT, RECEIVED):
+            yield Source(
+                topic=packets_topic(name, sent=way == SENT),
+                content=Content.PACKET,
+                channels=(f"/{name}/{way}",),
+                name=name,
+            )
+    for segment in Segment:
+        out, back = segment.transmits.value, segment.transmits.opposite.value
+        yield Source(
+            topic=gateway_topic(segment),
+            content=Content.GATEWAY,
+            channels=(f"/link/{out}/{SENT}", f"/link/{back}/{RECEIVED}"),
+            name=segment.value,
+        )
+    for link in topology.links if link_frames else ():
+        ways = ((SENT, link.sent_frames_topic), (RECEIVED, link.received_frames_topic))
+        for way, topic in ways:
+            yield Source(
+                topic=topic,
+                content=Content.FRAMES,
+                channels=(f"/link/{link.direction.value}/frames/{way}",),
+                name=link.direction.value,
             )
     # A camera that is alone in its stream is always carried.
     uplink = topology.setup.uplink_video.name

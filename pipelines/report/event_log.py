@@ -54,6 +54,12 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     text: str
 
 
+class SessionEvents(msgspec.Struct, frozen=True, kw_only=True):
+    """What the recorder gets: events that it was not told yet."""
+
+    events: list[Event]
+
+
 class EventLog:
     """Finds events, and keeps the newest 200. Call `handle_look` about twice a second."""
 

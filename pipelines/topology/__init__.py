@@ -19,10 +19,13 @@ from pipelines.topology.processes import (
     JOYSTICK_STATE_TOPIC,
     JOYSTICK_TRACE_TOPIC,
     PAGES,
+    RECORDER,
     ROBOT_TOPIC,
     ROBOT_TRACE_TOPIC,
     SELECTED_TOPIC,
     WALL_TOPIC,
+    gateway_topic,
+    packets_topic,
 )
 from pipelines.topology.rows import (
     LOOP_PRIORITY,
@@ -50,6 +53,7 @@ __all__ = [
     "JOYSTICK_TRACE_TOPIC",
     "LOOP_PRIORITY",
     "PAGES",
+    "RECORDER",
     "ROBOT_TOPIC",
     "ROBOT_TRACE_TOPIC",
     "SELECTED_TOPIC",
@@ -71,5 +75,7 @@ __all__ = [
     "TopicRow",
     "Topology",
     "VideoRow",
+    "gateway_topic",
+    "packets_topic",
     "topology_of",
 ]

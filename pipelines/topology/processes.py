@@ -15,7 +15,7 @@ from pipelines.topology.rows import (
     TopicRow,
     VideoRow,
 )
-from pipelines.topology.streams import STEREO_TOPIC
+from pipelines.topology.streams import STEREO_TOPIC, TELECOMMAND, TELEMETRY
 from pipelines.topology.table import Topology
 from telepresence.haptics.device.spec import PAGE
 
@@ -35,6 +35,18 @@ JOYSTICK_TRACE_TOPIC = "haptic/joystick"
 ROBOT_TRACE_TOPIC = "haptic/robot"
 
 
+def packets_topic(stream: str, *, sent: bool) -> str:
+    """The space packets of a stream of telecommands or telemetry, at one of its ends."""
+    return f"{stream}/{'sent' if sent else 'received'}"
+
+
+def gateway_topic(segment: Segment) -> str:
+    """The figures of a segment's gateway: `telepresence.link.figures.GatewayFigures`."""
+    return f"figures/{segment.value}"
+
+
+#: The process that records the session.
+RECORDER = "recorder"
 #: By segment: the process that serves its browser pages.
 PAGES = {segment: f"page_{segment.value}" for segment in Segment}
 
@@ -74,16 +86,23 @@ def topic_rows(session: Topology) -> Iterable[TopicRow]:
         samples[row.topic] = "captured picture" if video else "20 ms of captured sound"
         samples[row.preview_topic] = "small picture, 5 a second"
         samples[row.page_topic] = f"{'picture' if video else '20 ms of sound'} of a browser page"
+    for segment in Segment:
+        samples[gateway_topic(segment)] = "what the gateway counts, ten times a second"
+    for name in (TELECOMMAND, TELEMETRY):
+        samples[packets_topic(name, sent=True)] = "space packet as sent"
+        samples[packets_topic(name, sent=False)] = "space packet as received"
     for link in session.links:
         samples[link.backlog_topic] = "what waits in the gateway, state of the radio"
+        samples[link.sent_frames_topic] = "20 ms of frames as sent"
+        samples[link.received_frames_topic] = "20 ms of frames as received"
     for media in session.media_streams:
         video = media.kind is Kind.VIDEO
         samples[media.received_topic] = "decoded picture" if video else "decoded sound"
+        samples[media.coded_topic] = "received access unit" if video else "Opus packet as played"
+        samples[media.sent_topic] = f"{'access unit' if video else 'Opus packet'} as it was sent"
         if isinstance(media, VideoRow):
             samples[media.displayed_topic] = "picture, marked where it is stale"
             samples[media.lag_topic] = "how late the newest picture was shown"
-            samples[media.coded_topic] = "received access unit"
-            samples[media.sent_topic] = "access unit as it was sent"
             samples[media.decoded_topic] = "decoded picture in its coded size"
     for process in session.processes:
         for name in process.writes:
@@ -126,14 +145,18 @@ def _ground(session: Topology) -> Iterable[ProcessRow]:
         stage=Stage.RELAY,
         run="pipelines.parts.selector:run_selector",
         reads=(FOLLOWED_TOPIC, ROBOT_TOPIC),
-        writes=(SELECTED_TOPIC,),
+        writes=(
+            SELECTED_TOPIC,
+            packets_topic(TELECOMMAND, sent=False),
+            packets_topic(TELEMETRY, sent=True),
+        ),
         what="tells the sender which camera telecommands select",
     )
     cameras = tuple(camera.topic for camera in session.cameras)
     yield replace(
         _send(video, None),
         reads=(SELECTED_TOPIC, *cameras, video.backlog_topic),
-        writes=(FOLLOWED_TOPIC, *_sent(video)),
+        writes=(FOLLOWED_TOPIC, video.sent_topic),
     )
     if setup.uplink_voice is not None:
         yield from _say(session, setup.uplink_voice.name)
@@ -163,7 +186,11 @@ def _space(session: Topology, joystick: str, *, pages: bool) -> Iterable[Process
         segment=Segment.SPACE,
         stage=Stage.LINK,
         run="pipelines.parts.console:run_console",
-        writes=wall,
+        writes=(
+            *wall,
+            packets_topic(TELECOMMAND, sent=True),
+            packets_topic(TELEMETRY, sent=False),
+        ),
         what="sends telecommands, answers `kontur-av select`",
     )
     yield from _end(session, Segment.SPACE)
@@ -173,7 +200,7 @@ def _space(session: Topology, joystick: str, *, pages: bool) -> Iterable[Process
 
 
 def _gateway(session: Topology, segment: Segment) -> ProcessRow:
-    link = session.link(segment.transmits)
+    link, back = session.link(segment.transmits), session.link(segment.transmits.opposite)
     return ProcessRow(
         name=link.sender,
         segment=segment,
@@ -181,7 +208,12 @@ def _gateway(session: Topology, segment: Segment) -> ProcessRow:
         run="pipelines.parts.gateway:run_gateway",
         arguments={"segment": segment},
         priority=LOOP_PRIORITY,
-        writes=(link.backlog_topic,),
+        writes=(
+            link.backlog_topic,
+            gateway_topic(segment),
+            link.sent_frames_topic,
+            back.received_frames_topic,
+        ),
         what="1 kHz slots: this segment's end of the radio link",
     )
 
@@ -232,13 +264,9 @@ def _send(media: MediaRow, topic: str | None) -> ProcessRow:
         arguments={"stream": media.stream, "topic": topic},
         priority=0 if video else VOICE_PRIORITY,
         reads=(*((topic,) if topic else ()), *((media.backlog_topic,) if video else ())),
-        writes=_sent(media),
+        writes=(media.sent_topic,),
         what="encodes and sends pictures" if video else "encodes and sends sound",
     )
-
-
-def _sent(media: MediaRow) -> tuple[str, ...]:
-    return (media.sent_topic,) if isinstance(media, VideoRow) else ()
 
 
 def _end(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
@@ -260,7 +288,8 @@ def _end(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
             reads=() if video else lag_topics,
             writes=(
                 row.received_topic,
-                *((row.coded_topic, row.decoded_topic) if isinstance(row, VideoRow) else ()),
+                row.coded_topic,
+                *((row.decoded_topic,) if isinstance(row, VideoRow) else ()),
             ),
             what="receives and decodes pictures" if video else "receives and decodes sound",
         )
@@ -293,10 +322,9 @@ def _snapshots(session: Topology) -> ProcessRow:
 
 def _recorder(session: Topology) -> ProcessRow:
     """It is started first, so that it misses nothing."""
-    videos = [row for row in session.media_streams if isinstance(row, VideoRow)]
     cameras = (row for row in session.inputs if session.media(row.stream).kind is Kind.VIDEO)
     return ProcessRow(
-        name="recorder",
+        name=RECORDER,
         segment=None,
         stage=Stage.LINK,
         run="pipelines.parts.recorder:run_recorder",
@@ -304,7 +332,22 @@ def _recorder(session: Topology) -> ProcessRow:
             ROBOT_TRACE_TOPIC,
             JOYSTICK_TRACE_TOPIC,
             SELECTED_TOPIC,
-            *(topic for row in videos for topic in (row.sent_topic, row.coded_topic)),
+            *(
+                topic
+                for row in session.media_streams
+                for topic in (row.sent_topic, row.coded_topic)
+            ),
+            *(
+                packets_topic(name, sent=sent)
+                for name in (TELECOMMAND, TELEMETRY)
+                for sent in (True, False)
+            ),
+            *(gateway_topic(segment) for segment in Segment),
+            *(
+                topic
+                for link in session.links
+                for topic in (link.sent_frames_topic, link.received_frames_topic)
+            ),
             *(row.topic for row in cameras),
         ),
         what="records the session, if that is wished",

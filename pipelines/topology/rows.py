@@ -121,6 +121,16 @@ class MediaRow(StreamRow):
     received_topic: str
     backlog_topic: str
 
+    @property
+    def coded_topic(self) -> str:
+        """Every access unit that its receiver got, or every Opus packet in the order of playing."""
+        return f"coded/{self.name}"
+
+    @property
+    def sent_topic(self) -> str:
+        """Every access unit or Opus packet that its sender made."""
+        return f"sent/{self.name}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class VideoRow(MediaRow):
@@ -140,16 +150,6 @@ class VideoRow(MediaRow):
     def lag_topic(self) -> str:
         """How late the pictures were shown."""
         return f"lag/{self.name}"
-
-    @property
-    def coded_topic(self) -> str:
-        """Every access unit that its receiver got."""
-        return f"coded/{self.name}"
-
-    @property
-    def sent_topic(self) -> str:
-        """Every access unit that its sender made."""
-        return f"sent/{self.name}"
 
     @property
     def decoded_topic(self) -> str:
@@ -200,6 +200,16 @@ class LinkRow:
     receiver: str
     port: int
     backlog_topic: str
+
+    @property
+    def sent_frames_topic(self) -> str:
+        """Its frames as they were sent."""
+        return f"frames/{self.direction.value}/sent"
+
+    @property
+    def received_frames_topic(self) -> str:
+        """Its frames as they were received."""
+        return f"frames/{self.direction.value}/received"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -280,6 +280,11 @@ class HapticLink(Generic[Out, In]):
         )
 
     @property
+    def newest_sequence(self) -> int:
+        """Number of the newest sample received."""
+        return self._newest_sequence
+
+    @property
     def restarts(self) -> int:
         return self.session.restarts
 

@@ -119,6 +119,10 @@ class Gateway:
         self._slot = 0
         #: Number of slots without a sample among the latest `COUNTED_SLOTS`; 0 at the start.
         self.free_slots = 0
+        #: Frames with the instants at which they were sent and received, oldest first, for whoever
+        #: sets these to a list; None: they are not kept.
+        self.frames_sent: list[tuple[int, bytes]] | None = None
+        self.frames_received: list[tuple[int, bytes]] | None = None
         # The peer has not been heard yet.
         self.sender.set_patience(LOST_PATIENCE_NS)
         self.sender.handle_peer(heard=False)
@@ -142,6 +146,8 @@ class Gateway:
 
     def handle_radio(self, frame: bytes, now_ns: int) -> None:
         """Take a frame from the other segment."""
+        if self.frames_received is not None:
+            self.frames_received.append((now_ns, frame))
         receiver, supervisor = self.receiver, self.supervisor
         if not receiver.handle_frame(frame, now_ns):
             stranger = receiver.stranger
@@ -171,6 +177,8 @@ class Gateway:
         elif not self._free[slot]:
             self._free[slot] = 1
             self.free_slots += 1
+        if self.frames_sent is not None:
+            self.frames_sent.append((now_ns, frame))
         self.radio.handle_frame(frame, now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:

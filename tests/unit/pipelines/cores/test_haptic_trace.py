@@ -24,18 +24,23 @@ def test_rows_are_read_back_as_they_were():
     trace.handle_watched(True)
     rows = [
         (k * NS_PER_MS + 2**40, 0.001 * k, -0.5, 1.5, float("nan"), 1e5, k)
-        for k in range(BLOCK_ROWS)
+        for k in range(BLOCK_ROWS + 1)
     ]
-    for row in rows[:-1]:
-        trace.add(row)
+    # In every second cycle a sample is sent, in every third one or two are received.
+    counts = [(65_530 + k // 2, k // 3, 2 * (k // 3)) for k in range(BLOCK_ROWS + 1)]
+    for row, count in zip(rows[:-1], counts[:-1], strict=True):
+        trace.add((*row, *count))
     assert trace.poll_block() is None
-    trace.add(rows[-1])
+    trace.add((*rows[-1], *counts[-1]))
     block = trace.poll_block()
     assert trace.poll_block() is None
     assert block is not None and len(block) == BLOCK_OCTETS
     found = rows_of(block)
-    assert found.dtype == ROW and ROW.itemsize == 32
-    assert found.tobytes() == np.array(rows, ROW).tobytes()
+    assert found.dtype == ROW and ROW.itemsize == 40
+    sent = [(65_530 + k // 2) % 65_536 if k % 2 else -1 for k in range(BLOCK_ROWS)]
+    received = [2 * (k // 3) if k and k % 3 == 0 else -1 for k in range(BLOCK_ROWS)]
+    told = [(*row, one, other) for row, one, other in zip(rows[:-1], sent, received, strict=True)]
+    assert found.tobytes() == np.array(told, ROW).tobytes()
 
 
 def test_nothing_is_collected_without_a_reader_and_readers_are_looked_for_ten_times_a_second():
@@ -43,10 +48,10 @@ def test_nothing_is_collected_without_a_reader_and_readers_are_looked_for_ten_ti
     asked = 0
     for k in range(1000):
         asked += trace.asks(k * NS_PER_MS)
-        trace.add((k, 0.0, 0.0, 0.0, 0.0, 0.0, 0))
+        trace.add((k, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0))
     assert asked == 10 and trace.rows is None and trace.poll_block() is None
     trace.handle_watched(True)
-    trace.add((1, 0.0, 0.0, 0.0, 0.0, 0.0, 0))
+    trace.add((1, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0, 0))
     # Looked for again: the block that is begun stays.
     trace.handle_watched(True)
     assert trace.rows is not None and len(trace.rows) == 1
@@ -79,7 +84,12 @@ def test_both_ends_trace_what_they_felt():
             if sample is not None:
                 other.handle_datagram(sample, now_ns)
     tip, handle = (np.concatenate(blocks[end]) for end in (robot, joystick))
-    assert len(tip) == len(handle) == 4000
+    # The last block is not whole.
+    assert len(tip) == len(handle) == 4000 - BLOCK_ROWS
+    for one, other in ((tip, handle), (handle, tip)):
+        sent = one["sent"][one["sent"] >= 0]
+        assert len(sent) > 3900 and (np.diff(sent) == 1).all()
+        assert set(other["received"][other["received"] >= 0]) <= {*sent, sent[-1] + 1}
     assert (np.diff(tip["time_ns"]) == NS_PER_MS).all()
     touching = (tip["flags"] & 1).astype(bool)
     assert touching.any()

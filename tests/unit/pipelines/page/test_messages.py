@@ -45,7 +45,7 @@ def test_what_pages_are_sent():
 
 
 def test_a_row_of_haptics_has_its_instant_in_microseconds():
-    rows = np.array([(1_500, 1, 2, 3, 4, 5, 0x30201)] * 2, ROW)
+    rows = np.array([(1_500, 1, 2, 3, 4, 5, 0x30201, -1, -1)] * 2, ROW)
     message = pack_haptic(1, rows)
     assert message[:8] == struct.pack("<BBHI", 3, 1, 2, 0)
     assert message[8:40] == struct.pack("<d5fI", 1.5, 1, 2, 3, 4, 5, 0x30201)

@@ -129,7 +129,7 @@ def test_rows_of_the_trace_become_samples():
     rows["time_ns"], rows["x_m"], rows["flags"] = (1, 2, 3), (0.1, 0.2, 0.3), (1, 2, 4)
     samples = haptic_samples(rows)
     assert samples["sequence"].tolist() == [NO_SAMPLE] * 3
-    assert all((samples[name] == rows[name]).all() for name in ROW.names)
+    assert all((samples[name] == rows[name]).all() for name in ROW.names[:-2])
     assert haptic_samples(rows, np.array([7, 8, -1], np.int32))["sequence"].tolist() == [7, 8, -1]
 
 
