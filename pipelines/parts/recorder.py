@@ -22,6 +22,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.cores.figures import RecorderCounters, RecorderGauges
 from pipelines.cores.following import Choice
+from pipelines.cores.session_events import SessionEvents
 from pipelines.recording.control import read_wish, recorder_path, remove_wish, write_wish
 from pipelines.recording.desk import MOST_TERMINALS, Ask, RecorderDesk, Reply, Start, Stop
 from pipelines.recording.facts import RecordingFacts
@@ -30,7 +31,6 @@ from pipelines.recording.part_files import PartFiles, check_recordable, clear_pa
 from pipelines.recording.recorder import Recorder
 from pipelines.recording.requests import MAX_LINE_OCTETS, RecordAnswer, RecordingWish
 from pipelines.recording.sources import Content, Source, sources_of
-from pipelines.report.event_log import SessionEvents
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.setup_text import setup_toml
 from pipelines.topology import SELECTED_TOPIC

@@ -8,12 +8,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import msgspec
-
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
 from pipelines.cores.figures import JoystickGauges
 from pipelines.cores.marking import age_words
+from pipelines.cores.session_events import Event
 from pipelines.cores.session_switch import Activity, SessionSwitch
 from pipelines.report.collector import Collector
 from pipelines.report.present import shown_now
@@ -39,25 +38,6 @@ class ProcessNow:
     restarts: int
     running: bool
     error: str
-
-
-class Event(msgspec.Struct, frozen=True, kw_only=True):
-    """One event.
-
-    number: from 1 on. at_us: on the session's clock. what: `link`, `process`, `camera`, `stale`,
-    `joystick`, `input` or `session`.
-    """
-
-    number: int
-    at_us: int
-    what: str
-    text: str
-
-
-class SessionEvents(msgspec.Struct, frozen=True, kw_only=True):
-    """What the recorder gets: events that it was not told yet."""
-
-    events: list[Event]
 
 
 class EventLog:

@@ -3,8 +3,9 @@
 import msgspec
 
 from pipelines.cores.figures import PageGauges, RecorderGauges
+from pipelines.cores.session_events import Event, SessionEvents
 from pipelines.report.collector import Collector
-from pipelines.report.event_log import Event, ProcessNow, SessionEvents
+from pipelines.report.event_log import ProcessNow
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.runtime.launcher import Launcher, launcher_cpu_s
 from pipelines.setup.table import Setup

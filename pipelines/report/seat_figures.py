@@ -21,9 +21,10 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
 from pipelines.cores.figures import HOLDER, PageGauges
+from pipelines.cores.session_events import Event
 from pipelines.cores.session_switch import Activity, SessionSwitch
 from pipelines.report.collector import Collector
-from pipelines.report.event_log import Event, EventLog, ProcessNow
+from pipelines.report.event_log import EventLog, ProcessNow
 from pipelines.report.link_figures import gateway_figures, link_figures
 from pipelines.report.model import DirectionReport, GatewayReport, to_builtins
 from pipelines.report.present import last_bps, shown_now

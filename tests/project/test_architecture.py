@@ -234,6 +234,7 @@ LIBRARIES = {
     "pipelines/cores/marking.py": ({"cv2"}, "draws"),
     "pipelines/cores/hand_topics.py": ({"msgspec"}, "the joystick's state as octets"),
     "pipelines/cores/requests.py": ({"msgspec"}, "requests and answers as JSON"),
+    "pipelines/cores/session_events.py": ({"msgspec"}, "events as JSON"),
     "pipelines/page/access.py": ({"hmac"}, "compares tokens in constant time"),
     "pipelines/page/figures_log.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/page/local_key.py": ({"av"}, "codes one picture"),

@@ -1,0 +1,22 @@
+"""What happened in a session, as its launcher tells the pages and the recorder. A core."""
+
+import msgspec
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True):
+    """One event.
+
+    number: from 1 on. at_us: on the session's clock. what: `link`, `process`, `camera`, `stale`,
+    `joystick`, `input` or `session`.
+    """
+
+    number: int
+    at_us: int
+    what: str
+    text: str
+
+
+class SessionEvents(msgspec.Struct, frozen=True, kw_only=True):
+    """What the recorder gets: events that it was not told yet."""
+
+    events: list[Event]
