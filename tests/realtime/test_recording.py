@@ -6,12 +6,14 @@ import signal
 import subprocess
 from collections import Counter
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from running_session import COMMAND, PATIENCE_S, assert_sound, eventually
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from pipelines.recording.facts import FACTS, RecordingFacts
+from pipelines.recording.messages import RecordedEvent, unpack, unpack_haptics
 from pipelines.recording.scan import FoundMessage, Scan
 
 pytestmark = pytest.mark.realtime
@@ -51,8 +53,9 @@ def record(session, *words):
 
 def test_the_file_has_what_the_report_says(start, tmp_path):
     path = tmp_path / "run.mcap"
-    session = start("spacejustin", "--record", str(path))
+    session = start("spacejustin", "--record", str(path), "--link-frames")
     session.wait_for_flow()
+    assert session.select("left").returncode == 0
     busy = record(session, tmp_path / "other.mcap")
     assert busy.returncode == 2 and str(path) in busy.stderr and busy.stderr.count("\n") == 1
     assert not (tmp_path / "other.mcap").exists()
@@ -68,7 +71,29 @@ def test_the_file_has_what_the_report_says(start, tmp_path):
         assert found[f"/{name}/received"] > 0
     for way in ("up/sent", "up/received", "down/sent", "down/received"):
         assert found[f"/haptic/{way}"] > 0
-    assert found["/camera/static"] > 0 and found["/camera/left"] == 0
+        assert found[f"/{name.replace('video', 'voice')}/sent"] > 0
+        assert found[f"/{name.replace('video', 'voice')}/received"] > 0
+    for way in ("uplink", "downlink"):
+        for what in ("sent", "received", "frames/sent", "frames/received"):
+            assert found[f"/link/{way}/{what}"] > 0, (way, what)
+    for stream in ("telecommand", "telemetry"):
+        assert 0 < found[f"/{stream}/received"] <= found[f"/{stream}/sent"]
+    texts = [
+        unpack(RecordedEvent, each.message.data).text
+        for each in scanned(path)[1]
+        if each.channel.topic == "/events"
+    ]
+    assert any("left" in text for text in texts), texts
+    # The plain count: each sample of the hand has a number, and none is missing.
+    numbers = np.concatenate(
+        [
+            unpack_haptics(each.message.data)["sequence"]
+            for each in scanned(path)[1]
+            if each.channel.topic == "/haptic/down/sent"
+        ]
+    )
+    assert (np.diff(numbers[numbers >= 0]) % 65_536 == 1).all()
+    assert found["/camera/static"] > 0
     assert scanned(path)[0].figures.sound
 
 

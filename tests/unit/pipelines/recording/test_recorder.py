@@ -3,6 +3,7 @@
 from fractions import Fraction
 from io import BytesIO
 
+import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -12,11 +13,18 @@ from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.cores.ends import make_gateway
+from pipelines.cores.frame_batch import pack_frames
 from pipelines.cores.haptic_trace import CONTACT, ROW
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.messages import (
+    LinkReceived,
+    LinkSent,
     RecordedEvent,
+    RecordedFrames,
+    RecordedPacket,
     RecordedPicture,
+    RecordedSound,
     RecorderLosses,
     UnitFacts,
     unpack,
@@ -28,7 +36,7 @@ from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.recording.sources import Content, sources_of
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.setup.setup_text import setup_toml
-from pipelines.topology import topology_of
+from pipelines.topology import Segment, topology_of
 
 SETUP = BUILT_IN["spacejustin"]
 TOPOLOGY = topology_of(SETUP, recorder=True)
@@ -318,3 +326,36 @@ def test_a_sample_from_before_the_recording_is_left_out():
     (file,) = disk.end(now_ns + NS_PER_S)
     assert [each.sequence for each in file["/haptic/up/sent"]] == [800, 801]
     assert not disk.recorder.counters().missed
+
+
+def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
+    disk = Disk(link_frames=True)
+    disk.pump(0)
+    sources = {source.topic: source for source in sources_of(TOPOLOGY, link_frames=True)}
+    gateway = make_gateway(TOPOLOGY, Segment.GROUND, life=1, secret=1, seed=1, epoch_ns=0, now_ns=0)
+    gateway.frames_sent = []
+    for number in range(3):
+        gateway.handle_slot(number * NS_PER_MS)
+    figures = gateway.report(3 * NS_PER_MS)
+    given = {
+        "sent/uplink_voice": b"opus",
+        "telecommand/sent": b"no packet",
+        "figures/ground": msgspec.msgpack.encode(figures),
+        "frames/uplink/sent": pack_frames(gateway.frames_sent),
+    }
+    for topic, octets in given.items():
+        disk.recorder.handle_sample(sources[topic], octets, stamp(0, 5 * NS_PER_MS), 6 * NS_PER_MS)
+    (found,) = disk.end(NS_PER_S)
+
+    def only(kind, channel):
+        (message,) = found[channel]
+        return unpack(kind, message.data)
+
+    assert only(RecordedSound, "/uplink_voice/sent").data == b"opus"
+    assert only(RecordedSound, "/uplink_voice/sent").wall_ns == OFFSET_NS + 5 * NS_PER_MS
+    assert only(RecordedPacket, "/telecommand/sent").data == b"no packet"
+    assert only(LinkSent, "/link/uplink/sent").frames == figures.transmit.frames == 3
+    assert only(LinkReceived, "/link/downlink/received").frames == 0
+    frames = only(RecordedFrames, "/link/uplink/frames/sent")
+    assert list(zip(frames.time_ns, frames.data, strict=True)) == gateway.frames_sent
+    assert disk.recorder.counters().kept["/link/uplink/frames/sent"] == 1
