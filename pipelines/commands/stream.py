@@ -119,7 +119,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             show=view.show,
             pages=pages,
-            feed=SeatFeed(setup, collector) if pages else None,
+            feed=SeatFeed(setup, collector),
         )
         launcher.run(args.seconds)
     held.close()

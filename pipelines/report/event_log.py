@@ -51,7 +51,7 @@ class EventLog:
         #: By segment and kind: until when the record of its gateway has been told.
         self._link_told_ns: dict[tuple[Segment, str], int] = {}
         self._pass_s: float | None = None
-        self._camera: str | None = None
+        self._camera = setup.cameras[0] if setup.cameras else ""
         self._restarts: dict[str, int] = {}
         self._stale: dict[str, bool] = {}
         self._joystick: tuple[str, str] | None = None
@@ -126,8 +126,8 @@ class EventLog:
 
     def _cameras(self) -> Iterator[tuple[int, str, str]]:
         selector = self._collector.process("selector")
-        before, self._camera = self._camera, selector.selected
-        if before is not None and self._camera != before:
+        if selector.selected not in (None, self._camera):
+            self._camera = selector.selected
             yield selector.selected_ns, "camera", f"camera {self._camera} selected"
 
     def _restarted(

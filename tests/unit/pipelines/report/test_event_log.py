@@ -110,7 +110,7 @@ def test_a_pass_begins_and_ends_when_its_orbit_says():
 
 
 def test_a_camera_is_told_when_it_changes(session):
-    session.told("selector", SelectorGauges(selected="left"))
+    session.told("selector", SelectorGauges(selected="stereo"))
     assert session.look() == []
     session.told("selector", SelectorGauges(selected="static"), at_s=1.7)
     assert session.look(2) == [(1_700_000, "camera", "camera static selected")]
@@ -199,4 +199,4 @@ def test_only_the_newest_are_kept(session):
     for number in range(DEPTH + 5):
         session.told("selector", SelectorGauges(selected=f"camera{number}"))
         session.look(1)
-    assert [event.number for event in session.log.events] == list(range(5, DEPTH + 5))
+    assert [event.number for event in session.log.events] == list(range(6, DEPTH + 6))
