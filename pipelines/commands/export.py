@@ -11,6 +11,7 @@ from rich.progress import Progress
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.commands.common import output_that_may_fail
 from pipelines.recording.export.csv_files import CsvExport
+from pipelines.recording.export.films import MatroskaExport
 from pipelines.recording.export.mat_file import MatExport, check_packages
 from pipelines.recording.export.outputs import Outputs
 from pipelines.recording.joined import (
@@ -35,20 +36,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a recording; its parts FILE-2.mcap, FILE-3.mcap, … are joined to it",
     )
     parser.add_argument("--mat", metavar="OUT.mat", type=Path, help="tables for MATLAB and Octave")
+    parser.add_argument(
+        "--mat73", action="store_true", help="MATLAB v7.3, also where the older format would do"
+    )
+    parser.add_argument(
+        "--mkv", metavar="DIR", type=Path, help="a Matroska file for each camera and stream"
+    )
     parser.add_argument("--csv", metavar="DIR", type=Path, help="a CSV file for each channel")
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write all that was asked for, or nothing."""
-    if args.mat is None and args.csv is None:
-        raise ConfigError("give at least one of --mat OUT.mat and --csv DIR")
+    if args.mat is None and args.mkv is None and args.csv is None:
+        raise ConfigError("give at least one of --mat OUT.mat, --mkv DIR and --csv DIR")
+    if args.mat73 and args.mat is None:
+        raise ConfigError("--mat73 is a format of --mat: give --mat OUT.mat, too")
     if args.mat is not None:
         check_packages()
     paths, recording = read_recording(args.file)
-    exports: list[MatExport | CsvExport] = []
+    exports: list[MatExport | MatroskaExport | CsvExport] = []
     if args.mat is not None:
-        exports.append(MatExport(args.mat, recording))
+        exports.append(MatExport(args.mat, recording, v73=args.mat73))
+    if args.mkv is not None:
+        exports.append(MatroskaExport(args.mkv, recording))
     if args.csv is not None:
         exports.append(CsvExport(args.csv, recording))
     with Outputs(overwrite=args.overwrite) as outputs:

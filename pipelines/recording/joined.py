@@ -75,7 +75,11 @@ class JoinedRecording:
         facts = self.parts[0].inventory.facts
         if facts is not None:
             return facts.session_ns
-        return min(_first_ns(part) for part in self.parts)
+        return self.first_ns()
+
+    def first_ns(self, topics: Sequence[str] | None = None) -> int:
+        """The earliest instant of a message on the session's clock, of all or of these channels."""
+        return min(_first_ns(part, topics) for part in self.parts)
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -121,14 +125,14 @@ def follows(part: Part, before: Part) -> bool:
     )
 
 
-def _first_ns(part: Part) -> int:
+def _first_ns(part: Part, topics: Sequence[str] | None = None) -> int:
     """The earliest instant in it on the session's clock; of an empty part, that of its facts."""
     facts = part.inventory.facts
     return min(
         (
             channel.first_ns - part.wall_offset_ns
             for channel in part.inventory.channels
-            if channel.messages
+            if channel.messages and (topics is None or channel.topic in topics)
         ),
         default=0 if facts is None else facts.session_ns,
     )

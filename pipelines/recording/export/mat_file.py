@@ -13,6 +13,7 @@ import numpy as np
 
 from kontur_av.errors import ConfigError
 from pipelines.recording.export.columns import Column, Columns
+from pipelines.recording.export.mat_v73 import write_v73
 from pipelines.recording.export.outputs import Outputs
 from pipelines.recording.export.tables import TableCollector
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
@@ -36,13 +37,15 @@ def check_packages() -> None:
 class MatExport:
     """All tables in one file, and the variable `recording`, which says where they come from.
 
-    Call `begin`, then `handle_message` for each message, then `end`.
+    Call `begin`, then `handle_message` for each message, then `end`. v73: in the newer format, also
+    where the older one would do.
     """
 
-    def __init__(self, path: Path, recording: JoinedRecording) -> None:
+    def __init__(self, path: Path, recording: JoinedRecording, *, v73: bool = False) -> None:
         self._path = path
         self._recording = recording
         self._collector = TableCollector(recording.begin_ns)
+        self._v73 = v73
         self._unfinished = path
         self._rows: dict[str, int] = {}
 
@@ -63,13 +66,16 @@ class MatExport:
         """Write the file."""
         tables = self._collector.tables()
         self._rows = {name: len(table["session_ns"]) for name, table in tables.items()}
-        write_v5(self._unfinished, {"recording": about(self._recording), **tables})
+        self._v73 |= any(variable_octets(table) > MOST_V5_OCTETS for table in tables.values())
+        write = write_v73 if self._v73 else write_v5
+        write(self._unfinished, {"recording": about(self._recording), **tables})
 
     def lines(self) -> list[str]:
         """What was written, in words."""
         rows = ", ".join(f"{name} {count}" for name, count in sorted(self._rows.items()))
         return [
-            f"{self._path}: {len(self._rows)} tables; rows: {rows}",
+            f"{self._path}: {len(self._rows)} tables, MATLAB {'v7.3' if self._v73 else 'v5'}; "
+            f"rows: {rows}",
             *self._collector.columnizer.lines(),
         ]
 

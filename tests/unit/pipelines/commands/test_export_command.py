@@ -3,6 +3,8 @@
 import csv
 import shutil
 
+import h5py
+import numpy as np
 import pytest
 from mcap.writer import Writer
 from scipy.io import loadmat
@@ -52,6 +54,40 @@ def test_a_matlab_file_has_the_tables_and_where_they_come_from(recording, writte
     assert loadmat(out)["haptic_up"]["time_s"][0, 0].shape == (len(cycles), 1)
     assert list(found["events"]["what"]) == ["link", "contact", "camera", "contact", "contact"]
     assert names(recording.parent) == ["a-2.mcap", "a.mcap", "out.mat"]
+
+
+def test_what_is_too_long_for_the_older_matlab_format_is_written_in_the_newer(
+    recording, monkeypatch, capsys
+):
+    out = recording.with_name("out.mat")
+    assert main(["export", str(recording), "--mat", str(out)]) == 0
+    old = loadmat(out)
+    # A table of 3000 cycles of 70 octets is longer.
+    monkeypatch.setattr(mat_file, "MOST_V5_OCTETS", 200_000)
+    assert main(["export", str(recording), "--mat", str(out), "--overwrite"]) == 0
+    assert "MATLAB v7.3" in capsys.readouterr().out
+    assert out.read_bytes().startswith(b"MATLAB 7.3 MAT-file")
+    with h5py.File(out) as file:
+
+        def text(data):
+            assert data.attrs["MATLAB_class"] == b"char"
+            return np.asarray(data).tobytes().decode("utf-16-le")
+
+        assert text(file["recording/session"]) == "kontur-1"
+        for name, table in file.items():
+            if name == "#refs#":
+                continue
+            assert table.attrs["MATLAB_class"] == b"struct"
+            fields = [field.tobytes().decode() for field in table.attrs["MATLAB_fields"]]
+            assert fields == list(old[name].dtype.names)
+            for field, data in table.items():
+                kind = data.attrs["MATLAB_class"]
+                before = old[name][field][0, 0]
+                if kind == b"cell":
+                    texts = [text(file[each]) for each in data[0]]
+                    assert texts == [cell[0] if cell.size else "" for cell in before[:, 0]]
+                elif kind != b"char":
+                    assert np.array_equal(data, before.T, equal_nan=data.dtype.kind == "f")
 
 
 def test_there_is_a_csv_file_for_each_channel_with_units_in_its_headings(recording, written):
@@ -126,6 +162,7 @@ def test_an_export_that_fails_leaves_nothing(recording, capsys, monkeypatch):
 
 def test_nothing_is_written_where_nothing_can_be(recording, capsys):
     assert "give at least one of" in refused(capsys, recording)
+    assert "give --mat OUT.mat, too" in refused(capsys, recording, "--csv", "x", "--mat73")
     assert "cannot be written" in refused(capsys, recording, "--mat", "/nowhere/out.mat")
     assert "is no directory" in refused(capsys, recording, "--csv", recording)
     assert "cannot be made" in refused(capsys, recording, "--csv", "/proc/nowhere")

@@ -1,0 +1,96 @@
+"""Pictures and sound of a recording in the order in which a player gets them. A core."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.codecs.healing import recovery_pictures
+from kontur_av.errors import ProtocolError
+from kontur_av.rtp.payload_h264 import NAL_IDR, nal_type, split_annex_b
+from pipelines.recording.joined import JoinedMessage
+from pipelines.recording.messages import RecordedPicture, UnitFacts, unpack
+
+
+class FilmUnit(NamedTuple):
+    """An access unit (Annex B), and the instant of its capture on the session's clock."""
+
+    data: bytes
+    session_ns: int
+
+
+class FilmUnits:
+    """The access units of one channel, across the parts of a recording.
+
+    Where a part begins in the middle of a stream, the recorder put a key picture ahead, and the
+    stream's parameter sets in front of the next unit. Where the part before is there, the stream
+    goes on without them. After a gap they stay.
+
+    with_facts: the channel has facts, each directly behind its unit.
+    """
+
+    def __init__(self, *, with_facts: bool) -> None:
+        self._with_facts = with_facts
+        self._held: tuple[JoinedMessage, bytes] | None = None
+        self._newest: int | None = None
+        self._bridged = False
+
+    def handle_picture(self, message: JoinedMessage) -> Iterator[FilmUnit]:
+        """Take a message with a picture. ProtocolError if it is none."""
+        yield from self.handle_end()
+        self._held = message, unpack(RecordedPicture, message.data).data
+        if not self._with_facts:
+            yield from self.handle_end()
+
+    def handle_facts(self, message: JoinedMessage) -> Iterator[FilmUnit]:
+        """Take a message with facts."""
+        held = self._held
+        try:
+            facts = unpack(UnitFacts, message.data)
+        except ProtocolError:
+            return
+        if held is None or held[0].sequence != message.sequence:
+            return
+        if facts.added:
+            # Its number is that of the unit before the one that follows.
+            self._bridged = self._newest == message.sequence
+            if self._bridged:
+                self._held = None
+        else:
+            picture, data = held
+            if self._bridged and 0 < facts.octets < len(data):
+                self._held = picture, data[-facts.octets :]
+            self._bridged = False
+        yield from self.handle_end()
+
+    def handle_end(self) -> Iterator[FilmUnit]:
+        """No facts follow any more: yield the unit that waits for them."""
+        if self._held is None:
+            return
+        (message, data), self._held = self._held, None
+        self._newest = message.sequence
+        yield FilmUnit(data, message.session_ns)
+
+
+class FilmClock:
+    """Instants of one stream in ms from `begin_ns` on. They rise with every unit.
+
+    Before a receiver knows the sender's clock, units have the instant of their arrival. Then
+    instants may step back: units follow each other by 1 ms until the right time has come.
+    """
+
+    def __init__(self, begin_ns: int) -> None:
+        self._begin_ns = begin_ns
+        self._newest_ms = -1
+
+    def instant_ms(self, session_ns: int) -> int:
+        """Return the instant of the next unit, rounded to the nearest ms."""
+        half = NS_PER_MS // 2
+        exact_ms = (session_ns - self._begin_ns + half) // NS_PER_MS
+        self._newest_ms = max(exact_ms, self._newest_ms + 1)
+        return self._newest_ms
+
+
+def can_begin(unit: bytes) -> bool:
+    """Whether a player can jump to this access unit: it has an IDR picture, or begins a wave."""
+    idr = any(nal_type(nal) == NAL_IDR for nal in split_annex_b(unit))
+    return idr or recovery_pictures(unit) is not None

@@ -1,0 +1,98 @@
+"""Matroska files of coded pictures and sound as they are, by PyAV. A shell."""
+
+import io
+from fractions import Fraction
+from pathlib import Path
+
+import av
+from av.container import InputContainer, OutputContainer
+from av.stream import Stream
+
+from kontur_av.media import AUDIO_CLOCK_HZ
+from kontur_av.rtp.payload_h264 import NAL_SPS, nal_type, split_annex_b
+
+
+class MatroskaFile:
+    """At most one H.264 stream and one Opus stream.
+
+    Call `begin_video` or `begin_sound`, or both, before the first `write_...`. Matroska keeps times
+    in ms. Raises OSError when the file cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        # PyAV opens the file with the first packet: too late to refuse.
+        path.write_bytes(b"")
+        self._container: OutputContainer = av.open(str(path), "w", format="matroska")
+        self._video: Stream | None = None
+        self._sound: Stream | None = None
+        self._template: InputContainer | None = None
+
+    @property
+    def has_video(self) -> bool:
+        """Whether `begin_video` was successful."""
+        return self._video is not None
+
+    def begin_video(self, unit: bytes) -> bool:
+        """Declare the H.264 stream after an access unit (Annex B); False if it has no SPS."""
+        if not any(nal_type(nal) == NAL_SPS for nal in split_annex_b(unit)):
+            return False
+        # FFmpeg reads size and profile from the SPS when it opens the access unit as a file. They
+        # are the template of the Matroska stream.
+        try:
+            template = av.open(io.BytesIO(unit), "r", format="h264")
+            stream = template.streams.video[0]
+            if not stream.codec_context.width:
+                return False
+            self._video = self._container.add_stream_from_template(stream)
+        except (av.FFmpegError, IndexError):
+            return False
+        self._template = template
+        return True
+
+    def begin_sound(self) -> None:
+        """Declare the Opus stream: mono."""
+        self._sound = self._container.add_stream("libopus", rate=AUDIO_CLOCK_HZ, layout="mono")
+
+    def write_picture(
+        self, data: bytes, ticks: int, decode_ticks: int, rate_hz: int, *, keyframe: bool
+    ) -> bool:
+        """Write an access unit, shown at `ticks` of `rate_hz`; False: its time ran backwards."""
+        return self._write(self._video, data, (ticks, decode_ticks), rate_hz, keyframe, 0)
+
+    def write_sound(self, data: bytes, ticks: int, rate_hz: int, duration: int) -> bool:
+        """Write an Opus packet, played for `duration` from `ticks` on; False as above."""
+        return self._write(self._sound, data, (ticks, ticks), rate_hz, True, duration)
+
+    def close(self) -> None:
+        """Finish the file."""
+        try:
+            self._container.close()
+        except av.FFmpegError as error:
+            raise OSError(error.errno, error.strerror) from None
+        finally:
+            if self._template is not None:
+                self._template.close()
+
+    def _write(
+        self,
+        stream: Stream | None,
+        data: bytes,
+        instants: tuple[int, int],
+        rate_hz: int,
+        keyframe: bool,
+        duration: int,
+    ) -> bool:
+        packet = av.Packet(data)
+        assert stream is not None
+        packet.stream = stream
+        packet.time_base = Fraction(1, rate_hz)
+        packet.pts, packet.dts = instants
+        packet.duration = duration
+        packet.is_keyframe = keyframe
+        try:
+            self._container.mux(packet)
+        except av.error.ArgumentError:
+            return False
+        except av.FFmpegError as error:
+            raise OSError(error.errno, error.strerror) from None
+        return True

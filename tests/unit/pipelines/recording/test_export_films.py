@@ -1,0 +1,151 @@
+"""Matroska files have the recorded units octet by octet, at their instants."""
+
+import av
+import numpy as np
+import pytest
+from synthetic_recording import (
+    BEGIN_NS,
+    CAMERA,
+    LOST_PICTURE,
+    MS,
+    VIDEO,
+    spoken,
+    wall_ns,
+    write_recording,
+)
+
+from kontur_av.rtp.payload_h264 import join_annex_b, split_annex_b
+from pipelines.bench.video import marks
+from pipelines.cli import main
+from pipelines.recording.export.film import FilmClock, FilmUnits
+from pipelines.recording.joined import JoinedMessage
+from pipelines.recording.messages import RecordedPicture, UnitFacts, pack
+from pipelines.recording.schemas import VIDEO as PICTURES
+
+SECONDS = 3.0
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("films")
+    recording = write_recording(directory / "a.mcap", seconds=SECONDS, parts=2)
+    assert main(["export", str(recording.paths[0]), "--mkv", str(directory / "mkv")]) == 0
+    return recording
+
+
+def film(written, name):
+    return written.paths[0].with_name("mkv") / name
+
+
+def nal_units(packet):
+    """The NAL units of a packet of Matroska, each behind its length (ISO/IEC 14496-15)."""
+    octets, at, found = bytes(packet), 0, []
+    while at < len(octets):
+        length = int.from_bytes(octets[at : at + 4], "big")
+        found.append(octets[at + 4 : at + 4 + length])
+        at += 4 + length
+    return found
+
+
+def packets(path, kind):
+    """The packets of one stream."""
+    with av.open(str(path)) as container:
+        stream = getattr(container.streams, kind)[0]
+        return [packet for packet in container.demux(stream) if packet.size]
+
+
+def test_there_is_a_film_of_each_camera_and_stream_with_its_sound(written):
+    names = {path.name for path in film(written, ".").iterdir()}
+    films = {f"{name}_{way}.mkv" for name in VIDEO for way in ("sent", "received")}
+    assert names == films | {f"camera_{CAMERA}.mkv"}
+    for name in names:
+        with av.open(str(film(written, name))) as container:
+            kinds = [stream.type for stream in container.streams]
+        assert kinds == (["video"] if name.startswith("camera") else ["video", "audio"])
+
+
+@pytest.mark.parametrize("name", [*VIDEO, CAMERA])
+def test_access_units_are_the_same_at_their_instants(written, name):
+    path = film(written, f"camera_{name}.mkv" if name == CAMERA else f"{name}_sent.mkv")
+    found, units = packets(path, "video"), written.units[name]
+    assert [nal_units(packet) for packet in found] == [split_annex_b(unit.data) for unit in units]
+    instants = [round((unit.capture_ns - BEGIN_NS) / MS) for unit in units]
+    assert [packet.pts for packet in found] == instants
+    assert found[0].is_keyframe
+
+
+def test_sound_is_beside_its_picture(written):
+    found = packets(film(written, "uplink_video_received.mkv"), "audio")
+    assert [bytes(packet) for packet in found] == spoken(8_000, SECONDS)
+    assert [packet.pts for packet in found] == [20 * number for number in range(len(found))]
+
+
+def test_a_player_shows_all_pictures_also_where_their_size_changes(written):
+    with av.open(str(film(written, "downlink_video_sent.mkv"))) as container:
+        pictures = [frame.to_ndarray() for frame in container.decode(video=0)]
+    numbers = [marks.read_number(marks.levels(large(picture))) for picture in pictures]
+    assert numbers == list(range(len(written.units["downlink_video"])))
+    assert {picture.shape[1] for picture in pictures} == {320, 240}
+
+
+def large(picture):
+    """The luma of a picture in the size in which its number was drawn."""
+    height, width = picture.shape[0] * 2 // 3, picture.shape[1]
+    rows, columns = np.arange(240) * height // 240, np.arange(320) * width // 320
+    return picture[:height][rows][:, columns]
+
+
+def test_a_picture_that_was_lost_is_not_in_the_film(written):
+    found = packets(film(written, "uplink_video_received.mkv"), "video")
+    units = [unit for unit in written.units["uplink_video"] if unit.number != LOST_PICTURE]
+    assert [join_annex_b(nal_units(packet)) for packet in found] == [
+        join_annex_b(split_annex_b(unit.data)) for unit in units
+    ]
+
+
+class Channel:
+    """Messages of a channel with facts."""
+
+    def __init__(self):
+        self.units = FilmUnits(with_facts=True)
+        self.shown = []
+
+    def put(self, number, data, *, added=False, octets=None):
+        value = RecordedPicture(wall_ns=wall_ns(number), frame_id="x", data=data)
+        facts = UnitFacts(
+            capture_ns=number,
+            key=added,
+            damaged=False,
+            shows_loss=False,
+            refused=False,
+            dated=True,
+            width_px=16,
+            height_px=16,
+            octets=len(data) if octets is None else octets,
+            added=added,
+        )
+        topic = "/x/sent"
+        message = JoinedMessage(topic, PICTURES.full_name, number, 0, number, pack(value), 0)
+        facts_message = message._replace(topic=f"{topic}/facts", data=pack(facts))
+        self.shown += [unit.data for unit in self.units.handle_picture(message)]
+        self.shown += [unit.data for unit in self.units.handle_facts(facts_message)]
+
+
+def test_where_parts_meet_the_stream_goes_on_as_it_was():
+    channel = Channel()
+    channel.put(7, b"key of the recorder", added=True)
+    channel.put(8, b"sets+eight", octets=5)
+    channel.put(9, b"nine")
+    channel.put(9, b"key of the recorder", added=True)
+    channel.put(10, b"sets+ten", octets=3)
+    assert channel.shown == [b"key of the recorder", b"sets+eight", b"nine", b"ten"]
+    # After a gap a player needs what the recorder has added.
+    channel.put(14, b"key of the recorder", added=True)
+    channel.put(15, b"sets+fifteen", octets=7)
+    assert channel.shown[4:] == [b"key of the recorder", b"sets+fifteen"]
+
+
+def test_instants_rise_where_a_receiver_learns_the_clock_of_its_sender():
+    clock = FilmClock(0)
+    instants = [100.4, 133.6, 50, 80, 300]
+    assert [clock.instant_ms(round(at * MS)) for at in instants] == [100, 134, 135, 136, 300]
