@@ -5,7 +5,7 @@ import sys
 
 import cv2
 from places import ROOT
-from synthetic_recording import BEGIN_NS, LINK_NS, MS, RECORDER_NS, S, TOUCH_S, write_recording
+from synthetic_recording import BEGIN_NS, LINK_NS, MS, RECORDER_NS, TOUCH_S, S, write_recording
 
 SAMPLE = ROOT / "samples" / "plot_contacts.py"
 
