@@ -24,7 +24,7 @@ MOST_V5_OCTETS = (1 << 31) - (1 << 20)
 _CELL_OCTETS, _CHARACTER_OCTETS = 64, 2
 
 #: A struct's fields: columns, or single values.
-Variable = Mapping[str, Column | str | int]
+Variable = Mapping[str, Column | str | float]
 
 
 def check_packages() -> None:
@@ -128,7 +128,7 @@ def _struct(variable: Variable) -> Mapping[str, Any]:
     return {name: _value(value) for name, value in variable.items()}
 
 
-def _value(value: Column | str | int) -> Any:
+def _value(value: Column | str | float) -> Any:
     if isinstance(value, list):
         cells = np.empty((len(value), 1), object)
         cells[:, 0] = value

@@ -24,7 +24,7 @@ _FEW_ROWS = 10_000
 _CLASSES = {"float64": "double", "float32": "single"}
 
 
-def write_v73(path: Path, variables: Mapping[str, Mapping[str, Column | str | int]]) -> None:
+def write_v73(path: Path, variables: Mapping[str, Mapping[str, Column | str | float]]) -> None:
     """Write each variable as a struct of columns and single values; OSError if that fails."""
     import h5py
 
@@ -58,11 +58,13 @@ class _Texts:
         return self._references[text]
 
 
-def _write(group: Any, name: str, value: Column | str | int, texts: _Texts) -> None:
+def _write(group: Any, name: str, value: Column | str | float, texts: _Texts) -> None:
     if isinstance(value, str):
         _write_text(group, name, value)
     elif isinstance(value, int):
         _write_numbers(group, name, np.array([value], np.int64))
+    elif isinstance(value, float):
+        _write_numbers(group, name, np.array([value]))
     elif isinstance(value, list):
         _write_cells(group, name, value, texts)
     else:
