@@ -35,6 +35,7 @@ _COMMANDS = {
     "select": "switch the camera of a running session",
     "record": "record a running session, and leave it again",
     "info": "list what is in a recording, gaps and losses included",
+    "replay": "send a recorded session through a link again",
     "recover": "make a whole recording of a torn one",
     "export": "make MATLAB tables, CSV and video files of a recording",
     "doctor": "check what this machine can do",

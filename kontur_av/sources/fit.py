@@ -25,6 +25,20 @@ def fitted_size(
     return max(2, min(fitted_width, into_width) & ~1), max(2, min(fitted_height, into_height) & ~1)
 
 
+#: A coded size whose aspect differs by less than this is that of a whole picture, scaled.
+_SAME_ASPECT = Fraction(1, 20)
+
+
+def scaled_aspect(width: int, height: int, coded_width: int, coded_height: int) -> Fraction | None:
+    """Return the shape of a coded pixel, for pictures that were scaled down to be coded.
+
+    width, height: before. None: they were not scaled, or in another shape. A coded size is rounded,
+    so its pixels may be not quite square.
+    """
+    aspect = Fraction(width, height) / Fraction(coded_width, coded_height)
+    return aspect if abs(aspect - 1) < _SAME_ASPECT else None
+
+
 class Fitter:
     """Scales decoded pictures to one size with swscale.
 

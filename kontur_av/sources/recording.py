@@ -25,6 +25,8 @@ from kontur_av.codecs.h264 import H264Decoder
 from kontur_av.codecs.opus import OpusDecoder
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_NS, BLOCK_SAMPLES, Pcm
+from kontur_av.recorded_format import FORMAT, FORMAT_KEY
+from kontur_av.sources.fit import scaled_aspect
 from kontur_av.sources.looped import LoopedAudio, LoopedVideo, PlayedPicture
 
 #: By kind: schema and format of its messages, and what it is called.
@@ -36,8 +38,6 @@ _SCHEMAS = {
 _CONCEALED = 3
 #: Sound that is later than this, as a share of a block, has lost a block before it.
 _LATE = Fraction(1, 2)
-#: A coded size whose aspect differs by less than this is that of a whole picture, scaled.
-_SAME_ASPECT = Fraction(1, 20)
 _FAULTS = (
     McapError,
     DecodeError,
@@ -75,6 +75,7 @@ def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
     try:
         with Path(path).open("rb") as file, _read_faults():
             reader = make_reader(file, validate_crcs=True)
+            _check_format(path, reader)
             known = _channels(reader)
             found = [topic for topic, schema, messages in known if schema == schema_name]
             if channel not in found:
@@ -98,6 +99,18 @@ def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
             f"channel {channel} of {path!r} is {unit.format or 'of no known format'}: "
             f"take one with {format_name}"
         )
+
+
+def _check_format(path: str, reader: McapReader) -> None:
+    """Refuse a recording of ours that is newer than what is known here."""
+    summary = reader.get_summary()
+    for channel in () if summary is None else summary.channels.values():
+        found = channel.metadata.get(FORMAT_KEY, "")
+        if found.isdecimal() and int(found) > FORMAT:
+            raise ConfigError(
+                f"{path!r} has format {found}, and this kontur-av reads up to format {FORMAT}: "
+                "install a newer one"
+            )
 
 
 def _no_channel(
@@ -175,7 +188,7 @@ class RecordedVideo(LoopedVideo):
     ) -> None:
         check_recording(place, "video")
         path, self._channel = parse_place(place)
-        self._shape = Fraction(width, height)
+        self._size = width, height
         super().__init__(path, name=name, width=width, height=height, fps=fps, clock=clock)
 
     def _pass(self) -> Iterator[PlayedPicture]:
@@ -189,14 +202,10 @@ class RecordedVideo(LoopedVideo):
                 # Instants of capture of a damaged stream can step back.
                 time_ns = max(time_ns, unit.log_ns - first_ns)
                 frame = picture.frame
-                yield PlayedPicture(frame, time_ns, self._aspect(frame.width, frame.height))
+                aspect = scaled_aspect(*self._size, frame.width, frame.height)
+                yield PlayedPicture(frame, time_ns, aspect)
             if decoder.corrupt_units > corrupt:
                 self._fault(ValueError("an access unit cannot be decoded"))
-
-    def _aspect(self, width: int, height: int) -> Fraction | None:
-        """The coded size is rounded, so its pixels may be not quite square."""
-        aspect = self._shape / Fraction(width, height)
-        return aspect if abs(aspect - 1) < _SAME_ASPECT else None
 
 
 class RecordedAudio(LoopedAudio):

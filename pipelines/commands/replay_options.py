@@ -11,10 +11,21 @@ from pipelines.cores.replay_caps import cap_needed_bps
 from pipelines.recording.recorded_session import RecordedSession, SentUnit, read_session
 from pipelines.recording.recording_file import octets_of_file
 from pipelines.setup.setup_file import load_setup, setup_from_text
-from pipelines.setup.table import VIDEO_PAYLOAD_OCTETS, Setup, VideoStream, VoiceStream
+from pipelines.setup.table import (
+    GROUND_MIC,
+    ISS_CAMERA,
+    ISS_MIC,
+    VIDEO_PAYLOAD_OCTETS,
+    Setup,
+    VideoStream,
+    VoiceStream,
+)
+
+#: The only input of each stream that a setup may leave out.
+_INPUTS = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
 
 
-def add_replay_arguments(parser: argparse.ArgumentParser) -> None:
+def add_coding_arguments(parser: argparse.ArgumentParser) -> None:
     """`--recode` and `--cap-kbps`."""
     parser.add_argument(
         "--recode",
@@ -38,9 +49,12 @@ def load_recording(path: Path) -> RecordedSession:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def replay_setup(args: argparse.Namespace, path: Path, session: RecordedSession) -> Setup:
+def replay_setup(
+    args: argparse.Namespace, path: Path, session: RecordedSession, *, speed: float = 1.0
+) -> Setup:
     """The setup of the recording, or that of `--setup`, with what the options change.
 
+    At another speed it has no voices: a packet of sound lasts 20 ms.
     Raises ConfigError if it cannot work, or does not carry what was recorded.
     """
     changes = radio_changes(args)
@@ -53,8 +67,10 @@ def replay_setup(args: argparse.Namespace, path: Path, session: RecordedSession)
         setup = load_setup(args.setup, changes=changes, radio_start_s=start_s)
     else:
         setup = _recorded_setup(path, session, changes, start_s)
-        # What was not recorded cannot be sent.
-        setup = _changed(setup, dict.fromkeys(_silent(setup, session)))
+        setup = _without(setup, tuple(_silent(setup, session)))
+    if speed != 1.0:
+        voices = (one.name for one in setup.streams if isinstance(one, VoiceStream))
+        setup = _without(setup, tuple(voices))
     setup = _changed(setup, _caps(args.cap_kbps, setup))
     for stream in _silent(setup, session):
         raise ConfigError(f"{path} has no channel /{stream}/sent: take a setup without {stream}")
@@ -119,6 +135,13 @@ def _silent(setup: Setup, session: RecordedSession) -> Iterator[str]:
         known = session.pictures if isinstance(stream, VideoStream) else session.voices
         if stream.name not in known and stream.name != setup.uplink_video.name:
             yield stream.name
+
+
+def _without(setup: Setup, streams: tuple[str, ...]) -> Setup:
+    """The setup without these streams: what was not recorded cannot be sent."""
+    inputs = {_INPUTS[name] for name in streams}
+    sources = {name: spec for name, spec in setup.sources.items() if name not in inputs}
+    return _changed(setup, {**dict.fromkeys(streams), "sources": sources})
 
 
 def _changed(setup: Setup, fields: Mapping[str, object]) -> Setup:

@@ -10,7 +10,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import output_that_may_fail, stopped_by_signals
 from pipelines.commands.replay_options import (
-    add_replay_arguments,
+    add_coding_arguments,
     check_caps,
     load_recording,
     replay_setup,
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="send again what a recorded session sent; its setup, radio and seed, unless others "
         "are given",
     )
-    add_replay_arguments(parser)
+    add_coding_arguments(parser)
     add_radio_arguments(parser)
     parser.set_defaults(seed=None)
     add_deadband_argument(parser)

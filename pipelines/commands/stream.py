@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     check_sources(setup)
     _check_page_sources(setup, pages=not args.no_page)
     check_joystick(args.joystick)
-    snapshots = _made_directory(args.snapshots)
+    snapshots = made_directory(args.snapshots)
     check_writable(args.report)
     wish = wish_of(args, held=False)
     if wish is not None:
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     with (
         hold_session(setup.name) as session,
         announced_pages(page_wish, session, quiet=args.quiet) as pages,
-        _live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
+        live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         if wish is not None:
             clear_parts(Path(wish.file))
@@ -142,7 +142,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[LiveView]:
+def live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[LiveView]:
+    """The table of a session in the terminal."""
     view = LiveView(collector, quiet=quiet, verbose=verbose)
     view.__enter__()
     try:
@@ -248,7 +249,8 @@ def draw_backgrounds(setup: Setup, clock: MonotonicClock) -> None:
             source.close()
 
 
-def _made_directory(path: Path | None) -> Path | None:
+def made_directory(path: Path | None) -> Path | None:
+    """The directory for snapshots, which is made if need be; ConfigError if it cannot be."""
     if path is None:
         return None
     try:

@@ -1,6 +1,7 @@
-"""An end of haptics that sends again what one sent in a recorded session. A core."""
+"""What sends again what was sent in a recorded session, at the same instants. Cores."""
 
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,40 @@ class ReplayTime:
         if self._speed != 1.0:
             since_ns = round(since_ns / self._speed)
         return self._replayed_ns + since_ns
+
+
+class ReplayScript:
+    """When a process sends its recorded items again. A core.
+
+    Call `poll_due` at `poll_timeout` until it returns None.
+
+    recorded_ns: instants of capture of the items, in order, on the recorded clock.
+    cost_ns: an item is due this long after its capture.
+    now_ns: items that are due before it are left out, so a restarted process repeats nothing.
+    """
+
+    def __init__(
+        self, recorded_ns: Sequence[int], time: ReplayTime, *, cost_ns: int, now_ns: int
+    ) -> None:
+        self._recorded_ns, self._time, self._cost_ns = recorded_ns, time, cost_ns
+        self._next = bisect_left(recorded_ns, now_ns, key=self._due_ns)
+
+    def poll_timeout(self) -> int | None:
+        """When the next item is due; None after the last."""
+        if self._next == len(self._recorded_ns):
+            return None
+        return self._due_ns(self._recorded_ns[self._next])
+
+    def poll_due(self, now_ns: int) -> tuple[int, int] | None:
+        """Return the number of an item that is due, and its instant of capture in the replay."""
+        due_ns = self.poll_timeout()
+        if due_ns is None or due_ns > now_ns:
+            return None
+        self._next += 1
+        return self._next - 1, due_ns - self._cost_ns
+
+    def _due_ns(self, recorded_ns: int) -> int:
+        return self._time.at(recorded_ns) + self._cost_ns
 
 
 class ReplayedEnd:

@@ -32,11 +32,13 @@ def run_gateway(
     segment: Segment,
     addresses: EndAddresses = _ON_THIS_MACHINE,
     tell_backlog: bool = True,
+    radio_after_ns: int = 0,
 ) -> None:
     """Bind the flows' ports, and exchange one frame a slot with the other segment.
 
     tell_backlog: tell the session through shared memory how much video waits, and what a recorder
         wants to know.
+    radio_after_ns: the radio's time 0, after the start of the session.
     """
     clock, probe = context.clock, context.probe
     gateway = make_gateway(
@@ -45,7 +47,7 @@ def run_gateway(
         life=1 + secrets.randbelow(0xFFFF),
         secret=secrets.randbits(128),
         seed=context.seed,
-        epoch_ns=context.started_ns,
+        epoch_ns=context.started_ns + radio_after_ns,
         now_ns=clock.now_ns(),
     )
     ports = GatewayPorts(context.topology, segment, gateway, addresses)

@@ -12,6 +12,7 @@ from pipelines.cores.hand_topics import STATUS_OCTETS, unpack_input
 from pipelines.cores.haptic_trace import BLOCK_OCTETS, BLOCK_ROWS, HapticTrace
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.cores.joystick_status import JoystickStatusTeller
+from pipelines.cores.replaying import ReplayedEnd
 from pipelines.cores.rows import LatenessRow
 from pipelines.parts.robot_state import STATE_OCTETS, pack_state
 from pipelines.runtime.process import PATIENCE_NS, Context
@@ -59,7 +60,7 @@ def run_robot(context: Context) -> None:
         mediated = setup.hand == "mediated"
         end = RobotEnd(
             context.probe,
-            life=_new_life(),
+            life=new_life(),
             deadband=setup.deadband != "off",
             mediated=mediated,
         )
@@ -70,7 +71,7 @@ def run_robot(context: Context) -> None:
             if wall is not None and to_gateway is not None:
                 to_gateway(wall)
 
-        _run_loop(
+        run_loop(
             context,
             end,
             "robot",
@@ -88,7 +89,7 @@ def run_joystick(context: Context, spec: str = SIMULATED) -> None:
         setup = context.setup
         end = JoystickEnd(
             context.probe,
-            life=_new_life(),
+            life=new_life(),
             deadband=setup.deadband != "off",
             mediated=setup.hand == "mediated",
             handle=handle,
@@ -101,7 +102,7 @@ def run_joystick(context: Context, spec: str = SIMULATED) -> None:
             before = None
             if isinstance(device, PageDevice) and HAND_INPUT_TOPIC in reads:
                 before = _hand(bus, device)
-            _run_loop(context, end, "joystick", before=before, seldom=seldom)
+            run_loop(context, end, "joystick", before=before, seldom=seldom)
     finally:
         device.close()
 
@@ -174,13 +175,14 @@ def _hand(bus: TopicBus, device: PageDevice) -> Cycle:
     return take
 
 
-def _new_life() -> int:
+def new_life() -> int:
+    """The number of a new life of an end."""
     return 1 + secrets.randbelow(LIVES - 1)
 
 
-def _run_loop(
+def run_loop(
     context: Context,
-    end: RobotEnd | JoystickEnd,
+    end: RobotEnd | JoystickEnd | ReplayedEnd,
     process: str,
     publish: Callable[[WorldState], None] | None = None,
     *,
@@ -188,7 +190,10 @@ def _run_loop(
     after: Cycle | None = None,
     seldom: Sequence[Cycle] = (),
 ) -> None:
-    """before, after: called in each cycle. seldom: called every `_SELDOM` cycles."""
+    """Run an end at 1 kHz.
+
+    before, after: called in each cycle. seldom: called every `_SELDOM` cycles.
+    """
     clock, probe = context.clock, context.probe
     rows = context.topology.haptics
     (taken,) = (row for row in rows if row.receiver == process)

@@ -177,6 +177,8 @@ class _Recording:
             part=1,
             session_ns=now_ns,
             wall_ns=now_ns + offset_ns,
+            started_ns=context.started_ns,
+            radio_start_s=setup.radio_profile.start_s,
         )
         self._recorder = Recorder(
             topology,

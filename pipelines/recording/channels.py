@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from mcap.records import Channel, Schema
 
-from pipelines.recording.facts import FORMAT, FORMAT_KEY
+from kontur_av.recorded_format import FORMAT, FORMAT_KEY
 from pipelines.recording.schemas import (
     AUDIO,
     EVENT,

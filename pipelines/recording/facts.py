@@ -10,15 +10,12 @@ from typing import Self
 
 from kontur_av import __version__
 from kontur_av.errors import ProtocolError
+from kontur_av.recorded_format import FORMAT
 
 #: Who writes a file, in its header.
 LIBRARY = f"kontur-av {__version__}"
 #: Names of metadata records: the facts of a recording, and what a mended one has lost.
 FACTS, MENDED = "kontur-av", "kontur-av mended"
-#: The version of channels and schemas. Files of a newer one are refused.
-FORMAT = 1
-#: Every channel's metadata has the format, too, under this key: its chunk's check covers it.
-FORMAT_KEY = "kontur-av format"
 _CHECK = "crc32"
 
 

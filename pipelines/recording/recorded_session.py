@@ -5,7 +5,7 @@ All instants are on the clock of the recorded session.
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,6 +13,7 @@ import numpy as np
 from mcap.records import Metadata
 from numpy.typing import NDArray
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.recording.channels import RECEIVED, SENT
 from pipelines.recording.facts import FACTS, RecordingFacts
@@ -72,6 +73,27 @@ class RecordedSession:
         found += [one.sent_ns for each in self.packets.values() for one in (each[0], each[-1])]
         return min(found), max(found)
 
+    def begin(self, seconds: float) -> "RecordedSession":
+        """The first `seconds` of the recording."""
+        end_ns = self.instants_ns[0] + round(seconds * NS_PER_S)
+        pictures, voices = (
+            {name: kept for name, units in each.items() if (kept := _before(units, end_ns))}
+            for each in (self.pictures, self.voices)
+        )
+        haptics = {key: rows[rows["time_ns"] < end_ns] for key, rows in self.haptics.items()}
+        packets = {
+            name: early
+            for name, sent in self.packets.items()
+            if (early := [packet for packet in sent if packet.sent_ns < end_ns])
+        }
+        return replace(
+            self,
+            pictures=pictures,
+            voices=voices,
+            haptics={key: rows for key, rows in haptics.items() if len(rows)},
+            packets=packets,
+        )
+
     @property
     def _media(self) -> list[list[SentUnit]]:
         return [*self.pictures.values(), *self.voices.values()]
@@ -99,6 +121,10 @@ def read_session(octets: memoryview) -> RecordedSession:
     if not (session.pictures or session.voices or session.haptics or session.packets):
         raise ProtocolError("nothing that was sent is in it")
     return session
+
+
+def _before(units: list[SentUnit], end_ns: int) -> list[SentUnit]:
+    return [unit for unit in units if unit.capture_ns < end_ns]
 
 
 def _is_replayed(found: FoundMessage) -> bool:

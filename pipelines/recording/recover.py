@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from mcap.records import Metadata
 
 from kontur_av.errors import ProtocolError
-from pipelines.recording.facts import FORMAT, LIBRARY, MENDED, sealed
+from kontur_av.recorded_format import FORMAT
+from pipelines.recording.facts import LIBRARY, MENDED, sealed
 from pipelines.recording.mcap_stream import McapStream
 from pipelines.recording.scan import Scan
 

@@ -22,7 +22,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Footer, Header, Message, Metadata, Schema
 
 from kontur_av.errors import ProtocolError
-from pipelines.recording.facts import FACTS, FORMAT_KEY, is_sealed, needs_seal
+from kontur_av.recorded_format import FORMAT_KEY
+from pipelines.recording.facts import FACTS, is_sealed, needs_seal
 from pipelines.recording.records import (
     CHUNK,
     HEAD,

@@ -473,18 +473,21 @@ class CostsReport(Report, frozen=True, kw_only=True):
 
 
 class ReplayedStream(Report, frozen=True, kw_only=True):
-    """The pictures of a replayed stream, held against those of the recording."""
+    """The pictures of a replayed stream, held against those of the recording.
+
+    A live replay has the first of them only.
+    """
 
     #: Access units in the recording, as they were sent.
-    units_sent: int
+    units_recorded: int
     #: Of these, arrived whole; 0 if they were coded anew.
-    units_received: int
+    units_received: int | None = None
     #: Of these, arrived whole in the recorded session; left out if that is not known.
     recorded_received: int | None = None
     #: Arrived alike, octet by octet, in both.
     same_received: int | None = None
     #: Decoded pictures that equal what was sent.
-    pictures_same: int
+    pictures_same: int | None = None
     #: PSNR of the luma of all decoded pictures against what was sent, at most 99; with losses.
     psnr_db_mean: float | None = None
     #: The twentieth that is worst begins here.
@@ -498,12 +501,15 @@ class ReplayReport(Report, frozen=True, kw_only=True):
     session: str
     #: The seed of its radio.
     recorded_seed: int
+    #: Seconds of the recording a second.
+    speed: float
     #: Whether the pictures were coded anew.
     recoded: bool
     #: By stream of pictures.
     streams: dict[str, ReplayedStream]
-    #: Haptic samples that were not sent, because a newer one belonged to the same cycle.
-    samples_superseded: int
+    #: Haptic samples that were not sent, because a newer one belonged to the same cycle; of a
+    #: simulation only.
+    samples_superseded: int | None = None
     #: By channel: messages that the recording lacks.
     missing: dict[str, int]
 
@@ -517,8 +523,6 @@ class SimulationReport(Report, frozen=True, kw_only=True):
     #: Whether it had media streams.
     media: bool
     costs: CostsReport
-    #: Of a replay only.
-    replay: ReplayReport | None = None
 
 
 class RecordedChannel(Report, frozen=True, kw_only=True):
@@ -550,7 +554,7 @@ class RecorderReport(Report, frozen=True, kw_only=True):
 
 
 class SessionReport(Report, frozen=True, kw_only=True):
-    """The report of `stream` and of `simulate`."""
+    """The report of `stream`, `replay` and `simulate`."""
 
     #: The setup's name.
     setup: str
@@ -587,6 +591,8 @@ class SessionReport(Report, frozen=True, kw_only=True):
     recorder: RecorderReport | None = None
     #: Of `simulate` only.
     simulation: SimulationReport | None = None
+    #: Of a replay only.
+    replay: ReplayReport | None = None
 
     @property
     def running_s(self) -> float:

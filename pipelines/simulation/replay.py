@@ -91,20 +91,19 @@ class Replay(Simulation):
 
     def report(self) -> SessionReport:
         """The report of a simulation, and what became of the recorded streams."""
+        # First, because it waits for the pictures that are still being decoded.
         report = super().report()
-        assert report.simulation is not None
         media = self._media
         replay = ReplayReport(
             session=self._session.facts.session,
             recorded_seed=self._session.facts.seed,
+            speed=1.0,
             recoded=self._recode is not None,
             streams=media.streams_report() if isinstance(media, ReplayedMedia) else {},
             samples_superseded=sum(end.superseded for end in self._ends),
             missing=self._session.missing,
         )
-        return msgspec.structs.replace(
-            report, simulation=msgspec.structs.replace(report.simulation, replay=replay)
-        )
+        return msgspec.structs.replace(report, replay=replay)
 
     def _make_ends(self) -> tuple[HapticEnd, HapticEnd]:
         up, down = self.topology.haptic("up"), self.topology.haptic("down")
@@ -285,7 +284,7 @@ class _Tally:
         recorded = self._recorded
         known = len(quality) > 0
         return ReplayedStream(
-            units_sent=self._sent,
+            units_recorded=self._sent,
             units_received=(self._came & self._whole).total(),
             recorded_received=None if recorded is None else (recorded & self._whole).total(),
             same_received=None if recorded is None else (recorded & self._came).total(),

@@ -8,7 +8,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from pipelines.recording.facts import FACTS, FORMAT, FORMAT_KEY, RecordingFacts
+from kontur_av.recorded_format import FORMAT, FORMAT_KEY
+from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.mcap_stream import McapStream
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.recording.schemas import EVENT, VIDEO, descriptor_set

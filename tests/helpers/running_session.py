@@ -76,21 +76,25 @@ class RunningSession:
     """
 
     def __init__(self, setup, *options, directory):
+        pages = "--page" in options
+        self.setup = load_setup(setup)
+        topology = topology_of(
+            self.setup, snapshots="--snapshots" in options, pages=pages, recorder=True
+        )
+        words = ["stream", "--setup", setup, *options, *([] if pages else ["--no-page"])]
+        self._begin(topology.processes, words, directory)
+
+    def _begin(self, processes, words, directory):
+        """Start the command with these words, which runs these processes."""
         self.directory = Path(directory)
         self.report_path = self.directory / "report.json"
         # Short, because the path of a Unix socket has at most 107 octets.
         self.temporary = Path(tempfile.mkdtemp(prefix="kav"))
         self.base_port = free_base_port()
         self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
-        self.setup = load_setup(setup)
-        pages = "--page" in options
-        topology = topology_of(
-            self.setup, snapshots="--snapshots" in options, pages=pages, recorder=True
-        )
-        self.names = [row.name for row in topology.processes]
-        command = [*COMMAND, "stream", "--setup", setup, "--report", str(self.report_path)]
-        command += ["--base-port", str(self.base_port), *options]
-        command += [] if pages else ["--no-page"]
+        self.names = [row.name for row in processes]
+        command = [*COMMAND, *words, "--report", str(self.report_path)]
+        command += ["--base-port", str(self.base_port)]
         self._out = (self.directory / "out.txt").open("w+")
         self._error = (self.directory / "error.txt").open("w+")
         self.process = subprocess.Popen(
@@ -217,6 +221,17 @@ class RunningSession:
         assert [pid for pid in self.seen_pids if alive(pid)] == []
         assert self.shared_memory() == []
         assert [path for path in self.temporary.rglob("*") if not path.is_dir()] == []
+
+
+class RunningReplay(RunningSession):
+    """`kontur-av replay` of a recording of all streams of `spacejustin`."""
+
+    def __init__(self, path, *options, directory):
+        self.setup = load_setup("spacejustin")
+        topology = topology_of(self.setup)
+        captured = {row.process for row in topology.inputs} | {"stereo"}
+        processes = [row for row in topology.processes if row.name not in captured]
+        self._begin(processes, ["replay", str(path), *options], directory)
 
 
 def assert_sound(report):

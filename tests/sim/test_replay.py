@@ -43,11 +43,11 @@ def parsed(octets):
 def test_through_the_same_link_the_same_pictures_sounds_and_samples_come(same, recording):
     report = parsed(same)
     assert report.failures == []
-    replay = report.simulation.replay
+    replay = report.replay
     for name in ("uplink_video", "downlink_video"):
         units = len(recording.units[name])
         stream = replay.streams[name]
-        assert stream.units_sent == stream.units_received == units
+        assert stream.units_recorded == stream.units_received == units
         assert stream.pictures_same == report.streams[name].frames_displayed == units
         # The recording says that one picture was lost on the uplink.
         assert stream.same_received == stream.recorded_received == units - (name[0] == "u")
@@ -74,8 +74,8 @@ def test_losses_and_delay_of_another_link_show(replayed, same, tmp_path):
     radio = tmp_path / "bad.toml"
     radio.write_text("delay_ms = 250\nframe_loss = 0.01\n")
     here, there = parsed(same), parsed(replayed("--radio", radio, "--seed", 3))
-    now, then = (report.simulation.replay.streams["uplink_video"] for report in (there, here))
-    assert now.units_sent == then.units_sent
+    now, then = (report.replay.streams["uplink_video"] for report in (there, here))
+    assert now.units_recorded == then.units_recorded
     assert now.units_received < then.units_received
     assert now.psnr_db_mean < then.psnr_db_mean
     assert there.simulation.radio == "bad"
@@ -88,7 +88,7 @@ def test_losses_and_delay_of_another_link_show(replayed, same, tmp_path):
 
 def test_pictures_coded_anew_fit_under_a_lower_cap(replayed, same, recording):
     report = parsed(replayed("--recode", "--cap-kbps", "uplink_video=40"))
-    stream = report.simulation.replay.streams["uplink_video"]
+    stream = report.replay.streams["uplink_video"]
     assert report.streams["uplink_video"].payload_bps_max_1s <= 40_000
     assert stream.units_received == 0
     # Held against the picture of the same instant, not just any.

@@ -7,7 +7,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.cores.haptic_trace import ROW, flags_of
 from pipelines.cores.probe import Probe
 from pipelines.cores.replay_caps import MOST_MORE_NS, cap_needed_bps, longest_wait_ns
-from pipelines.cores.replaying import ReplayedEnd, ReplayTime
+from pipelines.cores.replaying import ReplayedEnd, ReplayScript, ReplayTime
 from pipelines.cores.rows import ContactRow, SampleReceivedRow, SampleSentRow
 
 BEGIN_NS = 7_000 * NS_PER_S
@@ -109,3 +109,33 @@ def test_the_cap_that_is_named_carries_the_units_and_one_less_does_not(large):
     assert longest_wait_ns(units, cap_bps=named - 1000, **facts) > most_ns
     assert needed(named) == named
     assert needed(85_000, speed=2.0) > 110_000
+
+
+def sent_by(script, *, until_ns):
+    """(number, capture, now) of what a process sends that wakes when it must."""
+    found = []
+    while (due_ns := script.poll_timeout()) is not None and due_ns <= until_ns:
+        while (due := script.poll_due(due_ns)) is not None:
+            found.append((*due, due_ns))
+    return found
+
+
+def test_a_process_sends_each_item_when_it_is_due_and_a_restarted_one_repeats_none():
+    captured_ns = [BEGIN_NS + ms * NS_PER_MS for ms in (0, 33, 66, 66, 100)]
+    time = ReplayTime(recorded_ns=BEGIN_NS, replayed_ns=5 * NS_PER_S, speed=2.0)
+    due_ms = [5010, 5026.5, 5043, 5043, 5060]
+
+    def started(ms):
+        now_ns = round(ms * NS_PER_MS)
+        return ReplayScript(captured_ns, time, cost_ns=10 * NS_PER_MS, now_ns=now_ns)
+
+    whole = sent_by(started(0), until_ns=6 * NS_PER_S)
+    assert [number for number, _, _ in whole] == [0, 1, 2, 3, 4]
+    assert [now_ns / NS_PER_MS for _, _, now_ns in whole] == due_ms
+    assert all(now_ns - capture_ns == 10 * NS_PER_MS for _, capture_ns, now_ns in whole)
+    first = sent_by(started(0), until_ns=5_030 * NS_PER_MS)
+    assert first + sent_by(started(5_030), until_ns=6 * NS_PER_S) == whole
+    assert started(5_061).poll_timeout() is None
+    # One that overslept sends all that is due.
+    late = started(0)
+    assert [late.poll_due(5_043 * NS_PER_MS) is not None for _ in range(5)] == [True] * 4 + [False]

@@ -3,8 +3,8 @@
 import pytest
 from google.protobuf import descriptor_pb2
 
+from kontur_av.recorded_format import FORMAT_KEY
 from pipelines.recording.channels import channels_of, channels_table
-from pipelines.recording.facts import FORMAT_KEY
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import Kind, topology_of
 

@@ -37,6 +37,20 @@ def test_all_that_was_sent_comes_back_with_its_instants(written):
     assert "/uplink_video/sent" not in session.missing
 
 
+def test_its_beginning_has_what_was_sent_until_then(written):
+    session = read_session(memoryview(written.paths[0].read_bytes()))
+    begin = session.begin(1.0)
+    first_ns = session.instants_ns[0]
+    assert begin.instants_ns[0] == first_ns
+    assert 0.95e9 < begin.instants_ns[1] - first_ns < 1e9
+    units = begin.pictures["uplink_video"]
+    assert units == session.pictures["uplink_video"][: len(units)] and len(units) > 10
+    assert len(begin.voices["uplink_voice"]) == 50
+    assert len(begin.haptics["up"]) == 1000
+    # The telecommand comes later.
+    assert "telecommand" in session.packets and "telecommand" not in begin.packets
+
+
 def part_of(told):
     return memoryview(octets_of_part(ROWS, FACTS_OF_SYNTHETIC, told, True))
 

@@ -1,0 +1,177 @@
+"""`kontur-av replay`: a recorded session through a link again, live."""
+
+import argparse
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.errors import ConfigError
+from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.replay_options import (
+    add_coding_arguments,
+    check_caps,
+    load_recording,
+    replay_setup,
+)
+from pipelines.commands.session_options import add_radio_arguments, add_setup_argument
+from pipelines.commands.stream import check_room, live_view, made_directory
+from pipelines.parts.replaying import ReplayStart
+from pipelines.recording.messages import SAMPLE
+from pipelines.recording.recorded_session import RecordedSession
+from pipelines.report.collector import Collector
+from pipelines.report.model import ReplayedStream, ReplayReport
+from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.session_report import build_report
+from pipelines.report.summary import print_summary
+from pipelines.runtime.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
+from pipelines.runtime.sessions import clear_dead_sessions, hold_session
+from pipelines.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.topology import TELECOMMAND, TELEMETRY, Topology, topology_of
+from pipelines.topology.replaying import Script, replay_topology
+
+#: All processes run, and the link is connected, this and two round trips after the start.
+_LEAD_NS = 2 * NS_PER_S
+#: From the last instant until what was sent then is shown, without the radio's delay.
+_TAIL_NS = 200 * NS_PER_MS
+_PARTS = "pipelines.parts.replaying"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av replay`."""
+    parser.add_argument("file", metavar="FILE.mcap", type=Path, help="a recording")
+    add_setup_argument(parser, needed=False)
+    parser.add_argument("--seconds", type=float, metavar="S", help="send its first S seconds only")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="seconds of the recording a second, 0.1 to 4 (default 1, the only one with voices)",
+    )
+    add_coding_arguments(parser)
+    add_radio_arguments(parser)
+    parser.set_defaults(seed=None)
+    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
+    parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
+    loudness = parser.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the replay; 1 if its report names a failure."""
+    if not 0.1 <= args.speed <= 4:
+        raise ConfigError(f"--speed {args.speed:g}: take 0.1 to 4")
+    if args.seconds is not None and not 0 < args.seconds < 1e9:
+        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    recorded = load_recording(args.file)
+    setup = replay_setup(args, args.file, recorded, speed=args.speed)
+    check_caps(args.file, setup, recorded, recode=args.recode, speed=args.speed)
+    if args.seconds is not None:
+        recorded = recorded.begin(args.seconds)
+    snapshots = made_directory(args.snapshots)
+    check_writable(args.report)
+    clear_dead_sessions()
+    check_room(setup)
+    first_ns, last_ns = recorded.instants_ns
+    delay_ns = setup.radio_profile.longest_delay_ns
+    lead_ns = _LEAD_NS + 4 * delay_ns
+    start = ReplayStart(recorded_ns=first_ns, lead_ns=lead_ns, speed=args.speed)
+    topology = _topology(
+        setup, recorded, start, recode=args.recode, snapshots=snapshots is not None
+    )
+    length_ns = lead_ns + round((last_ns - first_ns) / args.speed) + delay_ns + _TAIL_NS
+    held = hold_ports(topology)
+    load_libraries()
+    collector = Collector(topology)
+    with (
+        hold_session(setup.name) as session,
+        live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
+    ):
+        launcher = Launcher(
+            session=session,
+            topology=topology,
+            processes=topology.processes,
+            clock=MonotonicClock(),
+            listener=collector,
+            snapshots=snapshots,
+            seed=recorded.facts.seed if args.seed is None else args.seed,
+            show=view.show,
+        )
+        launcher.run(length_ns / NS_PER_S)
+    held.close()
+    collector.handle_end()
+    report = build_report(
+        setup,
+        collector,
+        seconds=launcher.seconds,
+        cpu_s=launcher.cpu_s(),
+        restarts={child.row.name: child.restarts for child in launcher.children},
+        launcher_cpu_s=launcher_cpu_s(),
+    )
+    report = msgspec.structs.replace(report, replay=_replay_report(recorded, setup, args))
+    if args.report is not None:
+        write_report(args.report, report)
+    if not args.quiet:
+        with output_that_may_fail():
+            print_summary(report)
+    return 1 if report.failures else 0
+
+
+def _topology(
+    setup: Setup, recorded: RecordedSession, start: ReplayStart, *, recode: bool, snapshots: bool
+) -> Topology:
+    plain = topology_of(setup, snapshots=snapshots)
+    scripts: dict[str, Script] = {}
+    recoded: dict[str, Script] = {}
+
+    def script(run: str, **arguments: object) -> Script:
+        return Script(f"{_PARTS}:{run}", {**arguments, "start": start})
+
+    for media in plain.media_streams:
+        stream, name = media.stream, media.name
+        if isinstance(stream, VoiceStream):
+            units = recorded.voices.get(name, [])
+            scripts[media.sender] = script("run_voice_replay", stream=stream, units=units)
+            continue
+        units = recorded.pictures.get(name, [])
+        if recode:
+            camera = media.inputs[0]
+            recoded[name] = script("run_recoded_camera", name=camera, stream=stream, units=units)
+        else:
+            scripts[media.sender] = script("run_video_replay", stream=stream, units=units)
+    for key, robot in (("up", True), ("down", False)):
+        rows = recorded.haptics.get(key, np.empty(0, SAMPLE))
+        sender = plain.haptic(key).sender
+        scripts[sender] = script("run_haptic_replay", rows=rows, robot=robot)
+    for packets, run in (
+        (TELECOMMAND, "run_telecommands_replay"),
+        (TELEMETRY, "run_telemetry_replay"),
+    ):
+        process = plain.stream(packets).sender
+        assert process is not None
+        scripts[process] = script(run, packets=recorded.packets.get(packets, []))
+    # The radio's time 0 is the start of the recorded session, or else the first thing sent.
+    began_ns = recorded.facts.started_ns or start.recorded_ns
+    before_ns = round((start.recorded_ns - began_ns) / start.speed)
+    return replay_topology(plain, scripts, recoded, radio_after_ns=start.lead_ns - before_ns)
+
+
+def _replay_report(
+    recorded: RecordedSession, setup: Setup, args: argparse.Namespace
+) -> ReplayReport:
+    return ReplayReport(
+        session=recorded.facts.session,
+        recorded_seed=recorded.facts.seed,
+        speed=args.speed,
+        recoded=args.recode,
+        streams={
+            stream.name: ReplayedStream(units_recorded=len(recorded.pictures.get(stream.name, [])))
+            for stream in setup.streams
+            if isinstance(stream, VideoStream)
+        },
+        missing=recorded.missing,
+    )

@@ -1,0 +1,82 @@
+"""`kontur-av replay` with real processes: all that was recorded is sent, also after a kill."""
+
+import os
+import signal
+
+import pytest
+from running_session import RunningReplay, assert_sound, eventually
+from synthetic_recording import write_recording
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return write_recording(tmp_path_factory.mktemp("recording") / "a.mcap", seconds=8.0)
+
+
+@pytest.fixture
+def replay(recording, tmp_path):
+    started = []
+
+    def start(*options):
+        started.append(RunningReplay(recording.paths[0], *options, directory=tmp_path))
+        return started[-1]
+
+    yield start
+    for session in started:
+        session.__exit__()
+
+
+def test_all_that_was_recorded_is_sent_and_nothing_is_coded(replay, recording):
+    session = replay("--seconds", "6")
+    assert set(session.pids()) == set(session.names)
+    code, report = session.end()
+    assert code == 0, (session.errors(), report["failures"])
+    session.assert_nothing_left()
+    assert_sound(report)
+    end_ns = recording.facts.session_ns + 6_000_000_000
+    for name in ("uplink_video", "downlink_video"):
+        units = [unit for unit in recording.units[name] if unit.capture_ns < end_ns]
+        stream = report["streams"][name]
+        assert report["replay"]["streams"][name]["units_recorded"] == len(units)
+        assert stream["frames_captured"] == stream["frames_sent"] == len(units) > 50
+    for name in ("uplink_voice", "downlink_voice"):
+        packets = [told for told in recording.told[f"/{name}/sent"] if told.log_ns < end_ns]
+        assert report["streams"][name]["frames_sent"] == len(packets)
+    for key in ("up", "down"):
+        rows = recording.haptics[f"/haptic/{key}/sent"]["time_ns"]
+        assert 0 < report["haptic"][key]["sent"] <= (rows < end_ns).sum()
+        assert report["haptic"][key]["received"] > 0
+    counts = {name: row["counts"] for name, row in report["processes"].items()}
+    sent = [told for told in recording.told["/telecommand/sent"] if told.log_ns < end_ns]
+    assert counts["selector"]["telecommands"] == len(sent) == 1
+    assert counts["console"]["housekeeping"] > 0
+    assert counts["console"]["garbage"] == counts["selector"]["garbage"] == 0
+
+
+def test_a_killed_sender_goes_on_with_the_present(replay, recording):
+    session = replay()
+    pids = session.pids()
+    session.wait_for_flow()
+    os.kill(pids["uplink_video_send"], signal.SIGKILL)
+    eventually(lambda: set(session.children()) - set(pids.values()), "the start of another sender")
+    session.wait_for_flow(["uplink_video"])
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    session.assert_nothing_left()
+    assert report["processes"]["uplink_video_send"]["restarts"] == 1
+    # Nothing twice, although the new process has the whole recording.
+    sent = report["streams"]["uplink_video"]["frames_sent"]
+    assert 0 < sent < len(recording.units["uplink_video"])
+
+
+def test_recoded_pictures_keep_to_a_lower_cap(replay, recording):
+    session = replay("--recode", "--cap-kbps", "uplink_video=40", "--seconds", "3")
+    code, report = session.end()
+    assert code == 0, (session.errors(), report["failures"])
+    assert report["replay"]["recoded"]
+    stream = report["streams"]["uplink_video"]
+    assert 0 < stream["payload_bps_max_1s"] <= stream["cap_bps"] == 40_000
+    assert stream["frames_displayed"] > 0
+    session.assert_nothing_left()
