@@ -113,9 +113,11 @@ def wait_for_number(page, more_than, selector="#picture"):
     return eventually(newer, f"a picture after number {more_than}")
 
 
-def clear(pixels):
-    """Return pixels with a number that can be read; None otherwise."""
-    return None if number_of(pixels) is None else pixels
+def filmed(page):
+    """Return (number, luma) of a picture that `page` shows, if its number can be read."""
+    pixels = page.pixels()
+    number = number_of(pixels)
+    return None if number is None else (number, luma(pixels))
 
 
 def select(page, camera):
@@ -344,8 +346,8 @@ def test_a_camera_arrives_at_the_other_page(space, ground, browser, session):
 
     # A page that joins now begins at a local IDR picture.
     late = browser.open(session.pages()["ground"])
-    shown = eventually(lambda: clear(late.pixels()), "a picture with its number")
-    likeness_db = psnr_db(luma(shown), numbered_picture(number_of(shown))[: shown.shape[0]])
+    number, shown = eventually(lambda: filmed(late), "a picture with its number")
+    likeness_db = psnr_db(shown, numbered_picture(number)[: shown.shape[0]])
     print(f"a page that joined by a local IDR shows what was filmed with {likeness_db:.0f} dB")
     assert likeness_db > CODED_DB
     late.close()
