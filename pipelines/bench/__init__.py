@@ -19,6 +19,7 @@ BENCHES = {
     "page": "the browser pages: topic to pixel beside WebRTC, pointer to hand, cost of a session",
     "passes": "many sessions of a whole pass on virtual time, and whether each was usable",
     "record": "a recording: what a kill and a cut file lose, and what it costs the session",
+    "replay": "one recorded session over several links on virtual time, and what they change",
     "sync": "how far sight, hearing and touch lie apart, from what they show; also of recordings",
     "video": "pictures through a thin channel: latency, quality, rate and cost, beside GStreamer's",
     "voice": "speech through a lossy network: mouth to ear, rate and quality, beside GStreamer's",

@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.commands.session_options import port_changes, radio_changes
@@ -21,6 +22,7 @@ from pipelines.setup.table import (
     VoiceStream,
 )
 
+_NOTHING: Mapping[str, object] = MappingProxyType({})
 #: The only input of each stream that a setup may leave out.
 _INPUTS = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
 
@@ -60,14 +62,11 @@ def replay_setup(
     changes = radio_changes(args)
     if hasattr(args, "base_port"):
         changes |= port_changes(args)
-    start_s = args.radio_start
-    if start_s is None and not changes.get("radio") and session.facts.radio_start_s:
-        start_s = session.facts.radio_start_s
     if args.setup is not None:
+        start_s = _start_s(args.radio_start, session, changes)
         setup = load_setup(args.setup, changes=changes, radio_start_s=start_s)
     else:
-        setup = _recorded_setup(path, session, changes, start_s)
-        setup = _without(setup, tuple(_silent(setup, session)))
+        setup = recorded_setup(path, session, changes, radio_start_s=args.radio_start)
     if speed != 1.0:
         voices = (one.name for one in setup.streams if isinstance(one, VoiceStream))
         setup = _without(setup, tuple(voices))
@@ -75,6 +74,40 @@ def replay_setup(
     for stream in _silent(setup, session):
         raise ConfigError(f"{path} has no channel /{stream}/sent: take a setup without {stream}")
     return setup
+
+
+def recorded_setup(
+    path: Path,
+    session: RecordedSession,
+    changes: Mapping[str, object] = _NOTHING,
+    *,
+    radio_start_s: float | None = None,
+) -> Setup:
+    """The setup of the recording, with `changes`, without streams of which it has nothing.
+
+    radio_start_s: as of `load_setup`; None: that of the recording, unless its radio is changed.
+    Raises ConfigError if it does not work here.
+    """
+    try:
+        setup = setup_from_text(
+            session.facts.setup_toml,
+            changes=changes,
+            radio_start_s=_start_s(radio_start_s, session, changes),
+        )
+    except ConfigError as error:
+        raise ConfigError(
+            f"{path}: its setup does not work here ({error}): give another with --setup, or a "
+            "radio with --radio"
+        ) from None
+    return _without(setup, tuple(_silent(setup, session)))
+
+
+def _start_s(
+    wanted_s: float | None, session: RecordedSession, changes: Mapping[str, object]
+) -> float | None:
+    if wanted_s is None and not changes.get("radio") and session.facts.radio_start_s:
+        return session.facts.radio_start_s
+    return wanted_s
 
 
 def check_caps(
@@ -103,18 +136,6 @@ def check_caps(
                 f"{stream.cap_bps / 1000:g}: give --cap-kbps {stream.name}={needed_bps / 1000:g}"
                 f"{mend}"
             )
-
-
-def _recorded_setup(
-    path: Path, session: RecordedSession, changes: Mapping[str, object], start_s: float | None
-) -> Setup:
-    try:
-        return setup_from_text(session.facts.setup_toml, changes=changes, radio_start_s=start_s)
-    except ConfigError as error:
-        raise ConfigError(
-            f"{path}: its setup does not work here ({error}): give another with --setup, or a "
-            "radio with --radio"
-        ) from None
 
 
 def _recorded_streams(session: RecordedSession) -> tuple[VideoStream | VoiceStream, ...]:

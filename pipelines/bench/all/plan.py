@@ -41,6 +41,7 @@ _TITLES = {
     "fanout": "One picture for many processes",
     "page": "The browser pages",
     "record": "Recordings",
+    "replay": "A recorded session through other links",
 }
 _VIRTUAL = ("haptics", "sync", "passes")
 
@@ -59,6 +60,7 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "fanout": "--seconds 2 --readers 1,8",
         "page": "--runs 1 --seconds 8",
         "record": "--kills 10 --cuts 500 --pairs 1 --seconds 20",
+        "replay": "--seconds 20",
     },
     "full": {
         "latency": "--seconds 60 --live-seconds 60",
@@ -73,6 +75,7 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "fanout": "--seconds 10",
         "page": "--runs 1 --seconds 30",
         "record": "--kills 200 --cuts 0 --pairs 3 --seconds 60",
+        "replay": "--seconds 120",
     },
     "smoke": {
         "latency": "--seconds 1 --live-seconds 5",
@@ -87,6 +90,7 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "fanout": "--seconds 0.2 --readers 1",
         "page": "--runs 1 --seconds 2",
         "record": "--kills 1 --cuts 10 --pairs 1 --seconds 5",
+        "replay": "--seconds 5",
     },
 }
 #: `smoke` shows that all of it works; its figures mean nothing.
