@@ -73,7 +73,15 @@ class SessionOrdered(NamedTuple):
     order: Order
 
 
-Event = HandMoved | CommandGiven | CameraAsked | SessionOrdered
+class RecordingAsked(NamedTuple):
+    """The recorder is to begin or to end; pass its answer to `handle_recorder`."""
+
+    page: int
+    request: int
+    begin: bool
+
+
+Event = HandMoved | CommandGiven | CameraAsked | SessionOrdered | RecordingAsked
 
 
 @dataclass
@@ -229,6 +237,8 @@ class Seat:
                 self._settle_hand(now_ns)
             case texts.SessionRequest():
                 self._handle_order(number, request)
+            case texts.RecordRequest():
+                self._handle_record(number, request)
 
     def _handle_select(self, number: int, request: texts.SelectRequest) -> None:
         if self.plan.segment is not Segment.SPACE:
@@ -260,6 +270,13 @@ class Seat:
             return
         self._events.append(SessionOrdered(Order(request.action)))
         self._answer(number, request.request, "")
+
+    def _handle_record(self, number: int, request: texts.RecordRequest) -> None:
+        if self.plan.segment is not Segment.GROUND:
+            self._answer(number, request.request, "ground control records the session")
+            return
+        begin = request.action == "start"
+        self._events.append(RecordingAsked(number, request.request, begin))
 
     # What topics and the launcher tell
 
@@ -371,6 +388,10 @@ class Seat:
         self._answer(asked.page, asked.request, error, None if error else round_trip_ms)
         if not error:
             self.handle_camera(asked.camera, now_ns)
+
+    def handle_recorder(self, asked: RecordingAsked, error: str) -> None:
+        """The recorder's answer. error: "" if it does what was asked."""
+        self._answer(asked.page, asked.request, error)
 
     def handle_figures(self, text: bytes, now_ns: int) -> None:
         """A message of the launcher; pages get it unchanged."""

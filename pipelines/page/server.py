@@ -35,7 +35,15 @@ from pipelines.page.local_key import filmed_key, key_of
 from pipelines.page.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.page.own_inputs import Given
 from pipelines.page.plan import SeatStream, Via, seat_plan
-from pipelines.page.seat import CameraAsked, CommandGiven, HandMoved, Seat, SessionOrdered
+from pipelines.page.recorder_link import ask_recorder
+from pipelines.page.seat import (
+    CameraAsked,
+    CommandGiven,
+    HandMoved,
+    RecordingAsked,
+    Seat,
+    SessionOrdered,
+)
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.topology import (
     HAND_INPUT_TOPIC,
@@ -302,6 +310,8 @@ class PageServer:
                     self._begin(self._ask(event))
                 case SessionOrdered(order):
                     self._context.order(order, self._now_ns())
+                case RecordingAsked():
+                    self._begin(self._record(event))
         for number, wake in self._wakes.items():
             if seat.waits(number):
                 wake.set()
@@ -342,6 +352,11 @@ class PageServer:
             round_trip_ms=answer.round_trip_ms,
             now_ns=self._now_ns(),
         )
+        self._settle()
+
+    async def _record(self, asked: RecordingAsked) -> None:
+        error = await ask_recorder(self._context.session, begin=asked.begin)
+        self._seat.handle_recorder(asked, error)
         self._settle()
 
     # HTTP

@@ -41,6 +41,12 @@ class SessionRequest(_Request, frozen=True, tag="session"):
     action: Literal["start", "stop"]
 
 
+class RecordRequest(_Request, frozen=True, tag="record"):
+    """Begin or end a recording of the session."""
+
+    action: Literal["start", "stop"]
+
+
 class InputRequest(_Request, frozen=True, tag="input"):
     """Take an input over with the page's own camera or microphone, or give it back."""
 
@@ -48,7 +54,7 @@ class InputRequest(_Request, frozen=True, tag="input"):
     on: bool
 
 
-SeatRequest = SelectRequest | JoystickRequest | HandRequest | SessionRequest
+SeatRequest = SelectRequest | JoystickRequest | HandRequest | SessionRequest | RecordRequest
 
 _SEAT = msgspec.json.Decoder(SeatRequest)
 _MEDIA = msgspec.json.Decoder(InputRequest)

@@ -31,6 +31,19 @@ def recorder_report(collector: Collector) -> RecorderReport | None:
     )
 
 
+def seat_recording(collector: Collector) -> dict[str, str | int | None]:
+    """What pages show of the recording, by name. file: null while nothing is recorded."""
+    counters, gauges = _figures(collector)
+    if counters is None or gauges is None:
+        return {}
+    return {
+        "file": gauges.file.rpartition("/")[2] or None,
+        "octets": counters.octets,
+        "lost": _lost(counters),
+        "fault": gauges.fault or None,
+    }
+
+
 def recorder_warnings(collector: Collector) -> list[Warning]:
     """What is not in the recording."""
     counters, gauges = _figures(collector)

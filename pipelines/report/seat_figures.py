@@ -28,6 +28,7 @@ from pipelines.report.event_log import EventLog, ProcessNow
 from pipelines.report.link_figures import gateway_figures, link_figures
 from pipelines.report.model import DirectionReport, GatewayReport, to_builtins
 from pipelines.report.present import last_bps, shown_now
+from pipelines.report.recording import seat_recording
 from pipelines.report.session_report import (
     cpu_report,
     haptic_report,
@@ -178,6 +179,8 @@ class SeatFigures:
             yield f"skew_limits_ms.{name}.most", LIMITS[name].most_ns / NS_PER_MS
         yield from _flat("joystick", to_builtins(joystick_report(collector))).items()
         seat = collector.process(PAGES[Segment.SPACE]).gauges(PageGauges)
+        for name, figure in seat_recording(collector).items():
+            yield f"recorder.{name}", figure
         yield HOLDER, (seat.holder or None) if seat is not None else None
         for name, direction in directions.items():
             yield from _flat(f"link.{name}", to_builtins(direction)).items()

@@ -31,7 +31,18 @@ MOST_WAITING = 64 + 32 + 1 + 8 + 2 * 25 + 4 + 2 * 15 + 2 * MOST_UNITS
 WORDS = st.sampled_from(
     [
         *("select", "joystick", "hand", "session", "input", "take", "give", "ask", "refuse", "on"),
-        *("start", "stop", "halt", "calibrate", "head", "iss_mic", "iss_camera", "", "\ud800"),
+        *(
+            "record",
+            "start",
+            "stop",
+            "halt",
+            "calibrate",
+            "head",
+            "iss_mic",
+            "iss_camera",
+            "",
+            "\ud800",
+        ),
     ]
 )
 REQUESTS = st.fixed_dictionaries(

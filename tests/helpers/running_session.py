@@ -71,7 +71,8 @@ def _name_of(pid):
 class RunningSession:
     """`kontur-av stream` with options. Its exit ends the session in any case.
 
-    It has its own directory for temporary files, so that no other session is found there.
+    It runs in `directory`. It has its own directory for temporary files, so that no other session
+    is found there.
     Without `--page` among its options it serves no pages.
     """
 
@@ -99,6 +100,7 @@ class RunningSession:
         self._error = (self.directory / "error.txt").open("w+")
         self.process = subprocess.Popen(
             command,
+            cwd=self.directory,
             stdout=self._out,
             stderr=self._error,
             stdin=subprocess.DEVNULL,

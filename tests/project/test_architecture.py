@@ -92,6 +92,7 @@ SHELLS = {
     "pipelines/commands/raw_pictures.py": "a file or a FIFO",
     "pipelines/commands/receive.py": "a command",
     "pipelines/page/console_link.py": "the console's socket",
+    "pipelines/page/recorder_link.py": "the recorder's socket, the name of a file",
     "pipelines/page/feeds.py": "topics on an event loop",
     "pipelines/page/server.py": "the sockets of browsers",
     "pipelines/recording/control.py": "the recorder's socket",

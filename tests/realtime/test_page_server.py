@@ -9,10 +9,13 @@ import struct
 import aiohttp
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from page_client import decoded, hand, visit
 from running_session import RunningSession, eventually
 
 SETUP = "spacejustin"
+#: Channels of which each second of a recording has messages.
+ALWAYS = {"/uplink_video/received", "/downlink_video/sent", "/haptic/up/received"}
 
 
 @pytest.fixture(scope="module")
@@ -160,6 +163,38 @@ def test_a_page_that_reads_again_has_a_picture_again(session):
             assert found[-1].sequence in decoded(found)
 
     visit(session.pages()["ground"], deeds)
+
+
+def test_ground_control_records_and_a_viewer_does_not(session):
+    async def deeds(visitor):
+        async def told(page, wanted):
+            while wanted((await page.text("figures"))["figures"].get("recorder.file")) is None:
+                pass
+
+        async with visitor.page() as page:
+            assert (await page.ask("record", action="start"))["ok"]
+            await told(page, lambda file: file)
+            again = await page.ask("record", action="start")
+            assert not again["ok"] and ".mcap" in again["error"]
+            await asyncio.sleep(1)
+            assert (await page.ask("record", action="stop"))["ok"]
+            await told(page, lambda file: True if file is None else None)
+            assert "not being recorded" in (await page.ask("record", action="stop"))["error"]
+
+    pages = session.pages()
+    visit(pages["ground"], deeds)
+    (path,) = session.directory.glob(f"{session.session}-*.mcap")
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    counted = summary.statistics.channel_message_counts
+    assert {each.topic for each in summary.channels.values() if counted.get(each.id)} >= ALWAYS
+
+    async def watch(visitor):
+        async with visitor.page() as page:
+            assert "watch only" in (await page.ask("record", action="start"))["error"]
+
+    ground, viewer = pages["ground"].partition("token=")[0], pages["viewer_token"]
+    visit(f"{ground}token={viewer}", watch)
 
 
 def test_own_sound_is_taken_while_the_page_gives_it(session):

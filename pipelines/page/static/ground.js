@@ -11,6 +11,7 @@ import "./microphone_panel.js";
 import "./picture_view.js";
 import "./preview_strip.js";
 import "./process_grid.js";
+import "./record_control.js";
 import "./robot_map.js";
 import "./session_control.js";
 import "./status_tiles.js";

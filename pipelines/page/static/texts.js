@@ -152,6 +152,7 @@
  *   | {do: "joystick", event: "calibrate" | "start" | "halt" | "acknowledge" | "stop" | "resume"}
  *   | {do: "hand", action: "take" | "give" | "ask" | "refuse"}
  *   | {do: "session", action: "start" | "stop"}
+ *   | {do: "record", action: "start" | "stop"}
  *   | {do: "input", name: string, on: boolean}} Request
  */
 

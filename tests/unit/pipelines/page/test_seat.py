@@ -15,7 +15,14 @@ from pipelines.cores.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.cores.session_switch import Order
 from pipelines.page.access import Role
 from pipelines.page.plan import seat_plan
-from pipelines.page.seat import CameraAsked, CommandGiven, HandMoved, Seat, SessionOrdered
+from pipelines.page.seat import (
+    CameraAsked,
+    CommandGiven,
+    HandMoved,
+    RecordingAsked,
+    Seat,
+    SessionOrdered,
+)
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import Segment, topology_of
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
@@ -259,7 +266,8 @@ def test_each_seat_does_its_own():
         ask(seat, page, "session", action="stop")
         ask(seat, page, "select", camera="head")
         ask(seat, page, "hand", action="take")
-    assert events(ground) == [SessionOrdered(Order.STOP)]
+        ask(seat, page, "record", action="start")
+    assert events(ground) == [SessionOrdered(Order.STOP), RecordingAsked(1, 7, begin=True)]
     assert [type(event) for event in events(space)] == [CameraAsked]
 
 
