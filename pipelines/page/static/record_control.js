@@ -31,10 +31,10 @@ class RecordControl extends HTMLElement {
     this.#recording = typeof file === "string";
     this.#button.disabled = !mayAct || this.#asking || file === undefined;
     setAttribute(this.#button, "data-recording", this.#recording ? "true" : null);
-    setText(this.#button, this.#recording ? "End recording" : "Record");
+    setText(this.#button, this.#recording ? "Stop rec." : "Record");
     const size = `${(Number(octets ?? 0) / 1e6).toFixed(1)} MB`;
     const missing = lost > 0 ? `, ${lost} messages lost` : "";
-    setText(this.#said, this.#recording ? `${fault ?? file}, ${size}${missing}` : "");
+    setText(this.#said, this.#recording ? `${fault ?? size}${missing}` : "");
     setAttribute(this.#said, "title", this.#recording ? String(file) : null);
     setAttribute(this.#said, "data-fault", this.#recording && (fault || lost) ? "true" : null);
   }
