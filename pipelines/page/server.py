@@ -446,8 +446,9 @@ class PageServer:
         await ws.prepare(request)
         transport = request.transport
         if transport is not None:
-            # Then a message is written only when the one before has left this process.
-            transport.set_write_buffer_limits(high=0)
+            # Then a message is written only when the one before has left this process. Not 0:
+            # with TLS, asyncio takes an empty buffer for one that has reached that limit.
+            transport.set_write_buffer_limits(high=1)
             connection = transport.get_extra_info("socket")
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_OCTETS)
         self._connections += 1

@@ -58,7 +58,7 @@ class Page:
                 text = json.loads(message)
                 if text["kind"] == kind and fields.items() <= text.items():
                     return text
-        raise AssertionError(f"closed before {kind}")
+        raise AssertionError(f"closed with {self.ws.close_code} before {kind}")
 
     async def ask(self, do, **fields):
         await self.ws.send_str(json.dumps({"request": 1, "do": do} | fields))
@@ -73,7 +73,7 @@ class Page:
                 found.append(unit)
                 if until(unit):
                     return found
-        raise AssertionError("closed before the unit")
+        raise AssertionError(f"closed with {self.ws.close_code} before the unit")
 
     async def close_code(self):
         """Read on until the server closes; return its code."""
@@ -111,11 +111,12 @@ class Visitor:
             yield page
 
 
-def visit(url, deeds):
-    """Run `deeds(visitor)`, a coroutine."""
+def visit(url, deeds, *, tls=True):
+    """Run `deeds(visitor)`, a coroutine. tls: of HTTPS; an aiohttp.Fingerprint for a known one."""
 
     async def run():
-        async with aiohttp.ClientSession() as client:
+        connector = aiohttp.TCPConnector(ssl=tls)
+        async with aiohttp.ClientSession(connector=connector) as client:
             return await asyncio.wait_for(deeds(Visitor(client, url)), 2 * PATIENCE_S)
 
     return asyncio.run(run())

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import re
 import signal
 import socket
 import struct
@@ -218,10 +219,15 @@ def test_own_sound_is_taken_while_the_page_gives_it(session):
     visit(session.pages()["ground"], deeds)
 
 
-def test_the_page_process_comes_back_with_a_picture_at_the_same_address(tmp_path):
-    with RunningSession(SETUP, "--page", "8330", directory=tmp_path) as session:
+def test_over_tls_the_page_process_comes_back_with_a_picture_at_the_same_address(tmp_path):
+    with RunningSession("taskboard", "--page", "0.0.0.0:8330", directory=tmp_path) as session:
         session.wait_for_flow()
         url = session.pages()["space"]
+        printed = re.search("(?:[0-9A-F]{2}:){31}[0-9A-F]{2}", (tmp_path / "out.txt").read_text())
+        tls = aiohttp.Fingerprint(bytes.fromhex(printed[0].replace(":", "")))
+        assert url.startswith("https://")
+        with pytest.raises(aiohttp.ClientConnectorCertificateError):
+            visit(url, lambda visitor: visitor.get("/"))
 
         async def picture(visitor):
             async with visitor.page() as page:
@@ -236,12 +242,12 @@ def test_the_page_process_comes_back_with_a_picture_at_the_same_address(tmp_path
                 os.kill(pid, signal.SIGKILL)
                 await page.close_code()
 
-        assert decoded(visit(url, picture))
-        visit(url, killed)
+        assert decoded(visit(url, picture, tls=tls))
+        visit(url, killed, tls=tls)
 
         def again():
             try:
-                return visit(url, picture)
+                return visit(url, picture, tls=tls)
             except (aiohttp.ClientError, OSError):
                 return None
 
