@@ -3,10 +3,13 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.healing import recovery_pictures
+from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES
 from kontur_av.errors import ProtocolError
+from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.rtp.payload_h264 import NAL_IDR, nal_type, split_annex_b
+from pipelines.recording.channels import SENT
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import RecordedPicture, UnitFacts, unpack
 
@@ -88,6 +91,17 @@ class FilmClock:
         exact_ms = (session_ns - self._begin_ns + half) // NS_PER_MS
         self._newest_ms = max(exact_ms, self._newest_ms + 1)
         return self._newest_ms
+
+
+def heard_ns(message: JoinedMessage) -> int:
+    """When the sound was captured that one hears at the beginning of an Opus packet.
+
+    A packet as sent has the instant of its block, which the codec's look-ahead delays. One as
+    received has this instant already: its sender has told it so.
+    """
+    if message.topic.endswith(f"/{SENT}"):
+        return message.session_ns - LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
+    return message.session_ns
 
 
 def can_begin(unit: bytes) -> bool:

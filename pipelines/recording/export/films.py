@@ -5,7 +5,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES
 from pipelines.recording.export.columns import table_name
-from pipelines.recording.export.film import FilmClock, FilmUnit, FilmUnits, can_begin
+from pipelines.recording.export.film import FilmClock, FilmUnit, FilmUnits, can_begin, heard_ns
 from pipelines.recording.export.outputs import Outputs
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.matroska import MatroskaFile
@@ -151,7 +151,7 @@ class Film:
         return told
 
     def _handle_sound(self, message: JoinedMessage) -> None:
-        self._waiting.append((message.session_ns, unpack(RecordedSound, message.data).data))
+        self._waiting.append((heard_ns(message), unpack(RecordedSound, message.data).data))
         assert self._file is not None
         if self.picture is None or self._file.has_video:
             self._write_waiting()
@@ -159,8 +159,8 @@ class Film:
     def _write_waiting(self) -> None:
         assert self._file is not None
         waiting, self._waiting = self._waiting, []
-        for session_ns, data in waiting:
-            at_ms = self._sound_clock.instant_ms(session_ns)
+        for at_ns, data in waiting:
+            at_ms = self._sound_clock.instant_ms(at_ns)
             self._file.write_sound(data, at_ms, _MS_HZ, _SOUND_MS)
             self._packets += 1
 

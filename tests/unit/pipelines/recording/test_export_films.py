@@ -80,6 +80,13 @@ def test_sound_is_beside_its_picture(written):
     assert [packet.pts for packet in found] == [20 * number for number in range(len(found))]
 
 
+def test_sound_as_sent_is_earlier_by_the_codecs_look_ahead(written):
+    found = packets(film(written, "uplink_video_sent.mkv"), "audio")
+    assert [bytes(packet) for packet in found] == spoken(8_000, SECONDS)
+    heard_ms = [20 * number - 6.5 for number in range(len(found))]
+    assert [packet.pts for packet in found[1:]] == pytest.approx(heard_ms[1:], abs=0.5)
+
+
 def test_a_player_shows_all_pictures_also_where_their_size_changes(written):
     with av.open(str(film(written, "downlink_video_sent.mkv"))) as container:
         pictures = [frame.to_ndarray() for frame in container.decode(video=0)]
