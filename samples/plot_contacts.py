@@ -15,9 +15,9 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-ROBOT, PICTURES = "/haptic/up/sent", "/uplink_video/received"
+ROBOT, PICTURES = "/haptic/up/sent", "/uplink_video/received/facts"
 CONTACT = 1  # bit 0 of `flags`
-BEFORE_S, AFTER_S = 0.5, 1.0
+BEFORE_S, AFTER_S, STEP_S = 0.5, 1.0, 0.1
 
 
 def message_class(schema):
@@ -36,15 +36,17 @@ def read(paths):
             reader = make_reader(file)
             facts = next(one.metadata for one in reader.iter_metadata() if one.name == "kontur-av")
             to_wall_ns = int(facts["wall_ns"]) - int(facts["session_ns"])
-            samples_class = None
+            classes = {}
             for schema, channel, message in reader.iter_messages([ROBOT, PICTURES]):
+                if schema.id not in classes:
+                    classes[schema.id] = message_class(schema)
+                block = classes[schema.id].FromString(message.data)
                 if channel.topic == PICTURES:
-                    # From the instant of capture until the recorder got the picture.
-                    late_ns = message.publish_time - message.log_time
-                    pictures.append((message.log_time / 1e9, late_ns / 1e6))
+                    if block.dated and not block.refused and not block.added:
+                        # From the instant of capture until the picture was there, decoded.
+                        late_ns = message.publish_time - message.log_time
+                        pictures.append((message.log_time / 1e9, late_ns / 1e6))
                     continue
-                samples_class = samples_class or message_class(schema)
-                block = samples_class.FromString(message.data)
                 force_n = np.hypot(block.fx_n, block.fy_n)
                 touches = np.array(block.flags, np.uint32) & CONTACT
                 wall_s = (np.array(block.time_ns) + to_wall_ns) / 1e9
@@ -66,6 +68,15 @@ def around(rows, instant_s):
     return time_s[near], rows[1][near]
 
 
+def draw_median(axes, found):
+    """The median of all points in steps of `STEP_S`. found: times and values."""
+    edges = np.arange(-BEFORE_S, AFTER_S + STEP_S / 2, STEP_S)
+    steps = [found[1][(found[0] >= edge) & (found[0] < edge + STEP_S)] for edge in edges[:-1]]
+    medians = [np.median(step) if len(step) else np.nan for step in steps]
+    axes.stairs(medians, edges, baseline=None, color="black", linewidth=2, label="median")
+    axes.legend(fontsize="small")
+
+
 def draw(path, robot, pictures, begins):
     """Force above, latency of the pictures below, all contacts on top of each other."""
     from matplotlib.figure import Figure
@@ -74,7 +85,8 @@ def draw(path, robot, pictures, begins):
     above, below = figure.subplots(2, sharex=True)
     for number, begin_s in enumerate(begins, start=1):
         above.plot(*around(robot, begin_s), alpha=0.7, label=f"contact {number}")
-        below.plot(*around(pictures, begin_s), ".-", alpha=0.7)
+        below.plot(*around(pictures, begin_s), ".", alpha=0.7)
+    draw_median(below, np.concatenate([around(pictures, each) for each in begins], axis=1))
     above.set_ylabel("force of the board, N")
     below.set_ylabel("capture to operator, ms")
     below.set_xlabel("time since the contact began, s")
@@ -99,6 +111,8 @@ def main():
     except (OSError, McapError, StopIteration) as error:
         parser.exit(2, f"{args.files[0]} is no whole recording: {error or 'no facts in it'}\n")
     found = contacts(robot)
+    if not len(found):
+        parser.exit(1, "the robot touched nothing\n")
     print("contact  at s     for s  most force N  picture ms")
     for number, (first, behind) in enumerate(found, start=1):
         begin_s, end_s = robot[0, first], robot[0, behind - 1]

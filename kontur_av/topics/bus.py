@@ -22,6 +22,7 @@ Use::
 
 import ctypes
 import struct
+import time
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from types import TracebackType
@@ -65,6 +66,7 @@ class _Header(ctypes.Structure):
 
     _fields_ = (
         ("capture_ns", ctypes.c_int64),
+        ("published_ns", ctypes.c_int64),
         ("sequence", ctypes.c_uint64),
         ("rtp_timestamp", ctypes.c_int64),
         ("quality", ctypes.c_uint64),
@@ -74,7 +76,7 @@ class _Header(ctypes.Structure):
     )
 
 
-_HEADER = struct.Struct(f"=qQqQII{_SOURCE_OCTETS}s")
+_HEADER = struct.Struct(f"=qqQqQII{_SOURCE_OCTETS}s")
 assert _HEADER.size == ctypes.sizeof(_Header)
 #: By their number: calling the enumeration takes several times as long.
 _QUALITIES = tuple(Quality)
@@ -111,7 +113,8 @@ class Loan:
         source = stamp.source.encode("ascii", "replace")[: _SOURCE_OCTETS - 1]
         timestamp = _NO_TIMESTAMP if stamp.rtp_timestamp is None else stamp.rtp_timestamp
         header = _HEADER.pack(
-            *(stamp.capture_ns, stamp.sequence, timestamp, stamp.quality),
+            *(stamp.capture_ns, time.monotonic_ns()),
+            *(stamp.sequence, timestamp, stamp.quality),
             *(self._width, self._height, source),
         )
         # One copy; setting the fields one by one through ctypes takes several times as long.
@@ -169,12 +172,16 @@ class Writer:
 
 
 class Lease:
-    """A reader's hold on one sample. Its views are valid until `release`."""
+    """A reader's hold on one sample. Its views are valid until `release`.
+
+    published_ns: when its writer published it, on the clock of `MonotonicClock`.
+    """
 
     def __init__(self, sample: Any) -> None:
         self._sample = sample
         header = _HEADER.unpack(ctypes.string_at(sample.user_header_ptr, _HEADER.size))
-        capture_ns, sequence, timestamp, quality, self.width, self.height, source = header
+        capture_ns, self.published_ns, sequence, timestamp, quality, *size, source = header
+        self.width, self.height = size
         self.stamp = CaptureStamp(
             capture_ns,
             sequence,

@@ -240,8 +240,8 @@ class _Recording:
         for source, reader in self._readers:
             while (lease := reader.next()) is not None:
                 with lease:
-                    octets, stamp = lease.octets(), lease.stamp
-                recorder.handle_sample(source, octets, stamp, self._now_ns())
+                    octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
+                recorder.handle_sample(source, octets, stamp, self._now_ns(), published_ns=at_ns)
         chosen = self._selected.latest()
         if chosen is not None:
             with chosen:

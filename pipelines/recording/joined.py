@@ -20,14 +20,14 @@ _MOST_CLOCK_CHANGE_NS = NS_PER_S
 class JoinedMessage(NamedTuple):
     """A message of a recording.
 
-    session_ns: its `log_time` on the session's clock. recorded_ns: its `publish_time`, likewise.
+    session_ns: its `log_time` on the session's clock. published_ns: its `publish_time`, likewise.
     part: counts the parts that were joined, from 0.
     """
 
     topic: str
     schema: str
     session_ns: int
-    recorded_ns: int
+    published_ns: int
     sequence: int
     data: bytes
     part: int

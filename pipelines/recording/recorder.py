@@ -85,6 +85,13 @@ class PartPiece(NamedTuple):
     last: bool
 
 
+class _Instants(NamedTuple):
+    """When a sample was published, and when the recorder reads it."""
+
+    published_ns: int
+    now_ns: int
+
+
 class Recorder:
     """One recording.
 
@@ -148,28 +155,35 @@ class Recorder:
                 self._missed[self._numbers[channel]] += stamp.sequence - before - 1
 
     def handle_sample(
-        self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
+        self,
+        source: Source,
+        octets: bytes,
+        stamp: CaptureStamp,
+        now_ns: int,
+        *,
+        published_ns: int | None = None,
     ) -> None:
-        """A sample of a topic, other than a camera's."""
+        """A sample of a topic, other than a camera's. published_ns: when, if not just now."""
+        at = _Instants(now_ns if published_ns is None else published_ns, now_ns)
         if source.topic not in self._sequences and 0 < stamp.capture_ns < self._joined_ns - _OLD_NS:
             return  # a topic gives a new reader its newest sample, however old that is
         self._handle_number(source, stamp)
         if source.content is Content.UNIT:
-            self._handle_unit(source, CodedUnit.unpack(octets), stamp, now_ns)
+            self._handle_unit(source, CodedUnit.unpack(octets), stamp, at)
         elif source.content is Content.HAPTICS:
-            self._handle_haptics(source, octets, stamp, now_ns)
+            self._handle_haptics(source, octets, stamp, at)
         elif source.content is Content.SOUND:
-            self._handle_sound(source, octets, stamp, now_ns)
+            self._handle_sound(source, octets, stamp, at)
         elif source.content is Content.PACKET:
             packet = RecordedPacket(
                 session_ns=stamp.capture_ns, data=octets, what=packet_words(octets)
             )
             wall_ns = stamp.capture_ns + self._offset_ns
-            self._put(source.channels[0], pack(packet), wall_ns, stamp.sequence, now_ns)
+            self._put(source.channels[0], pack(packet), wall_ns, stamp.sequence, at)
         elif source.content is Content.GATEWAY:
-            self._handle_gateway(source, octets, stamp, now_ns)
+            self._handle_gateway(source, octets, stamp, at)
         elif source.content is Content.FRAMES:
-            self._handle_frames(source, octets, stamp, now_ns)
+            self._handle_frames(source, octets, stamp, at)
         else:
             raise ValueError(f"{source.topic}: its samples are not octets")
 
@@ -179,43 +193,45 @@ class Recorder:
 
     def handle_camera(self, source: Source, unit: bytes, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture of a camera was coded. Pictures between two coded ones are not missed."""
+        at = _Instants(now_ns, now_ns)
         wall_ns = stamp.capture_ns + self._offset_ns
         self._coded[source.name] += 1
         picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=unit)
         number = self._coded[source.name]
-        self._put(source.channels[0], pack(picture), wall_ns, number, now_ns)
+        self._put(source.channels[0], pack(picture), wall_ns, number, at)
 
     def handle_event(self, event: RecordedEvent, now_ns: int) -> None:
         """Something happened in the session."""
+        at = _Instants(now_ns, now_ns)
         wall_ns = event.session_ns + self._offset_ns
         level = LogLevel.WARNING if event.what in _WARNINGS else LogLevel.INFO
         line = LogLine(wall_ns=wall_ns, level=level, message=event.text, name=event.what)
         self._events += 1
-        self._put(EVENTS, pack(event), wall_ns, self._events, now_ns)
-        self._put(LOG_LINES, pack(line), wall_ns, self._events, now_ns)
+        self._put(EVENTS, pack(event), wall_ns, self._events, at)
+        self._put(LOG_LINES, pack(line), wall_ns, self._events, at)
 
     def _handle_unit(
-        self, source: Source, unit: CodedUnit, stamp: CaptureStamp, now_ns: int
+        self, source: Source, unit: CodedUnit, stamp: CaptureStamp, at: _Instants
     ) -> None:
         channel, facts_channel = source.channels
         if channel not in self._starts:
             self._starts[channel] = StreamStart()
-        wall_ns = (stamp.capture_ns if unit.dated else now_ns) + self._offset_ns
-        key, data = self._starts[channel].handle_unit(unit, stamp, now_ns)
+        wall_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns
+        key, data = self._starts[channel].handle_unit(unit, stamp, at.now_ns)
         facts = UnitFacts.of(unit, stamp)
         if key is not None and self._stream is not None:
             added = replace(facts, key=True, damaged=False, octets=len(key), added=True)
             number = max(0, stamp.sequence - 1)
             at_ns = wall_ns - _AHEAD_NS
             picture = RecordedPicture(wall_ns=at_ns, frame_id=source.name, data=key)
-            self._put(channel, pack(picture), at_ns, number, now_ns)
-            self._put(facts_channel, pack(added), at_ns, number, now_ns)
+            self._put(channel, pack(picture), at_ns, number, at)
+            self._put(facts_channel, pack(added), at_ns, number, at)
         picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=data)
-        self._put(channel, pack(picture), wall_ns, stamp.sequence, now_ns)
-        self._put(facts_channel, pack(facts), wall_ns, stamp.sequence, now_ns)
+        self._put(channel, pack(picture), wall_ns, stamp.sequence, at)
+        self._put(facts_channel, pack(facts), wall_ns, stamp.sequence, at)
 
     def _handle_haptics(
-        self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
+        self, source: Source, octets: bytes, stamp: CaptureStamp, at: _Instants
     ) -> None:
         rows = rows_of(octets)
         if not len(rows):
@@ -223,32 +239,32 @@ class Recorder:
         wall_ns = int(rows["time_ns"][0]) + self._offset_ns
         for channel, way in zip(source.channels, (SENT, RECEIVED), strict=True):
             packed = pack_haptics(haptic_samples(rows, rows[way]))
-            self._put(channel, packed, wall_ns, stamp.sequence, now_ns)
+            self._put(channel, packed, wall_ns, stamp.sequence, at)
         if source.name == "robot":
             for at_ns, text in self._contact.handle_rows(rows):
                 event = RecordedEvent(session_ns=at_ns, number=0, what="contact", text=text)
-                self.handle_event(event, now_ns)
+                self.handle_event(event, at.now_ns)
 
     def _handle_sound(
-        self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
+        self, source: Source, octets: bytes, stamp: CaptureStamp, at: _Instants
     ) -> None:
         # A receiver that has no sender report yet cannot date its packets.
-        wall_ns = (stamp.capture_ns or now_ns) + self._offset_ns
+        wall_ns = (stamp.capture_ns or at.published_ns) + self._offset_ns
         sound = RecordedSound(wall_ns=wall_ns, data=octets)
-        self._put(source.channels[0], pack(sound), wall_ns, stamp.sequence, now_ns)
+        self._put(source.channels[0], pack(sound), wall_ns, stamp.sequence, at)
 
     def _handle_gateway(
-        self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
+        self, source: Source, octets: bytes, stamp: CaptureStamp, at: _Instants
     ) -> None:
         found = msgspec.msgpack.decode(octets, type=GatewayFigures)
         at_ns, state = stamp.capture_ns, found.supervision
         sent = LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
         received = LinkReceived.of(found.receive, state, session_ns=at_ns)
         for channel, told in zip(source.channels, (sent, received), strict=True):
-            self._put(channel, pack(told), at_ns + self._offset_ns, stamp.sequence, now_ns)
+            self._put(channel, pack(told), at_ns + self._offset_ns, stamp.sequence, at)
 
     def _handle_frames(
-        self, source: Source, octets: bytes, stamp: CaptureStamp, now_ns: int
+        self, source: Source, octets: bytes, stamp: CaptureStamp, at: _Instants
     ) -> None:
         frames = unpack_frames(octets)
         if not frames:
@@ -256,9 +272,9 @@ class Recorder:
         times, data = zip(*frames, strict=True)
         told = RecordedFrames(time_ns=times, data=data)
         wall_ns = times[0] + self._offset_ns
-        self._put(source.channels[0], pack(told), wall_ns, stamp.sequence, now_ns)
+        self._put(source.channels[0], pack(told), wall_ns, stamp.sequence, at)
 
-    def _put(self, channel: str, data: bytes, log_ns: int, sequence: int, now_ns: int) -> None:
+    def _put(self, channel: str, data: bytes, log_ns: int, sequence: int, at: _Instants) -> None:
         number = self._numbers[channel]
         if self._stream is None:
             self._dropped[number] += 1
@@ -267,9 +283,9 @@ class Recorder:
             number,
             data,
             log_ns=max(0, log_ns),
-            publish_ns=now_ns + self._offset_ns,
+            publish_ns=at.published_ns + self._offset_ns,
             sequence=sequence,
-            now_ns=now_ns,
+            now_ns=at.now_ns,
         )
         self._dropped[number] += not taken
 
@@ -367,7 +383,8 @@ class Recorder:
             ),
         )
         self._own_number += 1
-        self._put(RECORDER_LOSSES, pack(told), now_ns + self._offset_ns, self._own_number, now_ns)
+        at = _Instants(now_ns, now_ns)
+        self._put(RECORDER_LOSSES, pack(told), now_ns + self._offset_ns, self._own_number, at)
 
     def handle_end(self, now_ns: int) -> None:
         """The recording ends: its last part is closed with a summary."""

@@ -82,8 +82,8 @@ FACTS_OF_SYNTHETIC = RecordingFacts(
 )
 #: One way through the link: of media, and of haptics in cycles of 1 ms.
 LINK_NS, LINK_CYCLES = 40 * MS, 11
-#: From capture to the instant at which the recorder gets it.
-RECORDER_NS = 7 * MS
+#: From capture to the instant at which a message is published, without the link.
+PUBLISHED_NS = 7 * MS
 #: The robot touches the board for `TOUCH_S` in every `TOUCH_EVERY_S`.
 TOUCH_EVERY_S, TOUCH_S = 1.0, 0.3
 #: Of the received pictures of the uplink, this one is missing, and the next one shows it.
@@ -277,8 +277,8 @@ def media_messages(units, seconds):
 
 
 def told(topic, log_ns, sequence, data, delay_ns=0):
-    """A message that the recorder gets `delay_ns` later than usual."""
-    return Told(topic, log_ns, log_ns + RECORDER_NS + delay_ns, sequence, data)
+    """A message that is published `delay_ns` later than usual."""
+    return Told(topic, log_ns, log_ns + PUBLISHED_NS + delay_ns, sequence, data)
 
 
 def picture(topic, unit, sequence, delay_ns):

@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 
+from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame
 from kontur_av.topics import session_files
@@ -35,6 +36,7 @@ def test_latest_returns_the_newest_and_next_each_in_turn(session):
         writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
         newest, each = bus.reader("pictures"), bus.reader("pictures", depth=4)
         for sequence in range(3):
+            before_ns = MonotonicClock().now_ns()
             loan = writer.loan_picture(64, 48)
             loan.picture[:] = sequence
             loan.publish(stamp(sequence))
@@ -42,6 +44,7 @@ def test_latest_returns_the_newest_and_next_each_in_turn(session):
         with newest.latest() as lease:
             frame = lease.video()
             assert frame.stamp == stamp(2)
+            assert before_ns <= lease.published_ns <= MonotonicClock().now_ns()
             assert (frame.width, frame.height) == (64, 48)
             assert (frame.data == 2).all()
         seen = []

@@ -5,7 +5,7 @@ import sys
 
 import cv2
 from places import ROOT
-from synthetic_recording import BEGIN_NS, LINK_NS, MS, RECORDER_NS, TOUCH_S, S, write_recording
+from synthetic_recording import BEGIN_NS, LINK_NS, MS, PUBLISHED_NS, TOUCH_S, S, write_recording
 
 SAMPLE = ROOT / "samples" / "plot_contacts.py"
 
@@ -27,7 +27,7 @@ def test_sample_lists_and_draws_each_contact(tmp_path):
     for _, _, length_s, most_n, late_ms in rows:
         assert round(length_s, 2) == TOUCH_S
         assert round(most_n, 1) == 3.0
-        assert late_ms == (LINK_NS + RECORDER_NS) / MS
+        assert late_ms == (LINK_NS + PUBLISHED_NS) / MS
     assert cv2.imread(str(picture)).shape == (900, 1200, 3)
 
 

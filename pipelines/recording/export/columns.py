@@ -122,7 +122,7 @@ def _one_row(message: JoinedMessage) -> tuple[list[int], Rows]:
     parsed = parse_message(schema, message.data)
     session_ns = message.session_ns
     rows: _NewRows = {
-        "recorded_ns": np.array([message.recorded_ns], np.int64),
+        "published_ns": np.array([message.published_ns], np.int64),
         "message_number": np.array([message.sequence], np.uint32),
     }
     for row in schema.fields:

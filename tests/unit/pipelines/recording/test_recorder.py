@@ -137,13 +137,16 @@ def test_each_message_has_its_wall_time_and_what_was_in_the_topic():
     disk, now_ns = Disk(), 10 * NS_PER_S
     disk.pump(now_ns)
     rows = block(now_ns - 20 * NS_PER_MS)
-    disk.recorder.handle_sample(SOURCES[ROBOT], rows.tobytes(), stamp(7), now_ns)
+    published_ns = now_ns - 3 * NS_PER_MS
+    disk.recorder.handle_sample(
+        SOURCES[ROBOT], rows.tobytes(), stamp(7), now_ns, published_ns=published_ns
+    )
     event = RecordedEvent(session_ns=now_ns, number=4, what="link", text="signal lost")
     disk.recorder.handle_event(event, now_ns)
     (file,) = disk.end(now_ns + NS_PER_S)
     (message,) = file["/haptic/up/sent"]
     assert message.log_time == OFFSET_NS + now_ns - 20 * NS_PER_MS
-    assert message.publish_time == OFFSET_NS + now_ns
+    assert message.publish_time == OFFSET_NS + published_ns
     assert message.sequence == 7
     assert unpack_haptics(message.data)["fx_n"].tolist() == rows["fx_n"].tolist()
     assert unpack(RecordedEvent, file["/events"][0].data) == event
