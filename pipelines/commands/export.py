@@ -1,27 +1,20 @@
 """`kontur-av export`: a recording as MATLAB tables, CSV files and Matroska files."""
 
 import argparse
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ConfigError
 from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.recorded_parts import read_recording
 from pipelines.recording.export.csv_files import CsvExport
 from pipelines.recording.export.films import MatroskaExport
 from pipelines.recording.export.mat_file import MatExport, check_packages
 from pipelines.recording.export.outputs import Outputs
-from pipelines.recording.joined import (
-    JoinedMessage,
-    JoinedRecording,
-    Part,
-    follows,
-    read_part,
-)
-from pipelines.recording.recording_file import octets_of_file
+from pipelines.recording.joined import JoinedMessage, JoinedRecording
 
 #: The bar moves after this many messages.
 _STEP = 500
@@ -76,39 +69,6 @@ def run(args: argparse.Namespace) -> int:
     with output_that_may_fail():
         print("\n".join(lines))
     return 0
-
-
-def read_recording(first: Path) -> tuple[list[Path], JoinedRecording]:
-    """Return the parts of a recording, and what is in them.
-
-    A file that has the name of a part but is not of this recording is left out, with a line.
-    Raises ConfigError for a file that cannot be read, or is no recording.
-    """
-    parts, paths = [_part(first)], [first]
-    facts = parts[0].inventory.facts
-    if facts is None or facts.part == 1:
-        for path in _later_parts(first):
-            part = _part(path)
-            if not follows(part, parts[-1]):
-                print(f"kontur-av: {path} is of another recording: left out", file=sys.stderr)
-                break
-            parts.append(part)
-            paths.append(path)
-    return paths, JoinedRecording(parts=parts)
-
-
-def _part(path: Path) -> Part:
-    try:
-        return read_part(octets_of_file(path))
-    except ProtocolError as error:
-        raise ConfigError(f"{path}: {error}") from None
-
-
-def _later_parts(first: Path) -> Iterator[Path]:
-    number = 2
-    while (path := first.with_name(f"{first.stem}-{number}{first.suffix}")).exists():
-        yield path
-        number += 1
 
 
 def _with_progress(recording: JoinedRecording) -> Iterator[JoinedMessage]:

@@ -7,10 +7,10 @@ from pathlib import Path
 from types import MappingProxyType
 
 from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.commands.recorded_parts import read_recording
 from pipelines.commands.session_options import port_changes, radio_changes
 from pipelines.cores.replay_caps import cap_needed_bps
 from pipelines.recording.recorded_session import RecordedSession, SentUnit, read_session
-from pipelines.recording.recording_file import octets_of_file
 from pipelines.setup.setup_file import load_setup, setup_from_text
 from pipelines.setup.table import (
     GROUND_MIC,
@@ -44,9 +44,13 @@ def add_coding_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def load_recording(path: Path) -> RecordedSession:
-    """What was sent in a recorded session; ConfigError if the file is no recording."""
+    """What was sent in a recorded session, in all its parts.
+
+    Raises ConfigError if the file is no recording.
+    """
+    _, recording = read_recording(path)
     try:
-        return read_session(octets_of_file(path))
+        return read_session(recording)
     except ProtocolError as error:
         raise ConfigError(f"{path}: {error}") from None
 

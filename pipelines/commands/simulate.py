@@ -142,6 +142,11 @@ def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
     session = load_recording(args.replay)
     setup = replay_setup(args, args.replay, session)
     check_caps(args.replay, setup, session, recode=args.recode)
+    if args.recode and session.parts > 1:
+        raise ConfigError(
+            f"--recode on virtual time takes one part, and {args.replay} has {session.parts}: "
+            "`kontur-av replay --recode` takes them all"
+        )
     with stopped_by_signals() as stopped:
         return replay(
             session,

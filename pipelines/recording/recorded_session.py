@@ -10,13 +10,13 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.recording.channels import RECEIVED, SENT
-from pipelines.recording.facts import FACTS, RecordingFacts
+from pipelines.recording.facts import RecordingFacts
+from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.messages import (
     NO_SAMPLE,
     SAMPLE,
@@ -27,8 +27,6 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
-from pipelines.recording.recover import check_ours
-from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.recording.schemas import AUDIO, HAPTIC_SAMPLES, SPACE_PACKET, UNIT_FACTS, VIDEO
 
 
@@ -54,10 +52,12 @@ class RecordedSession:
     pictures, voices: by stream, as sent. received: by stream, the access units that its receiver
         got. haptics: by direction (`up`, `down`), the cycles in which its sender sent a sample, in
         order; dtype `SAMPLE`. packets: by stream, telecommands and telemetry as sent.
-    missing: by channel, messages of these that are not in the file.
+    missing: by channel, messages of these that are not in its files.
+    parts: its files.
     """
 
     facts: RecordingFacts
+    parts: int = 1
     pictures: dict[str, list[SentUnit]] = field(default_factory=dict)
     voices: dict[str, list[SentUnit]] = field(default_factory=dict)
     received: dict[str, list[bytes]] = field(default_factory=dict)
@@ -99,25 +99,19 @@ class RecordedSession:
         return [*self.pictures.values(), *self.voices.values()]
 
 
-def read_session(octets: memoryview) -> RecordedSession:
-    """Read a recording, a torn one as far as it goes.
+def read_session(recording: JoinedRecording) -> RecordedSession:
+    """What was sent, of a torn recording as far as it goes.
 
-    Raises ProtocolError for octets that are no recording of this project, for one of a newer
-    format, without its facts, or in which nothing was sent.
+    Raises ProtocolError for one without its facts, or in which nothing was sent.
     """
-    scan = Scan(octets)
-    facts: RecordingFacts | None = None
-    messages: dict[str, list[FoundMessage]] = defaultdict(list)
-    for item in scan.items():
-        if isinstance(item, Metadata):
-            if item.name == FACTS and facts is None:
-                facts = RecordingFacts.of(item.metadata)
-        elif _is_replayed(item):
-            messages[item.channel.topic].append(item)
-    check_ours(scan)
-    if facts is None:
+    if recording.facts is None:
         raise ProtocolError("its facts are lost")
-    session = _session(facts, messages)
+    messages: dict[str, list[JoinedMessage]] = defaultdict(list)
+    for message in recording.messages():
+        if _is_replayed(message):
+            messages[message.topic].append(message)
+    session = _session(recording.facts, messages)
+    session.parts = len(recording.parts)
     if not (session.pictures or session.voices or session.haptics or session.packets):
         raise ProtocolError("nothing that was sent is in it")
     return session
@@ -127,42 +121,34 @@ def _before(units: list[SentUnit], end_ns: int) -> list[SentUnit]:
     return [unit for unit in units if unit.capture_ns < end_ns]
 
 
-def _is_replayed(found: FoundMessage) -> bool:
+def _is_replayed(found: JoinedMessage) -> bool:
     """Whether the message is needed: what was sent, and which pictures came."""
-    way = found.channel.topic.removesuffix("/facts").rpartition("/")[2]
-    name = "" if found.schema is None else found.schema.name
-    video = name in (VIDEO.full_name, UNIT_FACTS.full_name)
-    return (way == SENT and not found.channel.topic.startswith("/link/")) or (
-        way == RECEIVED and video
-    )
+    way = found.topic.removesuffix("/facts").rpartition("/")[2]
+    video = found.schema in (VIDEO.full_name, UNIT_FACTS.full_name)
+    return (way == SENT and not found.topic.startswith("/link/")) or (way == RECEIVED and video)
 
 
-def _session(facts: RecordingFacts, messages: Mapping[str, list[FoundMessage]]) -> RecordedSession:
+def _session(facts: RecordingFacts, messages: Mapping[str, list[JoinedMessage]]) -> RecordedSession:
     session = RecordedSession(facts=facts)
-    offset_ns = facts.wall_ns - facts.session_ns
     for topic, found in messages.items():
         schema = found[0].schema
-        assert schema is not None
         name, _, way = topic.strip("/").rpartition("/")
-        if schema.name == VIDEO.full_name:
-            units = _pictures(found, messages.get(f"{topic}/facts", []), offset_ns)
+        if schema == VIDEO.full_name:
+            units = _pictures(found, messages.get(f"{topic}/facts", []))
             if way == SENT:
                 session.pictures[name] = units
             else:
                 session.received[name] = [unit.data for unit in units]
-        elif schema.name == AUDIO.full_name:
+        elif schema == AUDIO.full_name:
             session.voices[name] = [
-                SentUnit(
-                    one.message.log_time - offset_ns, unpack(RecordedSound, one.message.data).data
-                )
-                for one in found
+                SentUnit(one.session_ns, unpack(RecordedSound, one.data).data) for one in found
             ]
-        elif schema.name == HAPTIC_SAMPLES.full_name:
-            rows = _sent_rows([unpack_haptics(one.message.data) for one in found])
+        elif schema == HAPTIC_SAMPLES.full_name:
+            rows = _sent_rows([unpack_haptics(one.data) for one in found])
             if len(rows):
                 session.haptics[name.rpartition("/")[2]] = rows
-        elif schema.name == SPACE_PACKET.full_name:
-            packets = [unpack(RecordedPacket, one.message.data) for one in found]
+        elif schema == SPACE_PACKET.full_name:
+            packets = [unpack(RecordedPacket, one.data) for one in found]
             session.packets[name] = sorted(SentPacket(one.session_ns, one.data) for one in packets)
         else:
             continue
@@ -171,22 +157,20 @@ def _session(facts: RecordingFacts, messages: Mapping[str, list[FoundMessage]]) 
     return session
 
 
-def _pictures(
-    found: list[FoundMessage], told: list[FoundMessage], offset_ns: int
-) -> list[SentUnit]:
+def _pictures(found: list[JoinedMessage], told: list[JoinedMessage]) -> list[SentUnit]:
     """The access units of a stream, without what the recorder has added to them."""
-    facts = {one.message.log_time: unpack(UnitFacts, one.message.data) for one in told}
+    facts = {(one.part, one.session_ns): unpack(UnitFacts, one.data) for one in told}
     units = []
     for one in found:
-        data = unpack(RecordedPicture, one.message.data).data
-        fact = facts.get(one.message.log_time)
+        data = unpack(RecordedPicture, one.data).data
+        fact = facts.get((one.part, one.session_ns))
         if fact is not None:
             if fact.added:
                 continue
             # In front of it are parameter sets for a reader that begins here.
             data = data[-fact.octets :]
         key = fact is not None and fact.key
-        units.append(SentUnit(one.message.log_time - offset_ns, data, key))
+        units.append(SentUnit(one.session_ns, data, key))
     return units
 
 
@@ -198,7 +182,7 @@ def _sent_rows(blocks: list[NDArray[np.void]]) -> NDArray[np.void]:
     return rows[numbered] if numbered.any() else rows
 
 
-def _missing(found: list[FoundMessage]) -> int:
+def _missing(found: list[JoinedMessage]) -> int:
     """Gaps in the sequence numbers; a smaller number is that of a process started again."""
-    numbers = [one.message.sequence for one in found]
+    numbers = [one.sequence for one in found]
     return sum(after - before - 1 for before, after in pairwise(numbers) if after > before)

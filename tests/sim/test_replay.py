@@ -115,6 +115,18 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(recording, capsys, words
     assert told in line
 
 
+def test_all_parts_of_a_recording_are_sent(tmp_path, capsys):
+    recording = write_recording(tmp_path / "a.mcap", seconds=SECONDS, parts=3)
+    first = recording.paths[0]
+    out = tmp_path / "report.json"
+    words = ["simulate", "--replay", str(first), "--report", str(out), "-q"]
+    assert main(words) == 0
+    stream = parsed(out.read_bytes()).replay.streams["uplink_video"]
+    assert stream.units_recorded == stream.pictures_same == len(recording.units["uplink_video"])
+    assert main([*words, "--recode"]) == 2
+    assert "has 3: `kontur-av replay --recode` takes them all" in capsys.readouterr().err
+
+
 def test_a_file_that_is_no_recording_is_refused(tmp_path, capsys):
     path = tmp_path / "a.mcap"
     for octets, told in (

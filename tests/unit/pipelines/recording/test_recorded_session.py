@@ -7,6 +7,7 @@ from synthetic_recording import FACTS_OF_SYNTHETIC, octets_of_part, wall_ns, wri
 
 from kontur_av.errors import ProtocolError
 from pipelines.recording.channels import channels_of
+from pipelines.recording.joined import JoinedRecording, read_part
 from pipelines.recording.messages import NO_SAMPLE, RecordedPicture, UnitFacts, pack, unpack
 from pipelines.recording.recorded_session import read_session
 from pipelines.setup.built_in import BUILT_IN
@@ -15,13 +16,17 @@ from pipelines.topology import topology_of
 ROWS = channels_of(topology_of(BUILT_IN["spacejustin"]))
 
 
+def session_of(*parts):
+    return read_session(JoinedRecording(parts=[read_part(octets) for octets in parts]))
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     return write_recording(tmp_path_factory.mktemp("recording") / "a.mcap")
 
 
 def test_all_that_was_sent_comes_back_with_its_instants(written):
-    session = read_session(memoryview(written.paths[0].read_bytes()))
+    session = session_of(memoryview(written.paths[0].read_bytes()))
     assert session.facts == FACTS_OF_SYNTHETIC
     for name in ("uplink_video", "downlink_video"):
         coded = [(unit.capture_ns, unit.data, unit.key) for unit in written.units[name]]
@@ -38,7 +43,7 @@ def test_all_that_was_sent_comes_back_with_its_instants(written):
 
 
 def test_its_beginning_has_what_was_sent_until_then(written):
-    session = read_session(memoryview(written.paths[0].read_bytes()))
+    session = session_of(memoryview(written.paths[0].read_bytes()))
     begin = session.begin(1.0)
     first_ns = session.instants_ns[0]
     assert begin.instants_ns[0] == first_ns
@@ -49,6 +54,19 @@ def test_its_beginning_has_what_was_sent_until_then(written):
     assert len(begin.haptics["up"]) == 1000
     # The telecommand comes later.
     assert "telecommand" in session.packets and "telecommand" not in begin.packets
+
+
+def test_several_parts_have_what_one_has(written, tmp_path):
+    recording = write_recording(tmp_path / "a.mcap", parts=3)
+    several = session_of(*(memoryview(path.read_bytes()) for path in recording.paths))
+    whole = session_of(memoryview(written.paths[0].read_bytes()))
+    assert (several.facts, several.parts) == (whole.facts, 3)
+    for name, units in several.pictures.items():
+        coded = recording.units[name]
+        assert units == [(unit.capture_ns, unit.data, unit.key) for unit in coded]
+    assert (several.voices, several.packets) == (whole.voices, whole.packets)
+    assert all((several.haptics[key] == rows).all() for key, rows in whole.haptics.items())
+    assert several.missing == whole.missing
 
 
 def part_of(told):
@@ -72,7 +90,7 @@ def test_what_the_recorder_put_ahead_of_a_part_is_left_out(written):
         *units,
         *facts,
     ]
-    session = read_session(part_of(told))
+    session = session_of(part_of(told))
     assert [unit.data for unit in session.pictures["uplink_video"]] == [
         unit.data for unit in written.units["uplink_video"][5:]
     ]
@@ -81,11 +99,11 @@ def test_what_the_recorder_put_ahead_of_a_part_is_left_out(written):
 def test_cycles_without_a_sample_are_not_sent_and_gaps_are_counted(written):
     told = list(written.told["/haptic/up/received"])
     as_sent = [replace(one, topic="/haptic/up/sent") for one in told if one.sequence != 7]
-    session = read_session(part_of(as_sent))
+    session = session_of(part_of(as_sent))
     assert (session.haptics["up"]["sequence"] != NO_SAMPLE).all()
     assert session.missing == {"/haptic/up/sent": 1}
 
 
 def test_a_file_in_which_nothing_was_sent_is_refused(written):
     with pytest.raises(ProtocolError, match="nothing that was sent is in it"):
-        read_session(part_of(written.told["/events"]))
+        session_of(part_of(written.told["/events"]))
