@@ -47,8 +47,9 @@ def now_ms(page):
 
 
 @pytest.fixture
-def session(tmp_path):
-    with RunningSession("taskboard", "--page", "24200", directory=tmp_path) as running:
+def session(request, tmp_path):
+    where = getattr(request, "param", "24200")
+    with RunningSession("taskboard", "--page", where, directory=tmp_path) as running:
         running.pids()
         yield running
 
@@ -73,9 +74,13 @@ def test_a_page_comes_back_by_itself_when_its_server_was_killed(session, space):
     space.browser.assert_no_errors(server_gone=True)
 
 
-def test_the_picture_as_sent_comes_back_too(session, start_browser):
-    ground = start_browser().open(session.pages()["ground"])
-    ground.wait(SENT_LIVE)
+@pytest.mark.parametrize("session", ["0.0.0.0:24200"], indirect=True)
+def test_over_tls_the_picture_as_sent_comes_back_too(session, start_browser):
+    address = session.pages()["ground"]
+    assert address.startswith("https://")
+    # Nobody has signed the certificate; a person would compare its fingerprint.
+    ground = start_browser(flags=["ignore-certificate-errors"]).open(address)
+    ground.wait(f"{SENT_LIVE} && document.body.dataset.link === 'connected'")
     # The process that kept the units since their last beginning has gone.
     os.kill(session.pids()["page_ground"], signal.SIGKILL)
     ground.wait(f"!({SENT_LIVE})")

@@ -54,7 +54,7 @@ def write_pictures(path, count):
 
 
 class NumberedPictures:
-    """Writes numbered pictures into a FIFO until its exit; `pause` and `go_on` in between.
+    """Writes numbered pictures into a FIFO until its exit.
 
     newest: the number of the picture that was written last; 0 before the first.
     bright: whether pictures are bright. A change is a cut.
@@ -86,13 +86,14 @@ class NumberedPictures:
         self._thread.join()
         os.close(self._fd)
 
-    def pause(self):
-        """Write no picture until `go_on`."""
+    @contextlib.contextmanager
+    def paused(self):
+        """Write no picture until the exit."""
         self._flows.clear()
-
-    def go_on(self):
-        """Write again."""
-        self._flows.set()
+        try:
+            yield
+        finally:
+            self._flows.set()
 
     def _write(self):
         with contextlib.suppress(BlockingIOError):
