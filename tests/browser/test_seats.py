@@ -378,6 +378,24 @@ def test_a_microphone_arrives_at_the_other_page(space, ground):
     eventually(lambda: level_db(space) < HEARD_DB, "silence")
 
 
+def test_ground_control_records(ground, session):
+    def pressed(on):
+        """Press the button, again if the page was too busy; whether it records as it should."""
+        ground.run(f"""
+            const button = document.querySelector("#record");
+            if (!button.disabled && button.hasAttribute("data-recording") !== {on}) button.click();
+        """)
+        records = ground.run("return document.querySelector('#record[data-recording]') !== null")
+        return records is (on == "true")
+
+    ground.wait(LIVE)
+    eventually(lambda: pressed("true"), "a recording")
+    ground.wait("document.querySelector('.recorded').textContent.endsWith('MB')")
+    eventually(lambda: pressed("false"), "the end of the recording")
+    (path,) = session.directory.glob("*.mcap")
+    assert path.stat().st_size > 10_000
+
+
 def test_a_machine_without_sound_and_camera_says_so_and_shows_the_pictures(start_browser, session):
     bare = start_browser(devices=False)
     page = bare.open(session.pages()["ground"])
