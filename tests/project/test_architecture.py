@@ -230,6 +230,7 @@ LIBRARIES = {
     "telepresence/world/": ({"cv2"}, "draws"),
     "pipelines/bench/page/footage.py": ({"av"}, "codes pictures"),
     "pipelines/bench/record/figures.py": ({"mcap"}, "names of records"),
+    "pipelines/bench/record/recount.py": ({"mcap", "pathlib"}, "files"),
     "pipelines/bench/result.py": ({"pathlib"}, "writes a path as text"),
     "pipelines/bench/video/quality.py": ({"cv2"}, "compares pictures"),
     "telepresence/world/speech_files.py": ({"av", "pathlib"}, "files"),

@@ -1,4 +1,7 @@
-"""`kontur-av bench record`: what a kill and a cut cost a recording, and a recording a session."""
+"""`kontur-av bench record`: what a kill and a cut cost a recording, and a recording a session.
+
+With `--compare`: whether a recording says the same as the report of its session.
+"""
 
 import argparse
 from pathlib import Path
@@ -8,6 +11,7 @@ from rich.table import Table
 
 from kontur_av.errors import ConfigError
 from pipelines.bench.console import TableConsole, open_console
+from pipelines.bench.record.agreement import compare
 from pipelines.bench.record.figures import (
     Cuts,
     Kill,
@@ -17,6 +21,7 @@ from pipelines.bench.record.figures import (
     headlines,
     read_session,
 )
+from pipelines.bench.record.recount import compare_files, recount
 from pipelines.bench.record.run import kills
 from pipelines.bench.result_file import write_result
 from pipelines.bench.session import live_report
@@ -46,11 +51,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the kills' instants")
     parser.add_argument("--base-port", type=int, default=27_000, metavar="P", help="of the runs")
+    parser.add_argument(
+        "--compare",
+        nargs=2,
+        type=Path,
+        metavar=("FILE.mcap", "REPORT.json"),
+        help="run no session: compare a recording of a whole session with its report",
+    )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     """Pairs of sessions, cuts and kills; 1 if more than a second was lost, or anything before."""
+    if args.compare is not None:
+        return _compare(*args.compare, console=open_console(args))
     for name, least, most in (("kills", 0, 10_000), ("cuts", 0, 1 << 20), ("pairs", 1, 1000)):
         if not least <= getattr(args, name) <= most:
             raise ConfigError(f"--{name} {getattr(args, name)}: give {least} to {most}")
@@ -59,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.report)
     load_setup(args.setup)
     console = open_console(args)
-    without, recorded, cuts = _pairs(args, console)
+    without, recorded, cuts, differing = _pairs(args, console)
     killed: list[Kill] = []
     for kill in kills(args.setup, args.kills, seed=args.seed, base_port=args.base_port):
         killed.append(kill)
@@ -71,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
         cuts=cuts,
         without=tuple(without),
         recorded=tuple(recorded),
+        differing=differing,
     )
     found = headlines(result)
     table = Table(title=f"{args.setup}, recorded", title_justify="left")
@@ -85,9 +100,26 @@ def run(args: argparse.Namespace) -> int:
     return 0 if result.sound else 1
 
 
+def _compare(recording: Path, report: Path, *, console: TableConsole) -> int:
+    """All figures of both; 1 if one of them differs by more than is explained."""
+    found = compare_files(recording, report)
+    differing = [one for one in found if not one.agrees]
+    table = Table(title=f"{recording} and {report}", title_justify="left")
+    for heading in ("figure", "file", "report", "may differ by", ""):
+        table.add_column(heading, justify="left" if heading in ("figure", "") else "right")
+    for one in found:
+        digits = 1 if one.unit == "ms" else 0
+        values = (f"{value:,.{digits}f} {one.unit}".rstrip() for value in (one.file, one.report))
+        verdict = "" if one.agrees else "differs"
+        table.add_row(one.what, *values, f"{one.allowed:,.{digits}f}", verdict)
+    console.print(table)
+    console.print(f"{len(found)} figures, {len(differing)} differ", highlight=False)
+    return 1 if differing else 0
+
+
 def _pairs(
     args: argparse.Namespace, console: TableConsole
-) -> tuple[list[SessionCost], list[SessionCost], Cuts]:
+) -> tuple[list[SessionCost], list[SessionCost], Cuts, int]:
     words = ["stream", "--setup", args.setup, "--base-port", str(args.base_port), "--no-page"]
     without: list[SessionCost] = []
     recorded: list[SessionCost] = []
@@ -96,7 +128,9 @@ def _pairs(
         for number in range(1, args.pairs + 1):
             without.append(read_session(live_report(words, seconds=args.seconds)))
             record = ["--record", str(path), "--overwrite"]
-            recorded.append(read_session(live_report([*words, *record], seconds=args.seconds)))
+            report = live_report([*words, *record], seconds=args.seconds)
+            recorded.append(read_session(report))
             cost = recorded[-1].recorder_cores
             console.print(f"pair {number}: recorder {cost:.3f} cores", highlight=False)
-        return without, recorded, cut(path.read_bytes(), args.cuts)
+        differing = sum(not one.agrees for one in compare(recount(path), report))
+        return without, recorded, cut(path.read_bytes(), args.cuts), differing

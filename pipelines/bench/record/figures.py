@@ -183,7 +183,10 @@ def read_session(report: JsonReader) -> SessionCost:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordResult:
-    """All of it. without, recorded: sessions in turn, in pairs."""
+    """All of it. without, recorded: sessions in turn, in pairs.
+
+    differing: figures of the newest recording that are not those of its report.
+    """
 
     setup: str
     seconds: float
@@ -191,6 +194,7 @@ class RecordResult:
     cuts: Cuts | None
     without: tuple[SessionCost, ...]
     recorded: tuple[SessionCost, ...]
+    differing: int | None = None
 
     @property
     def sound(self) -> bool:
@@ -290,6 +294,18 @@ def headlines(result: RecordResult) -> list[Headline]:
                 value=lacking,
                 target="0",
                 met=not lacking,
+            )
+        )
+    if result.differing is not None:
+        found.append(
+            Headline(
+                group=f"{result.setup}, sessions of {result.seconds:g} s in turn",
+                what="figures of the file that are not those of the report",
+                who="recorded",
+                unit="",
+                value=result.differing,
+                target="0",
+                met=not result.differing,
             )
         )
     return found
