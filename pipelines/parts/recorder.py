@@ -43,6 +43,8 @@ _IN_FLIGHT_OCTETS = 1 << 20
 _DRAIN_NS = 150 * NS_PER_MS
 #: How long a slow disk may take at the end.
 _CLOSE_S = 1.5
+#: A sample that took longer to handle has held up the others.
+_LONG_NS = 20 * NS_PER_MS
 #: Unread samples of a topic that are kept: the most that there can be.
 _DEPTH = 32
 
@@ -191,6 +193,8 @@ class _Recording:
         self._open_part()
         self._bus = context.open_bus()
         sources = sources_of(topology, link_frames=wish.link_frames)
+        # Access units last; see `handle_wake`.
+        sources = tuple(sorted(sources, key=lambda source: source.content is Content.UNIT))
         self._readers = [
             (source, self._bus.reader(source.topic, depth=_DEPTH))
             for source in sources
@@ -237,11 +241,19 @@ class _Recording:
     def handle_wake(self) -> None:
         """Read what has come, and write what can be written."""
         recorder = self._recorder
-        for source, reader in self._readers:
+        pending = list(self._readers)
+        while pending:
+            source, reader = pending.pop(0)
             while (lease := reader.next()) is not None:
                 with lease:
                     octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
-                recorder.handle_sample(source, octets, stamp, self._now_ns(), published_ns=at_ns)
+                begun_ns = self._now_ns()
+                recorder.handle_sample(source, octets, stamp, begun_ns, published_ns=at_ns)
+                if self._now_ns() - begun_ns > _LONG_NS:
+                    # At a new part, a key picture of each stream is coded. That takes up to 0.2 s
+                    # each, and topics keep 0.6 s. So all others are read in between.
+                    pending = list(self._readers)
+                    break
         chosen = self._selected.latest()
         if chosen is not None:
             with chosen:
