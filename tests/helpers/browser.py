@@ -197,6 +197,16 @@ class Page:
         """Write what a person sees as a PNG file."""
         Path(path).write_bytes(self.driver().get_screenshot_as_png())
 
+    def reload(self, script):
+        """Load the page anew, and run a script before all of its own."""
+        driver = self.driver()
+        driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": script})
+        driver.refresh()
+
+    def show(self):
+        """Bring it to the front. A tab hides the one that was seen."""
+        self.driver()
+
     def driver(self):
         """Return selenium's driver, with this page in front."""
         driver = self.browser.driver
