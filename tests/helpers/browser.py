@@ -95,9 +95,7 @@ class Browser:
 
     def end(self):
         """End all processes and remove all files."""
-        for pid in self.pids():
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
+        _signal(self.pids(), signal.SIGKILL)
         if self._service.process is not None:
             self._service.process.wait()
         eventually(lambda: self.pids() == [], "the browser's end")
@@ -121,14 +119,11 @@ class Browser:
         """Stop all processes of Chromium, as on a machine that sleeps; then let them go on."""
         driver = self._service.process.pid
         pids = [pid for pid in self.pids() if pid != driver]
-        for pid in pids:
-            os.kill(pid, signal.SIGSTOP)
         try:
+            _signal(pids, signal.SIGSTOP)
             yield
         finally:
-            for pid in pids:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGCONT)
+            _signal(pids, signal.SIGCONT)
 
     def errors(self):
         """Return every error that any page's console has shown so far, workers' included."""
@@ -241,6 +236,13 @@ def luma(pixels):
 def psnr_db(one, other):
     """Return the likeness of two pictures of one shape; infinite if they are equal."""
     return cv2.PSNR(one, other) if (one != other).any() else float("inf")
+
+
+def _signal(pids, number):
+    for pid in pids:
+        # A process may end at any time.
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, number)
 
 
 def _of_session(leader):
