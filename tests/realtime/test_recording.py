@@ -6,12 +6,14 @@ import signal
 import subprocess
 from collections import Counter
 
+import av
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from running_session import COMMAND, PATIENCE_S, assert_sound, eventually
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
+from pipelines.cli import main
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.messages import RecordedEvent, unpack, unpack_haptics
 from pipelines.recording.scan import FoundMessage, Scan
@@ -94,6 +96,14 @@ def test_the_file_has_what_the_report_says(start, tmp_path):
     assert (np.diff(numbers[numbers >= 0]) % 65_536 == 1).all()
     assert found["/camera/static"] > 0
     assert scanned(path)[0].figures.sound
+    films, tables = tmp_path / "films", tmp_path / "tables"
+    assert main(["export", str(path), "--mkv", str(films), "--csv", str(tables)]) == 0
+    with (tables / "haptic_down_sent.csv").open() as rows:
+        assert sum(1 for _ in rows) - 1 == len(numbers)
+    with av.open(str(films / "downlink_video_sent.mkv")) as film:
+        packets = Counter(packet.stream.type for packet in film.demux() if packet.size)
+    assert packets["video"] == found["/downlink_video/sent"]
+    assert packets["audio"] == found["/downlink_voice/sent"]
 
 
 def test_a_killed_recorder_goes_on_in_a_new_part(start, tmp_path):

@@ -11,6 +11,7 @@ from scipy.io import loadmat
 from synthetic_recording import write_recording
 
 from pipelines.cli import main
+from pipelines.recording import facts
 from pipelines.recording.export import mat_file
 
 
@@ -185,13 +186,17 @@ def other_program(path):
         writer.finish()
 
 
-def test_what_is_no_recording_of_ours_is_refused(tmp_path, recording, capsys):
+def test_what_is_no_recording_of_ours_is_refused(tmp_path, monkeypatch, capsys):
     out = tmp_path / "out.mat"
     alien, foreign = tmp_path / "alien.mcap", tmp_path / "foreign.mcap"
     alien.write_bytes(b"hello, world")
     other_program(foreign)
-    newer = tmp_path / "newer.mcap"
+    newer, missing = tmp_path / "newer.mcap", tmp_path / "missing.mcap"
+    with monkeypatch.context() as patch:
+        patch.setattr(facts, "FORMAT", facts.FORMAT + 1)
+        write_recording(newer, seconds=1)
     assert "is not an MCAP file" in refused(capsys, alien, "--mat", out)
     assert "written by other, not by kontur-av" in refused(capsys, foreign, "--mat", out)
-    assert "cannot be read" in refused(capsys, newer, "--mat", out)
+    assert "install a newer one" in refused(capsys, newer, "--mat", out)
+    assert "cannot be read" in refused(capsys, missing, "--mat", out)
     assert not out.exists()
