@@ -60,7 +60,7 @@ def _sit(seat: str, *options: str) -> None:
     with (
         tempfile.TemporaryDirectory() as directory,
         RunningSession("spacejustin", *options, directory=directory) as session,
-        Browser(size=SIZE) as browser,
+        Browser(size=SIZE, scale=1) as browser,
     ):
         page = _open(browser, session.pages()[seat])
         for figure in SHOWN[seat]:

@@ -46,9 +46,20 @@ class Browser:
     camera: a .y4m or .mjpeg file for the camera; a moving pattern without it.
     microphone: a .wav file for the microphone; beeps without it.
     devices: False for a machine that has neither camera nor microphone.
+    scale: pixels a side of what a page takes for one. A half takes two thirds of the time; the
+    canvases of pictures keep their own size.
     """
 
-    def __init__(self, *, camera=None, microphone=None, devices=True, flags=(), size=(900, 640)):
+    def __init__(
+        self,
+        *,
+        camera=None,
+        microphone=None,
+        devices=True,
+        flags=(),
+        size=(900, 640),
+        scale=0.5,
+    ):
         from selenium import webdriver
         from selenium.webdriver.chrome.service import Service
 
@@ -60,8 +71,7 @@ class Browser:
             "no-sandbox",
             # Without a graphics card its emulation would take a core.
             "disable-gpu",
-            # A quarter of the pixels to draw; canvases of pictures keep their own size.
-            "force-device-scale-factor=0.5",
+            f"force-device-scale-factor={scale}",
             f"user-data-dir={self.directory / 'profile'}",
             f"window-size={size[0]},{size[1]}",
             "use-fake-ui-for-media-stream",
