@@ -282,6 +282,39 @@ def test_a_pointer_moves_the_robot_and_its_release_stops_it(space, robot):
     assert abs(robot.x_m() - rest_m) < 0.002
 
 
+def touch(page, kind, x=0):
+    """A finger on the map, x pixels from its middle. kind: of the DevTools Protocol."""
+    place = page.run(
+        "const on = document.querySelector(arguments[0]).getBoundingClientRect();"
+        "return {x: on.x + on.width / 2 + arguments[1], y: on.y + on.height / 2};",
+        MAP,
+        x,
+    )
+    points = [] if kind == "touchEnd" else [place]
+    event = {"type": kind, "touchPoints": points}
+    page.driver().execute_cdp_cmd("Input.dispatchTouchEvent", event)
+
+
+def test_a_finger_moves_the_robot_and_lets_go_when_it_is_lifted(space, robot):
+    def moved():
+        touch(space, "touchEnd")
+        touch(space, "touchStart")
+        if not robot.held():
+            return False
+        from_m = robot.x_m()
+        for step in range(1, 9):
+            touch(space, "touchMove", -5 * step)
+        time.sleep(0.3)
+        return robot.held() and robot.x_m() < from_m - 0.01
+
+    space.wait("document.querySelector('joystick-panel').textContent.includes('application')")
+    touch(space, "touchStart")
+    eventually(robot.held, "a held joystick")
+    eventually(moved, "a movement of the robot")
+    touch(space, "touchEnd")
+    eventually(lambda: not robot.held(), "the release")
+
+
 #: Notes whether the page steers when it is hidden.
 NOTE_HIDDEN = """
 document.addEventListener("visibilitychange", () => {
