@@ -1,0 +1,1 @@
+"""Protection: machine keys, the handshake, and sealed datagrams between two gateways."""

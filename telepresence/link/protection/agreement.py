@@ -1,0 +1,137 @@
+"""TLS 1.3 in memory: from octets of the peer to octets for the peer, and at the end to keys.
+
+OpenSSL does the handshake (RFC 8446), through pyOpenSSL. Both ends show a self-made certificate.
+Each accepts only the public key of the identity that it pinned, and looks at nothing else in it:
+neither dates nor names. The keys of the records are exported (RFC 8446 section 7.5, RFC 5705). TLS
+itself carries no data.
+"""
+
+from typing import NamedTuple
+
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+from OpenSSL import SSL, crypto
+
+from telepresence.link.protection.identity import MachineIdentity, MachineKey
+from telepresence.link.protection.record import (
+    DIRECTION_OCTETS,
+    KEY_NUMBER_OCTETS,
+    KEY_OCTETS,
+    DirectionKeys,
+)
+
+#: RFC 5705 section 4: labels outside the registry begin so.
+_LABEL = b"EXPERIMENTAL kontur-av link 1"
+_READ_OCTETS = 16384
+
+
+class AgreedKeys(NamedTuple):
+    """The keys of one session, as one end uses them."""
+
+    send: DirectionKeys
+    receive: DirectionKeys
+
+
+class Agreement:
+    """What all handshakes of one end with one peer share."""
+
+    def __init__(self, key: MachineKey, peer: MachineIdentity) -> None:
+        #: One end is the client always, so no message has to say which.
+        self.client = key.identity.digest < peer.digest
+        self._peer = peer
+        context = SSL.Context(SSL.TLS_METHOD)
+        context.set_min_proto_version(SSL.TLS1_3_VERSION)
+        context.set_max_proto_version(SSL.TLS1_3_VERSION)
+        context.set_tls13_ciphersuites(b"TLS_AES_256_GCM_SHA384")
+        # Each session has a handshake of its own: nothing is resumed.
+        context.set_options(SSL.OP_NO_TICKET)
+        context.set_session_cache_mode(SSL.SESS_CACHE_OFF)
+        context.set_verify(SSL.VERIFY_PEER | SSL.VERIFY_FAIL_IF_NO_PEER_CERT, self._is_pinned)
+        context.use_certificate(key.certificate())
+        context.use_privatekey(key.private)
+        self._context = context
+
+    def begin(self) -> "AgreementRun":
+        """Return one handshake."""
+        connection = SSL.Connection(self._context, None)
+        if self.client:
+            connection.set_connect_state()
+        else:
+            connection.set_accept_state()
+        return AgreementRun(connection, client=self.client)
+
+    def _is_pinned(
+        self, connection: SSL.Connection, shown: crypto.X509, error: int, depth: int, ok: int
+    ) -> bool:
+        # No certificate vouches for another: the peer's own key is the pinned one, or it is refused.
+        if depth:
+            return False
+        try:
+            public = shown.to_cryptography().public_key()
+        except (ValueError, TypeError, UnsupportedAlgorithm):
+            return False
+        return isinstance(public, Ed25519PublicKey) and MachineIdentity.of(public) == self._peer
+
+
+class AgreementRun:
+    """One handshake. complete: this end has checked the peer, and `keys` may be called.
+
+    failed: "" or why the handshake cannot go on.
+    """
+
+    def __init__(self, connection: SSL.Connection, *, client: bool) -> None:
+        self._connection = connection
+        self._client = client
+        self.complete = False
+        self.failed = ""
+
+    def handle_octets(self, octets: bytes) -> bytes:
+        """Take what the peer sent, in order; return what the peer is to be sent.
+
+        The client calls it once without octets to begin.
+        """
+        if self.failed:
+            return b""
+        if octets:
+            self._connection.bio_write(octets)
+        try:
+            if self.complete:
+                # Nothing is expected but an alert: the peer may refuse this end at the very last.
+                self._connection.recv(1)
+            else:
+                self._connection.do_handshake()
+                self.complete = True
+        except SSL.WantReadError:
+            pass
+        except SSL.Error as error:
+            self.failed = _reason(error)
+            self.complete = False
+        return self._written()
+
+    def keys(self) -> AgreedKeys:
+        """Return the keys of the session; only when `complete`."""
+        octets = self._connection.export_keying_material(
+            _LABEL, 2 * DIRECTION_OCTETS + KEY_NUMBER_OCTETS
+        )
+        number, both = octets[:KEY_NUMBER_OCTETS], octets[KEY_NUMBER_OCTETS:]
+        client, server = (
+            DirectionKeys(number, part[:KEY_OCTETS], part[KEY_OCTETS:])
+            for part in (both[:DIRECTION_OCTETS], both[DIRECTION_OCTETS:])
+        )
+        return AgreedKeys(client, server) if self._client else AgreedKeys(server, client)
+
+    def _written(self) -> bytes:
+        written = b""
+        while True:
+            try:
+                written += self._connection.bio_read(_READ_OCTETS)
+            except SSL.WantReadError:
+                return written
+
+
+def _reason(error: SSL.Error) -> str:
+    """The last reason that OpenSSL names, such as "certificate verify failed"."""
+    reasons = error.args[0] if error.args else None
+    if isinstance(reasons, list) and reasons:
+        return str(reasons[-1][-1])
+    return "the connection was closed"

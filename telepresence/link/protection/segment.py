@@ -1,0 +1,159 @@
+"""The datagrams of the handshake: a small reliable octet stream each way, as QUIC's CRYPTO frames.
+
+| octets | field |
+|--:|---|
+| 1 | version (4 bits, 1) and kind (4 bits, `HANDSHAKE` or `KNOCK`) |
+| 8 | nonce of the sender |
+| 8 | nonce of the receiver that the sender has heard last; zeros before |
+| 2 | acknowledged: octets of the receiver's stream that have come without a gap |
+| 2 | offset of the data in the sender's stream |
+| n | data |
+| 16 | code: HMAC-SHA-256 (RFC 2104), cut to 128 bits, keyed with both identities |
+
+The code proves only that the sender knows both identities. It keeps port scanners and stray
+datagrams away from the handshake; what proves the sender is the handshake itself (RFC 8446).
+"""
+
+import hmac
+import struct
+from dataclasses import dataclass
+from hashlib import sha256
+
+from telepresence.link.protection.identity import MachineIdentity
+from telepresence.link.protection.record import HANDSHAKE
+
+#: As `HANDSHAKE`, and asks for a session.
+KNOCK = 0x13
+
+NONCE_OCTETS = 8
+NO_NONCE = bytes(NONCE_OCTETS)
+CODE_OCTETS = 16
+_HEAD = struct.Struct(">B8s8sHH")
+#: What a handshake datagram has beside its data.
+SEGMENT_OVERHEAD_OCTETS = _HEAD.size + CODE_OCTETS
+#: Longest datagram of a handshake: fits into the smallest packet of IPv6 (RFC 8200, 1280 octets).
+SEGMENT_OCTETS = 1200
+DATA_OCTETS = SEGMENT_OCTETS - SEGMENT_OVERHEAD_OCTETS
+#: Longest stream of one side. A handshake takes 2 kB.
+STREAM_OCTETS = 16384
+#: Segments that wait for one before them.
+_HELD = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """One datagram of a handshake. The nonces have 8 octets."""
+
+    knock: bool
+    sender: bytes
+    receiver: bytes
+    acknowledged: int
+    offset: int
+    data: bytes
+
+
+class SegmentCodec:
+    """Packs the segments of one end and parses those of the other. No state."""
+
+    def __init__(self, own: MachineIdentity, peer: MachineIdentity) -> None:
+        self._own_code = _Code(own, peer)
+        self._peer_code = _Code(peer, own)
+
+    def pack(self, segment: Segment) -> bytes:
+        """Return the datagram of a segment."""
+        head = _HEAD.pack(
+            KNOCK if segment.knock else HANDSHAKE,
+            segment.sender,
+            segment.receiver,
+            segment.acknowledged,
+            segment.offset,
+        )
+        body = head + segment.data
+        return body + self._own_code.of(body)
+
+    def parse(self, datagram: bytes) -> Segment | str:
+        """Return the peer's segment, or "malformed" or "unauthenticated".
+
+        datagram: its first octet is `HANDSHAKE` or `KNOCK`. Only its length is read before its code.
+        """
+        if not SEGMENT_OVERHEAD_OCTETS <= len(datagram) <= SEGMENT_OCTETS:
+            return "malformed"
+        body = datagram[:-CODE_OCTETS]
+        if not hmac.compare_digest(self._peer_code.of(body), datagram[-CODE_OCTETS:]):
+            return "unauthenticated"
+        kind, sender, receiver, acknowledged, offset = _HEAD.unpack_from(body)
+        data = body[_HEAD.size :]
+        if sender == NO_NONCE or max(acknowledged, offset + len(data)) > STREAM_OCTETS:
+            return "malformed"
+        return Segment(kind == KNOCK, sender, receiver, acknowledged, offset, data)
+
+
+class OutgoingStream:
+    """The octets that one end of a handshake sends, until they are acknowledged."""
+
+    def __init__(self) -> None:
+        self._octets = b""
+        self._acknowledged = 0
+        self._sent = 0
+
+    @property
+    def outstanding(self) -> bool:
+        """Whether octets are not acknowledged yet."""
+        return self._acknowledged < len(self._octets)
+
+    def add(self, octets: bytes) -> None:
+        """Append `octets`."""
+        self._octets += octets
+
+    def handle_acknowledged(self, octets: int) -> bool:
+        """The peer has this many octets; whether that is news, and possible."""
+        if not self._acknowledged < octets <= len(self._octets):
+            return False
+        self._acknowledged = octets
+        self._sent = max(self._sent, octets)
+        return True
+
+    def repeat(self) -> None:
+        """Send again from the first octet that is not acknowledged."""
+        self._sent = self._acknowledged
+
+    def next_piece(self) -> tuple[int, bytes] | None:
+        """Return the next (offset, data) to send; None if all has been sent."""
+        if self._sent >= len(self._octets):
+            return None
+        offset = self._sent
+        data = self._octets[offset : offset + DATA_OCTETS]
+        self._sent += len(data)
+        return offset, data
+
+
+class IncomingStream:
+    """Puts the segments of a stream in order. received: octets that have come without a gap."""
+
+    def __init__(self) -> None:
+        self.received = 0
+        self._held: dict[int, bytes] = {}
+
+    def handle_piece(self, offset: int, data: bytes) -> bytes:
+        """Return what can be read now that this piece has come; often nothing."""
+        if offset > self.received:
+            if len(self._held) < _HELD:
+                self._held[offset] = data
+            return b""
+        ready = data[self.received - offset :]
+        self.received += len(ready)
+        while self._held and (first := min(self._held)) <= self.received:
+            more = self._held.pop(first)[self.received - first :]
+            self.received += len(more)
+            ready += more
+        return ready
+
+
+class _Code:
+    """The code of the datagrams from `sender` to `receiver`."""
+
+    def __init__(self, sender: MachineIdentity, receiver: MachineIdentity) -> None:
+        self._key = sha256(b"kontur-av handshake 1" + sender.digest + receiver.digest).digest()
+
+    def of(self, body: bytes) -> bytes:
+        return hmac.digest(self._key, body, "sha256")[:CODE_OCTETS]
