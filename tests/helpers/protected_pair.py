@@ -57,6 +57,7 @@ class ProtectedPair:
 
     def __init__(self, *, seed=1, lost=0.0, repeated=0.0, jitter_ns=0, delay_ns=10 * MS, **options):
         self.random = Random(seed)
+        #: May be changed at any time.
         self.lost, self.repeated = lost, repeated
         self.jitter_ns, self.delay_ns = jitter_ns, delay_ns
         self.slot_ns = 5 * MS
@@ -72,10 +73,14 @@ class ProtectedPair:
         self.space = ProtectedEnd(
             SPACE_KEY, GROUND_KEY.identity, SPACE_ADDRESS, GROUND_ADDRESS, **options
         )
+        #: Ends beside the two.
+        self.strangers = []
         self.path = []
         #: Every datagram that an end sent: (from, datagram).
         self.recorded = []
         self.count = 0
+        #: Says of an end's datagram whether it is lost, besides `lost`.
+        self.blocks = lambda end, datagram: False
 
     @property
     def ends(self):
@@ -83,6 +88,8 @@ class ProtectedPair:
 
     def send(self, end, datagram, address):
         self.recorded.append((end, datagram))
+        if self.blocks(end, datagram):
+            return
         copies = 0 if self.random.random() < self.lost else 1
         copies += self.random.random() < self.repeated
         for _ in range(copies):
@@ -106,14 +113,14 @@ class ProtectedPair:
     def step(self):
         while self.path and self.path[0][0] <= self.now_ns:
             _, _, datagram, source, address = heapq.heappop(self.path)
-            for end in self.ends:
+            for end in (*self.ends, *self.strangers):
                 if end.address == address and end.channel is not None:
                     end.received += 1
                     frame = end.channel.handle_datagram(datagram, source, self.now_ns)
                     if frame is not None:
                         end.got.append(int(frame))
                     self.drain(end)
-        for end in self.ends:
+        for end in (*self.ends, *self.strangers):
             channel = end.channel
             if channel is None:
                 continue
@@ -142,6 +149,8 @@ class ProtectedPair:
 
 
 def connected(**options):
-    pair = ProtectedPair(**options).start().run(options.get("delay_ns", 10 * MS) / S * 10 + 0.2)
-    assert all(end.of(SessionBegun) for end in pair.ends)
-    return pair
+    pair = ProtectedPair(**options).start()
+    while not all(end.of(SessionBegun) for end in pair.ends):
+        pair.run(0.1)
+        assert pair.now_ns < 20 * S
+    return pair.run(0.1)

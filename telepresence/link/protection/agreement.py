@@ -63,7 +63,7 @@ class Agreement:
     def _is_pinned(
         self, connection: SSL.Connection, shown: crypto.X509, error: int, depth: int, ok: int
     ) -> bool:
-        # No certificate vouches for another: the peer's own key is the pinned one, or it is refused.
+        # No certificate vouches for another: the peer's own key is pinned.
         if depth:
             return False
         try:

@@ -60,8 +60,8 @@ class ProtectionFigures:
     #: Handshakes with both ends proven; and attempts that came to nothing.
     sessions: int = 0
     failed_attempts: int = 0
-    #: By reason: "malformed", "unauthenticated", "replayed", "late", "unknown_key" (of an earlier or
-    #: no session), "stale" (an old datagram of a handshake), "throttled".
+    #: By reason: "malformed", "unauthenticated", "replayed", "late", "unknown_key" (of an earlier
+    #: session, or of none), "stale" (an old datagram of a handshake), "throttled".
     dropped: dict[str, int] = field(
         default_factory=lambda: dict.fromkeys(
             (
@@ -190,9 +190,10 @@ class ProtectedChannel:
         if self._forget_ns is not None and now_ns >= self._forget_ns:
             del self._openers[self._newest_used() + 1 :]
             self._forget_ns = None
+        self._handshake.handle_timeout(now_ns)
         if self._sealer is None or now_ns >= min(self._rekey_due_ns, self._heard_ns + SILENCE_NS):
             self._handshake.want(now_ns)
-        self._handshake.handle_timeout(now_ns)
+            self._handshake.handle_timeout(now_ns)
         self._drain(now_ns)
 
     def poll_timeout(self) -> int | None:

@@ -74,7 +74,7 @@ class SegmentCodec:
     def parse(self, datagram: bytes) -> Segment | str:
         """Return the peer's segment, or "malformed" or "unauthenticated".
 
-        datagram: its first octet is `HANDSHAKE` or `KNOCK`. Only its length is read before its code.
+        datagram: of the kind `HANDSHAKE` or `KNOCK`. Before the code, only its length is read.
         """
         if not SEGMENT_OVERHEAD_OCTETS <= len(datagram) <= SEGMENT_OCTETS:
             return "malformed"

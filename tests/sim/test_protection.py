@@ -1,0 +1,280 @@
+"""Two protected channels on virtual time: what the path and strangers do costs no genuine frame."""
+
+import pytest
+from protected_pair import (
+    GROUND_ADDRESS,
+    GROUND_KEY,
+    MS,
+    SPACE_ADDRESS,
+    SPACE_KEY,
+    ProtectedEnd,
+    ProtectedPair,
+    S,
+    connected,
+)
+
+from telepresence.link.protection.channel import (
+    OVERLAP_NS,
+    HandshakeFailed,
+    PeerMoved,
+    SessionBegun,
+)
+from telepresence.link.protection.identity import MachineKey
+from telepresence.link.protection.record import RECORD
+from telepresence.link.protection.segment import KNOCK, SEGMENT_OVERHEAD_OCTETS, SegmentCodec
+
+STRANGER_KEY = MachineKey.from_seed(bytes([2] * 32))
+STRANGER = ("203.0.113.9", 4000)
+
+
+def assert_counted_once(end):
+    figures = end.channel.figures
+    counted = figures.opened + figures.handshake_datagrams + sum(figures.dropped.values())
+    assert counted == end.received
+
+
+def assert_nothing_lost(pair):
+    """Every frame that was sealed comes, once and only from the peer."""
+    before = [end.frames_sent for end in pair.ends]
+    pair.run(2 * (pair.delay_ns + pair.jitter_ns) / S)
+    for end, other, sent in zip(pair.ends, pair.ends[::-1], before, strict=True):
+        assert len(set(other.got)) == len(other.got)
+        assert {number for number in end.sealed if number <= sent} <= {*other.got}
+        assert {*other.got} <= {*end.sealed}
+
+
+def is_record(datagram):
+    return datagram[0] == RECORD
+
+
+@pytest.mark.parametrize("space_called", [False, True], ids=["both know", "ground waits"])
+@pytest.mark.parametrize("first", ["ground", "space"])
+def test_either_end_may_start_first(first, space_called):
+    pair = ProtectedPair(space_called=space_called)
+    getattr(pair, first).start(0)
+    pair.run(7)
+    (pair.space if first == "ground" else pair.ground).start(pair.now_ns)
+    # The longest time between two knocks, and the handshake.
+    pair.run(2.2)
+    assert [len(end.of(SessionBegun)) for end in pair.ends] == [1, 1]
+    assert_nothing_lost(pair)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_bad_path_delays_the_session_and_harms_no_frame_that_it_delivers(seed):
+    pair = ProtectedPair(
+        seed=seed, lost=0.3, repeated=0.2, jitter_ns=60 * MS, rekey_ns=10 * S, delay_ns=50 * MS
+    ).start()
+    pair.run(60)
+    for end, other in (pair.ends, pair.ends[::-1]):
+        # One attempt takes about 2 s on this path.
+        assert len(end.of(SessionBegun)) >= 4
+        assert len(set(end.got)) == len(end.got) > 0.6 * len(other.sealed)
+        # A repetition is dropped; nothing else of the peer's is.
+        assert set(end.dropped) <= {"replayed", "stale"}
+        assert_counted_once(end)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"rekey_records": 300},
+        {"rekey_ns": 1500 * MS, "jitter_ns": 300 * MS},
+        {"rekey_ns": 3 * S, "delay_ns": 600 * MS},
+    ],
+    ids=["records", "reordered", "far"],
+)
+def test_new_keys_cost_no_frame(options):
+    pair = connected(**options).run(30)
+    assert all(len(end.of(SessionBegun)) > 4 for end in pair.ends)
+    assert_nothing_lost(pair)
+    assert [set(end.dropped) - {"stale"} for end in pair.ends] == [set(), set()]
+
+
+def test_the_old_keys_serve_as_long_as_a_handshake_cannot_be_completed():
+    pair = connected(rekey_ns=5 * S)
+    pair.blocks = lambda end, datagram: not is_record(datagram)
+    pair.run(120)
+    assert [len(end.of(SessionBegun)) for end in pair.ends] == [1, 1]
+    assert_nothing_lost(pair)
+    pair.blocks = lambda end, datagram: False
+    pair.run(4)
+    assert [len(end.of(SessionBegun)) for end in pair.ends] == [2, 2]
+    assert_nothing_lost(pair)
+
+
+def test_a_handshake_that_breaks_off_anywhere_leaves_the_session():
+    # The n-th datagram of the second handshake and all after it are lost for a time.
+    for after in range(12):
+        pair = connected(rekey_ns=5 * S)
+        passed = []
+
+        def blocks(end, datagram, passed=passed, after=after):
+            if is_record(datagram):
+                return False
+            passed.append(datagram)
+            return len(passed) > after
+
+        pair.blocks = blocks
+        pair.run(60)
+        pair.blocks = lambda end, datagram: False
+        pair.run(6)
+        assert_nothing_lost(pair)
+        assert all(len(end.of(SessionBegun)) >= 2 for end in pair.ends)
+        assert all(set(end.dropped) <= {"stale"} for end in pair.ends)
+
+
+@pytest.mark.parametrize("space_called", [False, True], ids=["both know", "ground waits"])
+@pytest.mark.parametrize("name", ["ground", "space"])
+def test_a_restarted_end_is_found_again_and_earlier_sessions_stay_closed(name, space_called):
+    pair = connected(space_called=space_called).run(3)
+    earlier = list(pair.recorded)
+    end = getattr(pair, name)
+    end.start(pair.now_ns)
+    # Silence of 2 s is what tells the other end; then the handshake.
+    pair.run(2.5)
+    assert [len(each.of(SessionBegun)) for each in pair.ends] == [2, 2]
+    sealed = len(end.sealed)
+    pair.run(1)
+    assert len(end.sealed) == sealed + 200
+    before = [list(each.got) for each in pair.ends]
+    for sender, datagram in earlier:
+        other = pair.space if sender is pair.ground else pair.ground
+        pair.inject(datagram, sender.address, other.address)
+    pair.run(0.005)
+    for each, got in zip(pair.ends, before, strict=True):
+        assert len(each.got) - len(got) <= 2
+        assert len(set(each.got)) == len(each.got)
+    pair.run(30)
+    assert [len(each.of(SessionBegun)) for each in pair.ends] == [2, 2]
+    assert not any(each.of(HandshakeFailed) for each in pair.ends)
+    for each in pair.ends:
+        assert_counted_once(each)
+
+
+def test_everything_replayed_into_the_living_session_is_dropped():
+    pair = connected().run(3)
+    heard = list(pair.recorded)
+    pair.run(0.1)
+    got = [len(end.got) for end in pair.ends]
+    for sender, datagram in heard:
+        other = pair.space if sender is pair.ground else pair.ground
+        pair.inject(datagram, STRANGER, other.address)
+    pair.run(1)
+    assert [len(end.got) for end in pair.ends] == [count + 200 for count in got]
+    assert not any(end.of(PeerMoved) or end.of(HandshakeFailed) for end in pair.ends)
+    dropped = [end.channel.figures.dropped for end in pair.ends]
+    knocks = sum(datagram[0] == KNOCK for _, datagram in heard)
+    assert sum(sum(each.values()) for each in dropped) == len(heard) - knocks
+    assert {*pair.ground.dropped, *pair.space.dropped} == {"replayed", "stale"}
+    assert_nothing_lost(pair)
+
+
+@pytest.mark.parametrize("name", ["ground", "space"])
+def test_a_new_address_is_followed_by_the_next_genuine_record(name):
+    pair = connected()
+    end = getattr(pair, name)
+    other = pair.space if end is pair.ground else pair.ground
+    end.address = STRANGER
+    pair.run(1)
+    assert other.of(PeerMoved) == [PeerMoved(STRANGER)]
+    assert [len(each.of(SessionBegun)) for each in pair.ends] == [1, 1]
+    pair.run(1)
+    # What was on its way to the old address is lost, not more.
+    assert len(other.sealed) - len(end.got) <= 2 + 2 * pair.delay_ns // pair.slot_ns + 2
+
+
+def test_an_overtaken_record_does_not_move_the_peer_back():
+    pair = connected()
+    old = pair.space.address
+    held = pair.space.channel.seal(b"0", pair.now_ns)
+    pair.space.address = STRANGER
+    pair.run(0.1)
+    pair.inject(held, old, GROUND_ADDRESS)
+    pair.run(0.1)
+    assert pair.ground.got[-1] != 0 and 0 in pair.ground.got
+    assert pair.ground.of(PeerMoved) == [PeerMoved(STRANGER)]
+
+
+def test_an_end_with_another_key_gets_no_answer_and_disturbs_nothing():
+    pair = connected()
+    wrong = ProtectedEnd(STRANGER_KEY, GROUND_KEY.identity, STRANGER, GROUND_ADDRESS)
+    wrong.start(pair.now_ns)
+    pair.strangers.append(wrong)
+    pair.run(10)
+    knocks = sum(end is wrong for end, _ in pair.recorded)
+    assert wrong.received == 0 and knocks > 5
+    assert pair.ground.dropped == {"unauthenticated": knocks}
+    assert_nothing_lost(pair)
+
+
+@pytest.mark.parametrize("established", [False, True], ids=["at the start", "in a session"])
+@pytest.mark.parametrize("name", ["ground", "space"])
+def test_who_knows_both_identities_but_no_key_begins_no_session(name, established):
+    """The impostor's codes are right; its certificate is its own."""
+    pair = connected() if established else ProtectedPair()
+    victim = getattr(pair, name)
+    true_end = pair.space if victim is pair.ground else pair.ground
+    if not established:
+        victim.start(0)
+    impostor = ProtectedEnd(STRANGER_KEY, victim.key.identity, STRANGER, victim.address)
+    impostor.start(pair.now_ns)
+    pretend(impostor.channel, true_end.key, victim.key)
+    pair.strangers.append(impostor)
+    before = len(victim.of(SessionBegun))
+    pair.run(30)
+    assert len(victim.of(SessionBegun)) == before
+    assert not impostor.of(SessionBegun)
+    # The one that is the client hears first that its peer is not the pinned one.
+    refusals = victim.of(HandshakeFailed) + impostor.of(HandshakeFailed)
+    assert "certificate verify failed" in {event.why for event in refusals}
+    assert not victim.of(PeerMoved)
+    if established:
+        assert_nothing_lost(pair)
+    true_end.start(pair.now_ns)
+    pair.run(6)
+    assert len(victim.of(SessionBegun)) == before + 1
+    assert not impostor.of(SessionBegun)
+
+
+def pretend(channel, true_key, victim_key):
+    """Give a channel the codes and the role that the owner of `true_key` would have."""
+    handshake = channel._handshake
+    handshake._codec = SegmentCodec(true_key.identity, victim_key.identity)
+    handshake._agreement.client = true_key.identity.digest < victim_key.identity.digest
+
+
+def test_a_flood_of_knocks_costs_few_answers_and_no_memory():
+    pair = connected()
+    other = ProtectedEnd(SPACE_KEY, GROUND_KEY.identity, STRANGER, GROUND_ADDRESS)
+    other.start(pair.now_ns)
+    other.channel.handle_timeout(pair.now_ns)
+    knock, _ = other.channel.poll_transmit()
+    for _ in range(4):
+        for port in range(1000):
+            pair.inject(knock, ("203.0.113.9", port), GROUND_ADDRESS)
+        pair.run(1)
+    answers = sum(
+        end is pair.ground and len(datagram) == SEGMENT_OVERHEAD_OCTETS
+        for end, datagram in pair.recorded
+    )
+    # 20 at once and 20 a second; some belong to the true handshake.
+    assert answers <= 20 + 4 * 20 + 10
+    assert pair.ground.dropped["throttled"] >= 4000 - answers
+    assert len(pair.ground.of(SessionBegun)) == 1
+    assert_nothing_lost(pair)
+
+
+def test_the_old_keys_are_forgotten_after_the_overlap():
+    pair = connected()
+    old = pair.space.channel.seal(b"0", pair.now_ns)
+    late = pair.space.channel.seal(b"0", pair.now_ns)
+    pair.space.start(pair.now_ns)
+    pair.run(2.5)
+    pair.inject(old, SPACE_ADDRESS, GROUND_ADDRESS)
+    pair.run(0.1)
+    assert 0 in pair.ground.got
+    pair.run(OVERLAP_NS / S)
+    pair.inject(late, SPACE_ADDRESS, GROUND_ADDRESS)
+    pair.run(0.1)
+    assert pair.ground.dropped == {"unknown_key": 1}
