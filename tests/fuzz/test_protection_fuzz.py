@@ -1,0 +1,112 @@
+"""Invariant: whatever datagram comes, nothing raises, and it is counted once.
+
+No frame comes out that the peer did not seal, none comes twice, and the session stays. This holds
+for mutations that anybody can make, and for those of a peer that knows both identities, whose codes
+are right: then the octets reach TLS.
+"""
+
+import os
+from random import Random
+
+from protected_pair import ProtectedPair, S, connected
+
+from telepresence.link.protection.channel import ProtectionFigures
+from telepresence.link.protection.record import RECORD
+from telepresence.link.protection.segment import Segment, SegmentCodec
+
+DATAGRAMS = int(os.environ.get("KONTUR_FUZZ_DATAGRAMS", "5000"))
+STRANGER = ("203.0.113.9", 4000)
+
+
+def counted(figures: ProtectionFigures) -> int:
+    return figures.opened + figures.handshake_datagrams + sum(figures.dropped.values())
+
+
+def mutated(datagram: bytes, random: Random) -> bytes:
+    data = bytearray(datagram)
+    choice = random.randrange(6)
+    if choice == 0:
+        return bytes(data[: random.randrange(len(data))])
+    if choice == 1:
+        return datagram + random.randbytes(random.randrange(1, 40))
+    if choice == 2:
+        return random.randbytes(random.choice((0, 1, 10, 25, 26, 27, 36, 37, 38, 600)))
+    if choice == 3:
+        # The kinds lead to different parsers.
+        data[0] = random.choice((0x11, 0x12, 0x13, random.randrange(256)))
+        if bytes(data) != datagram:
+            return bytes(data)
+    if choice == 4:
+        at = random.randrange(len(data))
+        piece = random.randbytes(random.randrange(1, 9))
+        data[at : at + len(piece)] = piece
+    while bytes(data) == datagram:
+        data[random.randrange(len(data))] ^= 1 << random.randrange(8)
+    return bytes(data)
+
+
+def test_mutated_datagrams():
+    random = Random(11)
+    pair = connected(rekey_records=2000)
+    channel = pair.ground.channel
+    samples = [datagram for end, datagram in pair.recorded if end is pair.space]
+    opened = channel.figures.opened
+    for number in range(DATAGRAMS):
+        got = channel.handle_datagram(
+            mutated(random.choice(samples), random), STRANGER, pair.now_ns
+        )
+        pair.ground.received += 1
+        assert got is None
+        pair.drain(pair.ground)
+        if number % 50 == 0:
+            pair.step()
+            samples[random.randrange(len(samples))] = next(
+                datagram for end, datagram in reversed(pair.recorded) if end is pair.space
+            )
+            del pair.recorded[:-50]
+    figures = channel.figures
+    assert counted(figures) == pair.ground.received
+    assert figures.opened - opened <= DATAGRAMS // 50 + 1
+    assert figures.dropped["malformed"] and figures.dropped["unauthenticated"]
+    assert channel.peer_address == pair.space.address
+    pair.run(1)
+    assert len(set(pair.ground.got)) == len(pair.ground.got)
+    assert {*pair.ground.got} <= {*pair.space.sealed}
+    assert pair.ground.got[-1] > pair.space.frames_sent - 5
+
+
+def test_mutated_handshakes_of_who_knows_the_identities():
+    """Each attempt is a true one, until one of its segments is mutated before its code is made."""
+    random = Random(12)
+    handed = 0
+    while handed < DATAGRAMS // 5:
+        pair = ProtectedPair(seed=handed).start()
+        receiver, sender = random.choice(((pair.ground, pair.space), (pair.space, pair.ground)))
+        packs = SegmentCodec(sender.key.identity, receiver.key.identity).pack
+        parses = SegmentCodec(receiver.key.identity, sender.key.identity).parse
+        for _ in range(40):
+            pair.step()
+            for at, (due_ns, count, datagram, source, address) in enumerate(pair.path):
+                segment = None if datagram[0] == RECORD else parses(datagram)
+                if not isinstance(segment, Segment) or random.random() < 0.5:
+                    continue
+                data = mutated(segment.data, random) if segment.data else random.randbytes(30)
+                wrong = Segment(
+                    random.random() < 0.2,
+                    segment.sender,
+                    segment.receiver,
+                    random.choice((segment.acknowledged, random.randrange(1 << 14))),
+                    random.choice((segment.offset, random.randrange(1 << 13))),
+                    data[:1100],
+                )
+                pair.path[at] = (due_ns, count, packs(wrong), source, address)
+                handed += 1
+        assert counted(receiver.channel.figures) == receiver.received
+        # The true peer is found as soon as it is left alone.
+        pair.path.clear()
+        until_ns = pair.now_ns + 60 * S
+        got = [len(end.got) for end in pair.ends]
+        while any(len(end.got) == count for end, count in zip(pair.ends, got, strict=True)):
+            pair.step()
+            assert pair.now_ns < until_ns
+        assert counted(receiver.channel.figures) == receiver.received
