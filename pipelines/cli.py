@@ -26,6 +26,7 @@ class _Parser(argparse.ArgumentParser):
 _COMMANDS = {
     "stream": "run a whole telepresence session on this machine",
     "link": "run the radio link alone, for any programs",
+    "keys": "make this machine's key, and say which machines it trusts",
     "topology": "list the processes, streams and topics of a session",
     "simulate": "run a session on virtual time: the same seed, the same report",
     "joystick": "list joysticks, and check one: friction, workspace, spring, buttons",

@@ -1,0 +1,70 @@
+"""`kontur-av keys`: this machine's key, its identity, and the identities that it trusts."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from pipelines.commands.common import output_that_may_fail
+from pipelines.runtime.key_files import (
+    default_key_path,
+    forget,
+    make_key,
+    read_key,
+    trust,
+    trusted_identities,
+)
+from telepresence.link.protection.identity import MachineIdentity
+
+#: By action: what it does.
+_ACTIONS = {
+    "new": "make this machine's key",
+    "show": "print this machine's identity: one line, which may be read over the telephone",
+    "trust": "trust the machine with this identity",
+    "list": "print the identities that are trusted",
+    "forget": "trust an identity no more",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The actions of `kontur-av keys` and their options."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    for name, text in _ACTIONS.items():
+        action = actions.add_parser(name, help=text, description=text)
+        if name in ("trust", "forget"):
+            # The groups may stand apart, as one copies them from a note.
+            action.add_argument("identity", nargs="+", metavar="IDENTITY")
+        action.add_argument(
+            "--key",
+            type=Path,
+            metavar="FILE",
+            help="the private key; default: kontur-av/key.pem in the configuration directory",
+        )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what the action says; mistakes are ConfigErrors."""
+    path: Path = default_key_path() if args.key is None else args.key
+    if args.action == "new":
+        identity = make_key(path).identity
+        _print(
+            [f"{path} is this machine's key. Its identity, for the other machine:", f"{identity}"]
+        )
+    elif args.action == "show":
+        _print([str(read_key(path).identity)])
+    elif args.action == "list":
+        _print([str(identity) for identity in trusted_identities(path)])
+    else:
+        identity = MachineIdentity.parse(" ".join(args.identity))
+        if args.action == "trust":
+            new = trust(path, identity)
+            _print([f"{identity} is trusted" if new else f"{identity} was trusted already"])
+        else:
+            forget(path, identity)
+            _print([f"{identity} is trusted no more"])
+    return 0
+
+
+def _print(lines: Sequence[str]) -> None:
+    with output_that_may_fail():
+        for line in lines:
+            print(line)

@@ -1,0 +1,177 @@
+"""Key files: this machine's private key, and beside it the identities that it trusts.
+
+The private key is PEM in a file of mode 0600. The trusted identities are lines of text in the file
+of the same name with `.trusted` at its end.
+"""
+
+import os
+import secrets
+from collections.abc import Sequence
+from pathlib import Path
+from stat import S_ISREG
+
+from kontur_av.errors import ConfigError
+from telepresence.link.protection.identity import MachineIdentity, MachineKey
+
+_SEED_OCTETS = 32
+_LARGEST_FILE = 65536
+_TRUSTED = ".trusted"
+_OTHERS = 0o077
+_OTHERS_WRITE = 0o022
+_HEAD = "# Identities that this machine trusts: `kontur-av keys trust` and `keys forget`.\n"
+
+
+def default_key_path() -> Path:
+    """Return where the key lies: in the configuration directory (XDG Base Directory 0.8)."""
+    configured = Path(os.environ.get("XDG_CONFIG_HOME", ""))
+    # The specification: a relative path is to be ignored.
+    room = configured if configured.is_absolute() else Path.home() / ".config"
+    return room / "kontur-av" / "key.pem"
+
+
+def trusted_path(key_path: Path) -> Path:
+    """Return the file of the identities that the key's owner trusts."""
+    return key_path.with_name(key_path.name + _TRUSTED)
+
+
+def make_key(path: Path) -> MachineKey:
+    """Write a new key to the new file `path`, for its owner only.
+
+    Raises ConfigError if the file exists, or cannot be written.
+    """
+    key = MachineKey.from_seed(secrets.token_bytes(_SEED_OCTETS))
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    except FileExistsError:
+        raise ConfigError(
+            f"{path} exists: a new key is a new identity, so remove this one first"
+        ) from None
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(key.to_pem())
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        path.unlink(missing_ok=True)
+        raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
+    return key
+
+
+def read_key(path: Path) -> MachineKey:
+    """Return the key in a file.
+
+    Raises ConfigError, which never quotes the file, if there is none, or if others may read it.
+    """
+    octets = _read(path, _OTHERS, f"chmod 600 {path}")
+    if octets is None:
+        raise ConfigError(f"there is no key {path}: `kontur-av keys new` makes one")
+    try:
+        return MachineKey.from_pem(octets)
+    except ValueError as error:
+        raise ConfigError(f"{path} has {error}: `kontur-av keys new` makes one that fits") from None
+
+
+def trusted_identities(key_path: Path) -> list[MachineIdentity]:
+    """Return the identities that the owner of a key trusts, in the order of the file."""
+    path = trusted_path(key_path)
+    octets = _read(path, _OTHERS_WRITE, f"chmod go-w {path}")
+    found = []
+    for number, line in enumerate((octets or b"").decode(errors="replace").splitlines(), 1):
+        text = line.partition("#")[0].strip()
+        if not text:
+            continue
+        try:
+            found.append(MachineIdentity.parse(text))
+        except ConfigError as error:
+            raise ConfigError(f"{path}, line {number}: {error}") from None
+    return found
+
+
+def trust(key_path: Path, identity: MachineIdentity) -> bool:
+    """Add an identity to those trusted; whether it is new. ConfigError if it is this machine's."""
+    if read_key(key_path).identity == identity:
+        raise ConfigError("this is the identity of this machine: trust that of the other one")
+    known = trusted_identities(key_path)
+    if identity in known:
+        return False
+    _write_trusted(key_path, [*known, identity])
+    return True
+
+
+def forget(key_path: Path, identity: MachineIdentity) -> None:
+    """Trust an identity no more; ConfigError if it was not trusted."""
+    known = trusted_identities(key_path)
+    if identity not in known:
+        raise ConfigError(f"{identity} is not trusted: `kontur-av keys list` shows who is")
+    _write_trusted(key_path, [each for each in known if each != identity])
+
+
+def pinned_peer(key_path: Path, chosen: str | None) -> MachineIdentity:
+    """Return the one identity that the other end must prove.
+
+    chosen: an identity that the user named; it must be trusted. Without it exactly one may be.
+    """
+    known = trusted_identities(key_path)
+    if not known:
+        raise ConfigError(
+            f"{key_path} trusts nobody: `kontur-av keys trust IDENTITY`, with the line that "
+            "`keys show` prints on the other machine"
+        )
+    if chosen is not None:
+        identity = MachineIdentity.parse(chosen)
+        if identity not in known:
+            raise ConfigError(f"{identity} is not trusted: `kontur-av keys trust {identity}`")
+        return identity
+    if len(known) > 1:
+        raise ConfigError(
+            f"{key_path} trusts {len(known)} identities: name the peer's by --identity, "
+            "or `kontur-av keys forget` the others"
+        )
+    return known[0]
+
+
+def _read(path: Path, forbidden: int, mend: str) -> bytes | None:
+    """The octets of a small file; None if it is not there.
+
+    forbidden: bits of its mode that must not be set; mend: the command that takes them away.
+    """
+    try:
+        # Without O_NONBLOCK a FIFO would wait for a writer.
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        # Of the opened file, because the name may have been given to another meanwhile.
+        state = os.fstat(descriptor)
+        if not S_ISREG(state.st_mode):
+            os.close(descriptor)
+            raise ConfigError(f"{path} is no file: give the file of a key")
+        with os.fdopen(descriptor, "rb") as file:
+            if state.st_uid not in (os.geteuid(), 0):
+                raise ConfigError(f"{path} belongs to another user: use a key of your own")
+            if state.st_mode & forbidden:
+                raise ConfigError(f"{path} is open to other users: {mend}")
+            return file.read(_LARGEST_FILE)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def _write_trusted(key_path: Path, identities: Sequence[MachineIdentity]) -> None:
+    path = trusted_path(key_path)
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}")
+    try:
+        try:
+            descriptor = os.open(
+                unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600
+            )
+            with os.fdopen(descriptor, "w", encoding="ascii") as file:
+                file.write(_HEAD + "".join(f"{identity}\n" for identity in identities))
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.replace(path)
+        finally:
+            unfinished.unlink(missing_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
