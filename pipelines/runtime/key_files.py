@@ -43,11 +43,12 @@ def make_key(path: Path) -> MachineKey:
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-    except FileExistsError:
-        raise ConfigError(
-            f"{path} exists: a new key is a new identity, so remove this one first"
-        ) from None
     except OSError as error:
+        # The error is also that of a directory whose name a file has.
+        if isinstance(error, FileExistsError) and path.parent.is_dir():
+            raise ConfigError(
+                f"{path} exists: a new key is a new identity, so remove this one first"
+            ) from None
         raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
     try:
         with os.fdopen(descriptor, "wb") as file:
