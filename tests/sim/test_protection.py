@@ -244,6 +244,24 @@ def pretend(channel, true_key, victim_key):
     handshake._agreement.client = true_key.identity.digest < victim_key.identity.digest
 
 
+@pytest.mark.parametrize("name", ["ground", "space"])
+def test_a_refusal_is_not_for_ever(name):
+    """One end pins another key for a while; its codes are right, so TLS has to refuse."""
+    pair = ProtectedPair().start()
+    refuser = getattr(pair, name)
+    agreement = refuser.channel._handshake._agreement
+    agreement._peer = STRANGER_KEY.identity
+    pair.run(30)
+    assert not any(end.of(SessionBegun) for end in pair.ends)
+    assert any(end.of(HandshakeFailed) for end in pair.ends)
+    # It is not tried all the time.
+    assert sum(not is_record(datagram) for _, datagram in pair.recorded) < 400
+    agreement._peer = refuser.peer
+    pair.run(5)
+    assert [len(end.of(SessionBegun)) for end in pair.ends] == [1, 1]
+    assert_nothing_lost(pair)
+
+
 def test_a_flood_of_knocks_costs_few_answers_and_no_memory():
     pair = connected()
     other = ProtectedEnd(SPACE_KEY, GROUND_KEY.identity, STRANGER, GROUND_ADDRESS)

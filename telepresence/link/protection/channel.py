@@ -199,7 +199,8 @@ class ProtectedChannel:
     def poll_timeout(self) -> int | None:
         """The instant of the next `handle_timeout`."""
         instants = [self._handshake.poll_timeout(), self._forget_ns]
-        if self._sealer is not None and not self._handshake.asking:
+        if not self._handshake.asking:
+            # Without a session all but the first is in the past: ask at once.
             instants += [self._rekey_due_ns, self._heard_ns + SILENCE_NS]
         return min((instant for instant in instants if instant is not None), default=None)
 

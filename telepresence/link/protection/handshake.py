@@ -39,6 +39,8 @@ ATTEMPT_NS = 20 * NS_PER_S
 #: Attempts, and answers to knocks, at once and then a second. An attempt costs about 1 ms of CPU.
 ATTEMPTS_AT_ONCE = 5
 ANSWERS_AT_ONCE = 20
+#: Attempts under one nonce; then another is drawn. It bounds what is kept of them.
+_MOST_PAST = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +93,7 @@ class Handshake:
         self._attempts = _Allowance(ATTEMPTS_AT_ONCE, NS_PER_S)
         self._answers = _Allowance(ANSWERS_AT_ONCE, NS_PER_S // ANSWERS_AT_ONCE)
         self.wanted = False
-        self._knock_ns = 0
+        self._knock_ns = self._not_before_ns = 0
         self._repeat_ns = FIRST_REPEAT_NS
 
     def want(self, now_ns: int) -> None:
@@ -100,7 +102,8 @@ class Handshake:
             if self._attempt is not None and self._attempt.ready:
                 self._end_attempt()
             self.wanted = True
-            self._knock_ns, self._repeat_ns = now_ns, FIRST_REPEAT_NS
+            self._knock_ns = max(now_ns, self._not_before_ns)
+            self._repeat_ns = FIRST_REPEAT_NS
 
     @property
     def asking(self) -> bool:
@@ -136,6 +139,9 @@ class Handshake:
                 return "stale"
             if not self._attempts.take(now_ns):
                 return "throttled"
+            if len(self._past) == _MOST_PAST:
+                self._end_attempt()
+                return "stale"
             attempt = self._begin_attempt(segment.sender, source, now_ns)
         attempt.source = source
         self._progress(attempt, segment, now_ns, begins=begins)
@@ -211,7 +217,7 @@ class Handshake:
             self._send(attempt, now_ns)
             self._events.append(AttemptFailed(run.failed))
             self._end_attempt()
-            self._knock_ns = now_ns + LONGEST_REPEAT_NS
+            self._knock_ns = self._not_before_ns = now_ns + LONGEST_REPEAT_NS
             return
         if run.complete and not was_complete:
             # The server hears of the client's proof last, so then both have the keys.
