@@ -1,5 +1,6 @@
 """The two haptic endpoints, one cycle at a time: robot on the ground, joystick in space."""
 
+from dataclasses import replace
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
@@ -9,6 +10,7 @@ from pipelines.cores.probe import Probe
 from pipelines.cores.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.figures import HapticLinkFigures
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.sample import Feedback
@@ -21,6 +23,22 @@ Side = TypeVar("Side", bound=JoystickSide | RobotSide)
 _PUBLISH_EVERY = 10
 #: Once a millisecond.
 CYCLE_NS = NS_PER_MS
+
+
+def sample_counters(samples: HapticLinkFigures) -> HapticCounters:
+    """Return the counters of an end's samples, without those of its controller."""
+    return HapticCounters(
+        sent=samples.sent,
+        received=samples.received,
+        lost=samples.lost,
+        late=samples.late,
+        repeated=samples.repeated,
+        strays=samples.strays,
+        greetings=samples.greetings,
+        garbage=samples.garbage,
+        sessions=samples.sessions,
+        restarts=samples.restarts,
+    )
 
 
 class _End(Generic[Side]):
@@ -57,17 +75,8 @@ class _End(Generic[Side]):
         link = self._link
         samples, port = link.report(), self.side.report()
         self._probe.count(
-            HapticCounters(
-                sent=samples.sent,
-                received=samples.received,
-                lost=samples.lost,
-                late=samples.late,
-                repeated=samples.repeated,
-                strays=samples.strays,
-                greetings=samples.greetings,
-                garbage=samples.garbage,
-                sessions=samples.sessions,
-                restarts=samples.restarts,
+            replace(
+                sample_counters(samples),
                 left_out=samples.left_out,
                 energy_in_uj=port.energy_in_uj,
                 energy_out_uj=port.energy_out_uj,

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pipelines.cores.figures import HapticCounters
 from pipelines.cores.haptic_trace import CONTACT, DEAD_MAN, lit_of, state_of
-from pipelines.cores.haptics import CYCLE_NS
+from pipelines.cores.haptics import CYCLE_NS, sample_counters
 from pipelines.cores.probe import Probe
 from pipelines.cores.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.loop import joystick_link, robot_link
@@ -137,21 +136,7 @@ class ReplayedEnd:
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
-        samples = link.report()
-        self._probe.count(
-            HapticCounters(
-                sent=samples.sent,
-                received=samples.received,
-                lost=samples.lost,
-                late=samples.late,
-                repeated=samples.repeated,
-                strays=samples.strays,
-                greetings=samples.greetings,
-                garbage=samples.garbage,
-                sessions=samples.sessions,
-                restarts=samples.restarts,
-            )
-        )
+        self._probe.count(sample_counters(link.report()))
         self._sent.extend_plain(link.take_sent_stamps())
         self._received.extend_plain(link.take_received_stamps())
         while (step := self._steps.next_event()) is not None:

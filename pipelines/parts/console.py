@@ -3,12 +3,9 @@
 `Console` decides what is sent and answered. This module has the sockets and the sleep.
 """
 
-import os
 import secrets
 import select
-import socket
 from collections.abc import Callable
-from contextlib import suppress
 from itertools import count
 
 from kontur_av.clock import NS_PER_S
@@ -16,10 +13,10 @@ from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root
 from pipelines.cores.console import MOST_TERMINALS, Console
-from pipelines.cores.requests import MAX_LINE_OCTETS
 from pipelines.parts.sample_topic import SampleTopic
 from pipelines.runtime.control import console_path
 from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
+from pipelines.runtime.terminals import TerminalSockets
 from pipelines.topology import TELECOMMAND, TELEMETRY, WALL_TOPIC, packets_topic
 from telepresence.haptics.mediated.wall import WALL_OCTETS
 
@@ -45,9 +42,8 @@ def _serve(context: Context, bus: TopicBus, publish: Callable[[bytes, int], None
     udp = context.listen(topology.exit_port(TELEMETRY))
     gateway = (LOOPBACK, topology.entry_port(TELECOMMAND))
     console = Console(context.setup, context.probe, first_token=secrets.randbits(16))
-    listener = _listen(context)
-    links: dict[int, socket.socket] = {}
-    numbers = count()
+    make_session_root(context.session)
+    terminals = TerminalSockets(console_path(context.session), most=MOST_TERMINALS)
     sent = SampleTopic(bus, packets_topic(TELECOMMAND, sent=True))
     received = SampleTopic(bus, packets_topic(TELEMETRY, sent=False))
     context.on_flush(console.tell)
@@ -56,17 +52,13 @@ def _serve(context: Context, bus: TopicBus, publish: Callable[[bytes, int], None
         context.tick(now_ns)
         due_ns = console.poll_timeout()
         wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, max(0, due_ns - now_ns))
-        asking = {links[terminal]: terminal for terminal in console.asking}
-        ready = select.select([udp, listener, *asking], [], [], wait_ns / NS_PER_S)[0]
+        asking = list(console.asking)
+        ready = select.select([udp, *terminals.readers(asking)], [], [], wait_ns / NS_PER_S)[0]
         now_ns = clock.now_ns()
-        if listener in ready:
-            terminal = next(numbers)
-            links[terminal], _ = listener.accept()
-            links[terminal].setblocking(False)
+        if (terminal := terminals.accept(ready)) is not None:
             console.handle_terminal(terminal)
-        for link, terminal in asking.items():
-            if link in ready and (data := _read(link)) is not None:
-                console.handle_octets(terminal, data, now_ns)
+        for terminal, data in terminals.read(ready, asking):
+            console.handle_octets(terminal, data, now_ns)
         while (datagram := context.receive(udp)) is not None:
             console.handle_packet(datagram, now_ns)
             received.handle_sample(datagram, now_ns)
@@ -76,29 +68,5 @@ def _serve(context: Context, bus: TopicBus, publish: Callable[[bytes, int], None
             udp.sendto(packet, gateway)
             sent.handle_sample(packet, now_ns)
         while (reply := console.next_event()) is not None:
-            with suppress(OSError):  # the terminal may have gone
-                links[reply.terminal].sendall(reply.octets)
-            if reply.last:
-                links.pop(reply.terminal).close()
-    console_path(context.session).unlink(missing_ok=True)
-
-
-def _listen(context: Context) -> socket.socket:
-    path = console_path(context.session)
-    make_session_root(context.session)
-    path.unlink(missing_ok=True)  # of a console that was killed
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    listener.setblocking(False)
-    listener.bind(os.fspath(path))
-    listener.listen(MOST_TERMINALS)
-    return listener
-
-
-def _read(link: socket.socket) -> bytes | None:
-    """Return what a terminal has sent; b"" if it has gone, None if there is nothing yet."""
-    try:
-        return link.recv(MAX_LINE_OCTETS)
-    except BlockingIOError:
-        return None
-    except OSError:
-        return b""
+            terminals.send(reply.terminal, reply.octets, last=reply.last)
+    terminals.close()

@@ -7,11 +7,7 @@ What is being recorded is also in a file of the session's directory. So a record
 goes on, in a new part.
 """
 
-import os
 import select
-import socket
-from contextlib import suppress
-from itertools import count
 from pathlib import Path
 
 import msgspec
@@ -29,9 +25,10 @@ from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
 from pipelines.recording.recorder import Recorder
-from pipelines.recording.requests import MAX_LINE_OCTETS, RecordAnswer, RecordingWish
+from pipelines.recording.requests import RecordAnswer, RecordingWish
 from pipelines.recording.sources import Content, Source, sources_of
 from pipelines.runtime.process import PATIENCE_NS, Context
+from pipelines.runtime.terminals import TerminalSockets
 from pipelines.setup.setup_text import setup_toml
 from pipelines.topology import SELECTED_TOPIC
 
@@ -60,8 +57,6 @@ class _RecorderProcess:
     def __init__(self, context: Context) -> None:
         self._context, self._now_ns = context, context.clock.now_ns
         self._desk = RecorderDesk(read_wish(context.session), self._now_ns())
-        self._links: dict[int, socket.socket] = {}
-        self._numbers = count()
         self._recording: _Recording | None = None
         #: Of all recordings that have ended in this life, and of the newest of them.
         self._past = self._newest = RecorderCounters()
@@ -71,17 +66,17 @@ class _RecorderProcess:
         context, now_ns = self._context, self._now_ns
         if self._desk.wish is not None:
             self._recording = _Recording(context, self._desk.wish)
-        listener = _listen(context)
+        terminals = TerminalSockets(recorder_path(context.session), most=MOST_TERMINALS)
         while not context.stopping:
             wait_ns = PATIENCE_NS if self._recording is None else _WAKE_NS
-            self._serve(listener, wait_ns)
+            self._serve(terminals, wait_ns)
             context.tick(now_ns())
             while (told := context.receive_figures()) is not None:
                 if self._recording is not None:
                     self._recording.handle_events(told)
             if self._recording is not None:
                 self._recording.handle_wake()
-        recorder_path(context.session).unlink(missing_ok=True)
+        terminals.close()
         if self._recording is not None:
             end_ns = now_ns() + _DRAIN_NS
             while now_ns() < end_ns:
@@ -89,26 +84,19 @@ class _RecorderProcess:
                 context.clock.sleep_until_ns(now_ns() + _WAKE_NS)
             self._end()
 
-    def _serve(self, listener: socket.socket, wait_ns: int) -> None:
-        desk, links = self._desk, self._links
-        asking = {links[terminal]: terminal for terminal in desk.terminals}
-        ready = select.select([listener, *asking], [], [], wait_ns / NS_PER_S)[0]
-        if listener in ready:
-            terminal = next(self._numbers)
-            links[terminal], _ = listener.accept()
-            links[terminal].setblocking(False)
+    def _serve(self, terminals: TerminalSockets, wait_ns: int) -> None:
+        desk = self._desk
+        asking = desk.terminals
+        ready = select.select(terminals.readers(asking), [], [], wait_ns / NS_PER_S)[0]
+        if (terminal := terminals.accept(ready)) is not None:
             desk.handle_terminal(terminal)
-        for link, terminal in asking.items():
-            if link in ready and (data := _read(link)) is not None:
-                desk.handle_octets(terminal, data, self._now_ns())
+        for terminal, data in terminals.read(ready, asking):
+            desk.handle_octets(terminal, data, self._now_ns())
         desk.handle_time(self._now_ns())
         while (event := desk.next_event()) is not None:
             match event:
                 case Reply():
-                    with suppress(OSError):  # the terminal may have gone
-                        links[event.terminal].sendall(event.octets)
-                    if event.last:
-                        links.pop(event.terminal).close()
+                    terminals.send(event.terminal, event.octets, last=event.last)
                 case Start():
                     desk.handle_started(event, self._start(event))
                 case Stop():
@@ -347,23 +335,3 @@ class _Camera:
         if self._reader is not None:
             self._reader.close()
             self._reader = None
-
-
-def _listen(context: Context) -> socket.socket:
-    path = recorder_path(context.session)
-    path.unlink(missing_ok=True)  # of a recorder that was killed
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    listener.setblocking(False)
-    listener.bind(os.fspath(path))
-    listener.listen(MOST_TERMINALS)
-    return listener
-
-
-def _read(link: socket.socket) -> bytes | None:
-    """Return what a terminal has sent; b"" if it has gone, None if there is nothing yet."""
-    try:
-        return link.recv(MAX_LINE_OCTETS)
-    except BlockingIOError:
-        return None
-    except OSError:
-        return b""
