@@ -48,12 +48,15 @@ _INTERRUPTING = (Level.TMTC, Level.VOICE)
 #: seconds.
 RTCP_RESERVE_BPS = 8 * 45
 #: Reserve for TM/TC: a telemetry packet of 20 octets, which interrupts, every two seconds, and a
-#: telecommand or its acknowledgement every five seconds.
-TMTC_RESERVE_BPS = 8 * (11 + 4)
+#: telecommand or its acknowledgement every five seconds; and the housekeeping of PUS.
+TMTC_RESERVE_BPS = 8 * (11 + 4 + 11)
+#: What comes down has the joystick's housekeeping once a second.
+TMTC_RESERVE_DOWN_BPS = 8 * (4 + 41)
 RESERVE_BPS = TMTC_RESERVE_BPS + RTCP_RESERVE_BPS
+RESERVE_DOWN_BPS = TMTC_RESERVE_DOWN_BPS + RTCP_RESERVE_BPS
 
-#: Supervision messages a second in normal operation: one every 500 ms, and one that acknowledges a
-#: context of the other direction at once.
+#: Supervision messages a second in normal operation: one every 500 ms, and one a second that
+#: acknowledges a context of the other direction at once, or, every two seconds, compares clocks.
 SUPERVISION_MESSAGES_PER_S = 2 + 1
 
 
@@ -199,7 +202,9 @@ class TableLine(NamedTuple):
     bps: int
 
 
-def channel_table(profile: LinkProfile, streams: Sequence[StreamNeed]) -> tuple[TableLine, ...]:
+def channel_table(
+    profile: LinkProfile, streams: Sequence[StreamNeed], *, reserve_bps: int = RESERVE_BPS
+) -> tuple[TableLine, ...]:
     """Return the arithmetic of `channel_need` line by line.
 
     what: payload, headers, contexts, framing (for each stream), tmtc, rtcp, supervision, spare.
@@ -211,7 +216,7 @@ def channel_table(profile: LinkProfile, streams: Sequence[StreamNeed]) -> tuple[
     lines += [TableLine("contexts", stream.name, stream.context_bps()) for stream in streams]
     lines += [TableLine("framing", stream.name, stream.framing_bps(profile)) for stream in streams]
     lines += [
-        TableLine("tmtc", "", TMTC_RESERVE_BPS),
+        TableLine("tmtc", "", reserve_bps - RTCP_RESERVE_BPS),
         TableLine("rtcp", "", RTCP_RESERVE_BPS),
         TableLine("supervision", "", supervision_bps(profile)),
     ]

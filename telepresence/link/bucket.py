@@ -22,6 +22,13 @@ class TokenBucket:
             return True
         return full_ns - now_ns + octets * self._octet_ns <= self._burst_ns
 
+    def holds_ns(self, octets: int, now_ns: int) -> int:
+        """When `octets` may be sent if nothing else is: `now_ns` or later."""
+        full_ns = self._full_ns
+        if full_ns is None or full_ns <= now_ns:
+            return now_ns
+        return max(now_ns, min(full_ns, full_ns + octets * self._octet_ns - self._burst_ns))
+
     def take(self, octets: int, now_ns: int) -> None:
         """`octets` are sent now; call `holds` before."""
         full_ns = self._full_ns

@@ -208,6 +208,25 @@ class SupervisionFigures:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ClockFigures:
+    """What this end knows of the peer's clock (`ClockExchange`)."""
+
+    #: The instant for which the estimate holds, on this end's clock.
+    at_ns: int
+    #: The peer's clock minus this end's, both as wall time at their start; null if not known.
+    offset_ns: int | None
+    #: The true offset is at most this far from `offset_ns`.
+    error_ns: int | None
+    #: By how much the peer's clock is faster, in parts of a thousand million.
+    drift_ppb: int | None
+    drift_error_ppb: int | None
+    messages_sent: int
+    messages_received: int
+    #: How often the estimate began anew because a clock had been stepped.
+    restarts: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GatewayFigures:
     """All that one end of the link counts (`Gateway`)."""
 
@@ -215,3 +234,5 @@ class GatewayFigures:
     receive: ReceiverFigures
     radio: PathFigures
     supervision: SupervisionFigures
+    #: Of a gateway that compares its clock with the peer's.
+    clock: ClockFigures | None = None

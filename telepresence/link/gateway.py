@@ -19,18 +19,16 @@ other holds.
 from collections.abc import Mapping, Sequence
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.link.clock.exchange import ClockExchange
+from telepresence.link.clock.message import is_clock
+from telepresence.link.clock.reports import ReportClock
 from telepresence.link.figures import GatewayFigures
-from telepresence.link.flows import Flow, Level
+from telepresence.link.flows import Flow, FlowKind, Level
 from telepresence.link.profile import LinkProfile
 from telepresence.link.queues import QueueLimits
 from telepresence.link.radio import RadioPath
-from telepresence.link.receiver import (
-    HapticReceived,
-    LinkEvent,
-    LinkReceiver,
-    PacketReceived,
-    StrangerFrame,
-)
+from telepresence.link.received import HapticReceived, LinkEvent, PacketReceived
+from telepresence.link.receiver import LinkReceiver, StrangerFrame
 from telepresence.link.sender import LinkSender
 from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
 from telepresence.link.supervision.events import (
@@ -72,6 +70,10 @@ class Gateway:
     radio: path of the outgoing frames; by default they leave at once.
     limits: queue limits by level, where they differ from the defaults.
     timing: waits of the supervision, where they differ from the defaults.
+    told_offset_ns: the clock that is told to a peer on another machine, minus that of `now_ns`
+        (`ClockExchange`); None: both ends have one clock.
+
+    clock: compares the clocks of both ends; None if they have one.
     """
 
     def __init__(
@@ -88,6 +90,7 @@ class Gateway:
         limits: Mapping[Level, QueueLimits] | None = None,
         timing: SupervisionTiming | None = None,
         secret: int = 0,
+        told_offset_ns: int | None = None,
     ) -> None:
         # A life that continued the counts of another one would seem to share its contexts.
         self.sender = LinkSender(
@@ -109,6 +112,18 @@ class Gateway:
             timing=timing,
             secret=secret,
         )
+        self.clock = None
+        if told_offset_ns is not None:
+            self.clock = ClockExchange(
+                version=self.supervisor.configuration.version,
+                master=master,
+                life=life,
+                told_offset_ns=told_offset_ns,
+                now_ns=now_ns,
+            )
+        self._reports = None if self.clock is None else ReportClock(self.clock)
+        #: A radio that frames pass after they have come to this machine, if there is one.
+        self.radio_in: RadioPath | None = None
         #: How often the peer was found, or found to hear this end again. It may not understand what
         #: refers to anything before the latest time.
         self.contacts = 0
@@ -165,6 +180,9 @@ class Gateway:
         if now_ns >= supervisor.next_ns:
             message = supervisor.poll_transmit(now_ns)
             self._follow_supervision()
+        clock = self.clock
+        if clock is not None and message is None and now_ns >= clock.next_ns:
+            message = self._clock_message(clock, now_ns)
         frame = sender.poll_transmit(now_ns, message)
         slot = self._slot
         self._slot = slot + 1 if slot + 1 < COUNTED_SLOTS else 0
@@ -202,14 +220,38 @@ class Gateway:
                 supervisor.handle_application(event.now_ns)
                 # Only packets carry new contexts.
                 supervisor.handle_contexts(receiver.context_ids(), event.now_ns)
-                return event
-            supervisor.handle_message(event.message, event.now_ns)
-            self._follow_supervision()
-        return None
+                reports = self._reports
+                if reports is None or event.flow.kind is not FlowKind.RTCP:
+                    return event
+                reports.handle_report(event)
+            elif not self._is_of_clock(event.message, event.now_ns):
+                supervisor.handle_message(event.message, event.now_ns)
+                self._follow_supervision()
+        return None if self._reports is None else self._reports.next_event()
+
+    def _clock_message(self, clock: ClockExchange, now_ns: int) -> bytes | None:
+        """The message CLOCK for this slot; None while the peer does not hear it."""
+        if not self.supervisor.peer_hears:
+            return None
+        # It leaves this machine after the radio's simulated delay.
+        return clock.poll_transmit(now_ns, self.radio.arrival_ns(now_ns))
+
+    def _is_of_clock(self, message: bytes, now_ns: int) -> bool:
+        """Take a message CLOCK of the peer; False for all others, which supervision judges."""
+        clock, reports = self.clock, self._reports
+        if clock is None or reports is None or not is_clock(message):
+            return False
+        came_ns = now_ns if self.radio_in is None else now_ns - self.radio_in.delay_ns
+        taken = clock.handle_message(message, came_ns, heard=self.supervisor.peer_hears)
+        reports.handle_time(now_ns)
+        return taken
 
     def _meet(self, stranger: StrangerFrame, now_ns: int) -> bool:
         """Take a frame of another stream; return whether it is the peer's from now on."""
         message, frames, lasts_ns = stranger
+        if message is not None and is_clock(message):
+            # It says nothing about who sends it.
+            message = None
         found = self.supervisor.handle_stranger(message, now_ns, frames=frames, lasts_ns=lasts_ns)
         self._follow_supervision()
         if found is Encounter.IGNORE:
@@ -243,6 +285,8 @@ class Gateway:
             elif isinstance(event, PeerMet):
                 sender.forget_contexts()
                 receiver.forget_contexts()
+                if self.clock is not None:
+                    self.clock.handle_peer(event.life, event.now_ns)
             elif isinstance(event, ApplicationReset):
                 sender.flush(event.now_ns)
                 sender.forget_contexts()
@@ -275,4 +319,5 @@ class Gateway:
             receive=self.receiver.report(),
             radio=self.radio.report(),
             supervision=self.supervisor.report(now_ns),
+            clock=None if self.clock is None else self.clock.report(now_ns),
         )

@@ -5,26 +5,17 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.link.compression.header_compression import RtpDecompressor
-from telepresence.link.compression.rtp_forms import KIND_CONTEXT, KIND_RAW
 from telepresence.link.figures import ReceiverFigures
-from telepresence.link.flows import MAX_FLOWS, Flow, FlowKind, Level, check_flows
-from telepresence.link.frame import (
-    CLOSED,
-    COUNT_MASK,
-    COUNT_MODULUS,
-    KIND_BITS,
-    KIND_SHIFT,
-    LARGEST_SHORT_LENGTH,
-    MAX_PACKET_OCTETS,
-    NUMBER_MASK,
-    TAG_FILL,
-    TAG_PAD,
-    TAG_RESUME,
-    FrameCodec,
-    Pointers,
-)
+from telepresence.link.flows import Flow, check_flows
+from telepresence.link.frame import COUNT_MASK, COUNT_MODULUS, FrameCodec, Pointers
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
+from telepresence.link.reassembly import PacketReassembly
+from telepresence.link.received import (
+    HapticReceived,
+    LinkEvent,
+    PacketReceived,
+    SupervisionReceived,
+)
 
 #: A frame at most this far behind is late or repeated; farther behind it is of another stream.
 _LATE_FRAMES = 32
@@ -44,34 +35,6 @@ _STRANGER_SILENCE_NS = 50 * NS_PER_MS
 _LEAK_SHIFT = 7
 
 _new_event = tuple.__new__
-
-#: The level that each control code resumes; -1 for undefined codes.
-_RESUMED = [-1] * TAG_RESUME + [*range(len(Level))]
-
-
-class HapticReceived(NamedTuple):
-    """One sample from an insert zone."""
-
-    sample: bytes
-    now_ns: int
-
-
-class PacketReceived(NamedTuple):
-    """One packet: exactly the UDP payload that entered at the other end of `flow`."""
-
-    flow: Flow
-    data: bytes
-    now_ns: int
-
-
-class SupervisionReceived(NamedTuple):
-    """One supervision message of twelve octets, which the receiver does not parse."""
-
-    message: bytes
-    now_ns: int
-
-
-LinkEvent = HapticReceived | PacketReceived | SupervisionReceived
 
 
 class StrangerFrame(NamedTuple):
@@ -110,17 +73,6 @@ def _add(counts: dict[str, int], reason: str, number: int) -> None:
         del counts[reason]
 
 
-class _Partial:
-    """A packet whose end has not arrived yet."""
-
-    __slots__ = ("body", "count", "tag")
-
-    def __init__(self, tag: int, count: int, body: bytes) -> None:
-        self.tag = tag
-        self.count = count
-        self.body = bytearray(body)
-
-
 class LinkReceiver:
     """Takes frames by `handle_frame`; returns samples, packets and messages by `next_event`.
 
@@ -131,7 +83,6 @@ class LinkReceiver:
     `follow_stranger` changes to its stream.
 
     profile, flows: the direction and its flow table, as at the other end.
-    deliver: while False, samples and packets are dropped and counted as `unapproved`.
     cautious: the first frame begins no stream; only `follow_stranger` does.
     stranger: the last frame handled, if it is good but not of the stream; else None.
     """
@@ -139,24 +90,14 @@ class LinkReceiver:
     def __init__(self, profile: LinkProfile, flows: Sequence[Flow]) -> None:
         self.profile = profile
         self.flows = check_flows(flows)
-        self.deliver = True
         self.cautious = False
         self.stranger: StrangerFrame | None = None
         self._parse = FrameCodec(profile).parse
         self._pointers = Pointers(profile)
-        self._idle = self._pointers.idle
-        self._no_start = self._pointers.no_start
-        self._decompressors = [
-            RtpDecompressor(flow, profile.slot_ns) if flow.kind is FlowKind.RTP else None
-            for flow in self.flows
-        ]
-        self._levels = [int(flow.level) for flow in self.flows]
-        self._levels += [-1] * (MAX_FLOWS - len(self.flows))
-        self._context_ids = (0,) * sum(item is not None for item in self._decompressors)
         #: The events of `next_event`, oldest first.
         self.events: deque[LinkEvent] = deque()
-        self._partials: list[_Partial | None] = [None] * len(Level)
-        self._on_air: int | None = None
+        #: What comes in the frames' packet zones.
+        self.packets = PacketReassembly(profile, self.flows, self.events)
         #: The last frame's count, without the wraps of its 24 bits.
         self._count = 0
         #: The next count of the stream, -1 without a stream; when its frame is expected, by the
@@ -181,10 +122,16 @@ class LinkReceiver:
         self.restarts = 0
         self.haptic_received = 0
         self.haptic_unapproved = 0
-        self.supervision_received = 0
         self.frames_dropped: dict[str, int] = {}
-        self.packets_dropped: dict[str, int] = {}
-        self.packets_received = [0] * len(self.flows)
+
+    @property
+    def deliver(self) -> bool:
+        """While False, samples and packets are dropped and counted as `unapproved`."""
+        return self.packets.deliver
+
+    @deliver.setter
+    def deliver(self, deliver: bool) -> None:
+        self.packets.deliver = deliver
 
     def handle_frame(self, frame: bytes, now_ns: int) -> bool:
         """Take a frame from the radio; return whether it is a good frame of a live peer.
@@ -206,7 +153,7 @@ class LinkReceiver:
             return False
         else:
             self.frames_lost += skipped
-            self._drop_partials()
+            self.packets.drop_incomplete()
             self._count += skipped + 1
             due_ns = self._due_ns + skipped * self._slot_ns
         self._due_ns = (now_ns if now_ns < due_ns else due_ns) + self._step_ns
@@ -214,30 +161,22 @@ class LinkReceiver:
         self._last_ns = now_ns
         self.frames_received += 1
         if sample is not None:
-            if self.deliver:
+            if self.packets.deliver:
                 self.haptic_received += 1
                 # This skips the NamedTuple's own `__new__`, once a millisecond.
                 self.events.append(_new_event(HapticReceived, (sample, now_ns)))
             else:
                 self.haptic_unapproved += 1
-        on_air = self._on_air
-        if pointer == self._idle:
-            if on_air is not None:
-                self._finish(on_air, now_ns)
-        elif pointer == self._no_start:
-            if on_air is not None:
-                self._extend(on_air, zone)
-        else:
-            self._handle_zone(pointer, zone, now_ns)
+        self.packets.handle_zone(pointer, zone, self._count, now_ns)
         return True
 
     def handle_signal_lost(self, now_ns: int) -> None:
         """The signal is lost: drop incomplete packets, which would not be completed in time."""
-        self._drop_partials()
+        self.packets.drop_incomplete()
 
     def context_ids(self) -> tuple[int, ...]:
         """The newest context held of each RTP flow, in the table's order; 0 for none."""
-        return self._context_ids
+        return self.packets.context_ids
 
     def forget_contexts(self) -> None:
         """Forget all contexts: the peer began a new life.
@@ -245,10 +184,7 @@ class LinkReceiver:
         The frame count does not always show that. The new contexts reuse the numbers of the old
         ones, so no old one may be reported as held.
         """
-        for decompressor in self._decompressors:
-            if decompressor is not None:
-                decompressor.forget()
-        self._note_contexts()
+        self.packets.forget_contexts()
 
     def next_event(self) -> LinkEvent | None:
         """The next event in the order of reception, or None. Call until None."""
@@ -273,39 +209,37 @@ class LinkReceiver:
         if self._next24 < 0:
             for event in other.events:
                 self._count_unapproved(event, -1)
-        self._drop_partials()
+        self.packets.drop_incomplete()
         if new_life:
             self.restarts += self._begun
             self._count = other._count
-            self._decompressors = other._decompressors
-            self._note_contexts()
             self.frames_lost += other.frames_lost
         else:
             self.frames_lost += 0 if behind else ahead - other.frames_received
             # After hours the count may have gone through half its range.
             self._count += ahead or COUNT_MODULUS
         self._begun = True
-        self._partials, self._on_air = other._partials, other._on_air
+        self.packets.go_on_from(other.packets, contexts=new_life)
         self._next24, self._due_ns = other._next24, other._due_ns
         self._last_ns = other._last_ns
         # The peer's first frames were good ones, though what they carried was dropped.
         self.frames_received += other.frames_received
         for event in other.events:
             if isinstance(event, SupervisionReceived):
-                self.supervision_received += 1
+                self.packets.supervision_received += 1
             elif not self.deliver:
                 self._count_unapproved(event, 1)
                 continue
             elif isinstance(event, HapticReceived):
                 self.haptic_received += 1
             else:
-                self.packets_received[self.flows.index(event.flow)] += 1
+                self.packets.received[self.flows.index(event.flow)] += 1
             self.events.append(event)
         return True
 
     def leave(self) -> None:
         """Follow no stream until `follow_stranger`."""
-        self._drop_partials()
+        self.packets.drop_incomplete()
         self._next24 = -1
 
     def _find_skipped(self, count24: int, now_ns: int) -> int | None:
@@ -371,140 +305,14 @@ class LinkReceiver:
         if isinstance(event, HapticReceived):
             self.haptic_unapproved += events
         elif isinstance(event, PacketReceived):
-            _add(self.packets_dropped, "unapproved", events)
-
-    def _note_contexts(self) -> None:
-        self._context_ids = tuple(
-            decompressor.context_id
-            for decompressor in self._decompressors
-            if decompressor is not None
-        )
-
-    def _drop_partials(self) -> None:
-        for level, partial in enumerate(self._partials):
-            if partial is not None:
-                self._partials[level] = None
-                self._drop_packet("incomplete")
-        self._on_air = None
+            _add(self.packets.dropped, "unapproved", events)
 
     def _drop_frame(self, reason: str) -> None:
         self.frames_dropped[reason] = self.frames_dropped.get(reason, 0) + 1
 
-    def _drop_packet(self, reason: str) -> None:
-        self.packets_dropped[reason] = self.packets_dropped.get(reason, 0) + 1
-
-    def _malformed(self) -> None:
-        """The peer violates the tag format, so drop everything in progress."""
-        self._drop_packet("malformed")
-        self._drop_partials()
-
-    def _extend(self, level: int, piece: bytes) -> None:
-        partial = self._partials[level]
-        if partial is None:
-            return
-        partial.body += piece
-        if len(partial.body) > MAX_PACKET_OCTETS + 16:
-            self._partials[level] = None
-            self._on_air = None
-            self._drop_packet("oversize")
-
-    def _finish(self, level: int | None, now_ns: int) -> None:
-        """The packet of `level` is complete."""
-        self._on_air = None
-        if level is None:
-            return
-        partial = self._partials[level]
-        self._partials[level] = None
-        if partial is not None:
-            self._deliver(partial.tag, partial.count, bytes(partial.body), now_ns)
-
-    def _handle_zone(self, pointer: int, zone: bytes, now_ns: int) -> None:
-        """Handle a zone in which a packet begins or ends, or with a supervision message."""
-        on_air, pointers = self._on_air, self._pointers
-        if pointer == pointers.supervision:
-            self.supervision_received += 1
-            self.events.append(SupervisionReceived(zone[:SUPERVISION_OCTETS], now_ns))
-        elif pointer == pointers.preempt:
-            self._parse_tags(zone, 0, now_ns)
-        elif pointer > len(zone):
-            self._malformed()
-        else:
-            if on_air is not None:
-                self._extend(on_air, zone[:pointer])
-                self._finish(self._on_air, now_ns)
-            self._parse_tags(zone, pointer, now_ns)
-
-    def _parse_tags(self, zone: bytes, position: int, now_ns: int) -> None:
-        size = len(zone)
-        self._on_air = None
-        while position < size:
-            tag = zone[position]
-            position += 1
-            if tag == TAG_PAD:
-                continue
-            if tag == TAG_FILL:
-                return
-            resumed = tag & KIND_BITS == 0
-            level = (_RESUMED if resumed else self._levels)[tag & NUMBER_MASK]
-            if level < 0:
-                self._malformed()
-                return
-            end = size
-            if tag & CLOSED:
-                # Missing octets read as zeros; then the piece ends beyond the zone.
-                length = int.from_bytes(zone[position : position + 1], "big")
-                position += 1
-                if length > LARGEST_SHORT_LENGTH:
-                    low = int.from_bytes(zone[position : position + 1], "big")
-                    length = (length & LARGEST_SHORT_LENGTH) << 8 | low
-                    position += 1
-                end = position + length
-                if end > size:
-                    self._malformed()
-                    return
-            piece = zone[position:end]
-            position = end
-            if not resumed:
-                if self._partials[level] is not None:
-                    # Each level has at most one packet in flight: the sender dropped this one.
-                    self._partials[level] = None
-                    self._drop_packet("incomplete")
-                if tag & CLOSED:
-                    self._deliver(tag & ~CLOSED, self._count, piece, now_ns)
-                else:
-                    self._partials[level] = _Partial(tag, self._count, piece)
-                    self._on_air = level
-                continue
-            self._extend(level, piece)
-            if tag & CLOSED:
-                self._finish(level, now_ns)
-            else:
-                self._on_air = level
-
-    def _deliver(self, tag: int, count: int, body: bytes, now_ns: int) -> None:
-        number, kind = tag & NUMBER_MASK, tag >> KIND_SHIFT
-        decompressor = self._decompressors[number]
-        packet: bytes | str
-        if decompressor is not None:
-            packet = decompressor.decompress(kind, body, count)
-            if kind == KIND_CONTEXT:
-                self._note_contexts()
-            if isinstance(packet, str):
-                self._drop_packet(packet)
-                return
-        elif kind == KIND_RAW:
-            packet = body
-        else:
-            self._drop_packet("malformed")
-            return
-        if self.deliver:
-            self.packets_received[number] += 1
-            self.events.append(PacketReceived(self.flows[number], packet, now_ns))
-        else:
-            self._drop_packet("unapproved")
-
     def report(self) -> ReceiverFigures:
         """Return frames, samples and packets: received, lost, and dropped by reason."""
+        packets = self.packets
         return ReceiverFigures(
             name=self.profile.name,
             frames=self.frames_received,
@@ -513,10 +321,10 @@ class LinkReceiver:
             restarts=self.restarts,
             haptic_received=self.haptic_received,
             haptic_unapproved=self.haptic_unapproved,
-            supervision_received=self.supervision_received,
+            supervision_received=packets.supervision_received,
             packets={
                 flow.name: received
-                for flow, received in zip(self.flows, self.packets_received, strict=True)
+                for flow, received in zip(self.flows, packets.received, strict=True)
             },
-            packets_dropped=dict(self.packets_dropped),
+            packets_dropped=dict(packets.dropped),
         )

@@ -26,6 +26,7 @@ from telepresence.link.profile import (
 )
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
 from telepresence.tmtc.packets import is_ours
+from telepresence.tmtc.pus.head import is_packet
 
 #: Largest number of packets of which a slot sends a part. It bounds the work of a slot at both
 #: ends; packets of six octets or more fill the largest zone with fewer.
@@ -364,10 +365,10 @@ def _plausible(kind: FlowKind, data: bytes) -> bool:
     """Whether `data` can be a packet of `kind`.
 
     RTP: version 2 and a whole header. RTCP: also a packet type of RFC 3550 or later. TM/TC: a space
-    packet of this project.
+    packet of this project, or one of PUS.
     """
     if kind is FlowKind.TMTC:
-        return is_ours(data)
+        return is_ours(data) or is_packet(data)
     if kind is FlowKind.RTP:
         return len(data) >= 12 and data[0] >> 6 == 2
     return len(data) >= 8 and data[0] >> 6 == 2 and 192 <= data[1] <= 223

@@ -11,7 +11,7 @@ from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.queues import QueueLimits
 from telepresence.link.radio import RadioPath
-from telepresence.link.receiver import LinkEvent
+from telepresence.link.received import LinkEvent
 
 
 class VirtualLink:

@@ -191,6 +191,7 @@ class ProtectedChannel:
             del self._openers[self._newest_used() + 1 :]
             self._forget_ns = None
         self._handshake.handle_timeout(now_ns)
+        self._drain(now_ns)
         if self._sealer is None or now_ns >= min(self._rekey_due_ns, self._heard_ns + SILENCE_NS):
             self._handshake.want(now_ns)
             self._handshake.handle_timeout(now_ns)

@@ -148,8 +148,14 @@ class Handshake:
         return None
 
     def handle_timeout(self, now_ns: int) -> None:
-        """Repeat what was not acknowledged, knock again, give up what takes too long."""
+        """Repeat what was not acknowledged, knock again, give up what takes too long.
+
+        One record of TLS that waits is read instead: it takes time enough.
+        """
         attempt = self._attempt
+        if attempt is not None and attempt.run.waits:
+            self._read(attempt, now_ns)
+            return
         if attempt is not None and now_ns >= attempt.end_ns:
             if not attempt.ready:
                 self._events.append(AttemptFailed("the peer answers no more"))
@@ -170,6 +176,8 @@ class Handshake:
         attempt = self._attempt
         if attempt is None:
             return self._knock_ns if self.wanted else None
+        if attempt.run.waits:
+            return attempt.read_ns
         return attempt.end_ns if attempt.wake_ns is None else min(attempt.wake_ns, attempt.end_ns)
 
     def poll_transmit(self) -> tuple[bytes, Address | None] | None:
@@ -196,7 +204,7 @@ class Handshake:
                 self._events.append(AttemptFailed("the peer began anew"))
         self._attempt = attempt = _Attempt(peer, self._agreement.begin(), source, now_ns)
         if self._agreement.client:
-            attempt.outgoing.add(attempt.run.handle_octets(b""))
+            attempt.outgoing.add(attempt.run.step())
         return attempt
 
     def _end_attempt(self) -> None:
@@ -207,12 +215,23 @@ class Handshake:
     def _progress(
         self, attempt: "_Attempt", segment: Segment, now_ns: int, *, begins: bool
     ) -> None:
-        run = attempt.run
         news = attempt.outgoing.handle_acknowledged(segment.acknowledged)
-        was_complete = run.complete
         if ready := attempt.incoming.handle_piece(segment.offset, segment.data):
             news = True
-            attempt.outgoing.add(run.handle_octets(ready))
+            attempt.run.add(ready)
+        if news:
+            attempt.repeat_ns = FIRST_REPEAT_NS
+        # What has come is acknowledged always, or the other would repeat it for ever.
+        attempt.owes |= begins or bool(segment.data)
+        self._read(attempt, now_ns)
+
+    def _read(self, attempt: "_Attempt", now_ns: int) -> None:
+        """Read one record of TLS if one waits, and send what is due."""
+        run = attempt.run
+        attempt.read_ns = now_ns
+        was_complete = run.complete
+        if run.waits:
+            attempt.outgoing.add(run.step())
         if run.failed:
             self._send(attempt, now_ns)
             self._events.append(AttemptFailed(run.failed))
@@ -227,10 +246,10 @@ class Handshake:
         elif run.complete and not attempt.ready and not attempt.outgoing.outstanding:
             attempt.ready = True
             self._events.append(PeerReady())
-        if news:
-            attempt.repeat_ns = FIRST_REPEAT_NS
-        # What has come is acknowledged always, or the other would repeat it for ever.
-        self._send(attempt, now_ns, say_something=begins or bool(segment.data))
+        # Acknowledged when it has been read, because it tells the peer that the keys are here.
+        if not run.waits:
+            self._send(attempt, now_ns, say_something=attempt.owes)
+            attempt.owes = False
 
     def _send(self, attempt: "_Attempt", now_ns: int, *, say_something: bool = False) -> None:
         """Send the pieces that are due; with `say_something` an empty one if there are none."""
@@ -249,7 +268,7 @@ class Handshake:
         self, receiver: bytes, offset: int = 0, data: bytes = b"", *, knock: bool = False
     ) -> bytes:
         attempt = self._attempt
-        heard = 0 if attempt is None else attempt.incoming.received
+        heard = 0 if attempt is None else attempt.incoming.received - attempt.run.unread
         return self._codec.pack(Segment(knock, self._nonce, receiver, heard, offset, data))
 
     def _draw(self) -> bytes:
@@ -267,6 +286,10 @@ class _Attempt:
         self.outgoing = OutgoingStream()
         self.incoming = IncomingStream()
         self.end_ns = now_ns + ATTEMPT_NS
+        #: When a record of TLS was read last.
+        self.read_ns = now_ns
+        #: The peer is owed an acknowledgement.
+        self.owes = False
         self.wake_ns: int | None = now_ns
         self.repeat_ns = FIRST_REPEAT_NS
         self.ready = False

@@ -5,7 +5,18 @@ from math import inf, log1p
 from random import Random
 
 from telepresence.link.figures import PathFigures
-from telepresence.link.radio.channel import FOREVER_NS, RadioChannel
+from telepresence.link.radio.channel import FOREVER_NS, Condition, RadioChannel
+
+#: A path without a channel.
+_STEADY = Condition(
+    until_ns=FOREVER_NS,
+    delay_ns=0.0,
+    slope=0.0,
+    frame_loss=0.0,
+    bit_error_rate=0.0,
+    blackout=False,
+    no_signal=False,
+)
 
 
 def hazard(probability: float) -> float:
@@ -52,6 +63,7 @@ class RadioPath:
         self._epoch_ns = epoch_ns
         self._since_ns = 0
         self._until_ns = FOREVER_NS if channel is None else -FOREVER_NS
+        self._outage_ns = -FOREVER_NS
         self._open = True
         self._no_signal = False
         self._no_signal_ns = 0
@@ -94,6 +106,19 @@ class RadioPath:
         self._arrival_ns = arrival_ns
         self._under_way.append((arrival_ns, frame))
 
+    def arrival_ns(self, now_ns: int) -> int:
+        """When a frame that is sent at `now_ns`, and not lost, arrives."""
+        if now_ns >= self._until_ns:
+            self._change(now_ns)
+        delay_ns = self._delay_ns + int((now_ns - self._since_ns) * self._slope)
+        return max(now_ns + delay_ns, self._arrival_ns)
+
+    def handle_outage(self, until_ns: int, now_ns: int) -> None:
+        """From the next frame on nothing gets through, until `until_ns`; a past one ends it."""
+        self._outage_ns = until_ns
+        # The next frame finds the condition changed.
+        self._until_ns = min(self._until_ns, now_ns)
+
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """The next frame that has arrived by `now_ns`, or None. Call until None."""
         if self._under_way and self._under_way[0][0] <= now_ns:
@@ -133,15 +158,19 @@ class RadioPath:
 
     def _change(self, now_ns: int) -> None:
         """Apply the condition of the channel from now on."""
-        assert self._channel is not None
         if self.frames_sent:
             self._note_delay()
             self._no_signal_ns += self._silent_ns(now_ns)
-        condition = self._channel.condition(now_ns - self._epoch_ns)
+        condition = _STEADY
+        if self._channel is not None:
+            condition = self._channel.condition(now_ns - self._epoch_ns)
         self._since_ns, self._until_ns = now_ns, condition.until_ns + self._epoch_ns
+        outage = now_ns < self._outage_ns
+        if outage:
+            self._until_ns = min(self._until_ns, self._outage_ns)
         self._delay_ns = self._fixed_delay_ns + round(condition.delay_ns)
         self._slope = condition.slope
-        self._open = not (condition.blackout or condition.no_signal)
+        self._open = not (outage or condition.blackout or condition.no_signal)
         self._no_signal = condition.no_signal
         per_frame = self._fixed_hazard + hazard(condition.frame_loss)
         self._per_frame = per_frame if self._open else inf

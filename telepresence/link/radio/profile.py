@@ -112,6 +112,11 @@ class RadioProfile:
         if self.contact is not None:
             _check_contact(self.contact)
 
+    @property
+    def timed(self) -> bool:
+        """Whether it has events at certain times, which are the same in both directions."""
+        return bool(self.contact or self.blackouts or self.random_blackouts)
+
     def path(self, direction: Direction, *, seed: int, epoch_ns: int) -> RadioPath:
         """Return the path of one direction; `epoch_ns` is the instant of the profile's time 0.
 

@@ -4,7 +4,8 @@ It takes the first 12 octets of a packet zone; docs/link-packets.md says which f
 marks it. All numbers are big-endian; the layout is this project's own.
 
 octet 0, high 4 bits   version, whose position never changes
-octet 0, low 4 bits    kind: 0 ALIVE, 1 CONFIGURE, 2 CONFIRM, 3 REJECT, 4 HELLO
+octet 0, low 4 bits    kind: 0 ALIVE, 1 CONFIGURE, 2 CONFIRM, 3 REJECT, 4 HELLO, 5 CLOCK
+                       (`telepresence.link.clock.message`, which has another layout)
 octet 1                state (3 bits, `LinkState`), then a bit each: master, signal, application,
                        fresh, sending
 octets 2..3            life of the sender, 1..65535: a new one at each start
@@ -39,7 +40,7 @@ _LAYOUT = struct.Struct(">BBHHH4s")
 _HELLO = struct.Struct(">BBHH3s3s")
 _RATES = struct.Struct(">HH")
 _STATE_SHIFT = 5
-_MASTER, _SIGNAL, _APPLICATION, _FRESH, _SENDING = 0x10, 0x08, 0x04, 0x02, 0x01
+MASTER, _SIGNAL, _APPLICATION, _FRESH, _SENDING = 0x10, 0x08, 0x04, 0x02, 0x01
 
 
 class LinkState(IntEnum):
@@ -69,6 +70,7 @@ class MessageKind(IntEnum):
     CONFIRM = 2
     REJECT = 3
     HELLO = 4
+    CLOCK = 5
 
 
 class SupervisionMessage(NamedTuple):
@@ -107,7 +109,7 @@ def pack_message(message: SupervisionMessage) -> bytes:
     """Return the twelve octets of `message`."""
     flags = (
         message.state << _STATE_SHIFT
-        | (_MASTER if message.master else 0)
+        | (MASTER if message.master else 0)
         | (_SIGNAL if message.signal else 0)
         | (_APPLICATION if message.application else 0)
         | (_FRESH if message.fresh else 0)
@@ -139,7 +141,7 @@ def parse_message(data: bytes) -> SupervisionMessage | None:
         return None
     first, flags, life, heard, digest, rest = _LAYOUT.unpack(data)
     kind, state = first & 0xF, flags >> _STATE_SHIFT
-    master = bool(flags & _MASTER)
+    master = bool(flags & MASTER)
     if (
         kind > MessageKind.HELLO
         or state > LinkState.REFUSED

@@ -9,7 +9,7 @@ from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio import RadioPath, RadioProfile
 from telepresence.link.radio.profile import Blackout
-from telepresence.link.receiver import HapticReceived, PacketReceived
+from telepresence.link.received import HapticReceived, PacketReceived
 from telepresence.link.sender import LinkSender
 from telepresence.link.supervision.supervisor import LinkState
 from telepresence.link.virtual import VirtualLink

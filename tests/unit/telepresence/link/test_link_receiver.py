@@ -10,12 +10,8 @@ from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow
 from telepresence.link.frame import FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.queues import DropPolicy, QueueLimits
-from telepresence.link.receiver import (
-    LinkReceiver,
-    PacketReceived,
-    StrangerFrame,
-    SupervisionReceived,
-)
+from telepresence.link.received import PacketReceived, SupervisionReceived
+from telepresence.link.receiver import LinkReceiver, StrangerFrame
 from telepresence.link.sender import LinkSender
 
 MS = 1_000_000
@@ -69,14 +65,14 @@ def test_the_frame_with_which_a_stream_is_followed_is_taken():
         sender.handle_packet("tmtc", bytes([slot]), 0)
         assert not receiver.handle_frame(sender.poll_transmit(slot * MS), slot * MS)
         assert receiver.next_event() is None
-    assert receiver.haptic_unapproved == receiver.packets_dropped["unapproved"] == 3
+    assert receiver.haptic_unapproved == receiver.packets.dropped["unapproved"] == 3
     receiver.follow_stranger(new_life=True)
     assert [event[0] for event in receiver.events if not hasattr(event, "data")] == [b"\2" * 12]
     assert [event.data for event in receiver.events if hasattr(event, "data")] == [b"\2"]
     # Each frame, sample and packet is counted once.
     assert (receiver.frames_received, receiver.frames_dropped) == (3, {})
-    assert receiver.haptic_unapproved == receiver.packets_dropped["unapproved"] == 2
-    assert (receiver.haptic_received, receiver.packets_received[0]) == (1, 1)
+    assert receiver.haptic_unapproved == receiver.packets.dropped["unapproved"] == 2
+    assert (receiver.haptic_received, receiver.packets.received[0]) == (1, 1)
     assert receiver.restarts == 0
 
 
@@ -216,11 +212,11 @@ def test_contexts_of_a_former_life_are_not_used():
             now_ns += MS
         if not life:
             assert receiver.context_ids()[0] > 0
-            assert receiver.packets_received[1] == 61
+            assert receiver.packets.received[1] == 61
         while event := receiver.next_event():
             assert event.data[8:12] == bytes([0, 0, 0, life])
     assert receiver.restarts == 1
-    assert receiver.packets_dropped["no_context"] > 0
+    assert receiver.packets.dropped["no_context"] > 0
 
 
 def test_contexts_go_on_when_the_same_life_goes_on_at_another_count():
@@ -257,7 +253,7 @@ def test_without_approval_a_followed_stream_is_not_delivered_either():
         receiver.handle_frame(sender.poll_transmit(now_ns), now_ns + slot * MS)
     assert receiver.follow_stranger(new_life=True)
     assert receiver.next_event() is None
-    assert receiver.haptic_unapproved == receiver.packets_dropped["unapproved"] == 1
+    assert receiver.haptic_unapproved == receiver.packets.dropped["unapproved"] == 1
 
 
 def test_without_approval_only_supervision_is_delivered():
@@ -270,7 +266,7 @@ def test_without_approval_only_supervision_is_delivered():
     assert receiver.next_event() == SupervisionReceived(b"supervision!", 1)
     assert receiver.next_event() is None
     assert (receiver.report().haptic_received, receiver.report().haptic_unapproved) == (0, 1)
-    assert receiver.packets_dropped == {"unapproved": 1}
+    assert receiver.packets.dropped == {"unapproved": 1}
     receiver.deliver = True
     sender.handle_packet("tmtc", b"telecommand", 0)
     receiver.handle_frame(sender.poll_transmit(0), 2)
@@ -286,7 +282,7 @@ def test_a_loss_of_signal_drops_incomplete_packets():
     for slot in range(3, 8):
         receiver.handle_frame(sender.poll_transmit(slot), slot)
     assert receiver.next_event() is None
-    assert receiver.packets_dropped == {"incomplete": 1}
+    assert receiver.packets.dropped == {"incomplete": 1}
 
 
 def test_flushed_packets_are_never_sent_and_counted_by_level():
@@ -321,7 +317,7 @@ def test_patience_ends_waiting_and_interrupted_packets():
         for slot in range(age, age + 3000):
             receiver.handle_frame(sender.poll_transmit(slot * MS), slot * MS)
         assert sender.report(0).queue["video"].drops[reason] == 1
-        assert receiver.packets_received[2] == 0
+        assert receiver.packets.received[2] == 0
 
 
 def test_repeated_and_late_frames_are_dropped():
@@ -341,7 +337,7 @@ def test_an_endless_packet_is_dropped_at_the_size_limit():
     receiver.handle_frame(codec.pack(0, None, 0, b"\x08" + bytes(23)), 0)
     for count in range(1, 100):
         receiver.handle_frame(codec.pack(count, None, 31, bytes(24)), count * MS)
-    assert receiver.packets_dropped == {"oversize": 1}
+    assert receiver.packets.dropped == {"oversize": 1}
     assert receiver.handle_frame(codec.pack(100, None, 30, bytes(24)), 100 * MS)
     assert receiver.next_event() is None
 
@@ -407,7 +403,7 @@ def test_undefined_tags_are_counted():
     # Pointers that are neither a position nor a code.
     for pointer in (25, 26, 27):
         assert receiver.handle_frame(codec.pack(pointer - 18, None, pointer, bytes(24)), 0)
-    assert receiver.packets_dropped["malformed"] == len(zones) + 3
+    assert receiver.packets.dropped["malformed"] == len(zones) + 3
     assert receiver.next_event() is None
     assert receiver.frames_received == len(zones) + 3
 

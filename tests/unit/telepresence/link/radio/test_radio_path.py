@@ -226,3 +226,26 @@ def test_a_fixed_delay_replaces_the_profiles_delay():
         path.handle_frame(bytes(32), 100 * S)
         assert path.delay_ns == 12_500_000
     assert delayed(load_radio("iss-pass"), 1).contact is not None
+
+
+@pytest.mark.parametrize("name", ["plain", "iss-pass"])
+def test_an_outage_loses_every_frame_until_its_end_and_can_be_ended_before(name):
+    path = RadioPath(delay_ns=10 * MS)
+    if name != "plain":
+        profile = replace(load_radio(name), start_s=250.0)
+        path = profile.path("uplink", seed=1, epoch_ns=0)
+    lost = []
+    for slot in range(1000):
+        if slot == 100:
+            path.handle_outage(300 * MS, slot * MS)
+        if slot in (500, 600):
+            # Ended before its time.
+            path.handle_outage({500: 900 * MS, 600: 0}[slot], slot * MS)
+        before = path.frames_lost
+        path.handle_frame(bytes(32), slot * MS)
+        if path.frames_lost > before:
+            lost.append(slot)
+    assert lost == [*range(100, 300), *range(500, 600)]
+    # What was under way arrives all the same.
+    arrived = sum(path.poll_transmit(10 * S) is not None for _ in range(1000))
+    assert arrived == 700

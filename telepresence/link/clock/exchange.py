@@ -1,0 +1,151 @@
+"""One end's messages CLOCK: when to send them, and what they tell of the peer's clock. A core.
+
+Each message has the instant at which it leaves, and says when the peer's newest one came. So both
+ends learn a bound from each way (`estimator`). A lost message costs only itself.
+"""
+
+from typing import NamedTuple
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from telepresence.link.clock.estimator import ClockEstimate, ClockEstimator
+from telepresence.link.clock.message import (
+    NO_AGE_US,
+    ClockMessage,
+    message_mark,
+    pack_clock,
+    parse_clock,
+)
+from telepresence.link.figures import ClockFigures
+
+#: Interval of messages, and of the first ones after the peer was met. The capacity arithmetic
+#: counts them among the supervision messages.
+INTERVAL_NS = 2 * NS_PER_S
+FIRST_INTERVAL_NS = 250 * NS_PER_MS
+#: How many are sent at the shorter interval.
+FIRST_MESSAGES = 20
+#: Marks repeat after 16.8 s; a message older than this is not known by its mark any more.
+_OLDEST_NS = 16 * NS_PER_S
+_STAMPS = 1 << 32
+
+
+class _Received(NamedTuple):
+    """The peer's newest message: its mark, and when it came, in whole µs of the told clock."""
+
+    mark: int
+    came_us: int
+
+
+class ClockExchange:
+    """Sends CLOCK messages and takes the peer's; call `poll_transmit` in a slot from `next_ns` on.
+
+    version: of the link. master, life: of this end. told_offset_ns: the clock that is told, minus
+        that of all `now_ns`. Tell wall time: then offsets are small, and mean something to people.
+        Both ends must agree within 35 min, because stamps repeat after 71.6 min.
+
+    next_ns: when the next message is due.
+    """
+
+    __slots__ = (
+        "_counts_in",
+        "_counts_out",
+        "_estimator",
+        "_first",
+        "_life",
+        "_master",
+        "_peer_life",
+        "_received",
+        "_sent",
+        "_told_offset_ns",
+        "_version",
+        "next_ns",
+    )
+
+    def __init__(
+        self, *, version: int, master: bool, life: int, told_offset_ns: int, now_ns: int
+    ) -> None:
+        self.next_ns = now_ns
+        self._version, self._master, self._life = version, master, life
+        self._told_offset_ns = told_offset_ns
+        self._estimator = ClockEstimator()
+        self._first = FIRST_MESSAGES
+        self._peer_life = 0
+        self._received: _Received | None = None
+        #: By mark: when the message left.
+        self._sent: dict[int, int] = {}
+        self._counts_in = self._counts_out = 0
+
+    def handle_peer(self, life: int, now_ns: int) -> None:
+        """The peer has begun a new life: nothing is known of its clock."""
+        if life != self._peer_life:
+            self._peer_life = life
+            self._estimator.clear()
+            self._received = None
+            self._first = FIRST_MESSAGES
+            self.next_ns = now_ns
+
+    def handle_message(self, data: bytes, now_ns: int, *, heard: bool) -> bool:
+        """Take a message that came at `now_ns`; return False if it is not the peer's.
+
+        heard: the peer hears this life of this end, so that it means messages of this life.
+        """
+        message = parse_clock(data)
+        if (
+            message is None
+            or message.version != self._version
+            or message.master is self._master
+            or message.life != self._peer_life
+        ):
+            return False
+        self._counts_in += 1
+        told_ns = now_ns + self._told_offset_ns
+        came_us = -(-told_ns // NS_PER_US)
+        self._received = _Received(message_mark(message.stamp_us), came_us)
+        ahead_us = _signed(message.stamp_us - came_us)
+        self._estimator.handle_least(now_ns, (came_us + ahead_us) * NS_PER_US - told_ns)
+        left_ns = self._sent.get(message.mark) if message.age_us != NO_AGE_US else None
+        if heard and left_ns is not None and now_ns - left_ns < _OLDEST_NS:
+            left_told_ns = left_ns + self._told_offset_ns
+            left_us = left_told_ns // NS_PER_US
+            ahead_us = _signed(message.stamp_us - message.age_us - left_us)
+            offset_ns = (left_us + ahead_us) * NS_PER_US - left_told_ns
+            self._estimator.handle_largest(left_ns, offset_ns)
+        return True
+
+    def poll_transmit(self, now_ns: int, leaves_ns: int) -> bytes:
+        """Return a message that leaves this machine at `leaves_ns`, at `now_ns` or later."""
+        interval_ns = FIRST_INTERVAL_NS if self._first else INTERVAL_NS
+        self._first = max(0, self._first - 1)
+        self.next_ns = now_ns + interval_ns
+        self._counts_out += 1
+        stamp_us = (leaves_ns + self._told_offset_ns) // NS_PER_US
+        self._sent[message_mark(stamp_us)] = leaves_ns
+        mark, age_us = 0, NO_AGE_US
+        received = self._received
+        if received is not None and 0 <= stamp_us - received.came_us < NO_AGE_US:
+            mark, age_us = received.mark, stamp_us - received.came_us
+        return pack_clock(
+            ClockMessage(self._version, self._master, self._life, stamp_us % _STAMPS, mark, age_us)
+        )
+
+    def estimate(self, now_ns: int) -> ClockEstimate | None:
+        """Return the offset of the peer's clock at `now_ns`; None if it is not known."""
+        return self._estimator.estimate(now_ns)
+
+    def report(self, now_ns: int) -> ClockFigures:
+        """Return the estimate and the counts."""
+        found = self.estimate(now_ns)
+        return ClockFigures(
+            at_ns=now_ns,
+            offset_ns=None if found is None else found.offset_ns,
+            error_ns=None if found is None else found.error_ns,
+            drift_ppb=None if found is None else found.drift_ppb,
+            drift_error_ppb=None if found is None else found.drift_error_ppb,
+            messages_sent=self._counts_out,
+            messages_received=self._counts_in,
+            restarts=self._estimator.restarts,
+        )
+
+
+def _signed(difference_us: int) -> int:
+    """Return the difference of two stamps that is nearest to 0."""
+    return (difference_us + _STAMPS // 2) % _STAMPS - _STAMPS // 2

@@ -1,0 +1,74 @@
+"""The supervision message CLOCK: when it left, and when the peer's newest one came.
+
+Twelve octets, big-endian, in the place of another supervision message:
+
+octet 0        version and kind, as in every supervision message
+octet 1        the bit of the master; the others are 0
+octets 2..3    life of the sender
+octets 4..7    the instant at which this message leaves, in µs of the sender's clock modulo 2**32
+octet 8        which message of the peer came last: bits 16 to 23 of its instant
+octets 9..11   how long before this one leaves that one came, in µs; all ones: none came, or too
+               long ago
+"""
+
+import struct
+from typing import NamedTuple
+
+from telepresence.link.supervision.message import MASTER, MESSAGE_OCTETS, MessageKind
+
+#: An age that says that no message came.
+NO_AGE_US = 0xFFFFFF
+
+_LAYOUT = struct.Struct(">BBHII")
+
+
+class ClockMessage(NamedTuple):
+    """One message; see the module. mark: of the peer's message, `message_mark`."""
+
+    version: int
+    master: bool
+    life: int
+    stamp_us: int
+    mark: int = 0
+    age_us: int = NO_AGE_US
+
+
+def message_mark(stamp_us: int) -> int:
+    """Return the 8 bits by which a message is known; they repeat after 16.8 s.
+
+    So two messages that are at least 66 ms apart differ.
+    """
+    return stamp_us >> 16 & 0xFF
+
+
+def pack_clock(message: ClockMessage) -> bytes:
+    """Return the twelve octets of `message`."""
+    return _LAYOUT.pack(
+        message.version << 4 | MessageKind.CLOCK,
+        MASTER if message.master else 0,
+        message.life,
+        message.stamp_us,
+        message.mark << 24 | message.age_us,
+    )
+
+
+def is_clock(data: bytes) -> bool:
+    """Whether these octets have the kind CLOCK."""
+    return len(data) == MESSAGE_OCTETS and data[0] & 0xF == MessageKind.CLOCK
+
+
+def parse_clock(data: bytes) -> ClockMessage | None:
+    """Parse `data`; None if no end that follows the layout can have sent it."""
+    if not is_clock(data):
+        return None
+    first, flags, life, stamp_us, rest = _LAYOUT.unpack(data)
+    if not first >> 4 or flags & ~MASTER or not life:
+        return None
+    return ClockMessage(
+        version=first >> 4,
+        master=bool(flags),
+        life=life,
+        stamp_us=stamp_us,
+        mark=rest >> 24,
+        age_us=rest & NO_AGE_US,
+    )

@@ -1,0 +1,79 @@
+"""What one end knows of its path to the other: a typed record, and what has happened. A core."""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+#: Host and UDP port.
+Address = tuple[str, int]
+
+#: How many events are kept.
+_DEPTH = 50
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeerEvent:
+    """Something that happened on the path, in words; `at_ns` counts from `PeerFigures.begun_ns`."""
+
+    at_ns: int
+    what: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeerFigures:
+    """The path to the other end, of one life of a gateway.
+
+    Every datagram received is counted once: in `taken`, in `handshake_datagrams`, or by the reason
+    for which it was dropped.
+    """
+
+    #: When the gateway began, on its own clock.
+    begun_ns: int
+    #: Whether the datagrams are encrypted and authenticated.
+    protected: bool
+    #: The identity that the other end must prove; empty without protection.
+    identity: str
+    #: Where frames go, as HOST:PORT; empty as long as the other end is unknown.
+    address: str
+    #: Since when frames can be sent without a pause, from `begun_ns` on; null: they cannot.
+    session_ns: int | None
+    #: Handshakes with both ends proven.
+    sessions: int
+    #: Handshakes that came to nothing.
+    failed_attempts: int
+    #: How often the other end's address changed.
+    address_changes: int
+    #: Datagrams with frames that were sent.
+    sent: int
+    #: Frames that were not sent, because there was no session or no address.
+    unsent: int
+    #: Datagrams whose frame was taken.
+    taken: int
+    #: Datagrams of handshakes that were heeded.
+    handshake_datagrams: int
+    #: Dropped datagrams by reason: `stranger`, or those of docs/link-protection.md.
+    dropped: Mapping[str, int]
+    #: The newest 50.
+    events: tuple[PeerEvent, ...]
+
+
+def address_text(address: Address | None) -> str:
+    """HOST:PORT, or "" for None."""
+    return "" if address is None else f"{address[0]}:{address[1]}"
+
+
+@dataclass(slots=True)
+class PeerHistory:
+    """The newest events of a path that began at `begun_ns`."""
+
+    begun_ns: int
+    _events: deque[PeerEvent] = field(default_factory=lambda: deque(maxlen=_DEPTH))
+
+    def add(self, what: str, now_ns: int) -> None:
+        """Something happened. What has just been told is not told again."""
+        if not self._events or self._events[-1].what != what:
+            self._events.append(PeerEvent(at_ns=now_ns - self.begun_ns, what=what))
+
+    def events(self) -> tuple[PeerEvent, ...]:
+        """Return the events, oldest first."""
+        return tuple(self._events)

@@ -1,0 +1,225 @@
+"""Packets from the packet zones of one stream's frames; losses never join two packets.
+
+It never raises because of data from the peer; invalid data is counted by reason and dropped.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+
+from telepresence.link.compression.header_compression import RtpDecompressor
+from telepresence.link.compression.rtp_forms import KIND_CONTEXT, KIND_RAW
+from telepresence.link.flows import MAX_FLOWS, Flow, FlowKind, Level
+from telepresence.link.frame import (
+    CLOSED,
+    KIND_BITS,
+    KIND_SHIFT,
+    LARGEST_SHORT_LENGTH,
+    MAX_PACKET_OCTETS,
+    NUMBER_MASK,
+    TAG_FILL,
+    TAG_PAD,
+    TAG_RESUME,
+    Pointers,
+)
+from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
+from telepresence.link.received import LinkEvent, PacketReceived, SupervisionReceived
+
+#: The level that each control code resumes; -1 for undefined codes.
+_RESUMED = [-1] * TAG_RESUME + [*range(len(Level))]
+
+
+class _Partial:
+    """A packet whose end has not arrived yet."""
+
+    __slots__ = ("body", "count", "tag")
+
+    def __init__(self, tag: int, count: int, body: bytes) -> None:
+        self.tag = tag
+        self.count = count
+        self.body = bytearray(body)
+
+
+class PacketReassembly:
+    """Takes the packet zone of each frame of a stream, in order.
+
+    flows: the direction's flow table, checked. events: where packets and messages are appended.
+
+    received: by flow, in the table's order. dropped: by reason.
+    deliver: while False, packets are dropped and counted as `unapproved`.
+    context_ids: the newest context held of each RTP flow, in the table's order; 0 for none.
+    """
+
+    def __init__(
+        self, profile: LinkProfile, flows: Sequence[Flow], events: deque[LinkEvent]
+    ) -> None:
+        self.deliver = True
+        self.flows = flows
+        self.dropped: dict[str, int] = {}
+        self.received = [0] * len(flows)
+        self.supervision_received = 0
+        self._events = events
+        self._pointers = Pointers(profile)
+        self._idle = self._pointers.idle
+        self._no_start = self._pointers.no_start
+        self._decompressors = [
+            RtpDecompressor(flow, profile.slot_ns) if flow.kind is FlowKind.RTP else None
+            for flow in flows
+        ]
+        self.context_ids = (0,) * sum(item is not None for item in self._decompressors)
+        self._levels = [int(flow.level) for flow in flows]
+        self._levels += [-1] * (MAX_FLOWS - len(flows))
+        self._partials: list[_Partial | None] = [None] * len(Level)
+        #: The level of the packet that the next zone continues.
+        self._on_air: int | None = None
+
+    def handle_zone(self, pointer: int, zone: bytes, count: int, now_ns: int) -> None:
+        """Take the zone of the frame `count`, and its first header pointer."""
+        on_air = self._on_air
+        if pointer == self._idle:
+            if on_air is not None:
+                self._finish(on_air, now_ns)
+        elif pointer == self._no_start:
+            if on_air is not None:
+                self._extend(on_air, zone)
+        elif pointer == self._pointers.supervision:
+            self.supervision_received += 1
+            self._events.append(SupervisionReceived(zone[:SUPERVISION_OCTETS], now_ns))
+        elif pointer == self._pointers.preempt:
+            self._parse_tags(zone, 0, count, now_ns)
+        elif pointer > len(zone):
+            self._malformed()
+        else:
+            if on_air is not None:
+                self._extend(on_air, zone[:pointer])
+                self._finish(self._on_air, now_ns)
+            self._parse_tags(zone, pointer, count, now_ns)
+
+    def drop_incomplete(self) -> None:
+        """Drop the packets whose end has not come."""
+        for level, partial in enumerate(self._partials):
+            if partial is not None:
+                self._partials[level] = None
+                self.drop("incomplete")
+        self._on_air = None
+
+    def forget_contexts(self) -> None:
+        """Forget all contexts."""
+        for decompressor in self._decompressors:
+            if decompressor is not None:
+                decompressor.forget()
+        self._note_contexts()
+
+    def go_on_from(self, other: "PacketReassembly", *, contexts: bool) -> None:
+        """Go on with the incomplete packets of another one, and with `contexts` with its contexts.
+
+        The other one is of no use afterwards.
+        """
+        self._partials, self._on_air = other._partials, other._on_air
+        if contexts:
+            self._decompressors = other._decompressors
+            self._note_contexts()
+
+    def drop(self, reason: str) -> None:
+        """Count a dropped packet."""
+        self.dropped[reason] = self.dropped.get(reason, 0) + 1
+
+    def _malformed(self) -> None:
+        """The peer violates the tag format, so drop everything in progress."""
+        self.drop("malformed")
+        self.drop_incomplete()
+
+    def _extend(self, level: int, piece: bytes) -> None:
+        partial = self._partials[level]
+        if partial is None:
+            return
+        partial.body += piece
+        if len(partial.body) > MAX_PACKET_OCTETS + 16:
+            self._partials[level] = None
+            self._on_air = None
+            self.drop("oversize")
+
+    def _finish(self, level: int | None, now_ns: int) -> None:
+        """The packet of `level` is complete."""
+        self._on_air = None
+        if level is None:
+            return
+        partial = self._partials[level]
+        self._partials[level] = None
+        if partial is not None:
+            self._deliver(partial.tag, partial.count, bytes(partial.body), now_ns)
+
+    def _parse_tags(self, zone: bytes, position: int, count: int, now_ns: int) -> None:
+        size = len(zone)
+        self._on_air = None
+        while position < size:
+            tag = zone[position]
+            position += 1
+            if tag == TAG_PAD:
+                continue
+            if tag == TAG_FILL:
+                return
+            resumed = tag & KIND_BITS == 0
+            level = (_RESUMED if resumed else self._levels)[tag & NUMBER_MASK]
+            if level < 0:
+                self._malformed()
+                return
+            end = size
+            if tag & CLOSED:
+                # Missing octets read as zeros; then the piece ends beyond the zone.
+                length = int.from_bytes(zone[position : position + 1], "big")
+                position += 1
+                if length > LARGEST_SHORT_LENGTH:
+                    low = int.from_bytes(zone[position : position + 1], "big")
+                    length = (length & LARGEST_SHORT_LENGTH) << 8 | low
+                    position += 1
+                end = position + length
+                if end > size:
+                    self._malformed()
+                    return
+            piece = zone[position:end]
+            position = end
+            if not resumed:
+                if self._partials[level] is not None:
+                    # Each level has at most one packet in flight: the sender dropped this one.
+                    self._partials[level] = None
+                    self.drop("incomplete")
+                if tag & CLOSED:
+                    self._deliver(tag & ~CLOSED, count, piece, now_ns)
+                else:
+                    self._partials[level] = _Partial(tag, count, piece)
+                    self._on_air = level
+                continue
+            self._extend(level, piece)
+            if tag & CLOSED:
+                self._finish(level, now_ns)
+            else:
+                self._on_air = level
+
+    def _deliver(self, tag: int, count: int, body: bytes, now_ns: int) -> None:
+        number, kind = tag & NUMBER_MASK, tag >> KIND_SHIFT
+        decompressor = self._decompressors[number]
+        packet: bytes | str
+        if decompressor is not None:
+            packet = decompressor.decompress(kind, body, count)
+            if kind == KIND_CONTEXT:
+                self._note_contexts()
+            if isinstance(packet, str):
+                self.drop(packet)
+                return
+        elif kind == KIND_RAW:
+            packet = body
+        else:
+            self.drop("malformed")
+            return
+        if self.deliver:
+            self.received[number] += 1
+            self._events.append(PacketReceived(self.flows[number], packet, now_ns))
+        else:
+            self.drop("unapproved")
+
+    def _note_contexts(self) -> None:
+        self.context_ids = tuple(
+            decompressor.context_id
+            for decompressor in self._decompressors
+            if decompressor is not None
+        )
