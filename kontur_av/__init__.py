@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from kontur_av.codecs.coding import Coding
     from kontur_av.codecs.h264 import DecodedPicture, H264Decoder, H264Encoder
     from kontur_av.codecs.opus import OpusDecoder, OpusEncoder
+    from kontur_av.codecs.region import Region
     from kontur_av.errors import ConfigError, ProtocolError
     from kontur_av.media import (
         AccessUnit,
@@ -60,6 +61,7 @@ __all__ = [
     "OpusEncoder",
     "ProtocolError",
     "Quality",
+    "Region",
     "RtpIdentity",
     "Staleness",
     "StreamDescription",
@@ -86,6 +88,7 @@ _HOMES = {
     "codecs.coding": ("Coding",),
     "codecs.h264": ("DecodedPicture", "H264Decoder", "H264Encoder"),
     "codecs.opus": ("OpusDecoder", "OpusEncoder"),
+    "codecs.region": ("Region",),
     "errors": ("ConfigError", "ProtocolError"),
     "media": (
         "AccessUnit",

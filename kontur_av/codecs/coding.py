@@ -3,10 +3,11 @@
 from typing import NamedTuple
 
 #: The time from one refresh wave to the next. A loss is healed at the end of the next wave: after
-#: one second at most.
-REFRESH_S = 0.5
-#: The same time while the receiver can ask for a key picture (RFC 4585).
-SLOW_REFRESH_S = 20.0
+#: two seconds at most. Measured at 85 kbit/s: 0.5 s costs 3.1 dB, 1 s 2.1 dB.
+REFRESH_S = 1.0
+#: The same time while the receiver can ask for a key picture (RFC 4585). Each wave costs a picture
+#: that stands up to 10 dB for two seconds. It heals damage that no decoder finds.
+SLOW_REFRESH_S = 60.0
 
 
 class Coding(NamedTuple):

@@ -40,6 +40,8 @@ class Cuts:
         self.found = 0
         #: Whether to code in the smaller size now.
         self.restless = False
+        #: Whether the last picture was a cut, or a key picture.
+        self.anew = False
 
     def handle_picture(self, thumbnail: NDArray[np.uint8], *, key: bool = False) -> bool:
         """Return whether to code this picture in the smaller size.
@@ -53,6 +55,7 @@ class Cuts:
             return False
         change = float(np.abs(picture - last).mean())
         cut = key or (bool(self._changes) and change > _STEPS + _TIMES * max(self._changes))
+        self.anew = cut
         self._changes.append(change)
         self._since_cut += 1
         if cut:

@@ -17,6 +17,11 @@ class Healing:
         self._damaged = False
         self._left: int | None = None
 
+    def handle_damage(self) -> None:
+        """The decoder found damage in a picture: its octets are wrong, and none is missing."""
+        self._damaged = True
+        self._left = None
+
     def handle_unit(self, unit: ReceivedUnit) -> bool:
         """Return whether the picture of `unit` shows damage."""
         if unit.damaged or unit.lost_before:

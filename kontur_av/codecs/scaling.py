@@ -14,8 +14,6 @@ _SCALER = VideoReformatter()
 _THUMBNAIL = (40, 30)
 #: Down to this share, bilinear scaling skips few pixels. It takes a fifth of the time of means.
 _BILINEAR_SHARE = 0.35
-#: Standard deviation of `soften`'s filter.
-_SOFT_PIXELS = 0.8
 
 
 def shrink(picture: I420, into: I420) -> None:
@@ -50,10 +48,13 @@ def reduce(picture: I420, into: I420) -> None:
         cv2.resize(full, small.shape[::-1], dst=small, interpolation=cv2.INTER_AREA)
 
 
-def soften(picture: I420) -> None:
-    """Remove the finest detail of `picture`, of shape (h * 3 // 2, w), by a Gaussian filter."""
+def soften(picture: I420, pixels: float) -> None:
+    """Remove the finest detail of `picture`, of shape (h * 3 // 2, w), by a Gaussian filter.
+
+    pixels: standard deviation of the filter.
+    """
     for plane in planes(picture):
-        cv2.GaussianBlur(plane, (0, 0), _SOFT_PIXELS, dst=plane)
+        cv2.GaussianBlur(plane, (0, 0), pixels, dst=plane)
 
 
 def thumbnail(picture: I420) -> NDArray[np.uint8]:

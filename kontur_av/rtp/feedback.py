@@ -2,16 +2,31 @@
 
 A PLI (RFC 4585 section 6.3.1) is sent alone, as RFC 5506 allows: 12 octets. While PLIs arrive, the
 periodic intra refresh can be slow, which saves most of its octets.
+
+Some receivers, such as ffplay, send receiver reports (RFC 3550 section 6.4.2) but no PLI. A new
+receiver in them, and packets lost since the last one, ask for a key picture, too. Reports of a
+receiver that sends PLIs ask for nothing.
 """
 
-from kontur_av.clock import NS_PER_MS
+from collections import OrderedDict
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.rtp.wire import RTCP_PSFB_PLI, RtcpPsfbPacket, parse_rtcp
+from kontur_av.rtp.wire import (
+    RTCP_PSFB_PLI,
+    RtcpPsfbPacket,
+    RtcpRrPacket,
+    parse_rtcp,
+)
 
 #: The time between two indications while pictures stay damaged: longer than most round trips.
 ASK_AGAIN_NS = 250 * NS_PER_MS
 #: A sender answers all indications within this time once: several may report the same loss.
 ANSWER_ONCE_NS = 100 * NS_PER_MS
+#: Reports of losses are answered no more often, because each key picture is coarse.
+REPORTED_AGAIN_NS = 2 * NS_PER_S
+#: The most receivers whose losses are remembered; the oldest is dropped.
+_MOST_REPORTERS = 16
 
 
 class PictureLossReporter:
@@ -57,6 +72,10 @@ class PictureLossListener:
         self._answer_once_ns = answer_once_ns
         self._answered_ns: int | None = None
         self._asked = False
+        #: Of each receiver by its SSRC: the packets it has lost; None: it sends PLIs.
+        self._lost: OrderedDict[int, int | None] = OrderedDict()
+        #: When a report was answered.
+        self._report_ns: int | None = None
         self.received = 0
         self.garbage = 0
         #: When the last RTCP datagram came, of any content.
@@ -78,6 +97,26 @@ class PictureLossListener:
             ):
                 self.received += 1
                 self._asked = True
+                self._remember(packet.ssrc, None)
+            elif isinstance(packet, RtcpRrPacket):
+                for report in packet.reports:
+                    if report.ssrc == self._ssrc:
+                        self._handle_report(packet.ssrc, report.packets_lost, now_ns)
+
+    def _handle_report(self, receiver: int, packets_lost: int, now_ns: int) -> None:
+        before = self._lost.get(receiver, -1)
+        if before is None or packets_lost <= before:
+            return
+        if self._report_ns is not None and now_ns - self._report_ns < REPORTED_AGAIN_NS:
+            return  # the next report shows this loss, too
+        self._remember(receiver, packets_lost)
+        self._asked = True
+        self._report_ns = now_ns
+
+    def _remember(self, receiver: int, packets_lost: int | None) -> None:
+        self._lost[receiver] = packets_lost
+        if len(self._lost) > _MOST_REPORTERS:
+            self._lost.popitem(last=False)
 
     def take(self, now_ns: int) -> bool:
         """Return whether to encode the next picture as a key picture. Call it for each picture."""

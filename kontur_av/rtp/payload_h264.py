@@ -191,8 +191,9 @@ class ReceivedUnit:
     timestamp: its 32-bit RTP timestamp.
     keyframe: it holds an IDR slice.
     damaged: packets of it are missing.
-    lost_before: packets lost directly before its first packet. They belonged to earlier access
-        units or to non-slice NAL units at its head, which cannot be told apart.
+    lost_before: packets lost directly before its first packet, or in a unit before it that was
+        dropped whole. They belonged to earlier access units or to non-slice NAL units at its head,
+        which cannot be told apart.
     first_received_ns, received_ns: when its first and its last packet came.
 
     A unit that is not damaged and has no loss before it equals the unit sent. Exception: the first
@@ -229,6 +230,8 @@ class H264Depacketizer:
         self._parameters_seen = False
         self._joining = True
         self._open = False
+        #: Packets lost in units that were dropped whole: the next unit has them before it.
+        self._lost_whole = 0
         self._begin(0, 0, 0)
         #: Payloads that were no H.264, and access units of more than `max_unit_octets`.
         self.garbage = 0
@@ -240,7 +243,8 @@ class H264Depacketizer:
 
     def _begin(self, timestamp: int, lost_before: int, received_ns: int) -> None:
         self._timestamp = timestamp
-        self._lost_before = lost_before
+        self._lost_before = lost_before + self._lost_whole
+        self._lost_within = self._lost_whole = 0
         self._first_received_ns = self._received_ns = received_ns
         self._nal_units: list[bytes] = []
         self._parts: list[bytes] = []
@@ -264,6 +268,7 @@ class H264Depacketizer:
             self._begin(packet.timestamp, packet.lost_before, packet.received_ns)
             self._open = True
         elif packet.lost_before:
+            self._lost_within += packet.lost_before
             self._break_part()
             self._damaged = True
         self._received_ns = packet.received_ns
@@ -309,10 +314,13 @@ class H264Depacketizer:
         self._break_part()
         if self._too_large:
             self.garbage += 1
+            self._lost_whole = max(self._lost_before + self._lost_within, 1)
             return
         units = self._nal_units
         if not units:
             self.units_dropped += 1
+            # The next unit may be predicted from this one.
+            self._lost_whole = self._lost_before + self._lost_within
             return
         kinds = [nal_type(unit) for unit in units]
         head_unsure = self._lost_before > 0 or self._joining

@@ -23,6 +23,8 @@ MAX_DROPOUT = 3000  # RFC 3550 appendix A.1
 MAX_MISORDER = 100
 #: The most packets that wait behind a gap; with more, the gap is given up at once.
 MAX_WAITING = 512
+#: How long to wait for a missing packet, unless told otherwise.
+REORDER_DEPTH_NS = 10 * NS_PER_MS
 #: A first packet that waited longer than this for its sender report is too old to be shown.
 _REPORT_WITHIN_NS = 200 * NS_PER_MS
 
@@ -117,7 +119,7 @@ class RtpReceiver:
         *,
         payload_type: int,
         clock_rate_hz: int,
-        reorder_depth_ns: int = 10 * NS_PER_MS,
+        reorder_depth_ns: int = REORDER_DEPTH_NS,
         ordered: bool = True,
         takeover_silence_ns: int = 500 * NS_PER_MS,
         wall_offset_ns: int = 0,

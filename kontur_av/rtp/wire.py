@@ -3,38 +3,54 @@
 import struct
 
 from aiortc.rtp import (
+    RTCP_PSFB_APP,
+    RTCP_PSFB_FIR,
     RTCP_PSFB_PLI,
+    RTCP_RTPFB_NACK,
     RTCP_SDES,
     AnyRtcpPacket,
     RtcpByePacket,
     RtcpPacket,
     RtcpPsfbPacket,
+    RtcpReceiverInfo,
     RtcpRrPacket,
+    RtcpRtpfbPacket,
     RtcpSenderInfo,
     RtcpSrPacket,
     RtpPacket,
+    is_rtcp,
+    pack_remb_fci,
     pack_rtcp_packet,
+    unpack_remb_fci,
 )
 
 from kontur_av.errors import ProtocolError
 
 __all__ = [
+    "RTCP_PSFB_APP",
+    "RTCP_PSFB_FIR",
     "RTCP_PSFB_PLI",
+    "RTCP_RTPFB_NACK",
     "AnyRtcpPacket",
     "RtcpByePacket",
     "RtcpPacket",
     "RtcpPsfbPacket",
+    "RtcpReceiverInfo",
     "RtcpRrPacket",
+    "RtcpRtpfbPacket",
     "RtcpSenderInfo",
     "RtcpSrPacket",
     "RtpPacket",
     "TimestampUnwrapper",
     "cname_packet",
     "empty_receiver_report",
+    "is_rtcp",
+    "pack_remb_fci",
     "pack_rtp",
     "parse_rtcp",
     "parse_rtp",
     "signed_32",
+    "unpack_remb_fci",
 ]
 
 SDES_CNAME = 1  # RFC 3550 section 6.5.1

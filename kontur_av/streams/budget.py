@@ -58,8 +58,8 @@ class Pacer:
         100 ms the limit is 1.5 times the share of the cap. At least 1000.
     channel_bps: rate of the channel, at least the cap. Packets leave with the spacing with which
         this channel carries their payload. None: the cap.
-    guard_ns: the windows are longer by this. So the cap also holds for an observer who sees each
-        packet up to `guard_ns` early or late. 10 ms of 1 s cost 1 % of the rate.
+    guard_ns: the windows are longer by this. So the cap also holds for an observer who sees the
+        packets with delays that differ by less than this. 10 ms of 1 s cost 1 % of the rate.
     picture_ns: the time between two pictures, from which the size of the next one is estimated.
 
     Queue: packets in order. `EncodeScheduler` bounds its depth, because it encodes no picture while

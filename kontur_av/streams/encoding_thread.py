@@ -10,6 +10,7 @@ from typing import NamedTuple, Self
 from kontur_av.clock import Clock
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.region import Region
 from kontur_av.media import AccessUnit, VideoFrame
 
 _SWITCH_S = 0.0005
@@ -44,7 +45,7 @@ class EncodingThread:
     def __init__(self, encoder: H264Encoder, clock: Clock) -> None:
         self._encoder = encoder
         self._clock = clock
-        self._jobs: SimpleQueue[tuple[VideoFrame, Coding] | None] = SimpleQueue()
+        self._jobs: SimpleQueue[tuple[VideoFrame, Coding, Region | None] | None] = SimpleQueue()
         self._done: SimpleQueue[Encoded | BaseException] = SimpleQueue()
         # An eventfd(2), for a loop that sleeps on file descriptors.
         self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -53,15 +54,17 @@ class EncodingThread:
         self._thread = threading.Thread(target=self._run, name="encoding", daemon=True)
         self._thread.start()
 
-    def submit(self, frame: VideoFrame, coding: Coding) -> None:
+    def submit(self, frame: VideoFrame, coding: Coding, region: Region | None = None) -> None:
         """Begin to encode `frame`. Do not change it until `poll` returns its access unit.
+
+        region: as of `H264Encoder.encode`.
 
         Raises ValueError while another picture is being encoded.
         """
         if self.busy:
             raise ValueError("a picture is being encoded: wait for its access unit")
         self.busy = True
-        self._jobs.put((frame, coding))
+        self._jobs.put((frame, coding, region))
 
     def poll(self) -> Encoded | None:
         """Return the access unit of the submitted picture once it is ready, else None.
@@ -110,10 +113,11 @@ class EncodingThread:
     def _run(self) -> None:
         while (job := self._jobs.get()) is not None:
             try:
-                unit = self._encoder.encode(*job)
+                frame, coding, region = job
+                unit = self._encoder.encode(frame, coding, region=region)
                 self._done.put(Encoded(unit, self._clock.now_ns()))
             except BaseException as error:
                 self._done.put(error)
             # Else the picture would stay in memory until the next one comes.
-            del job
+            del job, frame
             os.eventfd_write(self._bell, 1)

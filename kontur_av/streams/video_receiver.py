@@ -8,7 +8,7 @@ from kontur_av.codecs.healing import Healing
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality
 from kontur_av.rtp.feedback import PictureLossReporter
 from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
-from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
+from kontur_av.rtp.receiver import REORDER_DEPTH_NS, ReceiverCounts, RtpReceiver
 from kontur_av.rtp.wire import empty_receiver_report
 
 #: The time between two receiver reports without blocks, as a sign of life.
@@ -52,6 +52,7 @@ class VideoReceiver:
     keep_alive_ns: the time between two signs of life, with which the sender may refresh slowly.
         None: none are sent, to save their octets.
     payload_type: of the stream.
+    reorder_depth_ns: see `RtpReceiver`. Longer than a round trip where lost packets are sent again.
     """
 
     def __init__(
@@ -64,9 +65,13 @@ class VideoReceiver:
         largest: tuple[int, int] | None = None,
         keep_alive_ns: int | None = KEEP_ALIVE_NS,
         payload_type: int = VIDEO_PAYLOAD_TYPE,
+        reorder_depth_ns: int = REORDER_DEPTH_NS,
     ) -> None:
         self._receiver = RtpReceiver(
-            payload_type=payload_type, clock_rate_hz=VIDEO_CLOCK_HZ, wall_offset_ns=wall_offset_ns
+            payload_type=payload_type,
+            clock_rate_hz=VIDEO_CLOCK_HZ,
+            reorder_depth_ns=reorder_depth_ns,
+            wall_offset_ns=wall_offset_ns,
         )
         self._ssrc = ssrc
         self._name = name
@@ -165,6 +170,9 @@ class VideoReceiver:
         """
         self._begun = True
         hurt = self._hurt.pop(timestamp, self) is None or corrupt
+        if corrupt:
+            # So the next unit asks for a key picture.
+            self._healing.handle_damage()
         if self._most_pixels is not None and width * height > self._most_pixels:
             # A stranger's picture must not make shared memory grow.
             self._oversized += 1

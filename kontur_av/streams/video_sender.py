@@ -16,6 +16,9 @@ from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, UnitSent
 
 #: A receiver with feedback sends some every second. After this long without, it is gone.
 _FEEDBACK_SILENCE_NS = 3 * NS_PER_S
+#: At the start, and at each new contact, a way back is assumed for this long, or until it is there.
+#: A change of the refresh costs a key picture, and there has just been one.
+_ASSUMED_NS = NS_PER_S // 2
 
 
 class PictureCoded(NamedTuple):
@@ -115,6 +118,8 @@ class VideoSender(PacedSender):
         self._adapt_refresh = adapt_refresh
         self._slow_refresh = False
         self._way_back: bool | None = None
+        #: None: to be set at the next picture.
+        self._assumed_until_ns: int | None = None
         self._contacts: int | None = None
         self._keyframe_due = False
         self._coded_cap_bps = cap_bps
@@ -147,8 +152,11 @@ class VideoSender(PacedSender):
         if self._contacts is not None and contacts != self._contacts:
             # Pictures sent without contact did not arrive, so none may refer to them.
             self._keyframe_due = True
+            self._assumed_until_ns = None
         self._contacts = contacts
         self._way_back = way_back
+        if way_back:
+            self._assumed_until_ns = told_ns
 
     def follow(self, *, cap_bps: int, channel_bps: int) -> None:
         """Change cap and channel from now on. The next `Coding` tells the encoder.
@@ -165,7 +173,9 @@ class VideoSender(PacedSender):
         keyframe = self._losses.take(now_ns) or self._keyframe_due
         self._keyframe_due = False
         refresh_s = None
-        slow = self._can_be_asked(now_ns)
+        if self._assumed_until_ns is None:
+            self._assumed_until_ns = now_ns + _ASSUMED_NS
+        slow = now_ns < self._assumed_until_ns or self._can_be_asked(now_ns)
         if self._adapt_refresh and slow != self._slow_refresh:
             # While the receiver can ask for key pictures, a fast refresh only costs 1 to 2 dB.
             self._slow_refresh = slow

@@ -136,6 +136,25 @@ def test_a_picture_joined_in_its_middle_is_damaged():
     assert restarted.damaged
 
 
+def test_a_picture_that_is_lost_with_its_first_packet_is_a_loss_before_the_next():
+    depacketizer = H264Depacketizer()
+    parts = packetize([b"\x41\x88" + bytes([7]) * 60], 30)
+    packets = [
+        received(packetize([SLICE])[0], 0, timestamp=0),
+        # The first part is lost. The others belong to no NAL unit.
+        *(
+            received(part, 2 + n, timestamp=1, marker=n == len(parts) - 2, lost_before=n == 0)
+            for n, part in enumerate(parts[1:])
+        ),
+        received(packetize([SLICE])[0], 9, timestamp=2),
+    ]
+    units = through(depacketizer, packets)
+    assert [(unit.timestamp, unit.lost_before) for unit in units] == [(0, 0), (2, 1)]
+    # Its successor has no loss before it.
+    (after,) = through(depacketizer, [received(packetize([SLICE])[0], 10, timestamp=3)])
+    assert after.lost_before == 0
+
+
 def test_a_picture_of_the_old_source_is_damaged_by_a_restart():
     parts = packetize([SLICE, b"\x41\x22" + bytes([7]) * 30], 20)
     packets = [received(parts[0], 0, marker=False), received(SLICE, 900, ssrc=9, restart=True)]

@@ -4,8 +4,38 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.rtp.feedback import PictureLossListener, PictureLossReporter
+from kontur_av.rtp.wire import RtcpReceiverInfo, RtcpRrPacket
 
 MS = 1_000_000
+S = 1000 * MS
+
+
+def report(receiver, packets_lost, *, ssrc=7):
+    return bytes(RtcpRrPacket(receiver, [RtcpReceiverInfo(ssrc, 0, packets_lost, 9, 0, 0, 0)]))
+
+
+def test_reports_of_a_receiver_without_indications_ask_for_pictures():
+    listener = PictureLossListener(ssrc=7)
+    answered = []
+    for at_s, lost in ((1, 0), (2, 0), (4, 3), (5, 6), (7, 6), (9, 6)):
+        listener.handle_feedback(report(1, lost), at_s * S)
+        if listener.take(at_s * S):
+            answered.append(at_s)
+    # It joined; it lost; it lost again too soon to be answered before the next report.
+    assert answered == [1, 4, 7]
+    listener.handle_feedback(report(1, 99, ssrc=8), 20 * S)
+    assert not listener.take(20 * S)
+
+
+def test_reports_of_a_receiver_with_indications_ask_for_nothing():
+    listener = PictureLossListener(ssrc=7)
+    reporter = PictureLossReporter(ssrc=1)
+    reporter.handle_picture(damaged=True, media_ssrc=7, now_ns=0)
+    listener.handle_feedback(reporter.poll_transmit(0), 0)
+    assert listener.take(0)
+    for at_s in range(3, 30):
+        listener.handle_feedback(report(1, at_s), at_s * S)
+        assert not listener.take(at_s * S)
 
 
 def test_an_indication_has_the_twelve_octets_of_the_rfc():

@@ -8,6 +8,7 @@ import pytest
 from kontur_av.clock import ManualClock
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.region import Region
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.streams.encoding_thread import EncodingThread
 
@@ -32,10 +33,10 @@ class Slow:
     def __init__(self):
         self.begun, self.may = threading.Event(), threading.Event()
 
-    def encode(self, given, coding):
+    def encode(self, given, coding, *, region):
         self.begun.set()
         assert self.may.wait(10)
-        return given.stamp.sequence, coding.keyframe
+        return given.stamp.sequence, coding.keyframe, region
 
 
 def test_the_thread_encodes_like_the_encoder():
@@ -59,7 +60,7 @@ def test_the_loop_continues_while_the_thread_encodes():
     slow = Slow()
     with EncodingThread(slow, CLOCK) as encoding:
         assert encoding.poll() is None
-        encoding.submit(frame(4), LIKE_BEFORE)
+        encoding.submit(frame(4), LIKE_BEFORE, Region(0, 0, 8, 8))
         assert slow.begun.wait(10)
         assert encoding.poll() is None
         assert not readable(encoding, 0)
@@ -67,7 +68,7 @@ def test_the_loop_continues_while_the_thread_encodes():
             encoding.submit(frame(5), LIKE_BEFORE)
         slow.may.set()
         assert readable(encoding)
-        assert encoding.poll() == ((4, False), 7)
+        assert encoding.poll() == ((4, False, Region(0, 0, 8, 8)), 7)
         assert not encoding.busy
     encoding.close()
 

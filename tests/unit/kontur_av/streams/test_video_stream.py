@@ -26,12 +26,15 @@ def make_receiver(**changes):
 
 
 class Stream:
-    """Encodes in no time. lost: numbers of pictures that do not arrive."""
+    """Encodes in no time.
 
-    def __init__(self, lost=(), way_back=True, sender=None, receiver=None):
+    lost: numbers of pictures that do not arrive. corrupt: those in which the decoder finds damage.
+    """
+
+    def __init__(self, lost=(), way_back=True, sender=None, receiver=None, corrupt=()):
         self.sender = sender or make_sender()
         self.receiver = receiver or make_receiver()
-        self.lost, self.way_back = lost, way_back
+        self.lost, self.way_back, self.corrupt = lost, way_back, corrupt
         self.codings, self.stamps, self.units = [], [], []
 
     def step(self, number, octets=300):
@@ -55,7 +58,9 @@ class Stream:
         while (unit := receiver.next_event()) is not None:
             self.units.append(unit)
             dated_ns = receiver.capture_ns(unit.timestamp)
-            self.stamps.append(receiver.handle_picture(unit.timestamp, 64, 48, dated_ns))
+            corrupt = number in self.corrupt
+            stamp_of = receiver.handle_picture
+            self.stamps.append(stamp_of(unit.timestamp, 64, 48, dated_ns, corrupt=corrupt))
         feedback = receiver.poll_feedback(there_ns + 20 * NS_PER_MS)
         if feedback is not None and self.way_back:
             sender.handle_feedback(feedback, now_ns + 21 * NS_PER_MS)
@@ -86,6 +91,15 @@ def test_a_loss_is_reported_and_healed_by_a_key_picture():
     assert (stream.receiver.counts.asked, stream.sender.counts.losses_told) == (1, 1)
 
 
+def test_damage_that_only_the_decoder_finds_is_healed_by_a_key_picture():
+    stream = Stream(corrupt={4})
+    for number in range(12):
+        stream.step(number)
+    damaged = [stamp.quality is Quality.DAMAGED for stamp in stream.stamps]
+    assert damaged == [False] * 4 + [True] * 2 + [False] * 6
+    assert [coding.keyframe for coding in stream.codings] == [n == 6 for n in range(12)]
+
+
 def test_the_refresh_is_slow_while_the_receiver_is_heard():
     stream = Stream()
     for number in range(60):
@@ -95,7 +109,7 @@ def test_the_refresh_is_slow_while_the_receiver_is_heard():
         stream.step(number)
     changes = [(n, c.refresh_s) for n, c in enumerate(stream.codings) if c.refresh_s is not None]
     assert [refresh_s for _, refresh_s in changes] == [SLOW_REFRESH_S, REFRESH_S]
-    assert changes[0][0] == 1
+    assert changes[0][0] == 0
     # Three seconds after the last sign of life; there is one a second.
     assert 120 <= changes[1][0] <= 152
 
@@ -179,7 +193,9 @@ def test_a_receiver_on_a_thin_channel_is_silent_without_losses():
         stream.step(number)
     assert stream.receiver.poll_feedback(10**12) is None
     assert stream.receiver.poll_timeout() is None
-    assert all(coding.refresh_s is None for coding in stream.codings)
+    changes = [(n, c.refresh_s) for n, c in enumerate(stream.codings) if c.refresh_s is not None]
+    # A way back is assumed for half a second.
+    assert changes == [(0, SLOW_REFRESH_S), (16, REFRESH_S)]
 
 
 def test_garbage_is_counted_and_changes_nothing():

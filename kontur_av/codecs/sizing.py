@@ -1,0 +1,176 @@
+"""The coded size that the content needs: large while the picture stands, small while it moves.
+
+x264 keeps each picture to its octets by its quantiser. So the quantiser tells whether the size
+fits: a small one means that the picture could be larger, a large one that it should be smaller.
+Where much moves, a smaller quantiser is worth more than a larger size. docs/experiments/sizing.md
+has the figures.
+
+A change of size costs a key picture, which is coarse for about half a second. So the size grows
+only after the picture stood for some time. After each growth that was in vain, this time doubles.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: The quantiser grows by this much when the area doubles. Measured: 4 to 6.
+_STEPS_AN_OCTAVE = 5.3
+#: Take the largest size in which the mean quantiser should be at most this.
+_FITS = 37.5
+#: A size above the usual one is too large from this mean quantiser on.
+_TOO_COARSE = 41.0
+#: The usual size is too large from this one on, if the picture moves.
+_COARSE_IN_MOTION = 35.5
+#: A cell of the thumbnail moves if its luma changes by more than this.
+_MOVED = 3
+#: The picture stands while the mean share of cells that move is below the first, and moves while it
+#: is above the second.
+_STILL, _MOVING = 0.05, 0.12
+#: The means of quantiser and motion go over about this many pictures.
+_MEAN_OF = 20
+#: In a size above the usual one, this share of cells in motion, over a few pictures, is the motion
+#: of the whole picture.
+_ALL_MOVES = 0.15
+_FEW = 5
+#: After a key picture the quantiser says little for this time.
+_SETTLING_S = 3.0
+#: How long another size would have to be better before it is taken. A change costs about 150 dB,
+#: summed over the pictures that follow; the better size brings 1 to 4 dB a picture.
+_PATIENCE_S = 4.5
+_LONGEST_S = 60.0
+#: Soon after the first picture, and after a cut, nothing sharp is lost by a key picture. So between
+#: these times the size grows without patience, if the picture stands and the largest size fits.
+_EARLY_S, _EARLY_UNTIL_S = 0.6, 1.5
+#: The quantiser of a picture that stands falls by at least this much from then on.
+_FALLS = 6.0
+#: Smaller again within this time after it grew: growth was in vain.
+_VAIN_S = 10.0
+#: A picture of more than this many shares is late.
+_LATE_SHARES = 1.7
+
+
+class SizeChoice:
+    """Follows one stream, and says in which size to code each picture. A core.
+
+    Call `handle_picture` before each picture is encoded, and `handle_unit` after it.
+
+    areas: of the sizes, in pixels, ascending. usual: index of the size for a picture of which
+        nothing is known. rate_hz: pictures a second.
+    """
+
+    def __init__(self, areas: Sequence[int], *, usual: int, rate_hz: float) -> None:
+        self._areas = areas
+        self._usual = usual
+        #: The index of the largest size that it takes.
+        self._last_index = len(areas) - 1
+        self._rate_hz = rate_hz
+        #: The index of the present size.
+        self.index = usual
+        #: Changes of size so far.
+        self.changes = 0
+        self._last: NDArray[np.int16] | None = None
+        self._motion = self._motion_now = 0.0
+        self._quantiser = self._quantiser_now = 0.0
+        #: Pictures since the last key picture; since another size is better.
+        self._pictures = self._waited = 0
+        #: Pictures since the first one or the last cut, and the sum of the motion in them.
+        self._age = 0
+        self._moved = 0.0
+        self._patience_s = _PATIENCE_S
+        #: Pictures since the size grew.
+        self._grown: int | None = None
+        self._late = False
+
+    def begin(self, usual: int, largest: int) -> None:
+        """Go to the size `usual` with a key picture. It and `largest` hold from now on."""
+        self.changes += usual != self.index
+        self.index, self._usual, self._last_index = usual, usual, largest
+        self._grown, self._patience_s, self._late = None, _PATIENCE_S, False
+        self._pictures = self._waited = self._age = 0
+        self._moved = 0.0
+
+    def handle_picture(self, thumbnail: NDArray[np.uint8], *, anew: bool) -> int:
+        """Return the index of the size for the next picture.
+
+        thumbnail: its luma, dtype uint8, of the same shape each time.
+        anew: it cannot use the picture before: a cut, or a key picture that was asked for.
+        """
+        picture = thumbnail.astype(np.int16)
+        last, self._last = self._last, picture
+        if last is not None:
+            moved = float(np.mean(np.abs(picture - last) > _MOVED))
+            self._motion += (moved - self._motion) / _MEAN_OF
+            self._motion_now += (moved - self._motion_now) / _FEW
+            self._moved += moved
+            self._age += 1
+        if anew:
+            self._pictures = self._waited = self._age = 0
+            self._moved = 0.0
+        if self.index > self._usual and (anew or self._late or self._motion_now > _ALL_MOVES):
+            self._change(self._usual)
+        elif self._stands_early():
+            self._change(self._last_index)
+        elif self._waited > self._patience_s * self._rate_hz:
+            self._change(self._better())
+        return self.index
+
+    def handle_unit(self, quantiser: float, shares: float) -> None:
+        """A picture is coded. quantiser: x264's mean. shares: its size, in shares of the cap."""
+        if self._pictures == 0:
+            self._quantiser = self._quantiser_now = quantiser
+        self._quantiser_now += (quantiser - self._quantiser_now) / _FEW
+        self._quantiser += (quantiser - self._quantiser) / _MEAN_OF
+        self._late = shares > _LATE_SHARES and self._pictures > 0
+        self._pictures += 1
+        self._waited = self._waited + 1 if self._better() != self.index else 0
+        if self._grown is not None:
+            self._grown += 1
+            if self._grown > _VAIN_S * self._rate_hz:
+                self._grown, self._patience_s = None, _PATIENCE_S
+
+    def _better(self) -> int:
+        """Return the index of the size that would be better now."""
+        settled = self._pictures > _SETTLING_S * self._rate_hz
+        if self._motion > _MOVING:
+            coarse = settled and self._quantiser > _COARSE_IN_MOTION
+            return max(self.index - 1, 0) if coarse else self.index
+        if self.index > self._usual and settled and self._quantiser > _TOO_COARSE:
+            return self.index - 1
+        return self._largest(self._quantiser, None if self._motion < _STILL else self._usual)
+
+    def _stands_early(self) -> bool:
+        """Return whether the picture has stood since a cut or the begin, and has its octets."""
+        return (
+            _EARLY_S * self._rate_hz < self._age < _EARLY_UNTIL_S * self._rate_hz
+            and self.index == self._usual
+            and self._patience_s == _PATIENCE_S
+            and self._moved < _STILL * self._age
+            and self._largest(self._quantiser_now - _FALLS) == self._last_index > self._usual
+        )
+
+    def _largest(self, quantiser: float, last: int | None = None) -> int:
+        """Return the largest size, up to the index `last`, for which `quantiser` is small enough.
+
+        quantiser: in the present size.
+        """
+        area = self._areas[self.index]
+        for index in range(self._last_index if last is None else last, self.index, -1):
+            octaves = math.log2(self._areas[index] / area)
+            if quantiser + _STEPS_AN_OCTAVE * octaves <= _FITS:
+                return index
+        return self.index
+
+    def _change(self, index: int) -> None:
+        if index == self.index:
+            return
+        if index > self.index:
+            self._grown = 0
+        elif self._grown is not None:
+            self._patience_s = min(2 * self._patience_s, _LONGEST_S)
+            self._grown = None
+        self.index = index
+        self.changes += 1
+        self._pictures = self._waited = 0
+        self._late = False

@@ -1,0 +1,145 @@
+"""The coded size grows while a picture stands, and shrinks where it moves; changes are rare."""
+
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from kontur_av.codecs.coding import Coding
+from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.sizing import SizeChoice
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
+
+AREAS = (320 * 240, 384 * 288, 480 * 360, 640 * 480)
+USUAL, FULL = 1, 3
+
+
+def choice():
+    return SizeChoice(AREAS, usual=USUAL, rate_hz=30)
+
+
+class Film:
+    """Passes pictures to a choice, and keeps the indices that it returned."""
+
+    def __init__(self, choice):
+        self.choice, self.indices, self._number = choice, [], 0
+
+    def show(self, pictures, *, quantiser, moving=0.0, anew=False, shares=1.0):
+        """Let a share `moving` of the cells change with each picture."""
+        for count in range(pictures):
+            self._number += 1
+            thumbnail = np.full((30, 40), 100, np.uint8)
+            thumbnail.reshape(-1)[: round(moving * 1200)] += 40 * (self._number % 2)
+            index = self.choice.handle_picture(thumbnail, anew=anew and count == 0)
+            self.indices.append(index)
+            self.choice.handle_unit(quantiser(index), shares)
+        return self.indices[-1]
+
+
+def board(index):
+    """Return the mean quantiser at which x264 coded the task board at rest."""
+    return (25, 28, 31, 36)[index]
+
+
+def footage(index):
+    """Return the mean quantiser at which x264 coded a talking head on a train."""
+    return (34, 37, 40, 46)[index]
+
+
+def test_a_picture_that_stands_from_the_start_grows_at_once_to_its_full_size():
+    film = Film(choice())
+    film.show(900, quantiser=board, moving=0.03)
+    grown = film.indices.index(FULL)
+    assert 15 < grown < 30
+    assert set(film.indices[:grown]) == {USUAL}
+    assert set(film.indices[grown:]) == {FULL}
+
+
+def test_a_picture_that_comes_to_rest_grows_after_some_seconds():
+    film = Film(choice())
+    film.show(60, quantiser=board, moving=0.3)
+    film.show(900, quantiser=board, moving=0.03)
+    grown = film.indices.index(FULL) - 60
+    assert 90 < grown < 200
+    assert set(film.indices[60 + grown :]) == {FULL}
+
+
+def test_a_cut_to_a_picture_that_stands_grows_again_unless_the_last_growth_was_in_vain():
+    film = Film(choice())
+    film.show(400, quantiser=board)
+    film.show(1, quantiser=board, anew=True)
+    assert film.show(30, quantiser=board) == FULL
+    film.show(1, quantiser=board, anew=True)
+    assert film.show(30, quantiser=board) == USUAL
+
+
+def test_a_size_between_is_not_taken_early():
+    film = Film(choice())
+    assert film.show(60, quantiser=lambda index: board(index) + 10) == USUAL
+
+
+def test_motion_a_cut_and_a_late_picture_end_the_large_size_at_once():
+    for ending in ({"moving": 0.5}, {"anew": True}, {"shares": 3.0}):
+        film = Film(choice())
+        assert film.show(300, quantiser=board) == FULL
+        assert film.show(3, quantiser=board, **ending) == USUAL
+        assert film.choice.changes == 2
+
+
+def test_footage_in_motion_is_coded_smaller_and_a_short_one_is_not():
+    film = Film(choice())
+    assert film.show(120, quantiser=footage, moving=0.2) == USUAL
+    assert film.show(60, quantiser=board) == USUAL
+    assert film.show(400, quantiser=footage, moving=0.2) == 0
+    assert film.choice.changes == 1
+
+
+def test_growth_in_vain_is_tried_ever_less_often():
+    film = Film(choice())
+    grown = []
+    for _ in range(4):
+        since = len(film.indices)
+        while film.show(1, quantiser=board) != FULL:
+            pass
+        grown.append(len(film.indices) - since)
+        film.show(10, quantiser=board, moving=0.5)
+    assert all(later > 1.7 * sooner for sooner, later in pairwise(grown))
+
+
+def test_a_fast_refresh_takes_a_smaller_size_and_a_slow_one_the_usual_size_again():
+    encoder = H264Encoder(width=640, height=480, fps=30, cap_bps=85_000, refresh_s=1.0)
+    still = empty_picture(640, 480)
+    still[:] = 128
+    sizes = []
+    for number in range(300):
+        coding = Coding(refresh_s=20.0) if number == 280 else Coding()
+        encoder.encode(VideoFrame(still, CaptureStamp(number, number, "t")), coding)
+        sizes.append(encoder.unit_size)
+    assert sizes[0] == (320, 240)
+    assert set(sizes[:280]) <= {(320, 240), (384, 288)}
+    assert sizes[280] == (384, 288)
+
+
+def test_a_still_picture_becomes_sharp_with_one_key_picture():
+    still = empty_picture(640, 480)
+    still[:] = 128
+    for number in range(24):
+        at = 20 + 150 * (number % 4), 60 + 70 * (number // 4)
+        cv2.circle(planes(still)[0], at, 18, 30 + 8 * number, 3, cv2.LINE_AA)
+    encoder = H264Encoder(width=640, height=480, fps=30, cap_bps=85_000, refresh_s=20)
+    decoder, shown, keys, octets = H264Decoder(), [], [], []
+    for number in range(300):
+        unit = encoder.encode(VideoFrame(still, CaptureStamp(number, number, "t")))
+        keys += [number] if unit.keyframe else []
+        octets.append(len(unit.data))
+        (picture,) = decoder.decode(unit.data, number)
+        large = empty_picture(640, 480)
+        picture.scale_into(large)
+        error = np.mean((planes(large)[0].astype(float) - planes(still)[0]) ** 2)
+        shown.append((picture.width, 10 * np.log10(255**2 / error)))
+    widths = [width for width, _ in shown]
+    grown = widths.index(640)
+    assert set(widths[:grown]) == {384} and set(widths[grown:]) == {640}
+    assert keys == [0, grown]
+    assert shown[-1][1] > shown[grown - 1][1] + 2
+    assert max(octets[1:]) < 3.5 * 85_000 / 30 / 8

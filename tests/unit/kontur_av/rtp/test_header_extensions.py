@@ -1,0 +1,59 @@
+"""Header extensions: octets of RFC 8285, and garbage."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.errors import ProtocolError
+from kontur_av.rtp.header_extensions import (
+    elements_of,
+    extended,
+    playout_delay_element,
+    send_time_element,
+)
+from kontur_av.rtp.wire import pack_rtp, parse_rtp
+
+PLAIN = pack_rtp(b"media", payload_type=96, marker=True, sequence=7, timestamp=8, ssrc=9)
+
+
+def test_a_packet_has_the_octets_of_the_rfc():
+    packet = extended(PLAIN, [(1, b"0"), (3, playout_delay_element(least_ms=0, most_ms=0))])
+    # X is set; profile BEDE, two words: id 1 of 1 octet, id 3 of 3 octets, padding (section 4.2).
+    assert (
+        packet
+        == bytes([0x90]) + PLAIN[1:12] + bytes.fromhex("bede0002 1030 32000000 0000") + b"media"
+    )
+    assert parse_rtp(packet).payload == b"media"
+
+
+def test_playout_delay_counts_in_ten_milliseconds():
+    assert playout_delay_element(least_ms=100, most_ms=40_950) == bytes.fromhex("00afff")
+    with pytest.raises(ValueError, match="playout delay"):
+        playout_delay_element(least_ms=0, most_ms=40_960)
+
+
+def test_the_send_time_has_18_bits_of_fraction_and_wraps_after_64_s():
+    assert send_time_element(1_500_000_000) == bytes.fromhex("060000")
+    assert send_time_element(64_000_000_000) == bytes(3)
+
+
+@given(
+    st.dictionaries(st.integers(1, 14), st.binary(min_size=1, max_size=16), max_size=14),
+)
+def test_elements_come_back(elements):
+    packet = extended(PLAIN, list(elements.items()))
+    assert elements_of(packet) == elements
+    assert parse_rtp(packet).payload == b"media"
+
+
+@given(st.binary(max_size=80))
+def test_garbage_raises_only_protocol_errors(octets):
+    try:
+        elements_of(bytes([0x90]) + octets)
+    except ProtocolError:
+        return
+
+
+def test_a_packet_with_an_extension_is_refused():
+    with pytest.raises(ValueError, match="extension"):
+        extended(extended(PLAIN, [(1, b"0")]), [(1, b"0")])

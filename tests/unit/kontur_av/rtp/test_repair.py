@@ -1,0 +1,62 @@
+"""Lost packets are asked for, and sent again within bounds."""
+
+from kontur_av.rtp.repair import MOST_MISSING, LossAsker, PacketHistory
+from kontur_av.rtp.wire import parse_rtcp
+
+MS = 1_000_000
+
+
+def asked(asker, now_ns):
+    datagram = asker.poll_transmit(now_ns)
+    return [] if datagram is None else parse_rtcp(datagram)[0].lost
+
+
+def test_a_gap_is_asked_for_at_once_and_again_until_it_is_too_old():
+    asker = LossAsker(ssrc=1)
+    for sequence in (65_534, 65_535, 2):
+        asker.handle_packet(9, sequence, 0)
+    assert asked(asker, 0) == [0, 1]
+    assert asked(asker, 10 * MS) == []
+    assert asker.poll_timeout() == 60 * MS
+    asker.handle_packet(9, 0, 20 * MS)
+    assert asked(asker, 60 * MS) == [1]
+    assert asked(asker, 300 * MS) == []
+    assert asker.poll_timeout() is None
+    assert (asker.mended, asker.given_up) == (1, 1)
+
+
+def test_too_large_a_gap_is_left_to_a_key_picture():
+    asker = LossAsker(ssrc=1)
+    asker.handle_packet(9, 0, 0)
+    asker.handle_packet(9, MOST_MISSING + 1, 0)
+    assert asked(asker, 0) == []
+
+
+def test_a_packet_is_repeated_but_not_too_soon_and_not_too_late():
+    history = PacketHistory()
+    history.handle_sent(5, b"five", 0)
+    assert history.handle_lost([5, 6], 30 * MS) == [b"five"]
+    assert history.handle_lost([5], 31 * MS) == []
+    assert history.handle_lost([5], 60 * MS) == [b"five"]
+    assert history.handle_lost([5], 400 * MS) == []
+    assert (history.asked, history.repeated, history.refused) == (5, 2, 3)
+
+
+def test_a_stranger_cannot_make_the_sender_repeat_without_bound():
+    history = PacketHistory()
+    for sequence in range(400):
+        history.handle_sent(sequence, bytes(1000), 0)
+    octets = sum(
+        len(packet)
+        for round_ in range(100)
+        for packet in history.handle_lost(list(range(400)), round_ * 2 * MS)
+    )
+    # A quarter of the 400000 octets that were sent in this second.
+    assert octets <= 100_000
+
+
+def test_old_packets_leave_the_history():
+    history = PacketHistory(most_packets=2)
+    for sequence in range(3):
+        history.handle_sent(sequence, bytes([sequence]), 0)
+    assert history.handle_lost([0, 1, 2], MS) == [b"\x01", b"\x02"]
