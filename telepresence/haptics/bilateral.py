@@ -6,6 +6,7 @@ between them, form the whole control loop.
 """
 
 from collections.abc import Sequence
+from math import hypot
 from typing import Any, Protocol
 
 from kontur_av.clock import NS_PER_MS
@@ -17,9 +18,10 @@ from telepresence.haptics.joystick_controller import JoystickController, Joystic
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.mediated.estimator import WallEstimator
+from telepresence.haptics.ownership import HapticOwnership
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
-from telepresence.haptics.sample import MODE_IMPEDANCE, STATE_HALTED, Command, Feedback
+from telepresence.haptics.sample import STATE_HALTED, Command, Feedback
 
 #: Longest interval that one call simulates. After a stall, the rest is dropped.
 _MAX_ADVANCE_NS = 50 * NS_PER_MS
@@ -179,9 +181,10 @@ class RobotSide(_Side):
     robot: used instead of the default robot.
     model: parameters of the controller.
     mediated: the wall is estimated; send what `poll_wall` returns as telemetry.
+    ownership: who may drive, where a partner can; the caller asks it for each datagram.
 
     force_x_n, force_y_n: the coordinating force (N). For `robot`, see `Robot`.
-    Outside impedance mode the robot follows its own mode, and the operator feels nothing.
+    A robot that is not coupled follows its own mode, and the operator feels nothing.
     """
 
     def __init__(
@@ -193,8 +196,10 @@ class RobotSide(_Side):
         model: RobotControllerModel | None = None,
         link: HapticLink[Feedback, Command] | None = None,
         mediated: bool = False,
+        ownership: HapticOwnership | None = None,
     ) -> None:
         self.robot = robot = robot or Robot(board=board)
+        self.ownership = ownership
         self.estimator = WallEstimator() if mediated else None
         self.controller: RobotController = RobotController(
             model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
@@ -210,19 +215,23 @@ class RobotSide(_Side):
         x_m, y_m = robot.x_m, robot.y_m
         acted = self._advance(now_ns, advance_ns)
         contact = robot.contact
+        if self.ownership is not None:
+            speed_m_s = hypot(robot.vx_m_s, robot.vy_m_s)
+            if self.ownership.handle_robot(speed_m_s, now_ns):
+                # No energy of the owner before pays for a movement of the new one.
+                controller.port.discard_credit(max(0.0, controller.port.credit_j))
         if self.estimator is not None:
             self.estimator.handle_sample(now_ns, x_m, y_m, robot.push_x_n, robot.push_y_n, contact)
         self.lit = lit = led_at(robot.x_m, robot.y_m) if contact else None
-        mode = robot.mode
         feedback = (
             robot.push_x_n,
             robot.push_y_n,
             controller.port.granted_uj,
             contact,
-            mode,
+            robot.mode,
             lit,
             acted,
-            mode != MODE_IMPEDANCE,
+            not robot.coupled,
         )
         self.link.handle_local(_tuple(Feedback, feedback), now_ns)
 
@@ -234,11 +243,13 @@ class RobotSide(_Side):
         if dt_ns <= 0:
             return
         robot, controller = self.robot, self.controller
-        if robot.mode != MODE_IMPEDANCE:
+        if not robot.coupled:
             robot.drive(dt_ns)
             controller.release(robot.x_m, robot.y_m)
             self.force_x_n = self.force_y_n = 0.0
             return
+        if self.ownership is not None:
+            command = self.ownership.admit(command)
         x, y, vx, vy = robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s
         fx, fy = controller.step(command, x, y, vx, vy, dt_ns, touching=robot.contact)
         self.force_x_n, self.force_y_n = fx, fy

@@ -6,7 +6,7 @@ element exerts a force on the tip; the forces add up.
 
 from bisect import bisect_right
 from dataclasses import dataclass, field
-from math import atan2, cos, hypot, sin, sqrt, tau
+from math import atan2, cos, hypot, pi, sin, sqrt, tau
 
 #: The contact wall is the line x = WALL_X_M. The tip reaches it from smaller x.
 WALL_X_M = 0.06
@@ -18,6 +18,13 @@ LEDS_M: tuple[tuple[float, float], ...] = (
     (-0.06, 0.05),
     (-0.06, -0.05),
 )
+#: The LED panel for tasks, within the contour: LED 0 in the middle, LEDs 1 to 7 on a circle.
+LIGHTS_M: tuple[tuple[float, float], ...] = (
+    (-0.045, 0.0),
+    *((-0.045 + 0.042 * cos(pi + k * tau / 7), 0.042 * sin(pi + k * tau / 7)) for k in range(7)),
+)
+#: The line to trace, from its beginning to its end.
+LINE_M: tuple[tuple[float, float], tuple[float, float]] = ((0.038, -0.07), (0.038, 0.07))
 #: A contact within this distance of an LED's centre lights the LED.
 LED_REACH_M = 0.012
 

@@ -84,7 +84,11 @@ class Hand:
 
     model: `SOFT_GRIP` by default.
     x_m, y_m, vx_m_s, vy_m_s: intended position and velocity.
+    dead_man: it presses the dead-man button. buttons: the others that it presses, a mask.
     """
+
+    dead_man = True
+    buttons = 0
 
     def __init__(
         self, model: HandModel | None = None, *, script: Sequence[Waypoint] = TAP_TARGETS

@@ -285,6 +285,11 @@ class HapticLink(Generic[Out, In]):
         return self._newest_sequence
 
     @property
+    def hearing(self) -> bool:
+        """Whether samples of the peer arrive."""
+        return self._hearing
+
+    @property
     def restarts(self) -> int:
         return self.session.restarts
 

@@ -48,11 +48,13 @@ class Robot:
     force_n: normal force of the wall, >= 0.
     contact: the tip touches the wall or the spring.
     mode: one of MODE_....
+    coupled: the caller computes the force of impedance mode, such as the bilateral controller, and
+    calls `step`; otherwise call `drive`.
     work_j: work that the joints have done at the tip.
 
     In torque mode it applies `set_torque`; in position mode it moves to `set_position` and stays.
     In impedance mode a spring and a damper pull the tip to the centre given to `set_impedance`.
-    A caller that computes the force itself, such as the bilateral controller, calls `step`.
+    It is coupled at first.
     """
 
     def __init__(
@@ -71,7 +73,7 @@ class Robot:
         self.force_n = 0.0
         self.contact = False
         self.work_j = 0.0
-        self.mode = MODE_IMPEDANCE
+        self.couple()
         self._torque_x = self._torque_y = 0.0
         self._target_x, self._target_y = x_m, y_m
         self._setpoint_x, self._setpoint_y = x_m, y_m
@@ -79,27 +81,31 @@ class Robot:
         self._press = self.board.press
         self._limit, self._friction = self.model.force_limit_n, self.model.friction_n_s_m
 
+    def couple(self) -> None:
+        """From now on the caller computes the force of impedance mode."""
+        self.mode, self.coupled = MODE_IMPEDANCE, True
+
     def set_off(self) -> None:
         """Switch to off: no torque; the brakes hold."""
-        self.mode = MODE_OFF
+        self.mode, self.coupled = MODE_OFF, False
 
     def set_torque(self, first_n_m: float, second_n_m: float) -> None:
         """Apply torques to the joints (N m); the first joint moves the tip along x."""
-        self.mode = MODE_TORQUE
+        self.mode, self.coupled = MODE_TORQUE, False
         self._torque_x, self._torque_y = first_n_m, second_n_m
 
     def set_position(self, x_m: float, y_m: float) -> None:
         """Move to (x_m, y_m) at `position_m_s`, and stay there."""
         if self.mode != MODE_POSITION:
             self._setpoint_x, self._setpoint_y = self.x_m, self.y_m
-        self.mode = MODE_POSITION
+        self.mode, self.coupled = MODE_POSITION, False
         self._target_x, self._target_y = x_m, y_m
 
     def set_impedance(
         self, x_m: float, y_m: float, stiffness_n_m: float, damping_n_s_m: float
     ) -> None:
         """Pull the tip to the resting point (x_m, y_m) with a spring and a damper."""
-        self.mode = MODE_IMPEDANCE
+        self.mode, self.coupled = MODE_IMPEDANCE, False
         self._target_x, self._target_y = x_m, y_m
         self._stiffness, self._damping = stiffness_n_m, damping_n_s_m
 

@@ -25,10 +25,10 @@ from telepresence.world.board import (
     draw_board,
     homography,
 )
-from telepresence.world.brush import Brush
+from telepresence.world.brush import Brush, yuv
 from telepresence.world.geometry import PinholeCamera, looking_at, looking_down
 from telepresence.world.lettering import Caption
-from telepresence.world.state import LEDS_M, WorldState
+from telepresence.world.state import LEDS_M, Lights, WorldState
 
 #: Half the distance between the two eyes of the stereo pair, and their position over the board.
 EYE_X_M, EYE_Y_M, EYE_Z_M = 0.115, -0.055, 0.56
@@ -92,12 +92,24 @@ class GroundView:
                 self._lights[lit] = _light(self._still, self._camera, lit, self._sway)
             self._lights[lit].lay(into, across, down)
         brush = Brush(into)
+        offset = complex(self._sway - across, self._sway - down)
+        if state.lights.places_m:
+            self._shine(brush, state.lights, offset)
         if stylus:
-            offset = complex(self._sway - across, self._sway - down)
             self._arm.draw(brush, state.x_m, state.y_m, offset)
         if self._sway:
             self._caption.paint(into)
         self._caption.count(brush.y, frame)
+
+    def _shine(self, brush: Brush, lights: Lights, offset: complex) -> None:
+        places = np.array(lights.places_m)
+        turn = 2 * np.pi * np.arange(16) / 16
+        rim = lights.radius_m * np.stack((np.cos(turn), np.sin(turn)), axis=-1)
+        outlines = np.zeros((len(places), len(turn), 3))
+        outlines[..., :2] = places[:, None] + rim
+        pixels = self._camera.project(outlines.reshape(-1, 3)).reshape(len(places), -1, 2)
+        points = pixels[..., 0] + 1j * pixels[..., 1] + offset
+        brush.shapes(points, [yuv(*lights.colour)] * len(places))
 
     def _turned(self, time_ns: int) -> tuple[int, int]:
         """Return the turn of the head in pixels, each 0 to twice the sway."""

@@ -18,6 +18,15 @@ BOARD_HEIGHT_M = 0.20
 
 
 @dataclass(frozen=True, slots=True)
+class Lights:
+    """What shines on the board for a task. places_m: centres of round lights of `radius_m`."""
+
+    places_m: tuple[tuple[float, float], ...] = ()
+    radius_m: float = 0.005
+    colour: tuple[int, int, int] = (255, 255, 255)
+
+
+@dataclass(frozen=True, slots=True)
 class WorldState:
     """What the cameras see and the microphones hear at one instant.
 
@@ -28,6 +37,7 @@ class WorldState:
     contact_since_ns: when the contact began, if known.
     touched_ns: when the newest contact began, even if it has ended. The microphone's click begins
     at that sample.
+    lights: of the LED panel.
     """
 
     time_ns: int
@@ -37,6 +47,7 @@ class WorldState:
     contact: bool = False
     contact_since_ns: int | None = None
     touched_ns: int | None = None
+    lights: Lights = Lights()
 
     def at(self, instant_ns: int) -> "WorldState":
         """Return the state without a contact that began after `instant_ns`.

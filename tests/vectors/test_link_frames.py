@@ -10,12 +10,8 @@ from hypothesis import strategies as st
 from telepresence.link.flows import Level, packet_flow, video_flow, voice_flow
 from telepresence.link.frame import FrameCodec, Pointers
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
-from telepresence.link.receiver import (
-    HapticReceived,
-    LinkReceiver,
-    PacketReceived,
-    SupervisionReceived,
-)
+from telepresence.link.received import HapticReceived, PacketReceived, SupervisionReceived
+from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import LinkSender
 
 FLOWS = [
@@ -212,7 +208,7 @@ def test_a_dropped_packet_is_not_reported_as_ended():
     for frame in (*frames, sender.poll_transmit(0)):
         assert receiver.handle_frame(frame, 0)
     assert [event[0] for event in iter(receiver.next_event, None)] == [MESSAGE, FLOWS[2]]
-    assert receiver.packets_dropped == {"incomplete": 1}
+    assert receiver.packets.dropped == {"incomplete": 1}
 
 
 def test_kinds_of_rtp_packets_and_their_flow():

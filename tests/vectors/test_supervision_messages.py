@@ -4,6 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from telepresence.link.clock.message import (
+    NO_AGE_US,
+    ClockMessage,
+    message_mark,
+    pack_clock,
+    parse_clock,
+)
 from telepresence.link.flows import Level, packet_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.supervision.message import (
@@ -133,6 +140,44 @@ def test_packing_restores_what_was_parsed(data):
     if message is not None:
         assert message_version(data) == message.version
         assert pack_message(message) == data
+
+
+CLOCKS = [
+    (ClockMessage(2, True, 0x1234, 0xFEDCBA98, 0xDC, 0x010203), "25 10 1234 fedcba98 dc 010203"),
+    (ClockMessage(2, False, 1, 0, 0, NO_AGE_US), "25 00 0001 00000000 00 ffffff"),
+]
+
+
+@pytest.mark.parametrize(("message", "octets"), CLOCKS)
+def test_clock_golden(message, octets):
+    assert pack_clock(message) == bytes.fromhex(octets)
+    assert parse_clock(bytes.fromhex(octets)) == message
+    assert parse_message(bytes.fromhex(octets)) is None
+
+
+def test_a_clock_is_known_by_bits_of_its_instant():
+    assert message_mark(0xFEDCBA98) == 0xDC
+
+
+@pytest.mark.parametrize(
+    ("octets", "what"),
+    [
+        ("251812340000000000000000", "a flag besides that of the master"),
+        ("251000000000000000000000", "life 0"),
+        ("051012340000000000000000", "version 0"),
+        ("241012340000000000000000", "another kind"),
+        ("2510123400000000000000", "too short"),
+    ],
+)
+def test_impossible_clocks_are_refused(octets, what):
+    assert parse_clock(bytes.fromhex(octets)) is None, what
+
+
+@given(st.binary(min_size=12, max_size=12))
+def test_packing_restores_what_was_parsed_of_a_clock(data):
+    message = parse_clock(bytes((data[0] & 0xF0 | 5, data[1] & 0x10)) + data[2:])
+    if message is not None:
+        assert pack_clock(message)[2:] == data[2:]
 
 
 UP = [packet_flow("tc", Level.TMTC), voice_flow("voice")]

@@ -34,30 +34,38 @@ def spring_check(facts: DeviceFacts) -> CheckScript:
         return CheckResult(NAME, skipped="this device has no motors to make a spring with")
     figures: list[Figure] = []
     for axis in (0, 1):
-        name = "xy"[axis]
-        start = (_DISPLACED_M, 0.0) if axis == 0 else (0.0, _DISPLACED_M)
-        cycle, there = yield from travel(cycle, *start)
-        if not there:
-            return CheckResult(
-                NAME, tuple(figures), f"axis {name} does not move to where it is pushed"
-            )
-        cycle, turns_s = yield from _swing(cycle, axis)
-        stiffness = _stiffness(turns_s, facts)
-        # The handle has come to rest, so it must lie within the dead band of its friction.
-        rest_m = cycle.reading.place(axis)
-        band_m = 1.6 * facts.coulomb_n / STIFFNESS_N_M + _REST_MARGIN_M
-        figures += [
-            Figure(
-                f"stiffness {name}",
-                stiffness,
-                "N/m",
-                (1 - _TOLERANCE) * STIFFNESS_N_M,
-                (1 + _TOLERANCE) * STIFFNESS_N_M,
-            ),
-            Figure(f"rest {name}", rest_m * 1e3, "mm", -band_m * 1e3, band_m * 1e3),
-        ]
+        cycle, found = yield from stiffness_figures(cycle, facts, axis)
+        if found is None:
+            trouble = f"axis {'xy'[axis]} does not move to where it is pushed"
+            return CheckResult(NAME, tuple(figures), trouble)
+        figures += found
     cycle, _ = yield from travel(cycle, 0.0, 0.0)
     return CheckResult(NAME, tuple(figures))
+
+
+def stiffness_figures(
+    cycle: Cycle, facts: DeviceFacts, axis: int
+) -> Script[tuple[Cycle, list[Figure] | None]]:
+    """Return the figures of one axis, or None if it does not move; it takes about 2 s."""
+    name = "xy"[axis]
+    start = (_DISPLACED_M, 0.0) if axis == 0 else (0.0, _DISPLACED_M)
+    cycle, there = yield from travel(cycle, *start)
+    if not there:
+        return cycle, None
+    cycle, turns_s = yield from _swing(cycle, axis)
+    # The handle has come to rest, so it must lie within the dead band of its friction.
+    rest_m = cycle.reading.place(axis)
+    band_m = 1.6 * facts.coulomb_n / STIFFNESS_N_M + _REST_MARGIN_M
+    return cycle, [
+        Figure(
+            f"stiffness {name}",
+            _stiffness(turns_s, facts),
+            "N/m",
+            (1 - _TOLERANCE) * STIFFNESS_N_M,
+            (1 + _TOLERANCE) * STIFFNESS_N_M,
+        ),
+        Figure(f"rest {name}", rest_m * 1e3, "mm", -band_m * 1e3, band_m * 1e3),
+    ]
 
 
 def _swing(cycle: Cycle, axis: int) -> Script[tuple[Cycle, list[float]]]:

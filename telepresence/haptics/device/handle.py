@@ -23,6 +23,7 @@ class OperatedHandle:
     x_m, y_m: calibrated position; it rests while there is no calibration.
     force_limit_n: 0 outside the application and while the dead-man button is released.
     dead_man, buttons, state: the values that the command samples carry.
+    pressed: how often a button went down.
 
     Its time is the sum of what `step` was told, so it runs on virtual time too.
     """
@@ -33,7 +34,7 @@ class OperatedHandle:
         self.x_m = self.y_m = 0.0
         self.force_limit_n = 0.0
         self.dead_man = False
-        self.buttons = 0
+        self.buttons = self.pressed = 0
         self.state = int(JoystickState.INIT)
         self._known = JoystickState.INIT
         self._placed = False
@@ -62,6 +63,10 @@ class OperatedHandle:
         self.force_limit_n = self.operation.force_limit_n
         return refusal
 
+    def handle_exercise(self, lasts_ns: int) -> None:
+        """Have a fault for so long: a trainer's exercise. 0 or less ends it."""
+        self.operation.handle_exercise(self._now_ns + lasts_ns)
+
     def report(self) -> JoystickFigures:
         """Return `Operation.report`, and the last 20 transitions."""
         while (transition := self.operation.next_event()) is not None:
@@ -87,5 +92,8 @@ class OperatedHandle:
             self._known, self.state, self._placed = state, int(state), state in _PLACED
         if self._placed:
             self.x_m, self.y_m = reading[0], reading[1]
-        self.buttons, self.dead_man = reading[4], reading[5]
+        if reading[4] & ~self.buttons:
+            self.pressed += 1
+        # The button that a test asks for is none for the robot or the panel.
+        self.buttons, self.dead_man = reading[4], reading[5] and not operation.testing
         self.force_limit_n = operation.force_limit_n

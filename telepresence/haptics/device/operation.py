@@ -10,6 +10,7 @@ from math import isfinite
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.calibration import Calibration, calibrate
 from telepresence.haptics.device.device import JoystickDevice, Reading
+from telepresence.haptics.device.functional_test import Outcome, TestReport, functional_test
 from telepresence.haptics.device.script import IDLE, ScriptRun
 from telepresence.haptics.device.states import (
     REQUESTS,
@@ -38,7 +39,12 @@ UNFELT_FORCE_LIMIT_N = 10.0
 _CHECK_NS = 10 * NS_PER_MS
 
 #: Requests that are refused while the supervisor has a reason to halt.
-_NEED_HEALTH = (JoystickEvent.CALIBRATE, JoystickEvent.START, JoystickEvent.RESUME)
+_NEED_HEALTH = (
+    JoystickEvent.CALIBRATE,
+    JoystickEvent.START,
+    JoystickEvent.RESUME,
+    JoystickEvent.TEST,
+)
 
 #: A person's commands that resume a halted joystick first.
 _FROM_HALTED = (JoystickEvent.CALIBRATE, JoystickEvent.START)
@@ -57,6 +63,7 @@ class Operation:
     reading: the newest reading; its position is calibrated once `calibration` is set.
     force_limit_n: the force (N) that the controller may use until the next reading, per axis; 0
     outside the application.
+    test: the newest functional test.
     """
 
     def __init__(
@@ -77,12 +84,14 @@ class Operation:
         self.force_limit_n = 0.0
         self.prompt = ""
         self.released = 0
+        self.test = TestReport()
         self._automatic = automatic
         self._hands_off = hands_off
         self._full_force_n = (
             self.facts.force_limit_n if self.facts.has_force else UNFELT_FORCE_LIMIT_N
         )
         self._run: ScriptRun[Calibration] | None = None
+        self._test: ScriptRun[TestReport] | None = None
         self._output = IDLE
         self._leds = -1
         self._shown: JoystickState | None = None
@@ -102,6 +111,11 @@ class Operation:
     def state(self) -> JoystickState:
         """The state that the joystick is in."""
         return self.machine.state
+
+    @property
+    def testing(self) -> bool:
+        """Whether the functional test has the handle."""
+        return self._test is not None
 
     @property
     def reason(self) -> str:
@@ -134,6 +148,11 @@ class Operation:
         """A fresh sample of the peer has arrived."""
         self.supervisor.handle_heard(now_ns)
 
+    def handle_exercise(self, until_ns: int) -> None:
+        """Take every reading for a fault until `until_ns`: a trainer's exercise."""
+        self._check_ns = 0
+        self.supervisor.handle_exercise(until_ns)
+
     def handle_request(self, event: JoystickEvent, now_ns: int, reason: str = "") -> str:
         """Carry out a person's request; return "" or one line that says why it was refused."""
         if event not in REQUESTS:
@@ -148,6 +167,10 @@ class Operation:
         if refusal:
             return refusal
         self._run = None
+        self._abort_test(f"{event.value}: {reason or _BY_A_PERSON}")
+        if event is JoystickEvent.TEST:
+            self._test = ScriptRun(functional_test(self.facts))
+            self.test = TestReport(Outcome.RUNNING, number=self.test.number + 1)
         if event is JoystickEvent.CALIBRATE:
             self._forget_calibration()
             self._run = ScriptRun(calibrate(self.facts))
@@ -168,6 +191,7 @@ class Operation:
         start: it goes on by itself from self-test, standby and calibration; from halted, it resumes
         and starts. resume: it goes on by itself.
         calibrate: from halted, it resumes first. A pause stays.
+        test: where it is calibrated, so that a person stops it first. A pause stays.
         """
         state = self.machine.state
         if event in (JoystickEvent.HALT, JoystickEvent.STOP):
@@ -298,6 +322,7 @@ class Operation:
             machine.handle_event(JoystickEvent.CALIBRATION_FAILED, now_ns, reason)
         if machine.state is not state:
             self._run = None
+            self._abort_test(reason)
             self._output = IDLE
             self.prompt = ""
             self.supervisor.expects_peer = False
@@ -325,6 +350,8 @@ class Operation:
                     self.device.set_zero(found.x_m, found.y_m)
                     self.supervisor.set_workspace(found.half_width_m, found.half_height_m)
                     machine.handle_event(JoystickEvent.CALIBRATION_PASSED, now_ns)
+        elif self._test is not None:
+            self._continue_test(self._test, raw, now_ns)
         elif self._automatic and not self._paused:
             self._request_next(state, now_ns)
 
@@ -337,11 +364,32 @@ class Operation:
         self.force_limit_n = 0.0
         if (machine.state, event) in TRANSITIONS:
             return self.handle_request(event, now_ns, _BY_A_PERSON)
-        # There is no force here but that of a calibration.
+        # There is no force here but that of a calibration or a test.
         self._run = None
+        self._abort_test(f"{event.value}: {_BY_A_PERSON}")
         self._output = IDLE
         self.prompt = ""
         return ""
+
+    def _continue_test(self, run: ScriptRun[TestReport], raw: Reading, now_ns: int) -> None:
+        self._output = run.handle_reading(raw, now_ns)
+        self.prompt = self._output.prompt
+        if run.result is not None:
+            self._test = None
+            self.prompt = ""
+            self.test = found = run.result._replace(number=self.test.number)
+            passed = found.outcome is Outcome.PASSED
+            event = JoystickEvent.TEST_PASSED if passed else JoystickEvent.TEST_FAILED
+            self.machine.handle_event(event, now_ns, found.reason)
+
+    def _abort_test(self, reason: str) -> None:
+        """End the test, if there is one; its force ends with the next `handle_force`."""
+        if self._test is not None:
+            self._test.abort()
+            self._test = None
+            self._output = IDLE
+            self.prompt = ""
+            self.test = self.test._replace(outcome=Outcome.ABORTED, reason=reason)
 
     def _forget_calibration(self) -> None:
         self.calibration = None

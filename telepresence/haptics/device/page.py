@@ -70,8 +70,8 @@ class PageDevice(Mechanics):
     held: the hand holds the handle, and the reading's dead-man button is pressed.
     ignored: inputs that were too old, repeated, not finite or out of range.
 
-    The hand takes the handle only in the application. While the joystick calibrates itself the
-    handle is free; otherwise it is braked where it is.
+    The hand takes the handle only in the application. While the joystick calibrates or tests itself
+    the handle is free; otherwise it is braked where it is.
     """
 
     facts = FACTS
@@ -84,6 +84,7 @@ class PageDevice(Mechanics):
         self.held = False
         self.ignored = 0
         self._application = self._braked = False
+        self._all_leds = (1 << self.facts.leds) - 1
         self._buttons = 0
         self._newest: PageInput | None = None
         self._fresh_until_ns = 0
@@ -131,11 +132,19 @@ class PageDevice(Mechanics):
             joystick.vx_m_s,
             joystick.vy_m_s,
             self._buttons,
-            self.held,
+            self.held or self._asked,
             joystick.temperature_c,
             True,
         )
         return tuple.__new__(Reading, reading)
+
+    @property
+    def _asked(self) -> bool:
+        """All LEDs ask for the dead-man button, as the functional test does, and it is pressed."""
+        newest = self._newest
+        if self.leds != self._all_leds or newest is None or not newest.dead_man:
+            return False
+        return self._now_ns < self._fresh_until_ns
 
     def show_state(self, state: JoystickState) -> None:
         """Let the hand take the handle in the application only."""
@@ -166,7 +175,7 @@ class PageDevice(Mechanics):
             self._buttons = 0
             self.held = False
         if not self.held:
-            brake = model.brake_n_s_m if self._braked else 0.0
+            brake = model.brake_n_s_m if self._braked and not self._asked else 0.0
             brake_x, brake_y = -brake * joystick.vx_m_s, -brake * joystick.vy_m_s
             joystick.push(self._force_x_n, self._force_y_n, brake_x, brake_y, 0.0, dt_ns)
             return

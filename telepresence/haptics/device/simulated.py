@@ -70,6 +70,10 @@ FAULTS: Mapping[str, Faults] = MappingProxyType(
 _REACTION_NS = 250 * NS_PER_MS
 #: Time that a hand takes to close around the handle. Chosen.
 _GRIP_NS = 400 * NS_PER_MS
+#: A hand that has felt nothing of the robot for this long lets go, and grips again after feeling it
+#: for this long. Chosen.
+_LET_GO_NS = NS_PER_S
+_GRIP_AGAIN_NS = 500 * NS_PER_MS
 #: Longest interval that one call simulates. After a stall, the rest is dropped.
 _MAX_ADVANCE_NS = 50 * NS_PER_MS
 
@@ -157,6 +161,7 @@ class SimulatedDevice(Mechanics):
     """`Joystick` with sensors, buttons and LEDs, and optionally a hand.
 
     hand: holds the handle and presses the dead-man button while the joystick is in the application.
+    Elsewhere its fingers answer the LEDs.
     start_m: position of the handle at power-on.
     stuck: an axis that does not move from now on; -1 for none.
     """
@@ -181,17 +186,34 @@ class SimulatedDevice(Mechanics):
         self._lost_ns = faults.lost_ns
         self.fingers = Fingers(self.facts.leds)
         self._held_ns = -1
+        self._let_go = False
+        self._robot_heard: bool | None = None
+        self._changed_ns = 0
+
+    def handle_robot(self, heard: bool, now_ns: int) -> None:
+        """The robot's samples arrive, or none do: let the dead-man button go while it is gone.
+
+        A hand that is never told holds it all the time.
+        """
+        if heard is not self._robot_heard:
+            self._robot_heard, self._changed_ns = heard, now_ns
+        elif now_ns - self._changed_ns >= (_GRIP_AGAIN_NS if heard else _LET_GO_NS):
+            self._let_go = not heard
 
     def read(self) -> Reading:
         """Return what the encoders, the buttons and the thermometer measure."""
         joystick, fingers = self.joystick, self.fingers
-        held = self._held_ns >= 0 or fingers.dead_man
+        hand, buttons = self.hand, fingers.buttons
+        held = fingers.dead_man and not self._let_go
+        if hand is not None and self._held_ns >= 0:
+            buttons |= hand.buttons
+            held = hand.dead_man and not self._let_go
         reading = (
             joystick.x_m - self._zero_x,
             joystick.y_m - self._zero_y,
             joystick.vx_m_s,
             joystick.vy_m_s,
-            fingers.buttons & self._live_buttons,
+            buttons & self._live_buttons,
             held,
             joystick.temperature_c,
             self._now_ns < self._lost_ns,
@@ -213,14 +235,15 @@ class SimulatedDevice(Mechanics):
         """Let the hand take the handle in the application, and release it elsewhere."""
         if self.hand is not None:
             self._held_ns = 0 if state is JoystickState.APPLICATION else -1
+            self.fingers = Fingers(self.facts.leds)
 
     def _step(self, dt_ns: int) -> None:
         joystick, hand = self.joystick, self.hand
         x, y, vx, vy = joystick.x_m, joystick.y_m, joystick.vx_m_s, joystick.vy_m_s
         hand_x = hand_y = hand_kg = 0.0
-        if hand is None:
+        if self._held_ns < 0:
             self.fingers.advance(dt_ns)
-        elif self._held_ns >= 0:
+        elif hand is not None:
             hand_x, hand_y = hand.force(x, y, vx, vy, dt_ns)
             hand_kg = hand.mass_kg
             if self._held_ns < _GRIP_NS:

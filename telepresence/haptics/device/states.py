@@ -4,8 +4,9 @@ The states and errors are those of the Kontur-2 joystick (C. Riecke et al., "Kon
 DLR force feedback joystick for space telemanipulation from the ISS", i-SAIRAS 2016). The table of
 transitions is this project's own. A state's number travels in octet 3 of each command sample.
 
-There is force only in `APPLICATION`, and during the calibration in `STANDBY`. `FATAL` is final:
-only a restart of the process leaves it, and that begins with the self-test.
+There is force only in `APPLICATION`, during the calibration in `STANDBY`, and during the functional
+test in `CALIBRATED`. `FATAL` is final: only a restart of the process leaves it, and that begins
+with the self-test.
 """
 
 from collections import deque
@@ -54,10 +55,13 @@ class JoystickEvent(Enum):
     HALT = "halt"
     RESUME = "resume"
     ACKNOWLEDGE = "acknowledge"
+    TEST = "test"
 
     SELF_TEST_PASSED = "self-test passed"
     CALIBRATION_PASSED = "calibration passed"
     CALIBRATION_FAILED = "calibration failed"
+    TEST_PASSED = "test passed"
+    TEST_FAILED = "test failed"
     FAULT = "fault"
     FATAL_FAULT = "fatal fault"
 
@@ -71,6 +75,7 @@ REQUESTS = frozenset(
         JoystickEvent.HALT,
         JoystickEvent.RESUME,
         JoystickEvent.ACKNOWLEDGE,
+        JoystickEvent.TEST,
     }
 )
 
@@ -86,6 +91,10 @@ def _table() -> dict[tuple[JoystickState, JoystickEvent], JoystickState]:
         (s.CALIBRATED, e.START): s.APPLICATION,
         (s.CALIBRATED, e.CALIBRATE): s.STANDBY,
         (s.CALIBRATED, e.HALT): s.HALTED,
+        # It stays calibrated while it tests itself, so no robot follows it.
+        (s.CALIBRATED, e.TEST): s.CALIBRATED,
+        (s.CALIBRATED, e.TEST_PASSED): s.CALIBRATED,
+        (s.CALIBRATED, e.TEST_FAILED): s.CALIBRATED,
         (s.APPLICATION, e.STOP): s.CALIBRATED,
         (s.APPLICATION, e.HALT): s.HALTED,
         # Never straight back into the application: force requires a request.

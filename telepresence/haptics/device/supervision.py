@@ -8,6 +8,7 @@
 | place | | | | `outside_m` beyond the workspace |
 | velocity | | | | faster than any hand: `speed_m_s` |
 | numbers | | | | not finite; the device is gone (fatal) |
+| a trainer's exercise | | | | for as long as it lasts |
 """
 
 from dataclasses import dataclass
@@ -83,6 +84,8 @@ class JoystickSupervisor:
         self._heard_ns: int | None = None
         self._silent = False
         self._speed_m_s = self.limits.speed_m_s
+        #: Until when a trainer's exercise lasts; None without one.
+        self._exercise_ns: int | None = None
         self.forget_workspace()
 
     @property
@@ -102,8 +105,21 @@ class JoystickSupervisor:
     def set_workspace(self, half_width_m: float, half_height_m: float) -> None:
         """Judge positions from now on: the handle is calibrated to these half widths."""
         self._half_m = (half_width_m, half_height_m)
-        self._reach_x_m = half_width_m + self.limits.outside_m
-        self._reach_y_m = half_height_m + self.limits.outside_m
+        self._set_reach()
+
+    def handle_exercise(self, until_ns: int) -> None:
+        """Judge every reading as a fault until `until_ns`: a trainer's exercise."""
+        self._exercise_ns = until_ns
+        self._set_reach()
+
+    def _set_reach(self) -> None:
+        half_width_m, half_height_m = self._half_m
+        outside_m = self.limits.outside_m
+        if self._exercise_ns is not None:
+            # No place is plausible, so the usual case costs no further comparison.
+            half_width_m = half_height_m = -1.0 - outside_m
+        self._reach_x_m = half_width_m + outside_m
+        self._reach_y_m = half_height_m + outside_m
 
     def forget_workspace(self) -> None:
         """Do not judge positions until the next calibration."""
@@ -122,7 +138,13 @@ class JoystickSupervisor:
             and -speed <= vy_m_s <= speed
             and (temperature_c is None or isfinite(temperature_c))
         ):
-            return self._judge_sensors(reading)
+            if self._exercise_ns is None or not present:
+                return self._judge_sensors(reading)
+            if now_ns < self._exercise_ns:
+                return self._set_health(Health.FAULT, "a fault of the trainer's exercise")
+            self._exercise_ns = None
+            self._set_reach()
+            return self.handle_reading(reading, now_ns)
         if temperature_c is not None and now_ns >= self._check_ns:
             self._check_ns = now_ns + _CHECK_NS
             self._handle_temperature(temperature_c)

@@ -402,3 +402,25 @@ def test_samples_carry_the_state_and_the_fatal_state_is_final():
     # The LED that the robot lights is lit on the joystick too.
     assert (0b001, 0) in lights
     assert joystick_side.controller.least_observed_uj >= -1
+
+
+def test_a_trainers_exercise_is_a_fault_until_its_end_and_then_it_recovers_by_itself():
+    session = Session().into_application()
+    session.handle.handle_exercise(3 * NS_PER_S)
+    session.run(0.1)
+    assert session.operation.state is JoystickState.RECOVERABLE
+    assert "trainer" in session.operation.trouble
+    assert session.handle.force_limit_n == 0.0
+    session.run(2.8)
+    assert session.operation.state is JoystickState.RECOVERABLE
+    session.run(6)
+    assert session.operation.state is JoystickState.APPLICATION
+    session.handle.handle_exercise(-1)
+    session.run(0.1)
+    assert session.operation.state is JoystickState.APPLICATION, "it is over"
+    # A device that is gone is worse than any exercise.
+    supervisor = session.operation.supervisor
+    supervisor.handle_exercise(NS_PER_S)
+    rest = Reading(0.0, 0.0, 0.0, 0.0, dead_man=True)
+    assert supervisor.handle_reading(rest, 0).name == "FAULT"
+    assert supervisor.handle_reading(rest._replace(present=False), 0).name == "FATAL"

@@ -1,0 +1,145 @@
+"""FunctionalTest: the joystick tests itself within a session, while it leads no robot.
+
+A person lets the dead-man button go, then holds it; all LEDs and a prompt ask for that. While it is
+held, the motors move each axis aside and back, then display a spring, as `check_spring` does. The
+places test the encoders, the stiffness tests the motors. A person moves a device without motors.
+The motors never push without the dead-man button, and never with more than `FORCE_N`.
+"""
+
+from enum import StrEnum
+from typing import NamedTuple, TypeVar
+
+from kontur_av.clock import NS_PER_S
+from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
+from telepresence.haptics.device.check_spring import stiffness_figures
+from telepresence.haptics.device.check_workspace import workspace_check
+from telepresence.haptics.device.device import DeviceFacts
+from telepresence.haptics.device.script import IDLE, Cycle, Output, Script, travel
+
+NAME = "functional test"
+#: The largest force per axis; the spring needs 6 N. Chosen.
+FORCE_N = 6.5
+#: Where each axis is moved to (m), within the workspace of every joystick here. Chosen.
+ASIDE_M = 0.03
+#: The largest force while an axis is moved aside (N): a hand holds it back easily.
+_MOVE_N = 4.0
+#: Time that a person has to press or let go.
+PATIENCE_NS = 10 * NS_PER_S
+
+_Result = TypeVar("_Result")
+
+
+class Outcome(StrEnum):
+    """What became of the newest test."""
+
+    NONE = "none"
+    RUNNING = "running"
+    PASSED = "passed"
+    FAILED = "failed"
+    ABORTED = "aborted"
+
+
+class Part(StrEnum):
+    """The part that a failed or aborted test was about."""
+
+    NONE = "none"
+    DEAD_MAN = "dead-man button"
+    PLACE = "place"
+    FORCE = "force"
+
+
+class TestReport(NamedTuple):
+    """The newest test. reason: one line, "" if it passed or runs. number: how many have begun."""
+
+    outcome: Outcome = Outcome.NONE
+    part: Part = Part.NONE
+    reason: str = ""
+    number: int = 0
+
+
+def functional_test(facts: DeviceFacts) -> Script[TestReport]:
+    """Return the script: about 12 s with motors, and what the person takes. `number` is 0."""
+    cycle: Cycle = yield IDLE
+    leds = (1 << facts.leds) - 1
+    released = Output(prompt="let go of the dead-man button")
+    cycle, there = yield from _await_dead_man(cycle, released, wanted=False)
+    if not there:
+        return TestReport(Outcome.FAILED, Part.DEAD_MAN, "the dead-man button was not let go")
+    held = Output(leds=leds, prompt="press and hold the dead-man button, hold the handle loosely")
+    cycle, there = yield from _await_dead_man(cycle, held, wanted=True)
+    if not there:
+        return TestReport(Outcome.FAILED, Part.DEAD_MAN, "the dead-man button was not pressed")
+    if facts.has_force:
+        result = yield from _while_held(_with_motors(facts), held)
+    else:
+        asked = held._replace(prompt="hold the dead-man button, and move the stick along its edge")
+        result = yield from _while_held(workspace_check(facts), asked)
+    if result is None:
+        return TestReport(Outcome.ABORTED, Part.DEAD_MAN, "the dead-man button was let go")
+    cycle = yield released
+    cycle, there = yield from _await_dead_man(cycle, released, wanted=False)
+    if result.trouble:
+        return TestReport(Outcome.FAILED, Part.PLACE, result.trouble)
+    if bad := [figure for figure in result.figures if not figure.passed]:
+        figure = bad[0]
+        part = Part.FORCE if figure.unit == "N/m" else Part.PLACE
+        return TestReport(Outcome.FAILED, part, _words(figure))
+    if not there:
+        return TestReport(Outcome.FAILED, Part.DEAD_MAN, "the dead-man button was not let go")
+    return TestReport(Outcome.PASSED)
+
+
+def _with_motors(facts: DeviceFacts) -> CheckScript:
+    cycle: Cycle = yield IDLE
+    figures: list[Figure] = []
+    for axis in (0, 1):
+        for aside_m in (ASIDE_M, -ASIDE_M, 0.0):
+            goal = (aside_m, 0.0) if axis == 0 else (0.0, aside_m)
+            cycle, there = yield from travel(cycle, *goal, force_n=_MOVE_N)
+            if not there:
+                away_x, away_y = goal[0] - cycle.reading.x_m, goal[1] - cycle.reading.y_m
+                stuck = "x" if abs(away_x) > abs(away_y) else "y"
+                trouble = f"axis {stuck} does not move to where it is pushed"
+                return CheckResult(NAME, tuple(figures), trouble)
+        cycle, found = yield from stiffness_figures(cycle, facts, axis)
+        if found is None:
+            trouble = f"axis {'xy'[axis]} does not move to where it is pushed"
+            return CheckResult(NAME, tuple(figures), trouble)
+        figures += found
+    cycle, _ = yield from travel(cycle, 0.0, 0.0, force_n=_MOVE_N)
+    return CheckResult(NAME, tuple(figures))
+
+
+def _await_dead_man(cycle: Cycle, output: Output, *, wanted: bool) -> Script[tuple[Cycle, bool]]:
+    until_ns = cycle.now_ns + PATIENCE_NS
+    while cycle.reading.dead_man is not wanted:
+        if cycle.now_ns >= until_ns:
+            return cycle, False
+        cycle = yield output
+    return cycle, True
+
+
+def _while_held(script: Script[_Result], shown: Output) -> Script[_Result | None]:
+    """Run a script with the LEDs and the prompt of `shown`; None once the button is let go."""
+    try:
+        output = next(script)
+        while True:
+            cycle = yield shown._replace(x_n=_cut(output.x_n), y_n=_cut(output.y_n))
+            if not cycle.reading.dead_man:
+                script.close()
+                return None
+            output = script.send(cycle)
+    except StopIteration as end:
+        result: _Result = end.value
+        return result
+
+
+def _cut(force_n: float) -> float:
+    return max(-FORCE_N, min(FORCE_N, force_n))
+
+
+def _words(figure: Figure) -> str:
+    value = "nothing" if figure.value is None else f"{figure.value:.4g} {figure.unit}"
+    least, most = figure.least, figure.most
+    due = f"at least {least:g}" if most is None else f"{least:g} to {most:g}"
+    return f"{figure.name}: {value}, {due} {figure.unit} is due"

@@ -1,0 +1,131 @@
+"""Who drives the robot's haptic port: the joystick in space, or a partner's; never both.
+
+Stelzer et al. 2017, section 7: a gateway application lets the partner institute steer the robot in
+the place of the ISS. Here that is one explicit state at the robot, next to the controller.
+
+An operator on the ground hands the port over. Then nobody drives: the datagrams of both are
+dropped, so the controller has no command and holds. Once the tip has rested for `REST_NS`, the new
+owner's datagrams are taken, and a haptic session with it begins (`session.py`). Its commands move
+nothing until one of them had the dead-man button released: whoever takes over presses it knowingly.
+
+In each cycle: ask `takes` for each datagram, pass the newest command through `admit`, then call
+`handle_robot`.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+
+from kontur_av.clock import NS_PER_MS
+from telepresence.haptics.sample import STATE_APPLICATION, Command
+
+#: The tip rests for this long before the port changes hands.
+REST_NS = 300 * NS_PER_MS
+#: Slower than this it rests.
+REST_SPEED_M_S = 0.005
+#: How many events are kept.
+_DEPTH = 200
+
+
+class Owner(Enum):
+    """Who can drive the robot."""
+
+    ISS = "iss"
+    PARTNER = "partner"
+
+
+@dataclass(frozen=True, slots=True)
+class OwnerEvent:
+    """Something that happened, in words, at `at_ns`."""
+
+    at_ns: int
+    what: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OwnershipFigures:
+    """The state of the port. owner: None while nobody drives. waiting: the present owner has yet to
+    release the dead-man button. refused: by owner, datagrams that came while it did not drive."""
+
+    owner: Owner | None
+    wanted: Owner
+    waiting: bool
+    turns: int
+    refused: dict[str, int]
+    events: tuple[OwnerEvent, ...]
+
+
+class HapticOwnership:
+    """The state of one robot's port.
+
+    owner: whose datagrams are taken; None: nobody's.
+
+    owner, wanted: at the start. A robot that was started again begins with None and the owner that
+    it had.
+    """
+
+    __slots__ = ("_admitted", "_events", "_refused", "_rest_ns", "_turns", "owner", "wanted")
+
+    def __init__(self, owner: Owner | None = Owner.ISS, *, wanted: Owner = Owner.ISS) -> None:
+        self.owner = owner
+        self.wanted = wanted
+        #: Whether a command with the dead-man button released has come from the owner.
+        self._admitted = owner is not None
+        self._rest_ns: int | None = None
+        self._turns = 0
+        self._refused = dict.fromkeys(Owner, 0)
+        self._events: deque[OwnerEvent] = deque(maxlen=_DEPTH)
+
+    def handle_order(self, wanted: Owner, now_ns: int) -> None:
+        """An operator wants `wanted` to drive. To order the same again changes nothing."""
+        if wanted is self.wanted:
+            return
+        self.wanted = wanted
+        if self.owner is not None:
+            self.owner = None
+            self._rest_ns = None
+        self._note(f"handing over to {wanted.value}", now_ns)
+
+    def takes(self, source: Owner) -> bool:
+        """Return whether to take a datagram of `source`; one that is not taken is counted."""
+        if source is self.owner:
+            return True
+        self._refused[source] += 1
+        return False
+
+    def admit(self, command: Command | None) -> Command | None:
+        """Return the command that the controller may follow."""
+        if self._admitted or command is None:
+            return command
+        if not command.dead_man or command.state != STATE_APPLICATION:
+            self._admitted = True
+            return command
+        return command._replace(dead_man=False)
+
+    def handle_robot(self, speed_m_s: float, now_ns: int) -> bool:
+        """The tip moves at this speed; return whether the port has just changed hands."""
+        if self.owner is not None:
+            return False
+        if self._rest_ns is None or speed_m_s > REST_SPEED_M_S:
+            self._rest_ns = now_ns
+        if now_ns - self._rest_ns < REST_NS:
+            return False
+        self.owner = self.wanted
+        self._admitted = False
+        self._turns += 1
+        self._note(f"{self.owner.value} drives", now_ns)
+        return True
+
+    def report(self) -> OwnershipFigures:
+        """Return the state, the counts and the newest events."""
+        return OwnershipFigures(
+            owner=self.owner,
+            wanted=self.wanted,
+            waiting=self.owner is not None and not self._admitted,
+            turns=self._turns,
+            refused={owner.value: count for owner, count in self._refused.items()},
+            events=tuple(self._events),
+        )
+
+    def _note(self, what: str, now_ns: int) -> None:
+        self._events.append(OwnerEvent(now_ns, what))

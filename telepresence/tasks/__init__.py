@@ -1,0 +1,1 @@
+"""Tasks: operations in XML, the kernel that executes them, and what both ends do for a task."""

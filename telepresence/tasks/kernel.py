@@ -1,0 +1,467 @@
+"""The TOP kernel: executes operations, one Elemop after the other, ten times a second. A core.
+
+At each tick it checks the end condition of the present Elemop. If it holds, the next one begins; if
+its time-out is over, the run ends. If the signal is lost, the robot has a fault, the joystick halts
+or somebody aborts, the run ends, too. Then the kernel switches the robot off and stops the record,
+if the operation has not done so. Every run ends within the time-outs of its Elemops.
+
+The kernel never waits for the robot controller, nor the controller for the kernel: it says what is
+to be done, and looks at what is.
+"""
+
+from collections import deque
+from dataclasses import dataclass, replace
+from math import hypot
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.board import LIGHTS_M
+from telepresence.tasks.definitions import (
+    ControlMode,
+    Elemop,
+    Follow,
+    MoveTo,
+    Operation,
+    Pattern,
+    Pull,
+    Pursue,
+    Reach,
+    SelectCamera,
+    SetMode,
+    SetPower,
+    Show,
+    StartLog,
+    StopLog,
+    Wait,
+)
+from telepresence.tasks.panel_picture import PanelPicture
+from telepresence.tasks.places import curve_points, spot_at
+from telepresence.tmtc.k2aci import TaskResult
+
+TICK_NS = 100 * NS_PER_MS
+#: What is not done yet is asked for again after this time: its process may have been killed.
+_AGAIN_NS = NS_PER_S
+#: Between two ticks the tip's way is checked at steps of this length (m).
+_STEP_M = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class PowerRobot:
+    """Switch the robot on or off."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ControlRobot:
+    """Choose the control mode of the next power on."""
+
+    mode: ControlMode
+
+
+@dataclass(frozen=True, slots=True)
+class MoveRobot:
+    """Move the tip to (x_m, y_m)."""
+
+    x_m: float
+    y_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class ChooseCamera:
+    """Select the camera of the uplink video."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class ShowPicture:
+    """Show this on the LED panel."""
+
+    picture: PanelPicture
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Start or stop the record."""
+
+    on: bool
+
+
+Order = PowerRobot | ControlRobot | MoveRobot | ChooseCamera | ShowPicture | Record
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class View:
+    """What the kernel sees at a tick.
+
+    goal_m: where the robot rests after its last move, None while it moves. push_n: the board's
+    force on the tip. shown: the panel has acknowledged its newest picture. signal: the link is up.
+    halted: the joystick is halted or has an error.
+    """
+
+    powered: bool = False
+    mode: ControlMode = ControlMode.POSITION
+    x_m: float = 0.0
+    y_m: float = 0.0
+    push_n: float = 0.0
+    goal_m: tuple[float, float] | None = None
+    fault: str = ""
+    camera: str = ""
+    shown: bool = False
+    recording: bool = False
+    signal: bool = True
+    halted: bool = False
+
+    @property
+    def telepresent(self) -> bool:
+        """Whether the cosmonaut's hand leads the robot."""
+        return self.powered and self.mode is ControlMode.TELEPRESENCE
+
+
+@dataclass(frozen=True, slots=True)
+class ElemopBegun:
+    """An Elemop begins."""
+
+    now_ns: int
+    operation: str
+    elemop: str
+
+
+@dataclass(frozen=True, slots=True)
+class ElemopEnded:
+    """An Elemop ends. done: its end condition holds."""
+
+    now_ns: int
+    operation: str
+    elemop: str
+    done: bool
+
+
+@dataclass(frozen=True, slots=True)
+class OperationEnded:
+    """The operation is over; the robot is as it says. reason: one line, "" if it finished."""
+
+    now_ns: int
+    operation: str
+    result: TaskResult
+    reason: str
+
+
+KernelEvent = ElemopBegun | ElemopEnded | OperationEnded
+
+_OFF = SetPower(name="powerOff", on=False, timeout_s=5.0)
+_STOP_LOG = StopLog(name="stopLogging", timeout_s=5.0)
+
+
+class TopKernel:
+    """Executes one operation at a time.
+
+    After each input, carry out what `poll_transmit` returns until it is None, and drain
+    `next_event`. Call `handle_view` at `poll_timeout`.
+
+    A longer pause than `late_ns` between ticks ends the run: the kernel cannot know what happened.
+    """
+
+    def __init__(self, *, late_ns: int = 2 * NS_PER_S) -> None:
+        self._late_ns = late_ns
+        self._operation: Operation | None = None
+        self._steps: deque[Elemop] = deque()
+        self._check: _Check | None = None
+        self._began_ns = self._asked_ns = 0
+        self._tick_ns: int | None = None
+        self._ending: tuple[TaskResult, str] | None = None
+        self._orders: deque[Order] = deque()
+        self._events: deque[KernelEvent] = deque()
+
+    @property
+    def busy(self) -> bool:
+        """Whether an operation is being executed."""
+        return self._operation is not None
+
+    @property
+    def elemop(self) -> Elemop | None:
+        """The present Elemop."""
+        return self._check.elemop if self._check is not None else None
+
+    def start(self, operation: Operation, now_ns: int) -> None:
+        """Begin `operation`; only while not `busy`."""
+        if self.busy:
+            raise ValueError(f"start {operation.name}: another operation is being executed")
+        self._operation = operation
+        self._steps = deque(operation.elemops)
+        self._ending = None
+        self._tick_ns = now_ns
+        self._begin_next(now_ns)
+
+    def abort(self, reason: str, now_ns: int) -> None:
+        """End the operation as aborted, if there is one."""
+        self._end(TaskResult.ABORTED, reason, now_ns)
+
+    def handle_view(self, view: View, now_ns: int) -> None:
+        """One tick."""
+        if self._operation is None or self._tick_ns is None:
+            return
+        late_ns = now_ns - self._tick_ns
+        self._tick_ns = now_ns
+        if self._ending is None:
+            self._watch(view, late_ns, now_ns)
+        check = self._check
+        assert check is not None
+        if check.holds(view, now_ns):
+            self._finish(done=True, now_ns=now_ns)
+            self._begin_next(now_ns)
+        elif now_ns - self._began_ns >= round(check.elemop.timeout_s * NS_PER_S):
+            name = check.elemop.name
+            if self._ending is None:
+                self._end(TaskResult.TIMED_OUT, f"{name} took too long", now_ns)
+            else:
+                self._finish(done=False, now_ns=now_ns)
+                self._begin_next(now_ns)
+        else:
+            again = now_ns - self._asked_ns >= _AGAIN_NS
+            self._ask(now_ns, also_again=again)
+
+    def poll_transmit(self, now_ns: int) -> Order | None:
+        """Return the next order, or None."""
+        return self._orders.popleft() if self._orders else None
+
+    def poll_timeout(self) -> int | None:
+        """The next tick; None while nothing is executed."""
+        return None if self._tick_ns is None else self._tick_ns + TICK_NS
+
+    def next_event(self) -> KernelEvent | None:
+        """The oldest event that was not fetched, or None."""
+        return self._events.popleft() if self._events else None
+
+    def _watch(self, view: View, late_ns: int, now_ns: int) -> None:
+        if late_ns > self._late_ns:
+            self._end(TaskResult.ABORTED, "the kernel was stopped", now_ns)
+        elif not view.signal:
+            self._end(TaskResult.LOST_SIGNAL, "the signal was lost", now_ns)
+        elif view.fault:
+            self._end(TaskResult.ABORTED, f"the robot has a fault: {view.fault}", now_ns)
+        elif view.halted:
+            self._end(TaskResult.ABORTED, "the joystick is halted", now_ns)
+
+    def _end(self, result: TaskResult, reason: str, now_ns: int) -> None:
+        """Go on with what brings the robot to rest."""
+        if self._operation is None or self._ending is not None:
+            return
+        self._finish(done=False, now_ns=now_ns)
+        self._orders.clear()
+        self._ending = result, reason
+        self._steps = deque((_OFF, _STOP_LOG))
+        self._begin_next(now_ns)
+
+    def _finish(self, *, done: bool, now_ns: int) -> None:
+        operation, check = self._operation, self._check
+        assert operation is not None and check is not None
+        self._events.append(ElemopEnded(now_ns, operation.name, check.elemop.name, done))
+        self._check = None
+
+    def _begin_next(self, now_ns: int) -> None:
+        operation = self._operation
+        assert operation is not None
+        if not self._steps:
+            result, reason = self._ending or (TaskResult.FINISHED, "")
+            self._operation, self._tick_ns = None, None
+            self._events.append(OperationEnded(now_ns, operation.name, result, reason))
+            return
+        elemop = self._steps.popleft()
+        self._check = _CHECKS[type(elemop)](elemop, now_ns)
+        self._began_ns = now_ns
+        self._events.append(ElemopBegun(now_ns, operation.name, elemop.name))
+        self._ask(now_ns, also_again=True)
+
+    def _ask(self, now_ns: int, *, also_again: bool) -> None:
+        assert self._check is not None
+        order = self._check.order(now_ns)
+        # The moving spot is an order at each tick; all others are repeated rarely.
+        if order is not None and (also_again or isinstance(self._check.elemop, Pursue)):
+            self._orders.append(order)
+            self._asked_ns = now_ns
+
+
+class _Check:
+    """The end condition of one Elemop that has begun, and its order."""
+
+    def __init__(self, elemop: Elemop, now_ns: int) -> None:
+        self.elemop = elemop
+        self.began_ns = now_ns
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        raise NotImplementedError
+
+    def order(self, now_ns: int) -> Order | None:
+        return None
+
+
+class _PowerCheck(_Check):
+    elemop: SetPower
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        return view.powered is self.elemop.on
+
+    def order(self, now_ns: int) -> Order | None:
+        return PowerRobot(self.elemop.on)
+
+
+class _ModeCheck(_Check):
+    elemop: SetMode
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        return view.mode is self.elemop.mode
+
+    def order(self, now_ns: int) -> Order | None:
+        return ControlRobot(self.elemop.mode)
+
+
+class _CameraCheck(_Check):
+    elemop: SelectCamera
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        return view.camera == self.elemop.camera
+
+    def order(self, now_ns: int) -> Order | None:
+        return ChooseCamera(self.elemop.camera)
+
+
+class _ShowCheck(_Check):
+    elemop: Show
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        return view.shown
+
+    def order(self, now_ns: int) -> Order | None:
+        mask = sum(1 << led for led in set(self.elemop.leds))
+        picture = PanelPicture(self.elemop.pattern, mask)
+        if self.elemop.pattern is Pattern.SPOT:
+            picture = replace(picture, spot_m=LIGHTS_M[0])
+        if self.elemop.pattern is Pattern.DARK:
+            picture = replace(picture, colour=(0, 0, 0))
+        return ShowPicture(picture)
+
+
+class _MoveCheck(_Check):
+    elemop: MoveTo
+
+    def _goal(self) -> tuple[float, float]:
+        return self.elemop.x_mm / 1e3, self.elemop.y_mm / 1e3
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        return view.goal_m == self._goal()
+
+    def order(self, now_ns: int) -> Order | None:
+        return MoveRobot(*self._goal())
+
+
+class _RecordCheck(_Check):
+    def _on(self) -> bool:
+        return isinstance(self.elemop, StartLog)
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        return view.recording is self._on()
+
+    def order(self, now_ns: int) -> Order | None:
+        return Record(self._on())
+
+
+class _Held:
+    """Whether a condition has held for a time without a break."""
+
+    def __init__(self, hold_s: float) -> None:
+        self._hold_ns = round(hold_s * NS_PER_S)
+        self._since_ns: int | None = None
+
+    def handle(self, holds: bool, now_ns: int) -> bool:
+        if not holds:
+            self._since_ns = None
+            return False
+        if self._since_ns is None:
+            self._since_ns = now_ns
+        return now_ns - self._since_ns >= self._hold_ns
+
+
+class _ReachCheck(_Check):
+    elemop: Reach
+
+    def __init__(self, elemop: Reach, now_ns: int) -> None:
+        super().__init__(elemop, now_ns)
+        self._held = _Held(elemop.hold_s)
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        x, y = LIGHTS_M[self.elemop.led]
+        near = hypot(view.x_m - x, view.y_m - y) <= self.elemop.within_mm / 1e3
+        return self._held.handle(near, now_ns)
+
+
+class _PursueCheck(_Check):
+    elemop: Pursue
+
+    def _spot(self, now_ns: int) -> tuple[float, float]:
+        return spot_at(self.elemop.path, (now_ns - self.began_ns) / NS_PER_S / self.elemop.turn_s)
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        return now_ns - self.began_ns >= round(self.elemop.seconds * NS_PER_S)
+
+    def order(self, now_ns: int) -> Order | None:
+        return ShowPicture(PanelPicture(Pattern.SPOT, spot_m=self._spot(now_ns)))
+
+
+class _FollowCheck(_Check):
+    elemop: Follow
+
+    def __init__(self, elemop: Follow, now_ns: int) -> None:
+        super().__init__(elemop, now_ns)
+        self._left = curve_points(elemop.curve)
+        self._most_left = len(self._left) * (1 - elemop.share) + 1e-9
+        self._last: tuple[float, float] | None = None
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        x0, y0 = self._last or (view.x_m, view.y_m)
+        dx, dy = view.x_m - x0, view.y_m - y0
+        steps = max(1, round(hypot(dx, dy) / _STEP_M))
+        way = [(x0 + dx * k / steps, y0 + dy * k / steps) for k in range(1, steps + 1)]
+        reach_m = self.elemop.within_mm / 1e3
+        self._left = [
+            point
+            for point in self._left
+            if all(hypot(point[0] - x, point[1] - y) > reach_m for x, y in way)
+        ]
+        self._last = view.x_m, view.y_m
+        return len(self._left) <= self._most_left
+
+
+class _PullCheck(_Check):
+    elemop: Pull
+
+    def __init__(self, elemop: Pull, now_ns: int) -> None:
+        super().__init__(elemop, now_ns)
+        self._held = _Held(elemop.hold_s)
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        right = abs(view.push_n - self.elemop.force_n) <= self.elemop.within_n
+        return self._held.handle(right, now_ns)
+
+
+class _WaitCheck(_Check):
+    elemop: Wait
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        return now_ns - self.began_ns >= round(self.elemop.seconds * NS_PER_S)
+
+
+_CHECKS: dict[type[Elemop], type[_Check]] = {
+    SetPower: _PowerCheck,
+    SetMode: _ModeCheck,
+    SelectCamera: _CameraCheck,
+    Show: _ShowCheck,
+    MoveTo: _MoveCheck,
+    StartLog: _RecordCheck,
+    StopLog: _RecordCheck,
+    Reach: _ReachCheck,
+    Pursue: _PursueCheck,
+    Follow: _FollowCheck,
+    Pull: _PullCheck,
+    Wait: _WaitCheck,
+}

@@ -1,0 +1,179 @@
+"""The mission control panel: what the cosmonaut is told, and when a task begins. A core.
+
+Stelzer et al. 2017, section 5 and Fig. 14; MISSION.md, section 4. A state machine decides what is
+shown: no contact, wait for a task, its description, the way to the start position, hold it, press
+the dead-man button, the task, its end.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+from math import hypot
+
+from kontur_av.clock import NS_PER_S
+from telepresence.tmtc.k2aci import (
+    K2aciMessage,
+    PanelMode,
+    PanelState,
+    StartTask,
+    TaskFinished,
+    TaskResult,
+    TaskSelected,
+)
+
+#: The handle is at the start position within this distance, for this long.
+START_WITHIN_M = 0.005
+HOLD_NS = 3 * NS_PER_S
+
+_SIGNAL_WORDS = "No contact to the ground."
+_WORDS = {
+    PanelMode.NO_CONTACT: _SIGNAL_WORDS,
+    PanelMode.WAIT_TASK: "Wait for a task.",
+    PanelMode.TASK_INFO: "Read what is to be done. Then press the button.",
+    PanelMode.MOVE_TO_START: "Move the handle to the start position.",
+    PanelMode.HOLD: "Hold it there.",
+    PanelMode.PRESS_DEADMAN: "Press the dead-man button, and keep it pressed.",
+    PanelMode.RUNNING: "",
+    PanelMode.FINISHED: "Finished. Wait for the next task.",
+}
+_RESULT_WORDS = {
+    TaskResult.ABORTED: "The task was aborted.",
+    TaskResult.TIMED_OUT: "The task took too long.",
+    TaskResult.LOST_SIGNAL: "The signal was lost.",
+}
+#: The states in which the handle leads from one to the next.
+_AT_HANDLE = (PanelMode.MOVE_TO_START, PanelMode.HOLD, PanelMode.PRESS_DEADMAN)
+#: The states in which a joystick that halts ends the task.
+_BUSY = (PanelMode.TASK_INFO, *_AT_HANDLE, PanelMode.RUNNING)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PanelView:
+    """What the panel shows.
+
+    task: "" without one. text: of the task. words: status or instruction. start_m: optimal start
+    position. distance_m: of the handle from it. held_s: how long it has been held.
+    """
+
+    mode: PanelMode
+    task: str
+    run: int
+    text: str
+    words: str
+    start_m: tuple[float, float]
+    distance_m: float
+    held_s: float
+
+
+class MissionPanel:
+    """The state machine. After each input, send what `poll_message` returns until it is None."""
+
+    def __init__(self) -> None:
+        self.mode = PanelMode.NO_CONTACT
+        self._task = TaskSelected(task="-", run=0)
+        self._known = False
+        self._words = ""
+        self._place = 0.0, 0.0
+        self._held_since_ns = self._now_ns = 0
+        self._messages: deque[K2aciMessage] = deque()
+
+    @property
+    def view(self) -> PanelView:
+        """What is shown now."""
+        task, mode = self._task, self.mode
+        held_ns = self._now_ns - self._held_since_ns if mode is PanelMode.HOLD else 0
+        words = self._words if mode is PanelMode.ERROR else _WORDS[mode]
+        return PanelView(
+            mode=mode,
+            task=task.task if self._known else "",
+            run=task.run if self._known else 0,
+            text=task.text if self._known else "",
+            words=words or task.text,
+            start_m=self._start_m,
+            distance_m=self._distance_m,
+            held_s=held_ns / NS_PER_S,
+        )
+
+    def handle_contact(self, contact: bool, now_ns: int) -> None:
+        """Whether there is contact to the ground. A task that was being done is over without it."""
+        self._now_ns = now_ns
+        if not contact:
+            self._known = False
+            self._go(PanelMode.NO_CONTACT)
+        elif self.mode is PanelMode.NO_CONTACT:
+            self._go(PanelMode.WAIT_TASK)
+
+    def handle_message(self, message: K2aciMessage, now_ns: int) -> None:
+        """The ground has selected a task, or says that it is over. Others are ignored."""
+        self._now_ns = now_ns
+        if isinstance(message, TaskSelected):
+            # The ground may say it twice.
+            if not (self._known and message == self._task and self.mode in _BUSY):
+                self._task, self._known = message, True
+                self._go(PanelMode.TASK_INFO)
+        elif isinstance(message, TaskFinished) and self._concerns(message):
+            if message.result is TaskResult.FINISHED:
+                self._go(PanelMode.FINISHED)
+            else:
+                self._fail(_RESULT_WORDS[message.result])
+
+    def handle_button(self, now_ns: int) -> None:
+        """The button of the joystick, or the key, that moves the panel on was pressed."""
+        self._now_ns = now_ns
+        if self.mode is PanelMode.TASK_INFO:
+            self._go(PanelMode.MOVE_TO_START)
+        elif self.mode in (PanelMode.FINISHED, PanelMode.ERROR):
+            self._known = False
+            self._go(PanelMode.WAIT_TASK)
+
+    def handle_handle(
+        self, x_m: float, y_m: float, *, dead_man: bool, halted: str, now_ns: int
+    ) -> None:
+        """Where the handle is; call it at least ten times a second.
+
+        dead_man: pressed. halted: why the joystick cannot be used; "" if it can.
+        """
+        self._now_ns, self._place = now_ns, (x_m, y_m)
+        if halted and self.mode in _BUSY:
+            self._fail(halted)
+        if self.mode not in _AT_HANDLE:
+            return
+        if self._distance_m > START_WITHIN_M:
+            self._go(PanelMode.MOVE_TO_START)
+        elif self.mode is PanelMode.MOVE_TO_START:
+            self._held_since_ns = now_ns
+            self._go(PanelMode.HOLD)
+        elif self.mode is PanelMode.HOLD and now_ns - self._held_since_ns >= HOLD_NS:
+            # A button that was pressed all the time is no start.
+            self._go(PanelMode.PRESS_DEADMAN if not dead_man else PanelMode.HOLD)
+        elif self.mode is PanelMode.PRESS_DEADMAN and dead_man:
+            self._messages.append(StartTask(task=self._task.task, run=self._task.run))
+            self._go(PanelMode.RUNNING)
+
+    def poll_message(self) -> K2aciMessage | None:
+        """Return the next message for the ground, or None."""
+        return self._messages.popleft() if self._messages else None
+
+    @property
+    def _start_m(self) -> tuple[float, float]:
+        x_um, y_um = self._task.start_um
+        return x_um / 1e6, y_um / 1e6
+
+    @property
+    def _distance_m(self) -> float:
+        (x_m, y_m), (start_x_m, start_y_m) = self._place, self._start_m
+        return hypot(x_m - start_x_m, y_m - start_y_m)
+
+    def _concerns(self, message: TaskFinished) -> bool:
+        present = self._known and (message.task, message.run) == (self._task.task, self._task.run)
+        return present and self.mode is not PanelMode.NO_CONTACT
+
+    def _fail(self, words: str) -> None:
+        self._words = words
+        self._go(PanelMode.ERROR)
+
+    def _go(self, mode: PanelMode) -> None:
+        if mode is self.mode:
+            return
+        self.mode = mode
+        task, run = (self._task.task, self._task.run) if self._known else ("", 0)
+        self._messages.append(PanelState(mode=mode, task=task, run=run))

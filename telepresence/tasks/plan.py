@@ -1,0 +1,84 @@
+"""A session plan: which tasks an experimenter selects, one after the other. A core."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
+from telepresence.tasks.definitions import Catalogue
+
+#: Between a contact or the end of a run, and the next selection.
+PAUSE_NS = 3 * NS_PER_S
+_MOST_REPEATS = 1000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlannedTask:
+    """A task by its name, and how often it is done. ConfigError for 0 times or more than 1000."""
+
+    name: str
+    repeat: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.repeat <= _MOST_REPEATS:
+            raise ConfigError(
+                f"task {self.name}: repeat is {self.repeat}: give 1 to {_MOST_REPEATS}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SessionPlan:
+    """tasks: in their order. again: begin anew after the last. skill: of a simulated cosmonaut,
+    0 to 1. ConfigError for a plan without tasks."""
+
+    tasks: tuple[PlannedTask, ...]
+    again: bool = False
+    skill: float = 0.7
+
+    def __post_init__(self) -> None:
+        if not self.tasks:
+            raise ConfigError("a plan has at least one [[task]]")
+        if not 0.0 <= self.skill <= 1.0:
+            raise ConfigError(f"skill is {self.skill:g}: give 0, a beginner, to 1, trained")
+
+    def check(self, catalogue: Catalogue, cameras: tuple[str, ...], setup: str) -> None:
+        """ConfigError for a task that is unknown, or needs a camera that the setup lacks."""
+        for planned in self.tasks:
+            for camera in catalogue.task(planned.name).cameras:
+                if camera not in cameras:
+                    raise ConfigError(
+                        f"task {planned.name} selects the camera {camera}, and setup {setup} has "
+                        f"{', '.join(cameras)}: take another setup, or give it the camera"
+                    )
+
+    def names(self) -> Iterator[str]:
+        """The tasks, as often as they are done."""
+        while True:
+            for planned in self.tasks:
+                yield from (planned.name for _ in range(planned.repeat))
+            if not self.again:
+                return
+
+
+class PlanFollower:
+    """Says when to select which task: `poll_select` ten times a second.
+
+    skip: so many have been selected already.
+    """
+
+    def __init__(self, plan: SessionPlan, *, skip: int = 0) -> None:
+        self._names = islice(plan.names(), skip, None)
+        self._free_ns: int | None = None
+
+    def poll_select(self, *, idle: bool, signal: bool, now_ns: int) -> str | None:
+        """The task to select now, or None. idle: no task is being done. signal: the link is up."""
+        if not idle or not signal:
+            self._free_ns = None
+            return None
+        if self._free_ns is None:
+            self._free_ns = now_ns
+        if now_ns - self._free_ns < PAUSE_NS:
+            return None
+        self._free_ns = None
+        return next(self._names, None)

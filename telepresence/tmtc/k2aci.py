@@ -1,0 +1,436 @@
+"""K2ACI: what experimenter, robot application and cosmonaut tell each other about a task.
+
+A body is one CBOR array (RFC 8949) in deterministic encoding (clause 4.2.1), without tags and
+without floating point. Private PUS messages carry it (`telepresence.tmtc.pus`).
+
+| body | array |
+|---|---|
+| a message | kind, life, number, oldest, then the message's fields in their order |
+| its acknowledgement | 0, life, number |
+
+Kinds: 1 `TaskSelected`, 2 `StartTask`, 3 `TaskFinished`, 4 `PanelState`, 5 `Chat`. `life` grows
+with each start of the sender. `number` counts its messages from 0. `oldest` is the smallest number
+that the sender still repeats: the receiver waits for no number below it.
+"""
+
+from collections import deque
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from itertools import islice
+from typing import Any, NamedTuple
+
+import cbor2
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError, ProtocolError
+
+#: A body with a private service's headers and its check fits in a packet of 256 octets.
+MAX_BODY_OCTETS = 232
+MAX_NAME_OCTETS = 32
+MAX_TEXT_OCTETS = 128
+MAX_CHAT_OCTETS = 200
+
+_MOST = (1 << 32) - 1
+_ACK = 0
+_MOST_WAITING = 64
+_MOST_ANSWERS = 16
+
+
+class TaskResult(StrEnum):
+    """How a run of a task ended."""
+
+    FINISHED = "finished"
+    ABORTED = "aborted"
+    TIMED_OUT = "timed_out"
+    LOST_SIGNAL = "lost_signal"
+
+
+class PanelMode(StrEnum):
+    """The states of the mission control panel."""
+
+    NO_CONTACT = "no_contact"
+    WAIT_TASK = "wait_task"
+    TASK_INFO = "task_info"
+    MOVE_TO_START = "move_to_start"
+    HOLD = "hold"
+    PRESS_DEADMAN = "press_deadman"
+    RUNNING = "running"
+    FINISHED = "finished"
+    ERROR = "error"
+
+
+class ChatRole(StrEnum):
+    """Who writes in the chat."""
+
+    COSMONAUT = "cosmonaut"
+    EXPERIMENTER = "experimenter"
+    SUPERVISOR = "supervisor"
+    OPERATOR = "operator"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskSelected:
+    """To the panel: the robot is ready for this task.
+
+    task: its name. run: its number in the session. start_um: where the handle begins, (x, y) in
+    micrometres from the centre of the workspace. text: instructions, one line, may be empty.
+    """
+
+    task: str
+    run: int
+    start_um: tuple[int, int] = (0, 0)
+    text: str = ""
+
+    def __post_init__(self) -> None:
+        _check_text("task", self.task, MAX_NAME_OCTETS, least=1)
+        _check_count("run", self.run)
+        if type(self.start_um) is not tuple or len(self.start_um) != 2:
+            raise ConfigError(f"start_um is {self.start_um!r}: give two integers")
+        for value in self.start_um:
+            if type(value) is not int or abs(value) > 1_000_000:
+                raise ConfigError(f"start_um has {value!r}: give micrometres up to ±1000000")
+        _check_text("text", self.text, MAX_TEXT_OCTETS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartTask:
+    """To the robot: the cosmonaut holds the start position with the dead-man pressed."""
+
+    task: str
+    run: int
+
+    def __post_init__(self) -> None:
+        _check_text("task", self.task, MAX_NAME_OCTETS, least=1)
+        _check_count("run", self.run)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskFinished:
+    """To the panel: the run has ended. duration_ms: since its start; 0 if it never started."""
+
+    task: str
+    run: int
+    result: TaskResult
+    duration_ms: int = 0
+
+    def __post_init__(self) -> None:
+        _check_text("task", self.task, MAX_NAME_OCTETS, least=1)
+        _check_count("run", self.run)
+        _check_member("result", self.result, TaskResult)
+        _check_count("duration_ms", self.duration_ms)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PanelState:
+    """To the ground: what the panel shows. task and run: "" and 0 while there is none."""
+
+    mode: PanelMode
+    task: str = ""
+    run: int = 0
+
+    def __post_init__(self) -> None:
+        _check_member("mode", self.mode, PanelMode)
+        _check_text("task", self.task, MAX_NAME_OCTETS)
+        _check_count("run", self.run)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chat:
+    """One line of chat, at most 200 octets of UTF-8."""
+
+    sender: ChatRole
+    text: str
+
+    def __post_init__(self) -> None:
+        _check_member("sender", self.sender, ChatRole)
+        _check_text("text", self.text, MAX_CHAT_OCTETS, least=1)
+
+
+K2aciMessage = TaskSelected | StartTask | TaskFinished | PanelState | Chat
+
+#: A class's place is its kind on the wire, from 1.
+_CLASSES: tuple[type[K2aciMessage], ...] = (TaskSelected, StartTask, TaskFinished, PanelState, Chat)
+_ENUMS: dict[str, type[StrEnum]] = {"result": TaskResult, "mode": PanelMode, "sender": ChatRole}
+
+
+@dataclass(frozen=True, slots=True)
+class Numbered:
+    """A message as it is sent. life, number, oldest: as in the module's table."""
+
+    life: int
+    number: int
+    oldest: int
+    message: K2aciMessage
+
+    def __post_init__(self) -> None:
+        for name in ("life", "number", "oldest"):
+            _check_count(name, getattr(self, name))
+        if self.oldest > self.number:
+            raise ConfigError(f"oldest {self.oldest} is above the number {self.number}")
+
+
+@dataclass(frozen=True, slots=True)
+class Acknowledgement:
+    """The message `number` of `life` has been handed to the application."""
+
+    life: int
+    number: int
+
+    def __post_init__(self) -> None:
+        _check_count("life", self.life)
+        _check_count("number", self.number)
+
+
+def pack_body(body: Numbered | Acknowledgement) -> bytes:
+    """Return `body` as CBOR, at most `MAX_BODY_OCTETS`. ConfigError if it is longer."""
+    if isinstance(body, Acknowledgement):
+        return cbor2.dumps([_ACK, body.life, body.number], canonical=True)
+    message = body.message
+    values = [_plain(getattr(message, field.name)) for field in fields(message)]
+    kind = _CLASSES.index(type(message)) + 1
+    octets = cbor2.dumps([kind, body.life, body.number, body.oldest, *values], canonical=True)
+    if len(octets) > MAX_BODY_OCTETS:
+        raise ConfigError(f"{len(octets)} octets of K2ACI: shorten it to {MAX_BODY_OCTETS}")
+    return octets
+
+
+def parse_body(octets: bytes) -> Numbered | Acknowledgement:
+    """Return the message or acknowledgement in `octets`; ProtocolError if there is none."""
+    if not 0 < len(octets) <= MAX_BODY_OCTETS:
+        raise ProtocolError(f"K2ACI: {len(octets)} octets, not 1 to {MAX_BODY_OCTETS}")
+    values = _parse_array(octets)
+    try:
+        return _build(values)
+    except ConfigError as error:
+        raise ProtocolError(f"K2ACI: {error}") from error
+
+
+def _parse_array(octets: bytes) -> list[Any]:
+    try:
+        values = cbor2.loads(octets, max_depth=2, allow_indefinite=False)
+        if type(values) is not list or not all(map(_is_plain, values)):
+            raise ProtocolError("K2ACI: no array of integers, texts and pairs")
+        if cbor2.dumps(values, canonical=True) != octets:
+            raise ProtocolError("K2ACI: not in deterministic encoding")
+    except cbor2.CBORError as error:
+        raise ProtocolError(f"K2ACI: no CBOR: {type(error).__name__}") from error
+    return values
+
+
+def _is_plain(value: object) -> bool:
+    if type(value) is list:
+        return len(value) == 2 and all(type(item) is int for item in value)
+    return type(value) is int or type(value) is str
+
+
+def _build(values: list[Any]) -> Numbered | Acknowledgement:
+    kind = values[0] if values else None
+    if kind == _ACK and len(values) == 3:
+        return Acknowledgement(values[1], values[2])
+    if type(kind) is not int or not 1 <= kind <= len(_CLASSES):
+        raise ProtocolError(f"K2ACI: unknown kind {kind!r}")
+    cls = _CLASSES[kind - 1]
+    names = [field.name for field in fields(cls)]
+    if len(values) != 4 + len(names):
+        raise ProtocolError(f"K2ACI: {cls.__name__} with {len(values)} values")
+    given = {name: _typed(name, value) for name, value in zip(names, values[4:], strict=True)}
+    return Numbered(values[1], values[2], values[3], cls(**given))
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, tuple):
+        return list(value)
+    return str(value) if isinstance(value, StrEnum) else value
+
+
+def _typed(name: str, value: Any) -> Any:
+    if type(value) is list:
+        return tuple(value)
+    members = _ENUMS.get(name)
+    return members(value) if members and value in set(members) else value
+
+
+def _check_text(name: str, value: object, most: int, *, least: int = 0) -> None:
+    if type(value) is not str or not value.isprintable():
+        raise ConfigError(f"{name} is {value!r}: give one line of printable text")
+    if not least <= len(value.encode()) <= most:
+        raise ConfigError(f"{name} has {len(value.encode())} octets: give {least} to {most}")
+
+
+def _check_count(name: str, value: object) -> None:
+    if type(value) is not int or not 0 <= value <= _MOST:
+        raise ConfigError(f"{name} is {value!r}: give an integer from 0 to {_MOST}")
+
+
+def _check_member(name: str, value: object, members: type[StrEnum]) -> None:
+    if type(value) is not members:
+        raise ConfigError(f"{name} is {value!r}: choose one of {', '.join(members)}")
+
+
+class Arrived(NamedTuple):
+    """A message of the peer, once and in order. number: the peer's, in this `life` of it."""
+
+    life: int
+    number: int
+    message: K2aciMessage
+
+
+class Delivered(NamedTuple):
+    """The peer's application has the message that `send` gave this number."""
+
+    number: int
+    message: K2aciMessage
+    round_trip_ns: int
+
+
+@dataclass(slots=True)
+class _Sending:
+    message: K2aciMessage
+    first_ns: int
+    due_ns: int
+    wait_ns: int
+    tries: int = 0
+
+
+class K2aciEndpoint:
+    """One end of K2ACI: repeats messages until they are acknowledged, drops repetitions. A core.
+
+    After `send`, `handle_message` and `handle_contact`, send what `poll_transmit` returns until it
+    is None, and drain `next_event`. Call `poll_transmit` again at `poll_timeout`.
+
+    Messages reach the peer's application once and in the order of `send`, also over a path that
+    loses, repeats or delays packets for minutes. `most_open` messages are under way at once; 64 may
+    wait. Each repetition of a message waits twice as long as the one before, up to 8 `timeout_ns`.
+    If the receiving process is killed, the last messages may arrive again under their numbers.
+
+    life: grows with each start of this process, for example the second of its start; 0 to 2^32 - 1.
+    Raises ConfigError for a life out of range or a timeout that is not positive.
+    """
+
+    def __init__(self, *, life: int, timeout_ns: int = 500 * NS_PER_MS, most_open: int = 4) -> None:
+        _check_count("life", life)
+        if timeout_ns <= 0 or not 1 <= most_open <= _MOST_WAITING:
+            raise ConfigError("K2ACI needs a timeout above 0 and at least one open message")
+        self.sent = 0
+        self.repeated = 0
+        self.arrived = 0
+        self.duplicates = 0
+        self.garbage = 0
+        #: Acknowledgements of what is not open, and messages of an earlier life or out of reach.
+        self.unexpected = 0
+        self.dropped_answers = 0
+        self._life = life
+        self._timeout_ns = timeout_ns
+        self._most_open = most_open
+        self._next = 0
+        #: By number, in order: the first `most_open` are under way.
+        self._sending: dict[int, _Sending] = {}
+        self._answers: deque[Acknowledgement] = deque()
+        self._peer_life = -1
+        self._expected = 0
+        self._held: dict[int, K2aciMessage] = {}
+        self._events: deque[Arrived | Delivered] = deque()
+
+    @property
+    def waiting(self) -> tuple[int, ...]:
+        """The numbers of the messages that are not acknowledged yet, oldest first."""
+        return tuple(self._sending)
+
+    def send(self, message: K2aciMessage, now_ns: int) -> int | None:
+        """Give `message` to the peer; return its number, or None while 64 wait already."""
+        if len(self._sending) >= _MOST_WAITING:
+            return None
+        number = self._next
+        self._next += 1
+        self._sending[number] = _Sending(message, now_ns, now_ns, self._timeout_ns)
+        return number
+
+    def withdraw(self, number: int) -> bool:
+        """Repeat the message `number` no more; False if it is not waiting.
+
+        It may have arrived nevertheless. Later messages no longer wait for it.
+        """
+        return self._sending.pop(number, None) is not None
+
+    def handle_contact(self, now_ns: int) -> None:
+        """The signal is acquired: repeat at once what is open."""
+        for sending in self._sending.values():
+            sending.due_ns = now_ns
+            sending.wait_ns = self._timeout_ns
+
+    def handle_message(self, octets: bytes, now_ns: int) -> None:
+        """A body arrived. Garbage is counted; this never raises."""
+        try:
+            body = parse_body(octets)
+        except ProtocolError:
+            self.garbage += 1
+            return
+        if isinstance(body, Acknowledgement):
+            self._handle_acknowledgement(body, now_ns)
+        else:
+            self._handle_numbered(body)
+
+    def _handle_acknowledgement(self, body: Acknowledgement, now_ns: int) -> None:
+        sending = self._sending.get(body.number) if body.life == self._life else None
+        if sending is None or not sending.tries:
+            self.unexpected += 1
+            return
+        del self._sending[body.number]
+        self._events.append(Delivered(body.number, sending.message, now_ns - sending.first_ns))
+
+    def _handle_numbered(self, body: Numbered) -> None:
+        if body.life > self._peer_life:
+            self._peer_life = body.life
+            self._expected = body.oldest
+            self._held.clear()
+        elif body.life < self._peer_life:
+            self.unexpected += 1
+            return
+        if body.number < self._expected:
+            self.duplicates += 1
+            self._answer(body.number)
+            return
+        self._expected = max(self._expected, body.oldest)
+        if body.number - self._expected >= _MOST_WAITING:
+            self.unexpected += 1
+            return
+        self.duplicates += body.number in self._held
+        self._held[body.number] = body.message
+        self._held = {key: value for key, value in self._held.items() if key >= self._expected}
+        while (message := self._held.pop(self._expected, None)) is not None:
+            self.arrived += 1
+            self._events.append(Arrived(self._peer_life, self._expected, message))
+            self._answer(self._expected)
+            self._expected += 1
+
+    def _answer(self, number: int) -> None:
+        # A lost answer is asked for again, so the oldest may go.
+        if len(self._answers) == _MOST_ANSWERS:
+            self._answers.popleft()
+            self.dropped_answers += 1
+        self._answers.append(Acknowledgement(self._peer_life, number))
+
+    def poll_transmit(self, now_ns: int) -> bytes | None:
+        """Return the next body to send, acknowledgements first, or None."""
+        if self._answers:
+            return pack_body(self._answers.popleft())
+        for number, sending in islice(self._sending.items(), self._most_open):
+            if now_ns < sending.due_ns:
+                continue
+            self.repeated += sending.tries > 0
+            sending.tries += 1
+            sending.due_ns = now_ns + sending.wait_ns
+            sending.wait_ns = min(2 * sending.wait_ns, 8 * self._timeout_ns)
+            self.sent += 1
+            oldest = next(iter(self._sending))
+            return pack_body(Numbered(self._life, number, oldest, sending.message))
+        return None
+
+    def poll_timeout(self) -> int | None:
+        """When `poll_transmit` has something to repeat; None while nothing is open."""
+        under_way = islice(self._sending.values(), self._most_open)
+        return min((sending.due_ns for sending in under_way), default=None)
+
+    def next_event(self) -> Arrived | Delivered | None:
+        """The oldest event that was not fetched yet, or None."""
+        return self._events.popleft() if self._events else None

@@ -1,0 +1,122 @@
+"""Values of parameters as octets: integers, scaled integers, floating point, choices, flags."""
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+from kontur_av.errors import ConfigError, ProtocolError
+
+Value = int | float | bool | str
+
+#: Type -> struct code, smallest and largest integer on the wire.
+INTEGERS = {
+    "u8": ("B", 0, 0xFF),
+    "u16": ("H", 0, 0xFFFF),
+    "u32": ("I", 0, 0xFFFF_FFFF),
+    "i8": ("b", -0x80, 0x7F),
+    "i16": ("h", -0x8000, 0x7FFF),
+    "i32": ("i", -0x8000_0000, 0x7FFF_FFFF),
+}
+TYPES = (*INTEGERS, "f32", "bool", "choice")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameter:
+    """One parameter of an application.
+
+    type: one of `TYPES`. scale: the value is the integer on the wire times this; 1 keeps integers.
+    choices: the texts that a "choice" may have, in the order of their numbers.
+    low, high: limits for colours, both included; None for no limit. writable: ST[20] may set it.
+    """
+
+    name: str
+    number: int
+    type: str
+    unit: str = ""
+    scale: float = 1.0
+    choices: tuple[str, ...] = ()
+    low: float | None = None
+    high: float | None = None
+    writable: bool = False
+    text: str = ""
+
+    @property
+    def octets(self) -> int:
+        """Its length on the wire."""
+        return struct.calcsize(self.code)
+
+    @property
+    def code(self) -> str:
+        """Its struct code, big-endian."""
+        if self.type in INTEGERS:
+            return ">" + INTEGERS[self.type][0]
+        return ">f" if self.type == "f32" else ">B"
+
+    def pack(self, value: Value) -> bytes:
+        """Return `value` as octets. A number out of range is cut to it; ConfigError otherwise."""
+        if self.type == "choice":
+            if value not in self.choices:
+                choices = ", ".join(self.choices)
+                raise ConfigError(f"{self.name} is {value!r}: choose one of {choices}")
+            return bytes([self.choices.index(str(value))])
+        if self.type == "bool":
+            if type(value) is not bool:
+                raise ConfigError(f"{self.name} is {value!r}: give true or false")
+            return bytes([value])
+        if isinstance(value, str) or type(value) is bool:
+            raise ConfigError(f"{self.name} is {value!r}: give a number")
+        if self.type == "f32":
+            return _pack_float(value)
+        _, least, most = INTEGERS[self.type]
+        if not isfinite(value):
+            raise ConfigError(f"{self.name} is {value}: give a finite number")
+        return struct.pack(self.code, max(least, min(most, round(value / self.scale))))
+
+    def unpack(self, octets: bytes) -> Value:
+        """Return the value in `octets`, which are `self.octets` long. ProtocolError."""
+        raw: int | float = struct.unpack(self.code, octets)[0]
+        if self.type == "choice":
+            if raw >= len(self.choices):
+                raise ProtocolError(f"{self.name}: {raw} is no choice")
+            return self.choices[int(raw)]
+        if self.type == "bool":
+            if raw > 1:
+                raise ProtocolError(f"{self.name}: {raw} is neither true nor false")
+            return bool(raw)
+        if self.type == "f32" or self.scale == 1:
+            return float(raw) if self.type == "f32" else int(raw)
+        # Rounded, so that 6294 times 0.00001 is 0.06294.
+        return round(float(raw) * self.scale, 9)
+
+    def within(self, value: Value) -> bool:
+        """Whether `value` is within the limits; what is no number is."""
+        if isinstance(value, str) or value != value:
+            return True
+        return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
+
+
+def _pack_float(value: float) -> bytes:
+    try:
+        return struct.pack(">f", value)
+    except OverflowError:
+        return struct.pack(">f", float("inf") if value > 0 else float("-inf"))
+
+
+def pack_values(parameters: Sequence[Parameter], values: Sequence[Value]) -> bytes:
+    """Return the values of `parameters` one after the other. ConfigError."""
+    if len(parameters) != len(values):
+        names = ", ".join(parameter.name for parameter in parameters) or "nothing"
+        raise ConfigError(f"{len(values)} values: give {names}")
+    return b"".join(one.pack(value) for one, value in zip(parameters, values, strict=True))
+
+
+def unpack_values(parameters: Sequence[Parameter], octets: bytes) -> tuple[Value, ...]:
+    """Return the values in `octets`; ProtocolError unless they fill them exactly."""
+    if len(octets) != sum(parameter.octets for parameter in parameters):
+        raise ProtocolError(f"{len(octets)} octets for {len(parameters)} parameters")
+    values, at = [], 0
+    for parameter in parameters:
+        values.append(parameter.unpack(octets[at : at + parameter.octets]))
+        at += parameter.octets
+    return tuple(values)

@@ -1,0 +1,217 @@
+"""The kernel: Elemops in order, end conditions, time-outs, and what ends a run."""
+
+from dataclasses import replace
+
+import pytest
+
+from kontur_av.clock import NS_PER_S
+from telepresence.haptics.board import LIGHTS_M
+from telepresence.tasks.definitions import Pattern, Pursue
+from telepresence.tasks.kernel import (
+    TICK_NS,
+    ChooseCamera,
+    ControlRobot,
+    ElemopBegun,
+    ElemopEnded,
+    MoveRobot,
+    OperationEnded,
+    PowerRobot,
+    Record,
+    ShowPicture,
+    TopKernel,
+    View,
+)
+from telepresence.tasks.places import curve_points
+from telepresence.tasks.task_files import built_in_tasks
+from telepresence.tmtc.k2aci import TaskResult
+
+CATALOGUE = built_in_tasks()
+
+
+class Obedient:
+    """Does each order at once, and puts the tip where `tip` says."""
+
+    def __init__(self, kernel):
+        self.kernel, self.view, self.now_ns = kernel, View(), 0
+        self.orders, self.events = [], []
+        self.deaf_to = ()
+        self.tip = lambda elemop, now_ns: None
+
+    def run(self, seconds=120.0):
+        until_ns = self.now_ns + round(seconds * NS_PER_S)
+        while True:
+            while (order := self.kernel.poll_transmit(self.now_ns)) is not None:
+                self.orders.append(order)
+                if not isinstance(order, self.deaf_to):
+                    self.obey(order)
+            while (event := self.kernel.next_event()) is not None:
+                self.events.append(event)
+            due_ns = self.kernel.poll_timeout()
+            if due_ns is None or due_ns >= until_ns:
+                self.now_ns = until_ns
+                return
+            self.now_ns = due_ns
+            place = self.tip(self.kernel.elemop, due_ns)
+            if place is not None:
+                self.view = replace(self.view, x_m=place[0], y_m=place[1])
+            self.kernel.handle_view(self.view, due_ns)
+
+    def obey(self, order):
+        match order:
+            case PowerRobot(on):
+                self.view = replace(self.view, powered=on)
+            case ControlRobot(mode):
+                self.view = replace(self.view, mode=mode)
+            case MoveRobot(x_m, y_m):
+                self.view = replace(self.view, goal_m=(x_m, y_m), x_m=x_m, y_m=y_m)
+            case ChooseCamera(name):
+                self.view = replace(self.view, camera=name)
+            case Record(on):
+                self.view = replace(self.view, recording=on)
+            case ShowPicture():
+                self.view = replace(self.view, shown=True)
+
+    @property
+    def begun(self):
+        return [event.elemop for event in self.events if isinstance(event, ElemopBegun)]
+
+    @property
+    def end(self):
+        (end,) = [event for event in self.events if isinstance(event, OperationEnded)]
+        return end
+
+
+def aim(elemop, now_ns):
+    led = getattr(elemop, "led", None)
+    return None if led is None else LIGHTS_M[led]
+
+
+def started(operation):
+    robot = Obedient(TopKernel())
+    robot.kernel.start(CATALOGUE.operations[operation], 0)
+    return robot
+
+
+@pytest.mark.parametrize("operation", ["startAiming", "execAiming"])
+def test_elemops_run_in_their_order_one_at_a_time(operation):
+    robot = started(operation)
+    robot.tip = aim
+    robot.run()
+    names = [elemop.name for elemop in CATALOGUE.operations[operation].elemops]
+    assert robot.begun == names
+    pairs = [
+        (type(event), event.elemop, getattr(event, "done", True)) for event in robot.events[:-1]
+    ]
+    assert pairs == [(kind, name, True) for name in names for kind in (ElemopBegun, ElemopEnded)]
+    assert robot.end.result is TaskResult.FINISHED
+    assert robot.kernel.poll_timeout() is None
+    assert Record(operation == "startAiming") in robot.orders
+
+
+def test_a_place_is_reached_after_it_was_held_for_half_a_second():
+    robot = started("execAiming")
+    away = (LIGHTS_M[7][0] + 0.006, LIGHTS_M[7][1])
+    since = []
+
+    def tip(elemop, now_ns):
+        if elemop.name != "checkPos7":
+            return None
+        since.append(now_ns)
+        return away if len(since) == 5 else LIGHTS_M[7]
+
+    robot.tip = tip
+    robot.run(20)
+    # 4 ticks, one away, and then from the sixth on 0.5 s.
+    assert len(since) == 5 + 6
+
+
+def test_a_run_that_takes_too_long_ends_with_the_robot_off_and_the_record_stopped():
+    robot = started("execAiming")
+    robot.view = replace(robot.view, recording=True)
+    robot.run()
+    assert robot.begun[-3:] == ["checkPos7", "powerOff", "stopLogging"]
+    assert robot.end.result is TaskResult.TIMED_OUT and "checkPos7" in robot.end.reason
+    assert not robot.view.powered and not robot.view.recording
+    assert 60 * NS_PER_S <= robot.end.now_ns < 62 * NS_PER_S
+
+
+@pytest.mark.parametrize(
+    ("change", "result"),
+    [
+        ({"signal": False}, TaskResult.LOST_SIGNAL),
+        ({"fault": "too hot"}, TaskResult.ABORTED),
+        ({"halted": True}, TaskResult.ABORTED),
+        (None, TaskResult.ABORTED),
+    ],
+)
+@pytest.mark.parametrize("operation", ["startAiming", "execAiming"])
+def test_whatever_goes_wrong_at_any_elemop_ends_the_run_with_the_robot_off(
+    operation, change, result
+):
+    for begun in range(1, len(CATALOGUE.operations[operation].elemops)):
+        robot = started(operation)
+        robot.tip = aim
+        while len(robot.begun) < begun:
+            robot.run(0.1)
+        if change is None:
+            robot.kernel.abort("the experimenter aborts", robot.now_ns)
+        else:
+            robot.view = replace(robot.view, **change)
+        robot.run(1)
+        assert robot.end.result is result and robot.end.reason
+        assert not robot.view.powered and not robot.view.recording
+
+
+def test_orders_that_nobody_carries_out_are_repeated_and_end_as_timed_out():
+    robot = started("startAiming")
+    robot.deaf_to = (ChooseCamera,)
+    robot.run(30)
+    assert robot.orders.count(ChooseCamera("stereo")) == 10
+    assert robot.end.result is TaskResult.TIMED_OUT and "selectCamTcp" in robot.end.reason
+
+
+def test_a_kernel_that_was_stopped_ends_the_run():
+    robot = started("execAiming")
+    robot.run(2)
+    robot.kernel.handle_view(robot.view, robot.now_ns + 5 * NS_PER_S)
+    robot.now_ns += 5 * NS_PER_S
+    robot.run(1)
+    assert robot.end.result is TaskResult.ABORTED
+
+
+def test_a_curve_is_followed_when_nearly_all_of_it_was_visited():
+    points = curve_points(CATALOGUE.elemops["followContour"].curve)
+    results = []
+    for share in (0.9, 1.0):
+        robot = started("execContour")
+        way = iter(points[: round(len(points) * share)])
+        robot.tip = lambda elemop, now_ns, way=way: (
+            next(way, None) if elemop.name == "followContour" else None
+        )
+        robot.run(200)
+        results.append(robot.end.result)
+    assert results == [TaskResult.TIMED_OUT, TaskResult.FINISHED]
+
+
+def test_the_spot_moves_at_each_tick():
+    robot = started("execPursuit")
+    robot.run(60)
+    pursue = CATALOGUE.elemops["pursueSpot"]
+    assert isinstance(pursue, Pursue)
+    spots = [
+        order.picture.spot_m
+        for order in robot.orders
+        if isinstance(order, ShowPicture) and order.picture.pattern is Pattern.SPOT
+    ]
+    assert len(set(spots)) > pursue.turn_s * NS_PER_S / TICK_NS * 0.9
+    assert robot.end.result is TaskResult.FINISHED
+
+
+def test_a_spring_is_to_be_held_at_its_force():
+    robot = started("execSpring")
+    robot.view = replace(robot.view, push_n=5.0)
+    robot.run(5)
+    assert robot.kernel.elemop is CATALOGUE.elemops["pullSpring"]
+    robot.view = replace(robot.view, push_n=3.2)
+    robot.run(5)
+    assert robot.end.result is TaskResult.FINISHED

@@ -1,0 +1,186 @@
+"""Power, mode, moves and faults of the robot."""
+
+from math import inf, nan
+
+import pytest
+from haptic_session import begin_session
+
+from telepresence.haptics.bilateral import RobotSide
+from telepresence.haptics.board import Board, WallModel
+from telepresence.haptics.loop import robot_link
+from telepresence.haptics.robot import Robot
+from telepresence.haptics.sample import MODE_IMPEDANCE, MODE_OFF, Command, pack_command
+from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.robot_control import TORQUE_NS, Fault, RobotControl, RobotLimits
+
+MS = 1_000_000
+
+
+def run(control, milliseconds):
+    for _ in range(milliseconds):
+        run.now_ns += MS
+        control.step(run.now_ns)
+        if not control.robot.coupled:
+            control.robot.drive(MS)
+
+
+run.now_ns = 0
+
+
+def on_at(x_m=0.0, y_m=0.0, mode=ControlMode.POSITION, **limits):
+    control = RobotControl(Robot(x_m=x_m, y_m=y_m), limits=RobotLimits(**limits))
+    control.set_mode(mode)
+    assert control.set_power(True) == ""
+    return control
+
+
+def test_it_is_off_at_first_and_moves_only_on_and_in_position_control():
+    control = RobotControl(Robot())
+    assert control.robot.mode == MODE_OFF
+    assert "not on in position or impedance control" in control.move_to(0.02, 0.0, run.now_ns)
+    control.set_power(True)
+    assert "switch it off first" in control.set_mode(ControlMode.TORQUE)
+    assert "not on in torque control" in control.set_torque(1.0, 0.0, run.now_ns)
+    assert control.move_to(0.02, 0.01, run.now_ns) == ""
+    run(control, 3000)
+    assert control.reached_m == (0.02, 0.01)
+    assert control.refused == 3
+
+
+@pytest.mark.parametrize("goal_m", [(0.2, 0.0), (0.0, -0.13), (float("nan"), 0.0)])
+def test_no_goal_outside_of_the_workspace_is_taken(goal_m):
+    control = on_at()
+    assert "outside of the workspace" in control.move_to(*goal_m, run.now_ns)
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value", "kind"),
+    [
+        ("push_x_n", 30.0, Fault.FORCE),
+        ("vy_m_s", -2.0, Fault.SPEED),
+        ("x_m", 0.18, Fault.WORKSPACE),
+        ("y_m", float("nan"), Fault.WORKSPACE),
+    ],
+)
+def test_a_broken_limit_switches_it_off_until_it_is_reset_and_switched_on(attribute, value, kind):
+    control = on_at(mode=ControlMode.TELEPRESENCE)
+    good = getattr(control.robot, attribute)
+    setattr(control.robot, attribute, value)
+    control.step(run.now_ns)
+    assert (control.powered, control.kind, control.faults) == (False, kind, 1)
+    assert control.robot.mode == MODE_OFF
+    assert control.fault in control.set_power(True)
+    setattr(control.robot, attribute, good)
+    control.step(run.now_ns)
+    assert not control.telepresent
+    assert control.reset() == ""
+    assert not control.powered
+    assert control.set_power(True) == ""
+    assert control.telepresent
+
+
+def test_a_fault_whose_cause_is_there_is_not_reset():
+    control = on_at()
+    control.robot.push_y_n = -29.0
+    control.step(run.now_ns)
+    assert control.reset() == "the cause is still there: force above 28 N"
+    assert control.fault
+
+
+def test_a_robot_outside_of_its_workspace_is_moved_back_in_position_control():
+    control = on_at(-0.1, mode=ControlMode.TELEPRESENCE, width_m=0.09)
+    control.step(run.now_ns)
+    assert control.kind is Fault.WORKSPACE
+    assert control.reset() == ""
+    assert "move it back in position" in control.set_power(True)
+    control.set_mode(ControlMode.POSITION)
+    assert control.set_power(True) == ""
+    assert control.move_to(-0.05, 0.0, run.now_ns) == ""
+    run(control, 3000)
+    assert (control.reached_m, control.faults) == ((-0.05, 0.0), 1)
+    # It has been inside, so that leaving is a fault again.
+    control.robot.x_m = -0.1
+    control.step(run.now_ns)
+    assert control.faults == 2
+
+
+def pressed_n(mode, stiffness_n_m):
+    """Move 20 mm into a wall of 1500 N/m; return the force there."""
+    control = RobotControl(Robot(board=Board(WallModel(stiffness_n_m=1500.0)), x_m=0.05))
+    assert control.set_mode(mode) == control.set_impedance(stiffness_n_m, 30.0) == ""
+    assert control.set_power(True) == control.move_to(0.08, 0.0, run.now_ns) == ""
+    run(control, 3000)
+    return control.robot.force_n
+
+
+def test_in_impedance_control_the_tip_yields_as_its_spring_does():
+    # Two springs in series.
+    for stiffness_n_m in (100.0, 400.0):
+        due_n = 0.02 * stiffness_n_m * 1500.0 / (stiffness_n_m + 1500.0)
+        assert pressed_n(ControlMode.IMPEDANCE, stiffness_n_m) == pytest.approx(due_n, rel=0.01)
+    assert pressed_n(ControlMode.POSITION, 100.0) > 15.0
+
+
+def test_impedance_control_begins_where_the_tip_is_and_moves_to_a_goal():
+    control = on_at(0.03, -0.02, ControlMode.IMPEDANCE)
+    run(control, 500)
+    assert (control.robot.x_m, control.robot.y_m) == (0.03, -0.02)
+    assert control.move_to(-0.01, 0.02, run.now_ns) == ""
+    run(control, 100)
+    assert control.reached_m is None
+    run(control, 3000)
+    assert control.reached_m == (-0.01, 0.02)
+    # A stiffer spring pulls to the same place.
+    assert control.set_impedance(2000.0, 60.0) == ""
+    run(control, 500)
+    assert control.reached_m == (-0.01, 0.02)
+
+
+def test_a_torque_ends_by_itself_unless_it_is_repeated():
+    control = on_at(mode=ControlMode.TORQUE)
+    run(control, 200)
+    assert control.robot.x_m == 0.0
+    for _ in range(2):
+        assert control.set_torque(0.02, 0.0, run.now_ns) == ""
+        run(control, TORQUE_NS // MS - 1)
+    fastest_m_s = control.robot.vx_m_s
+    # 0.05 N on 0.5 kg for a second, less friction and groove; half as long gives 0.039 m/s.
+    assert 0.05 < fastest_m_s < 0.064
+    run(control, 200)
+    assert control.robot.vx_m_s < 0.9 * fastest_m_s
+
+
+@pytest.mark.parametrize("value", [nan, inf, -5000.0, 5000.0])
+def test_no_torque_and_no_spring_beyond_its_limit_is_taken(value):
+    control = on_at(mode=ControlMode.TORQUE)
+    assert "at most 5 N m" in control.set_torque(0.0, value, run.now_ns)
+    assert "0 to 4000 N/m" in control.set_impedance(value, 10.0)
+    assert "0 to 200 N s/m" in control.set_impedance(100.0, value)
+    run(control, 10)
+    assert (control.robot.x_m, control.robot.y_m, control.refused) == (0.0, 0.0, 3)
+
+
+def test_the_hand_leads_the_robot_in_telepresence_and_in_no_other_mode():
+    side = RobotSide(link=robot_link(life=1))
+    session, control, now_ns, number = begin_session(side.link), RobotControl(side.robot), 0, 0
+    ways_m = {}
+    for mode in (*ControlMode, ControlMode.TELEPRESENCE):
+        assert control.set_mode(mode) == control.set_power(True) == ""
+        # The hand is 20 mm beside the tip.
+        begin_m = side.robot.x_m
+        for _ in range(300):
+            now_ns, number = now_ns + MS, number + 1
+            command = Command(begin_m + 0.02, 0.0, 20 * number)
+            side.handle_datagram(pack_command(number, command, session=session), now_ns)
+            control.step(now_ns)
+            side.handle_cycle(now_ns, MS)
+        ways_m[mode] = side.robot.x_m - begin_m
+        assert (side.robot.mode == MODE_IMPEDANCE) is (mode in ("impedance", "telepresence"))
+        control.set_power(False)
+        for _ in range(200):
+            # The brakes hold it.
+            now_ns += MS
+            side.handle_cycle(now_ns, MS)
+    assert ways_m.pop(ControlMode.TELEPRESENCE) > 0.005
+    # The groove pulls a tip that is held softly.
+    assert list(ways_m.values()) == pytest.approx([0.0, 0.0, 0.0], abs=2e-3)

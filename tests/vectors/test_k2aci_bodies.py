@@ -1,0 +1,97 @@
+"""K2ACI octet by octet: CBOR written out by hand after RFC 8949."""
+
+import pytest
+
+from kontur_av.errors import ConfigError, ProtocolError
+from telepresence.tmtc.k2aci import (
+    MAX_BODY_OCTETS,
+    Acknowledgement,
+    Chat,
+    ChatRole,
+    Numbered,
+    PanelMode,
+    PanelState,
+    StartTask,
+    TaskFinished,
+    TaskResult,
+    TaskSelected,
+    pack_body,
+    parse_body,
+)
+
+GOLDEN = [
+    (
+        # [1, 258, 7, 5, "aiming", 3, [-1, 24], ""]
+        "88 01 190102 07 05 6661696d696e67 03 8220 1818 60",
+        Numbered(258, 7, 5, TaskSelected(task="aiming", run=3, start_um=(-1, 24))),
+    ),
+    ("86 02 00 00 00 6161 01", Numbered(0, 0, 0, StartTask(task="a", run=1))),
+    (
+        "88 03 00 00 00 6161 01 67 61626f72746564 1903e8",
+        Numbered(
+            0, 0, 0, TaskFinished(task="a", run=1, result=TaskResult.ABORTED, duration_ms=1000)
+        ),
+    ),
+    ("87 04 00 00 00 64 686f6c64 60 00", Numbered(0, 0, 0, PanelState(mode=PanelMode.HOLD))),
+    (
+        "86 05 1affffffff 09 09 69 63 6f736d6f6e617574 62 c3bc",
+        Numbered((1 << 32) - 1, 9, 9, Chat(sender=ChatRole.COSMONAUT, text="ü")),
+    ),
+    ("83 00 190102 07", Acknowledgement(258, 7)),
+]
+
+
+@pytest.mark.parametrize(("octets", "body"), GOLDEN)
+def test_bodies_have_these_octets(octets: str, body: Numbered | Acknowledgement) -> None:
+    assert pack_body(body) == bytes.fromhex(octets)
+    assert parse_body(bytes.fromhex(octets)) == body
+
+
+def test_the_longest_message_fits() -> None:
+    most = (1 << 32) - 1
+    chat = Chat(sender=ChatRole.EXPERIMENTER, text="x" * 200)
+    task = TaskSelected(task="t" * 32, run=most, start_um=(-1_000_000, 1_000_000), text="x" * 128)
+    for message in (chat, task):
+        assert len(pack_body(Numbered(most, most, most, message))) <= MAX_BODY_OCTETS
+
+
+@pytest.mark.parametrize(
+    "octets",
+    [
+        "",
+        "80",
+        "00",
+        "83 00 190102",  # ends too soon
+        "83 00 190102 07 00",  # octets after the end
+        "83 00 1801 07",  # an integer that is not in its shortest form
+        "83 00 c249000000000000000001 07",  # a big number
+        "83 00 fb3ff0000000000000 07",  # floating point
+        "83 00 20 07",  # a negative life
+        "9f 00 01 07 ff",  # an array without its length
+        "84 00 01 07 07",
+        "86 06 00 00 00 6161 01",  # an unknown kind
+        "86 f5 00 00 00 6161 01",  # true instead of a kind
+        "86 02 00 00 01 6161 01",  # the oldest above the number
+        "86 02 00 00 00 60 01",  # no name
+        "86 02 00 00 00 61 0a 01",  # a line feed
+        "86 02 00 00 00 61 ff 01",  # no UTF-8
+        "87 04 00 00 00 64 686f6c65 60 00",  # an unknown state
+        "88 01 00 00 00 6161 03 83202020 60",
+        "d8 23 61 28",  # a tag: the regular expression "("
+        "86 02 00 00 00 5b00ffffffffffffff 01",  # 2^56 octets announced
+    ],
+)
+def test_other_octets_are_refused(octets: str) -> None:
+    with pytest.raises(ProtocolError, match="K2ACI: "):
+        parse_body(bytes.fromhex(octets))
+
+
+def test_unfit_messages_are_refused_when_they_are_made() -> None:
+    with pytest.raises(ConfigError, match="text has 201 octets: give 1 to 200"):
+        Chat(sender=ChatRole.COSMONAUT, text="x" * 201)
+    with pytest.raises(ConfigError, match="one line of printable text"):
+        StartTask(task="a\nb", run=1)
+    with pytest.raises(ConfigError, match="run is -1"):
+        StartTask(task="a", run=-1)
+    with pytest.raises(ConfigError, match="choose one of finished, aborted"):
+        TaskFinished(task="a", run=1, result="done")  # type: ignore[arg-type]
