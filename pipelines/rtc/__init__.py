@@ -1,0 +1,1 @@
+"""WebRTC: media with a partner across the Internet. ICE, DTLS-SRTP and SDP are aiortc's."""

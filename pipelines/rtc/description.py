@@ -1,0 +1,424 @@
+"""Offers and answers (SDP, RFC 8829): what each end sends and receives, and how. A core.
+
+All media share one transport (BUNDLE, RFC 9143), and RTP shares it with RTCP (RFC 5761). There is
+at most one picture and one voice, as WHIP has it (RFC 9725 section 4.4). No data channel is ever
+accepted, so that a stranger's messages are not even read.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from aiortc import (
+    RTCDtlsFingerprint,
+    RTCDtlsParameters,
+    RTCIceCandidate,
+    RTCIceParameters,
+    RTCRtpCodecParameters,
+    RTCRtpHeaderExtensionParameters,
+)
+from aiortc.rtcrtpparameters import RTCRtcpFeedback
+from aiortc.sdp import (
+    GroupDescription,
+    MediaDescription,
+    SessionDescription,
+    SsrcDescription,
+    candidate_from_sdp,
+    candidate_to_sdp,
+)
+
+from kontur_av.errors import ProtocolError
+from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE
+from kontur_av.rtp.header_extensions import ABS_SEND_TIME, MID, PLAYOUT_DELAY
+
+Kind = Literal["video", "audio"]
+
+#: A longer description is refused unread. Browsers' have 5 to 10 kB.
+MOST_SDP_OCTETS = 64 << 10
+MOST_LINES = 8
+MOST_CANDIDATES = 64
+
+#: What we offer; the ids are ours.
+_EXTENSIONS: dict[Kind, dict[str, int]] = {
+    "audio": {MID: 1, ABS_SEND_TIME: 2},
+    "video": {MID: 1, ABS_SEND_TIME: 2, PLAYOUT_DELAY: 3},
+}
+_FEEDBACK = (("nack", None), ("nack", "pli"), ("ccm", "fir"), ("goog-remb", None))
+#: Profiles of H.264 by preference: constrained baseline, baseline, main, high.
+_PROFILES = ("42e0", "4200", "4d00", "6400")
+_DISCARD_PORT = 9
+_ANY_HOST = "0.0.0.0"
+#: What the parser raises for garbage.
+_MALFORMED = (
+    ValueError,
+    AssertionError,
+    LookupError,
+    AttributeError,
+    TypeError,
+    StopIteration,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transport:
+    """One end's part of the transport.
+
+    ufrag, password: of ICE. candidates: addresses under which it may be reached.
+    complete: no more candidates come. fingerprints: pairs of hash and digest of its certificate.
+    role: "client", "server" or "auto" in the DTLS handshake. lite: ICE lite (RFC 8445).
+    """
+
+    ufrag: str
+    password: str
+    candidates: tuple[RTCIceCandidate, ...] = ()
+    complete: bool = True
+    fingerprints: tuple[tuple[str, str], ...] = ()
+    role: str = "auto"
+    lite: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class MediaLine:
+    """One picture or voice, as both ends have agreed, or as one end offers.
+
+    mid: its name in both descriptions. sends, receives: of this end.
+    payload_type: of its RTP packets. extensions: ids of header extensions by URI.
+    feedback: what a receiver may send: "nack", "nack pli", "ccm fir", "goog-remb".
+    ssrc: of what this end sends. peer_ssrc: of what the peer sends; None if not told.
+    fmtp: parameters of the codec, as text.
+    """
+
+    mid: str
+    kind: Kind
+    sends: bool
+    receives: bool
+    payload_type: int
+    extensions: dict[str, int]
+    feedback: frozenset[str]
+    ssrc: int = 0
+    peer_ssrc: int | None = None
+    fmtp: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Offer:
+    """A description of the peer, an offer or an answer.
+
+    lines: the media that can be used. mids: all of its media sections in order, with the words
+    after "m=" of those that are not used, which an answer rejects.
+    """
+
+    lines: tuple[MediaLine, ...]
+    mids: tuple[tuple[str, str, str], ...]
+    transport: Transport
+
+
+def wanted_line(
+    kind: Kind, *, mid: str, ssrc: int, sends: bool = False, receives: bool = False
+) -> MediaLine:
+    """Return a line to offer."""
+    return MediaLine(
+        mid=mid,
+        kind=kind,
+        sends=sends,
+        receives=receives,
+        payload_type=VIDEO_PAYLOAD_TYPE if kind == "video" else AUDIO_PAYLOAD_TYPE,
+        extensions=dict(_EXTENSIONS[kind]),
+        feedback=frozenset(_feedback_text(pair) for pair in _FEEDBACK)
+        if kind == "video"
+        else frozenset(),
+        ssrc=ssrc,
+        fmtp=_fmtp(kind),
+    )
+
+
+def write_description(
+    lines: Sequence[MediaLine],
+    transport: Transport,
+    *,
+    session: int,
+    cname: str,
+    stream: str,
+    answers: Offer | None = None,
+) -> str:
+    """Return an offer of `lines`, or the answer to `answers` with those of its lines.
+
+    session: a number of 63 bits for the origin. cname: of all streams. stream: a name for what is
+    sent, so that a receiver keeps sound and picture together (RFC 8830).
+    """
+    description = SessionDescription()
+    description.origin = f"- {session} 2 IN IP4 127.0.0.1"
+    description.msid_semantic.append(GroupDescription(semantic="WMS", items=["*"]))
+    by_mid = {line.mid: line for line in lines}
+    order = [(line.mid, "", "") for line in lines] if answers is None else list(answers.mids)
+    bundled: list[str] = []
+    for mid, kind, rest in order:
+        line = by_mid.get(mid)
+        if line is None:
+            description.media.append(_rejected(mid, kind, rest, transport))
+            continue
+        bundled.append(mid)
+        description.media.append(_section(line, transport, cname=cname, stream=stream))
+    group: list[int | str] = list(bundled)
+    description.group.append(GroupDescription(semantic="BUNDLE", items=group))
+    text = str(description)
+    # RTCP of any size may travel alone (RFC 5506); sets of candidates may grow (RFC 8838).
+    return text.replace("a=rtcp-mux\r\n", "a=rtcp-mux\r\na=rtcp-rsize\r\n")
+
+
+def read_description(text: str, *, answers: bool, ssrcs: dict[Kind, int]) -> Offer:
+    """Return what a peer's description says. Raises ProtocolError for what cannot be used.
+
+    answers: it answers an offer of ours. ssrcs: by kind, of what this end would send.
+    """
+    if len(text) > MOST_SDP_OCTETS:
+        raise ProtocolError(f"a description of {len(text)} octets: {MOST_SDP_OCTETS} are most")
+    try:
+        parsed = SessionDescription.parse(text)
+        return _read(parsed, answers=answers, ssrcs=ssrcs)
+    except _MALFORMED as error:
+        raise ProtocolError(f"not a session description: {error}") from error
+
+
+def common_line(offered: MediaLine, *, sends: bool, receives: bool) -> MediaLine | None:
+    """Return an offered line with what this end wants of it; None if that is nothing."""
+    sends, receives = sends and offered.sends, receives and offered.receives
+    if not (sends or receives):
+        return None
+    ours = _EXTENSIONS[offered.kind]
+    known = {_feedback_text(pair) for pair in _FEEDBACK}
+    return MediaLine(
+        mid=offered.mid,
+        kind=offered.kind,
+        sends=sends,
+        receives=receives,
+        payload_type=offered.payload_type,
+        extensions={uri: number for uri, number in offered.extensions.items() if uri in ours},
+        feedback=frozenset(offered.feedback & known),
+        ssrc=offered.ssrc,
+        peer_ssrc=offered.peer_ssrc,
+        fmtp=offered.fmtp,
+    )
+
+
+def write_candidates(transport: Transport, *, mid: str) -> str:
+    """Return candidates as a fragment for trickle ICE (RFC 8840 section 9)."""
+    lines = [f"a=ice-ufrag:{transport.ufrag}", f"a=ice-pwd:{transport.password}"]
+    lines += [f"m=audio {_DISCARD_PORT} RTP/AVP 0", f"a=mid:{mid}"]
+    lines += [f"a=candidate:{candidate_to_sdp(one)}" for one in transport.candidates]
+    lines += ["a=end-of-candidates"] if transport.complete else []
+    return "\r\n".join(lines) + "\r\n"
+
+
+def read_candidates(text: str) -> Transport:
+    """Return what a fragment for trickle ICE says. Raises ProtocolError for garbage."""
+    if len(text) > MOST_SDP_OCTETS:
+        raise ProtocolError(f"a fragment of {len(text)} octets: {MOST_SDP_OCTETS} are most")
+    ufrag = password = ""
+    candidates: list[RTCIceCandidate] = []
+    complete = False
+    for line in text.splitlines():
+        key, _, value = line.strip().partition(":")
+        if key == "a=ice-ufrag":
+            ufrag = ufrag or value
+        elif key == "a=ice-pwd":
+            password = password or value
+        elif key == "a=end-of-candidates":
+            complete = True
+        elif key == "a=candidate":
+            candidates.append(_candidate(value))
+    if not ufrag or not password:
+        raise ProtocolError("a fragment without ICE's user name and password")
+    return Transport(
+        ufrag=ufrag,
+        password=password,
+        candidates=tuple(candidates[:MOST_CANDIDATES]),
+        complete=complete,
+    )
+
+
+def _candidate(value: str) -> RTCIceCandidate:
+    try:
+        return candidate_from_sdp(value)
+    except _MALFORMED as error:
+        raise ProtocolError(f"not a candidate of ICE: {error}") from error
+
+
+def _read(parsed: SessionDescription, *, answers: bool, ssrcs: dict[Kind, int]) -> Offer:
+    if not parsed.media or len(parsed.media) > MOST_LINES:
+        raise ProtocolError(f"{len(parsed.media)} media sections: 1 to {MOST_LINES} are taken")
+    bundled = {
+        str(mid) for group in parsed.group if group.semantic == "BUNDLE" for mid in group.items
+    }
+    mids = [media.rtp.muxId for media in parsed.media]
+    if len(set(mids)) != len(mids):
+        raise ProtocolError("media sections without names of their own")
+    lines: list[MediaLine] = []
+    sections: list[tuple[str, str, str]] = []
+    for media in parsed.media:
+        mid = media.rtp.muxId
+        rest = f"{media.profile} {' '.join(map(str, media.fmt))}"
+        sections.append((mid, media.kind, rest))
+        line = _read_section(media, ssrcs) if mid in bundled or len(mids) == 1 else None
+        if line is None or any(line.kind == other.kind for other in lines):
+            continue
+        lines.append(line)
+    if not lines:
+        raise ProtocolError("no bundled H.264 or Opus in the description")
+    used = [media for media in parsed.media if media.rtp.muxId in {line.mid for line in lines}]
+    # The transport is described in the first section of the bundle, wanted or not (RFC 9143 clause
+    # 7.2); others may repeat it. An answer rejects what it does not use.
+    main = parsed.media[0] if not answers and parsed.media[0].rtp.muxId in bundled else used[0]
+    return Offer(lines=tuple(lines), mids=tuple(sections), transport=_transport(main, answers))
+
+
+def _transport(media: MediaDescription, answers: bool) -> Transport:
+    if media.dtls is None or not media.dtls.fingerprints:
+        raise ProtocolError("a description without a certificate's fingerprint")
+    if media.ice is None or not media.ice.usernameFragment or not media.ice.password:
+        raise ProtocolError("a description without ICE's user name and password")
+    role = media.dtls.role
+    if answers and role not in ("client", "server"):
+        raise ProtocolError("an answer that leaves the role in the DTLS handshake open")
+    return Transport(
+        ufrag=media.ice.usernameFragment,
+        password=media.ice.password,
+        candidates=tuple(media.ice_candidates[:MOST_CANDIDATES]),
+        complete=media.ice_candidates_complete,
+        fingerprints=tuple((one.algorithm, one.value) for one in media.dtls.fingerprints),
+        role=role,
+        lite=media.ice.iceLite,
+    )
+
+
+def _read_section(media: MediaDescription, ssrcs: dict[Kind, int]) -> MediaLine | None:
+    """Return the line seen from this end; None for one that cannot be used."""
+    if media.kind not in ("audio", "video") or not media.rtcp_mux:
+        return None
+    kind: Kind = "video" if media.kind == "video" else "audio"
+    codec = _codec(media.rtp.codecs, kind)
+    direction = media.direction or "sendrecv"
+    sends = direction in ("recvonly", "sendrecv")
+    receives = direction in ("sendonly", "sendrecv")
+    if codec is None or codec.payloadType is None or not (sends or receives):
+        return None
+    # A port of 0 rejects a section, unless it is bundled with one that has a port.
+    return MediaLine(
+        mid=media.rtp.muxId,
+        kind=kind,
+        sends=sends,
+        receives=receives,
+        payload_type=codec.payloadType,
+        extensions={one.uri: one.id for one in media.rtp.headerExtensions if 1 <= one.id <= 14},
+        feedback=frozenset(
+            _feedback_text((one.type, one.parameter or None)) for one in codec.rtcpFeedback
+        ),
+        ssrc=ssrcs.get(kind, 0),
+        peer_ssrc=media.ssrc[0].ssrc if media.ssrc else None,
+        fmtp=_fmtp_of(codec),
+    )
+
+
+def _codec(codecs: Iterable[RTCRtpCodecParameters], kind: Kind) -> RTCRtpCodecParameters | None:
+    if kind == "audio":
+        return next(
+            (
+                one
+                for one in codecs
+                if one.name.lower() == "opus" and one.clockRate == AUDIO_CLOCK_HZ
+            ),
+            None,
+        )
+    usable = [
+        one
+        for one in codecs
+        if one.name.lower() == "h264"
+        and one.clockRate == VIDEO_CLOCK_HZ
+        and str(one.parameters.get("packetization-mode", "0")) == "1"
+    ]
+    return min(usable, key=_rank, default=None)
+
+
+def _rank(codec: RTCRtpCodecParameters) -> int:
+    profile = str(codec.parameters.get("profile-level-id", "42e01f")).lower()[:4]
+    return _PROFILES.index(profile) if profile in _PROFILES else len(_PROFILES)
+
+
+def _section(line: MediaLine, transport: Transport, *, cname: str, stream: str) -> MediaDescription:
+    media = _bare(line.kind, "UDP/TLS/RTP/SAVPF", [line.payload_type], transport)
+    media.port = _DISCARD_PORT
+    media.direction = (
+        "sendrecv" if line.sends and line.receives else "sendonly" if line.sends else "recvonly"
+    )
+    media.rtcp_port, media.rtcp_host, media.rtcp_mux = _DISCARD_PORT, _ANY_HOST, True
+    media.rtp.muxId = line.mid
+    media.rtp.headerExtensions = [
+        RTCRtpHeaderExtensionParameters(id=number, uri=uri)
+        for uri, number in line.extensions.items()
+    ]
+    video = line.kind == "video"
+    media.rtp.codecs = [
+        RTCRtpCodecParameters(
+            mimeType="video/H264" if video else "audio/opus",
+            clockRate=VIDEO_CLOCK_HZ if video else AUDIO_CLOCK_HZ,
+            channels=None if video else 2,
+            payloadType=line.payload_type,
+            rtcpFeedback=[_feedback(text) for text in sorted(line.feedback)],
+            parameters={line.fmtp: None} if line.fmtp else {},
+        )
+    ]
+    if line.sends:
+        media.msid = f"{stream} {line.mid}"
+        media.ssrc = [SsrcDescription(ssrc=line.ssrc, cname=cname)]
+    return media
+
+
+def _rejected(mid: str, kind: str, rest: str, transport: Transport) -> MediaDescription:
+    """A section that is not wanted: port 0 (RFC 8829 section 5.3.1)."""
+    profile, *formats = rest.split(" ")
+    media = _bare(kind, profile, formats, transport)
+    media.port = 0
+    media.direction = None if kind == "application" else "inactive"
+    media.rtp.muxId = mid
+    return media
+
+
+def _bare(kind: str, profile: str, formats: list[Any], transport: Transport) -> MediaDescription:
+    media = MediaDescription(kind=kind, port=_DISCARD_PORT, profile=profile, fmt=formats)
+    media.host = _ANY_HOST
+    media.ice = RTCIceParameters(
+        usernameFragment=transport.ufrag, password=transport.password, iceLite=transport.lite
+    )
+    media.ice_options = "trickle"
+    media.ice_candidates = list(transport.candidates)
+    media.ice_candidates_complete = transport.complete
+    media.dtls = RTCDtlsParameters(
+        fingerprints=[
+            RTCDtlsFingerprint(algorithm=algorithm, value=value)
+            for algorithm, value in transport.fingerprints
+        ],
+        role=transport.role,
+    )
+    return media
+
+
+def _fmtp(kind: Kind) -> str:
+    if kind == "video":
+        return "level-asymmetry-allowed=1;packetization-mode=1;profile-level-id=42e01f"
+    return "minptime=10;useinbandfec=1"
+
+
+def _fmtp_of(codec: RTCRtpCodecParameters) -> str:
+    return ";".join(
+        name if value is None else f"{name}={value}" for name, value in codec.parameters.items()
+    )
+
+
+def _feedback(text: str) -> RTCRtcpFeedback:
+    kind, _, parameter = text.partition(" ")
+    return RTCRtcpFeedback(type=kind, parameter=parameter or None)
+
+
+def _feedback_text(pair: tuple[str, str | None]) -> str:
+    kind, parameter = pair
+    return kind if parameter is None else f"{kind} {parameter}"
