@@ -1,0 +1,39 @@
+"""What decides the figures of a run besides its task: the program's text and its libraries."""
+
+import platform
+from collections.abc import Mapping
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+_ROOT = Path(__file__).resolve().parents[2]
+_PACKAGES = ("kontur_av", "telepresence", "pipelines")
+#: Libraries whose versions may change a figure.
+_LIBRARIES = ("numpy", "av", "opencv-python-headless", "opuslib", "sgp4")
+
+
+@cache
+def code_digest() -> str:
+    """A digest of the text of all modules."""
+    digest = sha256()
+    for package in _PACKAGES:
+        for path in sorted((_ROOT / package).rglob("*.py")):
+            digest.update(f"{path.relative_to(_ROOT)}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def facts() -> Mapping[str, str]:
+    """Name and version of each part that two machines must have alike."""
+    return {
+        "kontur-av": code_digest(),
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        **{name: _version(name) for name in _LIBRARIES},
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "none"
