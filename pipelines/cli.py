@@ -1,6 +1,7 @@
 """The `kontur-av` command."""
 
 import argparse
+import gc
 import os
 import platform
 import sys
@@ -29,12 +30,21 @@ _COMMANDS = {
     "keys": "make this machine's key, and say which machines it trusts",
     "topology": "list the processes, streams and topics of a session",
     "simulate": "run a session on virtual time: the same seed, the same report",
-    "joystick": "list joysticks, and check one: friction, workspace, spring, buttons",
+    "sweep": "run many sessions on virtual time: any fields, radios and seeds, one table",
+    "joystick": "list joysticks, check one, or drive a robot with one",
     "bench": "measure latency, quality, stability and cost",
     "send": "send one stream as plain RTP, under a hard cap",
     "receive": "receive one stream of plain RTP",
+    "publish": "send a picture and a voice to a media server, by WebRTC",
+    "watch": "receive a picture and a voice from a media server, by WebRTC",
+    "rtc": "serve a partner across the Internet, by WebRTC",
     "select": "switch the camera of a running session",
+    "tc": "send a telecommand, and print its verification",
+    "task": "list, select, start and abort tasks of a running session",
+    "owner": "say who drives the robot, or hand it to a partner",
     "record": "record a running session, and leave it again",
+    "trainer": "give a running session an exercise: no signal, a fault, a lost camera",
+    "report": "join the reports of the two ends of a session",
     "info": "list what is in a recording, gaps and losses included",
     "replay": "send a recorded session through a link again",
     "recover": "make a whole recording of a torn one",
@@ -44,7 +54,7 @@ _COMMANDS = {
 }
 
 
-def _parser(only: str | None = None) -> argparse.ArgumentParser:
+def make_parser(only: str | None = None) -> argparse.ArgumentParser:
     """The parser of all commands; with `only`, no other command's module is loaded."""
     parser = _Parser(
         prog="kontur-av",
@@ -73,6 +83,19 @@ def _check_system(command: str) -> None:
         )
 
 
+def _loaded(command: str, *, alone: bool) -> argparse.ArgumentParser:
+    """The parser, with the module of the command. alone: the process is this command's."""
+    if not alone:
+        return make_parser(command)
+    # Modules are no garbage. To look for it among them takes 0.1 s, most of it at the exit.
+    gc.disable()
+    try:
+        return make_parser(command)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 well, 1 something failed, 2 the user's mistake, 130 interrupted."""
     # Before NumPy is loaded: its library's threads would not survive the launcher's forks.
@@ -80,7 +103,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         words = sys.argv[1:] if arguments is None else list(arguments)
         _check_system(words[0] if words else "")
-        args = _parser(words[0] if words else "").parse_args(words)
+        parser = _loaded(words[0] if words else "", alone=arguments is None)
+        args = parser.parse_args(words)
         result: int = args.run(args)
     except ConfigError as error:
         print(f"kontur-av: {error}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""`kontur-av joystick`: list the joysticks of this machine, and run their functional checks."""
+"""`kontur-av joystick`: list the joysticks here, check one, or drive a robot with one."""
 
 import argparse
 from collections.abc import Callable
@@ -10,6 +10,7 @@ from rich.text import Text
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
+from pipelines.commands import drive
 from pipelines.commands.common import output_that_may_fail, stopped_by_signals
 from pipelines.report.model import (
     CheckReport,
@@ -34,7 +35,7 @@ _LONGEST_NS = 300 * NS_PER_S
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`list` and `test`, with its options."""
+    """`list`, `test` and `drive`, with their options."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     text = "list the joysticks here, as --device and `stream --joystick` name them"
     actions.add_parser("list", help=text, description=text)
@@ -48,11 +49,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="sim, sim:FAULT, evdev or evdev:/dev/input/eventN (default: sim)",
     )
     test.add_argument("--report", type=Path, metavar="FILE", help="write all figures as JSON")
+    text = "drive the robot, or the arm, that a session's setup gives a partner"
+    drive.add_arguments(actions.add_parser("drive", help=text, description=text))
 
 
 def run(args: argparse.Namespace) -> int:
     """0 if all is well; 1 if a check failed."""
-    return _list() if args.action == "list" else _test(args.device, args.check, args.report)
+    if args.action == "list":
+        return _list()
+    if args.action == "drive":
+        return drive.drive(args)
+    return _test(args.device, args.check, args.report)
 
 
 def _list(print: Callable[[str], None] = print) -> int:

@@ -11,7 +11,13 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail, parse_address, resolve
+from pipelines.commands.common import output_that_may_fail, resolve
+from pipelines.commands.end_options import (
+    add_end_arguments,
+    chosen_end,
+    hold_listen_port,
+    path_line,
+)
 from pipelines.commands.link_ports import port_table
 from pipelines.commands.session_options import (
     add_radio_arguments,
@@ -24,11 +30,10 @@ from pipelines.report.link_report import LinkView, build_link_report, summary_li
 from pipelines.report.report_file import check_writable, write_report
 from pipelines.runtime.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
 from pipelines.runtime.launcher import Launcher, hold_port, launcher_cpu_s
+from pipelines.runtime.peer_socket import PeerPlan
 from pipelines.runtime.process import LOOPBACK
 from pipelines.setup.setup_file import load_setup
 from pipelines.topology import ProcessRow, Segment, Topology, topology_of
-
-_ANY = "0.0.0.0"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,11 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
-    parser.add_argument(
-        "--end", choices=[segment.value for segment in Segment], help="run this end alone"
-    )
-    parser.add_argument("--peer", metavar="HOST:PORT", help="with --end: the other's radio port")
-    parser.add_argument("--bind", metavar="ADDRESS", help="with --end: where the radio port is")
+    add_end_arguments(parser)
     parser.add_argument("--apps", metavar="HOST", help="where the programs run, if not here")
     parser.add_argument(
         "--apps-bind", metavar="ADDRESS", help="this machine's address that they send to"
@@ -59,18 +60,23 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
-    ends = list(Segment) if args.end is None else [Segment(args.end)]
     topology = topology_of(setup)
-    addresses = chosen_addresses(args, topology)
+    one = chosen_end(args, topology)
+    ends = list(Segment) if one is None else [one.segment]
+    addresses = chosen_addresses(args)
     check_writable(args.report)
-    held = [hold_link_ports(topology, end, addresses) for end in ends]
+    if one is not None:
+        hold_listen_port(one)
+    held = [hold_link_ports(topology, end, addresses, alone=one is not None) for end in ends]
     collector = Collector(topology)
     screen = _LinkScreen(LinkView(setup, ends), collector, quiet=args.quiet)
+    if one is not None:
+        screen.show_lines([path_line(one)])
     screen.show_lines(port_table(topology, ends, addresses))
     launcher = Launcher(
         session="link",
         topology=topology,
-        processes=link_processes(topology, ends, addresses),
+        processes=link_processes(topology, ends, addresses, None if one is None else one.plan),
         clock=MonotonicClock(),
         listener=collector,
         seed=args.seed,
@@ -96,46 +102,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def link_processes(
-    topology: Topology, ends: Sequence[Segment], addresses: EndAddresses
+    topology: Topology, ends: Sequence[Segment], addresses: EndAddresses, peer: PeerPlan | None
 ) -> list[ProcessRow]:
     """Return the processes of the link: one gateway for each end."""
     gateways = (topology.gateway(end) for end in ends)
-    changes = {"addresses": addresses, "tell_backlog": False}
+    changes = {"addresses": addresses, "peer": peer, "tell_backlog": False}
     return [replace(row, arguments={**row.arguments, **changes}) for row in gateways]
 
 
-def chosen_addresses(args: argparse.Namespace, topology: Topology) -> EndAddresses:
-    """Return the addresses that the options name; ConfigError if they cannot work."""
-    apps, apps_bind = _apps(args)
-    if args.end is None:
-        for option in ("peer", "bind"):
-            if getattr(args, option) is not None:
-                raise ConfigError(
-                    f"--{option} is for one end alone: add --end ground or --end space"
-                )
-        return EndAddresses(apps=apps, apps_bind=apps_bind)
-    end = Segment(args.end)
-    radio, other = topology.radio_port(end), topology.radio_port(end.peer)
-    if args.peer is None:
-        raise ConfigError(
-            f"--end {args.end} needs --peer HOST:PORT, the other end's radio port "
-            f"({other} if it has the same base port)"
-        )
-    peer = parse_address(args.peer, "--peer", socket.AF_INET)
-    bind = _bound_address("--bind", args.bind, peer, "--peer", args.peer)
-    own = bind == peer[0] or (bind == _ANY and reaches(peer) == peer[0])
-    if own and peer[1] == radio:
-        raise ConfigError(f"--peer {args.peer} is this end itself: the other has port {other}")
-    return EndAddresses(bind=bind, peer=peer, apps=apps, apps_bind=apps_bind)
-
-
-def _apps(args: argparse.Namespace) -> tuple[str, str]:
+def chosen_addresses(args: argparse.Namespace) -> EndAddresses:
+    """Return the addresses of the programs; ConfigError if they cannot work."""
     if args.apps is None:
         if args.apps_bind is not None:
             raise ConfigError("--apps-bind goes with --apps HOST, the machine of the programs")
-        return LOOPBACK, LOOPBACK
+        return EndAddresses()
     apps = resolve(args.apps, args.apps, "--apps", socket.AF_INET)
-    return apps, _bound_address("--apps-bind", args.apps_bind, (apps, 9), "--apps", args.apps)
+    bind = _bound_address("--apps-bind", args.apps_bind, (apps, 9), "--apps", args.apps)
+    return EndAddresses(apps=apps, apps_bind=bind)
 
 
 def _bound_address(
@@ -174,16 +157,23 @@ def _bound_address(
     )
 
 
-def hold_link_ports(topology: Topology, end: Segment, addresses: EndAddresses) -> socket.socket:
+def hold_link_ports(
+    topology: Topology, end: Segment, addresses: EndAddresses, *, alone: bool
+) -> socket.socket:
     """Hold one port of an end and check the others. Raises ConfigError if one is busy.
 
     The port is held while the returned socket is open. So of two ends that start at the same moment
     only one gets it.
+
+    alone: the other end is on another machine, so the setup's radio port is not used.
     """
-    held = hold_port(topology.launcher_port + (end is Segment.SPACE), addresses.bind)
+    held = hold_port(topology.launcher_port + (end is Segment.SPACE))
     radio_port = topology.radio_port(end)
     for port in topology.gateway(end).ports:
-        hold_port(port, addresses.bind if port == radio_port else addresses.apps_bind).close()
+        if port != radio_port:
+            hold_port(port, addresses.apps_bind).close()
+        elif not alone:
+            hold_port(port).close()
     return held
 
 

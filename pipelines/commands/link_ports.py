@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kontur_av.errors import ConfigError
 from pipelines.runtime.datagrams import EndAddresses
 from pipelines.topology import Segment, Topology
 from pipelines.topology.tables import travels
@@ -39,7 +38,7 @@ def channels(topology: Topology, ends: Sequence[Segment]) -> list[ChannelPorts]:
 
 
 def port_table(topology: Topology, ends: Sequence[Segment], addresses: EndAddresses) -> list[str]:
-    """Return the lines to print: for one end the radio's ports, then one line a channel."""
+    """Return the lines to print: one a channel."""
     rows = [("channel", "send to", "comes out at", "what")]
     rows += [
         (
@@ -51,18 +50,10 @@ def port_table(topology: Topology, ends: Sequence[Segment], addresses: EndAddres
         for channel in channels(topology, ends)
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
-    lines = [
+    return [
         "  ".join([*(text.ljust(width) for text, width in zip(row, widths, strict=False)), row[3]])
         for row in rows
     ]
-    if len(ends) == 1:
-        (end,) = ends
-        peer = addresses.peer
-        if peer is None:
-            raise ConfigError("--end needs --peer HOST:PORT, the other end's radio port")
-        own = f"{addresses.bind}:{topology.radio_port(end)}"
-        lines.insert(0, f"radio of the {end.value} end: {own}, peer {peer[0]}:{peer[1]}")
-    return lines
 
 
 def _place(host: str, port: int | None) -> str:

@@ -6,7 +6,7 @@ import re
 import subprocess
 import sys
 import webbrowser
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
@@ -16,6 +16,7 @@ from socket import socket
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.commands.common import output_that_may_fail, resolve
+from pipelines.cores.seat_roles import Role
 from pipelines.runtime.page_certificate import check_certificate, fingerprint, make_certificate
 from pipelines.runtime.page_listener import PageListener
 from pipelines.runtime.page_sockets import PageHost, bind_pages, listeners
@@ -24,6 +25,16 @@ from pipelines.topology import PAGES, Segment
 _PORT = 8270
 #: The ground's page takes a later port than the operator's.
 _LAST_PORT = 65_534
+#: By the name that is printed: end, page and role of each of the mission's people.
+_PEOPLE = {
+    "panel": ("space", "panel", Role.COSMONAUT),
+    "k2cp": ("space", "k2cp", Role.COSMONAUT),
+    "top": ("ground", "top", Role.EXPERIMENTER),
+    "k2sv": ("ground", "k2sv", Role.SUPERVISOR),
+    "systems": ("ground", "k2sv", Role.SYSTEMS),
+}
+#: Pages that show nothing in a session without tasks.
+_OF_TASKS = ("panel", "top")
 #: In the order of their ports.
 _SEATS = (Segment.SPACE, Segment.GROUND)
 
@@ -60,8 +71,8 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def bound_pages(args: argparse.Namespace) -> PageWish | None:
-    """Bind what the options ask for; None without pages.
+def bound_pages(args: argparse.Namespace, segments: Sequence[Segment] = _SEATS) -> PageWish | None:
+    """Bind what the options ask for; None without pages. segments: those that run here.
 
     Raises ConfigError for options that contradict each other, for an address that cannot be had,
     and for a certificate that no browser would take.
@@ -78,30 +89,34 @@ def bound_pages(args: argparse.Namespace) -> PageWish | None:
     host, port = parse_page(args.page)
     if args.page_cert is not None:
         check_certificate(args.page_cert)
-    sockets = bind_pages(host, port, [segment.value for segment in _SEATS])
+    seats = [segment.value for segment in _SEATS if segment in segments]
+    sockets = bind_pages(host, port, seats)
     return PageWish(host=host, sockets=sockets, certificate=args.page_cert, browser=bool(args.open))
 
 
-def parse_page(text: str | None) -> tuple[PageHost, int]:
-    """Return host and first port of `--page`; ConfigError if `text` is not [HOST:]PORT."""
+def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]:
+    """Return host and first port of `option`; ConfigError if `text` is not [HOST:]PORT."""
     if text is None:
         return PageHost(), _PORT
     match = re.fullmatch(r"(?:(\[[^\]]+\]|[^:]+):)?(\d{1,5})", text)
     if match is None or not 1 <= int(match[2]) <= _LAST_PORT:
-        raise ConfigError(f"--page {text!r}: write [HOST:]PORT with a port from 1 to {_LAST_PORT}")
+        raise ConfigError(
+            f"{option} {text!r}: write [HOST:]PORT with a port from 1 to {_LAST_PORT}"
+        )
     if match[1] is None:
         return PageHost(), int(match[2])
     host = match[1].strip("[]")
-    return PageHost(host=host, address=resolve(host, text, "--page")), int(match[2])
+    return PageHost(host=host, address=resolve(host, text, option)), int(match[2])
 
 
 @contextmanager
 def announced_pages(
-    wish: PageWish | None, session: str, *, quiet: bool
+    wish: PageWish | None, session: str, *, quiet: bool, tasks: bool = False
 ) -> Iterator[Mapping[str, PageListener]]:
     """Make tokens and certificate, print the addresses, and yield the listeners by process.
 
     The addresses are also in `pages.json` in the session's directory, for programs of this user.
+    tasks: whether the session has any.
     """
     if wish is None:
         yield {}
@@ -115,10 +130,16 @@ def announced_pages(
         wish.sockets, wish.host, None if certificate is None else certificate.resolve()
     )
     urls = {seat: listener.url(seat) for seat, listener in seats.items()}
+    people = {
+        name: seats[seat].url(page, role=role.value)
+        for name, (seat, page, role) in _PEOPLE.items()
+        if seat in seats and (tasks or page not in _OF_TASKS)
+    }
     viewer = next(iter(seats.values())).viewer_token
-    _write(root / "pages.json", json.dumps({**urls, "viewer_token": viewer}, indent=1) + "\n")
+    kept = {**urls, **people, "viewer_token": viewer}
+    _write(root / "pages.json", json.dumps(kept, indent=1) + "\n")
     if not quiet:
-        lines = [f"{seat:<7} {url}" for seat, url in urls.items()]
+        lines = [f"{seat:<7} {url}" for seat, url in (urls | people).items()]
         lines.append(f"to watch only: token={viewer}")
         if made and certificate is not None:
             lines.append(f"certificate made for this session, SHA-256 {fingerprint(certificate)}")
@@ -127,7 +148,7 @@ def announced_pages(
     if wish.browser:
         _open_in_browser(urls, root)
     try:
-        yield {PAGES[segment]: seats[segment.value] for segment in _SEATS}
+        yield {PAGES[Segment(name)]: listener for name, listener in seats.items()}
     finally:
         for listener in seats.values():
             listener.socket.close()

@@ -41,8 +41,11 @@ class RawPictures:
         self._size = size
         self._fd = -1
         self._header_due = True
-        self._rest = memoryview(b"")
+        self._present = bytearray()
+        self._rest = memoryview(self._present)
         self._waiting: bytearray | None = None
+        #: Of a picture that is written. Fresh memory for each one would cost its page faults.
+        self._spare = bytearray()
         try:
             self._is_fifo = Path(path).exists() and stat.S_ISFIFO(Path(path).stat().st_mode)
             if self._is_fifo:
@@ -87,6 +90,7 @@ class RawPictures:
                 self.fault = f"--raw {self._path!r}: {error.strerror}"
             return
         self.written += 1
+        self._spare = self._present
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
             self._begin(waiting)
@@ -122,6 +126,7 @@ class RawPictures:
         return self._fd >= 0
 
     def _begin(self, octets: bytearray) -> None:
+        self._present = octets
         self._rest = memoryview(octets)
         self.handle_writable()
 
@@ -134,7 +139,10 @@ class RawPictures:
             # Pictures come at no fixed rate: F0:0 says that it is unknown (yuv4mpeg(5)).
             head = b"YUV4MPEG2 W%d H%d F0:0 Ip A1:1 C420mpeg2\n" % (width, height) + head
             self._header_due = False
-        octets = bytearray(len(head) + width * height * 3 // 2)
+        wanted = len(head) + width * height * 3 // 2
+        octets, self._spare = self._spare, bytearray()
+        if len(octets) != wanted:
+            octets = bytearray(wanted)
         octets[: len(head)] = head
         into = np.frombuffer(octets, np.uint8, offset=len(head)).reshape(height * 3 // 2, width)
         picture.scale_into(into)

@@ -78,7 +78,9 @@ class PictureOutput:
                     self._raw.handle_picture(picture)
                 size = self._size = (picture.width, picture.height)
                 capture_ns = receiver.capture_ns(picture.timestamp)
-                stamp = receiver.handle_picture(picture.timestamp, *size, capture_ns)
+                stamp = receiver.handle_picture(
+                    picture.timestamp, *size, capture_ns, corrupt=picture.corrupt
+                )
                 if stamp is not None:
                     self.decoded_ns.add(self._clock.now_ns() - stamp.capture_ns)
             if self._writer is not None:

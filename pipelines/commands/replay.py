@@ -3,12 +3,11 @@
 import argparse
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.live_session import end_session, live_view, made_directory
 from pipelines.commands.replay_options import (
     add_coding_arguments,
     check_caps,
@@ -16,16 +15,14 @@ from pipelines.commands.replay_options import (
     replay_setup,
 )
 from pipelines.commands.session_options import add_radio_arguments, add_setup_argument
-from pipelines.commands.stream import check_room, live_view, made_directory
+from pipelines.commands.stream import check_room
 from pipelines.parts.replaying import ReplayStart
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.recorded_session import RecordedSession
 from pipelines.report.collector import Collector
 from pipelines.report.model import ReplayedStream, ReplayReport
-from pipelines.report.report_file import check_writable, write_report
-from pipelines.report.session_report import build_report
-from pipelines.report.summary import print_summary
-from pipelines.runtime.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
+from pipelines.report.report_file import check_writable
+from pipelines.runtime.launcher import Launcher, hold_ports, load_libraries
 from pipelines.runtime.sessions import clear_dead_sessions, hold_session
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.topology import TELECOMMAND, TELEMETRY, Topology, topology_of
@@ -75,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     snapshots = made_directory(args.snapshots)
     check_writable(args.report)
     clear_dead_sessions()
-    check_room(setup)
+    check_room(setup, setup.inputs)
     first_ns, last_ns = recorded.instants_ns
     delay_ns = setup.radio_profile.longest_delay_ns
     lead_ns = _LEAD_NS + 4 * delay_ns
@@ -103,22 +100,8 @@ def run(args: argparse.Namespace) -> int:
         )
         launcher.run(length_ns / NS_PER_S)
     held.close()
-    collector.handle_end()
-    report = build_report(
-        setup,
-        collector,
-        seconds=launcher.seconds,
-        cpu_s=launcher.cpu_s(),
-        restarts={child.row.name: child.restarts for child in launcher.children},
-        launcher_cpu_s=launcher_cpu_s(),
-    )
-    report = msgspec.structs.replace(report, replay=_replay_report(recorded, setup, args))
-    if args.report is not None:
-        write_report(args.report, report)
-    if not args.quiet:
-        with output_that_may_fail():
-            print_summary(report)
-    return 1 if report.failures else 0
+    replay = _replay_report(recorded, setup, args)
+    return end_session(args, setup, collector, launcher, replay=replay)
 
 
 def _topology(

@@ -74,6 +74,8 @@ def replay_setup(
     if speed != 1.0:
         voices = (one.name for one in setup.streams if isinstance(one, VoiceStream))
         setup = _without(setup, tuple(voices))
+    # A partner is not recorded in full, and nobody joins a replay.
+    setup = replace(setup, rtc=None)
     setup = _changed(setup, _caps(args.cap_kbps, setup))
     for stream in _silent(setup, session):
         raise ConfigError(f"{path} has no channel /{stream}/sent: take a setup without {stream}")

@@ -36,6 +36,12 @@ from pipelines.simulation.inputs import check_sources as check_virtual_sources
 from pipelines.simulation.replay import Replay
 from pipelines.simulation.session import Selection, Simulation
 from pipelines.simulation.workers import Workers
+from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.device.spec import is_simulated, open_device
+from telepresence.haptics.hand import Hand
+from telepresence.tasks.definitions import Catalogue
+from telepresence.tasks.plan import SessionPlan
+from telepresence.tasks.plan_file import load_plan
 
 #: The virtual time between two checks whether to stop.
 _STRIDE_NS = 50 * NS_PER_MS
@@ -71,6 +77,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="T=CAMERA",
         help="the operator selects CAMERA at second T; may be given several times",
+    )
+    parser.add_argument(
+        "--plan",
+        type=Path,
+        metavar="PLAN.toml",
+        help="tasks that an experimenter selects one after the other, and a simulated cosmonaut "
+        "does (docs/tasks.md)",
+    )
+    parser.add_argument(
+        "--joystick",
+        metavar="SPEC",
+        help="sim, or sim:FAULT, operates the simulated joystick as a live session does: "
+        "calibration, states, faults; without, it is in the application all the time",
     )
     parser.add_argument(
         "--no-media", action="store_true", help="haptics and telecommands alone: much faster"
@@ -121,8 +140,12 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
         radio_start_s=args.radio_start,
     )
     check_virtual_sources(setup)
-    check_sources(setup)
+    check_sources(setup, setup.inputs)
     selections = parse_selections(args.select, setup, args.seconds)
+    plan = None if args.plan is None else load_plan(args.plan)
+    if plan is not None:
+        plan[0].check(plan[1], setup.cameras, setup.name)
+    joystick = None if args.joystick is None else _joystick(args.joystick, tasks=plan is not None)
     with stopped_by_signals() as stopped:
         return simulate(
             setup,
@@ -132,11 +155,21 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
             selections=selections,
             costs=costs,
             stopped=stopped,
+            plan=plan,
+            joystick=joystick,
         )
 
 
+def _joystick(spec: str, *, tasks: bool) -> JoystickDevice:
+    if tasks:
+        raise ConfigError("--plan has a joystick of its own: leave --joystick out")
+    if not is_simulated(spec):
+        raise ConfigError(f"--joystick {spec}: lives in real time; a simulation takes sim")
+    return open_device(spec, hand=Hand())
+
+
 def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
-    for option in ("source", "select", "deadband", "hand"):
+    for option in ("source", "select", "deadband", "hand", "plan", "joystick"):
         if getattr(args, option):
             raise ConfigError(f"--{option} changes what is sent: a replay sends what was recorded")
     session = load_recording(args.replay)
@@ -169,14 +202,26 @@ def simulate(
     selections: Sequence[Selection] = (),
     costs: CodingCosts | None = None,
     stopped: Callable[[], bool] = lambda: False,
+    plan: tuple[SessionPlan, Catalogue] | None = None,
+    joystick: JoystickDevice | None = None,
 ) -> SessionReport:
     """Simulate `seconds` of virtual time. The same arguments give the same report.
+
+    plan: of `telepresence.tasks.plan_file.load_plan`; None: the hand taps targets all the time.
+    joystick: as of `Simulation`.
 
     stopped: called again and again; True ends the simulation early.
     """
     with Workers() as workers:
         simulation = Simulation(
-            setup, workers, seed=seed, media=media, selections=selections, costs=costs
+            setup,
+            workers,
+            seed=seed,
+            media=media,
+            selections=selections,
+            costs=costs,
+            plan=plan,
+            joystick=joystick,
         )
         _run(simulation, round(seconds * NS_PER_S), stopped)
         return simulation.report()

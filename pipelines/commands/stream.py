@@ -1,9 +1,8 @@
 """`kontur-av stream`: a whole telepresence session on this machine, and its report."""
 
 import argparse
-import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
@@ -12,8 +11,23 @@ from kontur_av.sources import check_spec
 from kontur_av.sources.page import PAGE
 from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.doctor import NEEDED_SHM_OCTETS, check_shared_memory
+from pipelines.commands.end_options import (
+    add_end_arguments,
+    chosen_end,
+    hold_listen_port,
+    path_line,
+)
+from pipelines.commands.live_session import end_session, live_view, made_directory
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
 from pipelines.commands.record_options import add_record_arguments, wish_of
+from pipelines.commands.rtc_leg import (
+    RtcWish,
+    add_rtc_arguments,
+    announced_rtc,
+    bound_rtc,
+    with_rtc,
+    with_servers,
+)
 from pipelines.commands.session_options import (
     add_deadband_argument,
     add_hand_argument,
@@ -24,19 +38,19 @@ from pipelines.commands.session_options import (
     port_changes,
     radio_changes,
 )
+from pipelines.commands.split_options import check_own_options, inputs_here
+from pipelines.commands.task_options import TaskWish, add_task_arguments, task_wish, with_tasks
 from pipelines.recording.control import write_wish
 from pipelines.recording.part_files import check_recordable, clear_parts
 from pipelines.report.collector import Collector
-from pipelines.report.live import LiveView
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
-from pipelines.report.session_report import build_report
-from pipelines.report.summary import print_summary
-from pipelines.runtime.launcher import Launcher, hold_ports, launcher_cpu_s, load_libraries
+from pipelines.runtime.launcher import Launcher, hold_ports, load_libraries
+from pipelines.runtime.peer_socket import PeerPlan
 from pipelines.runtime.sessions import clear_dead_sessions, hold_session
 from pipelines.setup.setup_file import load_setup
 from pipelines.setup.table import STEREO, Setup, VideoStream
-from pipelines.topology import topology_of
+from pipelines.topology import ProcessRow, Segment, Topology, topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.world import audio_scenes, video_scenes
 
@@ -60,6 +74,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_deadband_argument(parser)
     add_hand_argument(parser)
     parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
+    add_end_arguments(parser)
+    parser.add_argument(
+        "--trainer",
+        action="store_true",
+        help="heed `kontur-av trainer`; with --end space, the radio of both directions is here",
+    )
     parser.add_argument(
         "--joystick",
         default=SIMULATED,
@@ -67,7 +87,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="sim, page (the hand of who sits at the operator's page), evdev or "
         "evdev:/dev/input/eventN (default: sim); see `kontur-av joystick list`",
     )
+    add_task_arguments(parser)
     add_page_arguments(parser)
+    add_rtc_arguments(parser)
     loudness = parser.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
     loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
@@ -75,35 +97,53 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the session; 1 if its report names a failure."""
-    setup = chosen_setup(args)
+    setup = with_rtc(args, chosen_setup(args))
     if args.seconds is not None and not 0 < args.seconds < 1e9:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
-    check_sources(setup)
-    _check_page_sources(setup, pages=not args.no_page)
-    check_joystick(args.joystick)
+    plan = topology_of(setup)
+    one = chosen_end(args, plan)
+    plan = replace(plan, segments=tuple(Segment) if one is None else (one.segment,))
+    check_own_options(args, plan)
+    inputs = inputs_here(plan)
+    check_sources(setup, inputs)
+    _check_page_sources(setup, inputs, pages=not args.no_page)
+    if Segment.SPACE in plan.segments:
+        check_joystick(args.joystick)
+    tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
     check_writable(args.report)
     wish = wish_of(args, held=False)
     if wish is not None:
         check_recordable(Path(wish.file), overwrite=args.overwrite)
     clear_dead_sessions()
-    check_room(setup, pages=not args.no_page)
+    check_room(setup, inputs, pages=not args.no_page)
     topology = topology_of(
         setup,
         joystick=args.joystick,
         snapshots=snapshots is not None,
         pages=not args.no_page,
         recorder=True,
+        trainer=args.trainer,
+        tasks=tasks is not None,
+        segments=plan.segments,
     )
+    page_wish = bound_pages(args, plan.segments)
+    rtc_wish = bound_rtc(args, setup, plan.segments)
+    if one is not None:
+        hold_listen_port(one)
+    # After all in which an option could be wrong, whatever other sessions have.
     held = hold_ports(topology)
-    page_wish = bound_pages(args)
     load_libraries()
     clock = MonotonicClock()
-    draw_backgrounds(setup, clock)
+    draw_backgrounds(setup, inputs, clock)
     collector = Collector(topology)
+    if one is not None and not args.quiet:
+        with output_that_may_fail():
+            print(path_line(one), flush=True)
     with (
-        hold_session(setup.name) as session,
-        announced_pages(page_wish, session, quiet=args.quiet) as pages,
+        hold_session(setup.name, end="" if one is None else one.segment.value) as session,
+        announced_pages(page_wish, session, quiet=args.quiet, tasks=tasks is not None) as pages,
+        announced_rtc(rtc_wish, session, quiet=args.quiet) as partners,
         live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         if wish is not None:
@@ -112,46 +152,30 @@ def run(args: argparse.Namespace) -> int:
         launcher = Launcher(
             session=session,
             topology=topology,
-            processes=topology.processes,
+            processes=_processes(topology, None if one is None else one.plan, rtc_wish, tasks),
             clock=clock,
             listener=collector,
             snapshots=snapshots,
             seed=args.seed,
             show=view.show,
-            pages=pages,
+            pages={**pages, **partners},
             feed=SeatFeed(setup, collector),
         )
         launcher.run(args.seconds)
     held.close()
-    collector.handle_end()
-    report = build_report(
-        setup,
-        collector,
-        seconds=launcher.seconds,
-        cpu_s=launcher.cpu_s(),
-        restarts={child.row.name: child.restarts for child in launcher.children},
-        launcher_cpu_s=launcher_cpu_s(),
-        stopped_s=launcher.stopped_s,
-    )
-    if args.report is not None:
-        write_report(args.report, report)
-    if not args.quiet:
-        with output_that_may_fail():
-            print_summary(report)
-    return 1 if report.failures else 0
+    return end_session(args, setup, collector, launcher)
 
 
-@contextmanager
-def live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[LiveView]:
-    """The table of a session in the terminal."""
-    view = LiveView(collector, quiet=quiet, verbose=verbose)
-    view.__enter__()
-    try:
-        yield view
-    finally:
-        # A closed terminal cannot take a last table, but the report must still be written.
-        with suppress(OSError):
-            view.__exit__(None, None, None)
+def _processes(
+    topology: Topology, peer: PeerPlan | None, rtc: RtcWish | None, tasks: TaskWish | None
+) -> Sequence[ProcessRow]:
+    """The processes of this machine; of one end, its gateway knows how to reach the other."""
+    rows = [with_tasks(with_servers(row, rtc), tasks) for row in topology.processes_here]
+    if topology.alone is None:
+        return rows
+    gateway = topology.gateway(topology.alone)
+    split = replace(gateway, arguments={**gateway.arguments, "peer": peer})
+    return [split if row is gateway else row for row in rows]
 
 
 def chosen_setup(args: argparse.Namespace) -> Setup:
@@ -181,11 +205,14 @@ def parse_sources(options: Sequence[str]) -> Mapping[str, str]:
     return sources
 
 
-def check_sources(setup: Setup) -> None:
-    """ConfigError for the first source that cannot be opened, before anything has started."""
+def check_sources(setup: Setup, inputs: Sequence[str]) -> None:
+    """ConfigError for the first source that cannot be opened, before anything has started.
+
+    inputs: those that are captured here.
+    """
     scenes: dict[str, Iterable[str]] = {"video": video_scenes(), "audio": audio_scenes()}
-    _check_shared(setup)
-    for name in setup.inputs:
+    _check_shared(setup, inputs)
+    for name in inputs:
         kind = setup.kind_of(name)
         try:
             check_spec(setup.source(name), kind, scenes[kind])
@@ -193,8 +220,8 @@ def check_sources(setup: Setup) -> None:
             raise ConfigError(f"input {name}: {error}") from None
 
 
-def _check_page_sources(setup: Setup, *, pages: bool) -> None:
-    for name in setup.inputs:
+def _check_page_sources(setup: Setup, inputs: Sequence[str], *, pages: bool) -> None:
+    for name in inputs:
         if setup.source(name) == PAGE and not pages:
             raise ConfigError(
                 f"input {name}: source {PAGE} needs the pages: leave --no-page out, "
@@ -202,10 +229,10 @@ def _check_page_sources(setup: Setup, *, pages: bool) -> None:
             )
 
 
-def _check_shared(setup: Setup) -> None:
+def _check_shared(setup: Setup, inputs: Sequence[str]) -> None:
     # A camera serves one program only, and two readers of one FIFO each get torn pictures.
     taken: dict[Path, str] = {}
-    for name in setup.inputs:
+    for name in inputs:
         family, _, place = setup.source(name).partition(":")
         if family not in ("v4l2", "pipe"):
             continue
@@ -216,13 +243,14 @@ def _check_shared(setup: Setup) -> None:
             )
 
 
-def check_room(setup: Setup, *, pages: bool = False) -> None:
+def check_room(setup: Setup, inputs: Sequence[str], *, pages: bool = False) -> None:
     """ConfigError when shared memory has no room for the session's pictures.
 
     Measured: a topic of pictures holds two or three. Five leave room for the successor of a killed
-    process. pages: a page joins with decoded pictures, and gives its own for a camera.
+    process. inputs: those that are captured here. pages: a page joins with decoded pictures, and
+    gives its own for a camera.
     """
-    cameras = [setup.stream_of(name) for name in setup.inputs if setup.kind_of(name) == "video"]
+    cameras = [setup.stream_of(name) for name in inputs if setup.kind_of(name) == "video"]
     # The stereo merge has the uplink's size. Received pictures count twice: they are also shown.
     relays = [setup.uplink_video] * (STEREO in setup.cameras)
     received = [stream for stream in setup.streams if isinstance(stream, VideoStream)]
@@ -234,10 +262,13 @@ def check_room(setup: Setup, *, pages: bool = False) -> None:
         raise ConfigError(f"{verdict.found}: {verdict.mend}")
 
 
-def draw_backgrounds(setup: Setup, clock: MonotonicClock) -> None:
-    """Draw what the built-in scenes share before the fork, so that no camera draws it again."""
+def draw_backgrounds(setup: Setup, inputs: Sequence[str], clock: MonotonicClock) -> None:
+    """Draw what the built-in scenes share before the fork, so that no camera draws it again.
+
+    inputs: those that are captured here.
+    """
     pictures, sounds = video_scenes(), audio_scenes()
-    for name in setup.inputs:
+    for name in inputs:
         kind, _, scene = setup.source(name).partition(":")
         if kind != "scene":
             continue
@@ -247,16 +278,3 @@ def draw_backgrounds(setup: Setup, clock: MonotonicClock) -> None:
             stream = setup.stream_of(name)
             source = pictures[scene](name, stream.width, stream.height, stream.fps, clock)
             source.close()
-
-
-def made_directory(path: Path | None) -> Path | None:
-    """The directory for snapshots, which is made if need be; ConfigError if it cannot be."""
-    if path is None:
-        return None
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--snapshots {path}: {error.strerror or error}") from None
-    if not os.access(path, os.W_OK):
-        raise ConfigError(f"--snapshots {path}: cannot be written to; choose another directory")
-    return path.absolute()

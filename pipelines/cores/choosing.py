@@ -75,6 +75,13 @@ class CameraChoice:
         self._acknowledge(now_ns)
         return self.selected != before
 
+    def select(self, name: str, now_ns: int) -> bool:
+        """The ground selects a camera; True if another one is selected now. ProtocolError."""
+        if not self._selector.handle_select(name, now_ns).changed:
+            return False
+        self._number = max(now_ns, self._number + 1)
+        return True
+
     def handle_confirmed(self, number: int, now_ns: int) -> None:
         """The sender has confirmed a choice: nothing of an earlier camera is coded or sent."""
         self._confirmed = number

@@ -1,28 +1,18 @@
 """The operator's console in space: terminals ask it for a camera, and it sends telecommands."""
 
 from collections import deque
-from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.cores.figures import ConsoleCounters
 from pipelines.cores.probe import Probe
-from pipelines.cores.requests import MAX_LINE_OCTETS, Answer, Request, pack_line, parse_request
+from pipelines.cores.requests import Answer, Request, pack_line, parse_request
+from pipelines.cores.terminal_lines import MAX_LINE_OCTETS, MOST_TERMINALS, Reply
 from pipelines.setup.table import Setup
 from telepresence.haptics.mediated.wall import is_wall
 from telepresence.tmtc import Housekeeping, SelectDone, SelectFailed, TelecommandSender
 
-#: The most terminals that may ask at once; others are refused.
-MOST_TERMINALS = 8
 #: The time for a telecommand and its answer, without the radio's delay.
 _ANSWER_NS = 500 * NS_PER_MS
-
-
-class Reply(NamedTuple):
-    """Octets for a terminal. last: close the connection after them."""
-
-    terminal: int
-    octets: bytes
-    last: bool
 
 
 class Console:

@@ -19,12 +19,14 @@ def make_gateway(
     seed: int,
     epoch_ns: int,
     now_ns: int,
+    told_offset_ns: int | None = None,
 ) -> Gateway:
     """The core of one end, with the radio on its way out.
 
     life: 1 to 65535; another value tells the peer that this end has restarted.
     secret: a random number, by which the peer's answers are known; nobody else may know it.
     seed, epoch_ns: the seed and the start of the radio; the same at both ends.
+    told_offset_ns: as of `Gateway`, for a peer on another machine.
     """
     setup = topology.setup
     out, back = segment.transmits, segment.peer.transmits
@@ -40,6 +42,7 @@ def make_gateway(
         now_ns=now_ns,
         radio=setup.radio_path(transmit, seed=seed, epoch_ns=epoch_ns),
         timing=_timing(setup),
+        told_offset_ns=told_offset_ns,
     )
 
 

@@ -11,8 +11,11 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Self
 
 from kontur_av.streams.staleness import State
+from pipelines.cores.task_journal import TaskRow
 from telepresence.haptics.figures import JoystickFigures
-from telepresence.link.figures import GatewayFigures
+from telepresence.haptics.ownership import OwnershipFigures
+from telepresence.link.figures import GatewayFigures, PathFigures
+from telepresence.link.peer.figures import PeerFigures
 
 #: Name of the figure that tells ground control which page holds the handle.
 HOLDER = "hand.holder"
@@ -87,6 +90,17 @@ class GatewayGauges(Gauges):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PeerGauges(Gauges):
+    """A gateway whose other end is on another machine: its path, of this life.
+
+    back: the radio on the way in, if it is simulated here, too.
+    """
+
+    peer: PeerFigures
+    back: PathFigures | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class HapticCounters(Counters):
     """An end of haptics."""
 
@@ -120,6 +134,43 @@ class HapticCounters(Counters):
     passivity_acted: int = 0
     #: Totals of the peer's energy that could not be right.
     totals_refused: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OwnerGauges(Gauges):
+    """A robot that a partner may drive, too: who does."""
+
+    arm: OwnershipFigures
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskCounters(Counters):
+    """The process of tasks."""
+
+    #: Runs that should have had a file of their own, and have none.
+    unrecorded: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskGauges(Gauges):
+    """The newest runs of tasks. Those before are kept by who is told.
+
+    unrecorded_why: why the newest run without a file of its own has none.
+    """
+
+    rows: tuple[TaskRow, ...]
+    unrecorded_why: str = ""
+
+    def over(self, earlier: Self) -> Self:
+        """Return all runs, oldest first, in their newest state.
+
+        The row of a run whose process was killed has the steps that were told before.
+        """
+        runs = {row.run: row for row in earlier.rows}
+        for row in self.rows:
+            known = runs.get(row.run)
+            runs[row.run] = row if known is None else row.with_steps_of(known)
+        return replace(self, rows=tuple(runs[number] for number in sorted(runs)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -335,6 +386,61 @@ class ConsoleCounters(Counters):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TmtcCounters(Counters):
+    """PUS and K2ACI at one end: the console's in space, the selector's on the ground."""
+
+    #: Packets given to the radio.
+    pus_sent: int = 0
+    #: Their octets.
+    pus_sent_octets: int = 0
+    #: Packets that came by radio.
+    pus_received: int = 0
+    #: Packets and requests that could not be read.
+    pus_garbage: int = 0
+    #: Packets that waited for the token bucket.
+    pus_delayed: int = 0
+    #: Reports and news that were dropped because too many waited.
+    pus_dropped: int = 0
+    #: Telecommands sent, with their repetitions.
+    pus_telecommands: int = 0
+    #: Telecommands sent again.
+    pus_telecommands_repeated: int = 0
+    #: Telecommands carried out here.
+    pus_executed: int = 0
+    #: Telecommands that failed here.
+    pus_failed: int = 0
+    #: Telecommands that came again.
+    pus_duplicates: int = 0
+    #: Events reported.
+    pus_events: int = 0
+    #: Housekeeping reports sent.
+    pus_housekeeping: int = 0
+    #: Reports of applications that came in.
+    pus_reports: int = 0
+    #: Messages of K2ACI sent, with their repetitions.
+    k2aci_sent: int = 0
+    #: Messages of K2ACI sent again.
+    k2aci_repeated: int = 0
+    #: Messages of K2ACI that came in.
+    k2aci_arrived: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainerEvent:
+    """Something that a trainer did. at_ns: on the session's clock. what: in words."""
+
+    at_ns: int
+    what: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainerGauges(Gauges):
+    """The trainer: what it has done, oldest first; the newest 200."""
+
+    events: tuple[TrainerEvent, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SnapshotCounters(Counters):
     """The snapshots of the displays."""
 
@@ -370,6 +476,50 @@ class PageGauges(Gauges):
 
     watching: int
     holder: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RtcCounters(Counters):
+    """The leg to a partner across the Internet, by stream."""
+
+    #: Connections of partners that stood.
+    connections: int = 0
+    #: Restarts of ICE.
+    ice_restarts: int = 0
+    #: Requests of HTTP refused, by reason: `token`, `strangers`, `offers` or `viewers`.
+    refused: Mapping[str, int] = field(default_factory=dict)
+    #: Offers that could not be used, and packets that were no RTP or RTCP.
+    garbage: int = 0
+    #: RTP packets sent or received.
+    packets: Mapping[str, int] = field(default_factory=dict)
+    #: Octets of their payload.
+    octets: Mapping[str, int] = field(default_factory=dict)
+    #: Packets lost, by the reports of who received them.
+    packets_lost: Mapping[str, int] = field(default_factory=dict)
+    #: Packets asked for again (NACK).
+    packets_asked: Mapping[str, int] = field(default_factory=dict)
+    #: Packets that were sent again.
+    packets_repeated: Mapping[str, int] = field(default_factory=dict)
+    #: Key pictures asked for (PLI, FIR).
+    keys_asked: Mapping[str, int] = field(default_factory=dict)
+    #: Haptic samples: `taken` from the partner, `given` to it, or `left_out` for a slow network.
+    samples: Mapping[str, int] = field(default_factory=dict)
+    #: How often the rate of the picture was lowered.
+    rate_lowered: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RtcGauges(Gauges):
+    """The leg to a partner. partners: connections that stand. rate_bps: of its picture.
+
+    route: how the addresses of the newest connection were found (host, srflx, prflx, relay).
+    round_trip_ns: of the newest answer to a report.
+    """
+
+    partners: int
+    rate_bps: int
+    route: str | None = None
+    round_trip_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,6 +4,7 @@
 |---|---|---|
 | `hand/input` | page | `PageInput`: the newest hand of the page that holds the handle |
 | `hand/request` | page | `HandRequest`: a person's command |
+| `joystick/command` | console | `HandRequest`: a telecommand of the ground or of this end |
 | `joystick/state` | joystick | `JoystickStatus`: its state, and what became of the newest command |
 """
 
@@ -58,11 +59,17 @@ def unpack_request(data: bytes) -> HandRequest | None:
 class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """The joystick as its operator must know it.
 
-    state: number of a `JoystickState`. reason: why it is in it, in one line; "" for no reason.
+    state: number of a `JoystickState`. reason: why it is in it, or what a person should do,
+    in one line; "" for neither.
     dead_man: the dead-man button is pressed. force_limit_n: the force (N) that there may be now.
     device: its name. half_width_m, half_height_m: half of its workspace.
     answered: number of the newest `HandRequest` that was handled; None for none.
     refusal: why that was refused, in one line; "" if it was carried out.
+    commanded, command_refusal: the same for telecommands.
+    temperature_c: of the hotter motor (°C); None without a thermometer.
+    x_m, y_m: place of the handle from the centre. pressed: how often a button went down.
+    test, test_part, test_reason, test_number: the newest functional test, as
+    `telepresence.haptics.device.functional_test.TestReport` has it.
     """
 
     state: int
@@ -74,6 +81,16 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     half_height_m: float
     answered: int | None = None
     refusal: str = ""
+    commanded: int | None = None
+    command_refusal: str = ""
+    temperature_c: float | None = None
+    x_m: float = 0.0
+    y_m: float = 0.0
+    pressed: int = 0
+    test: str = "none"
+    test_part: str = "none"
+    test_reason: str = ""
+    test_number: int = 0
 
 
 def pack_status(status: JoystickStatus) -> bytes:

@@ -4,7 +4,13 @@ from dataclasses import replace
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.cores.figures import HapticCounters, JoystickGauges, PortGauges, WallCounters
+from pipelines.cores.figures import (
+    HapticCounters,
+    JoystickGauges,
+    OwnerGauges,
+    PortGauges,
+    WallCounters,
+)
 from pipelines.cores.haptic_trace import HapticTrace, flags_of
 from pipelines.cores.probe import Probe
 from pipelines.cores.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
@@ -13,6 +19,7 @@ from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.figures import HapticLinkFigures
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
+from telepresence.haptics.ownership import HapticOwnership, Owner
 from telepresence.haptics.sample import Feedback
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
@@ -99,13 +106,24 @@ class RobotEnd(_End[RobotSide]):
     cycle.
 
     life: 1 to 2^24-1; no earlier life of this end had it.
+    ownership: where a partner may drive, too. Then `handle_datagram` is for datagrams of the
+    joystick in space, and `handle_partner` for the partner's; send to the owner alone.
     """
 
     def __init__(
-        self, probe: Probe, *, life: int, deadband: bool = False, mediated: bool = False
+        self,
+        probe: Probe,
+        *,
+        life: int,
+        deadband: bool = False,
+        mediated: bool = False,
+        ownership: HapticOwnership | None = None,
     ) -> None:
         link = robot_link(life=life, deadband=deadband)
-        super().__init__(RobotSide(link=link, mediated=mediated), probe)
+        super().__init__(RobotSide(link=link, mediated=mediated, ownership=ownership), probe)
+        self._ownership = ownership
+        if ownership is not None:
+            self.handle_datagram = self._handle_iss
         self.poll_wall = self.side.poll_wall
         self._latest = self.side.link.latest
         self._contact_since_ns: int | None = None
@@ -113,6 +131,22 @@ class RobotEnd(_End[RobotSide]):
         self._contacts = probe.series(ContactRow)
         self._cycles = 0
         self._state: WorldState | None = None
+
+    def _handle_iss(self, data: bytes, now_ns: int) -> None:
+        assert self._ownership is not None
+        if self._ownership.takes(Owner.ISS):
+            self.side.handle_datagram(data, now_ns)
+
+    def handle_partner(self, data: bytes, now_ns: int) -> None:
+        """A datagram of the partner's joystick arrived."""
+        if self._ownership is not None and self._ownership.takes(Owner.PARTNER):
+            self.side.handle_datagram(data, now_ns)
+
+    def tell(self) -> None:
+        """Put the counters and stamps into the probe."""
+        super().tell()
+        if self._ownership is not None:
+            self._probe.gauge(OwnerGauges(arm=self._ownership.report()))
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """One cycle, which moves the robot on by `advance_ns`."""

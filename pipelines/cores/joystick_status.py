@@ -27,6 +27,8 @@ class JoystickStatusTeller(WatchedTopic):
         self._anew_ns = 0
         self._answered: int | None = None
         self._refusal = ""
+        self._commanded: int | None = None
+        self._command_refusal = ""
 
     def handle_request(self, data: bytes) -> None:
         """Carry out the command in `data`; octets that are none change nothing."""
@@ -35,14 +37,23 @@ class JoystickStatusTeller(WatchedTopic):
             self._refusal = self._handle.handle_command(request.event)[:MOST_CHARACTERS]
             self._answered = request.number
 
+    def handle_telecommand(self, data: bytes) -> None:
+        """The same for a telecommand, which has numbers of its own."""
+        request = unpack_request(data)
+        if request is not None:
+            self._command_refusal = self._handle.handle_command(request.event)[:MOST_CHARACTERS]
+            self._commanded = request.number
+
     def poll_status(self, now_ns: int) -> bytes | None:
         """Return the state as octets if it is due, or None."""
         if not self.watched:
             return None
         handle = self._handle
         operation = handle.operation
-        reason = operation.reason or operation.supervisor.reason
-        present = (operation.state, handle.dead_man, reason, self._answered)
+        reason = operation.prompt or operation.reason or operation.supervisor.reason
+        test = operation.test
+        numbers = (self._answered, self._commanded)
+        present = (operation.state, handle.dead_man, handle.pressed, reason, test, *numbers)
         if present == self._told and now_ns < self._anew_ns:
             return None
         self._told, self._anew_ns = present, now_ns + _ANEW_NS
@@ -58,5 +69,15 @@ class JoystickStatusTeller(WatchedTopic):
             half_height_m=found.half_height_m,
             answered=self._answered,
             refusal=self._refusal,
+            commanded=self._commanded,
+            command_refusal=self._command_refusal,
+            temperature_c=operation.reading.temperature_c,
+            x_m=handle.x_m,
+            y_m=handle.y_m,
+            pressed=handle.pressed,
+            test=test.outcome.value,
+            test_part=test.part.value,
+            test_reason=test.reason[:MOST_CHARACTERS],
+            test_number=test.number,
         )
         return pack_status(status)

@@ -112,6 +112,14 @@ class StepRow(NamedTuple):
     instant_ns: int
 
 
+class ClockRow(NamedTuple):
+    """Where the other machine's clock was, both as wall time at their start (`ClockFigures`)."""
+
+    instant_ns: int
+    offset_ns: int
+    error_ns: int
+
+
 #: Any of them.
 Row = (
     OutRow
@@ -128,4 +136,24 @@ Row = (
     | LightRow
     | ClickRow
     | StepRow
+    | ClockRow
 )
+
+#: The columns that are instants of the clock of the process that tells the row.
+INSTANTS: dict[type[Row], tuple[str, ...]] = {
+    OutRow: ("sent_ns",),
+    TxRow: ("capture_ns", "encoded_ns", "sent_ns"),
+    CodingRow: ("came_ns", "begun_ns"),
+    RxRow: ("received_ns",),
+    DecodedRow: ("decoded_ns",),
+    ShownRow: ("capture_ns", "displayed_ns"),
+    SampleSentRow: ("sent_ns",),
+    SampleReceivedRow: ("received_ns",),
+    LatenessRow: (),
+    SendingRow: (),
+    ContactRow: ("instant_ns",),
+    LightRow: ("instant_ns", "capture_ns"),
+    ClickRow: ("instant_ns", "capture_ns"),
+    StepRow: ("instant_ns",),
+    ClockRow: ("instant_ns",),
+}

@@ -35,10 +35,10 @@ class SnapshotSchedule:
         self._topics = {
             f"{row.direction.receiver.value}-{row.name}": row.displayed_topic
             for row in topology.media_streams
-            if isinstance(row, VideoRow)
+            if isinstance(row, VideoRow) and topology.runs(row.display)
         }
         self._stereo = f"{Segment.GROUND.value}-{STEREO}"
-        if STEREO in topology.setup.cameras:
+        if STEREO in topology.setup.cameras and Segment.GROUND in topology.segments:
             self._topics[self._stereo] = topology.camera(STEREO).topic
         self._due_ns = _next_ns(now_ns - started_ns)
         self._snapshots: list[Snapshot] = []

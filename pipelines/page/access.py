@@ -2,21 +2,17 @@
 
 import hmac
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from enum import Enum
 from ipaddress import ip_address
+from types import MappingProxyType
 from typing import NamedTuple
+
+from pipelines.cores.seat_roles import Role
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _DEFAULT_PORTS = {"http": 80, "https": 443}
 _FILE = re.compile(r"[a-z0-9_]+(?:\.[a-z0-9]+)+")
-
-
-class Role(Enum):
-    """What a page may do, by its token."""
-
-    OPERATOR = "operator"
-    VIEWER = "viewer"
 
 
 class Kind(Enum):
@@ -29,7 +25,7 @@ class Kind(Enum):
 
 
 class Found(NamedTuple):
-    """What a request may have. token: the one in its address. name: of the file."""
+    """What a request may have. token: the one in its address. name: of the page or file."""
 
     kind: Kind
     role: Role
@@ -49,8 +45,9 @@ class AccessError(Exception):
 class Access:
     """Checks the requests to one seat.
 
-    seat: the name of its page. scheme, port: of its listener.
+    seat: the name of its page. others: names of its other pages. scheme, port: of its listener.
     names: the hosts that a browser may ask for, in lower case and without brackets; none: loopback.
+    role_tokens: of the people of its end, by their role's value.
 
     Beyond loopback any IP address may be asked for. Only names can be rebound by another site.
     """
@@ -64,8 +61,10 @@ class Access:
         names: Iterable[str],
         operator_token: str,
         viewer_token: str,
+        role_tokens: Mapping[str, str] = MappingProxyType({}),
+        others: Iterable[str] = (),
     ) -> None:
-        self._seat = seat
+        self._seats = {seat, *others}
         self._scheme = scheme
         self._port = port
         self._names = frozenset(names) or frozenset(_LOOPBACK)
@@ -73,6 +72,7 @@ class Access:
         self._tokens = {
             Role.OPERATOR: operator_token.encode(),
             Role.VIEWER: viewer_token.encode(),
+            **{Role(role): token.encode() for role, token in role_tokens.items()},
         }
 
     def find(self, method: str, target: str, host: str, origin: str | None) -> Found:
@@ -84,8 +84,8 @@ class Access:
             raise AccessError(403, "this seat has another name", "host")
         path, _, query = target.partition("?")
         parts = path.split("/")[1:]
-        if parts == [self._seat]:
-            kind, token, name = Kind.PAGE, _token_of(query), ""
+        if len(parts) == 1 and parts[0] in self._seats:
+            kind, token, name = Kind.PAGE, _token_of(query), parts[0]
         elif len(parts) == 3 and parts[1] == "static":
             kind, token, name = Kind.FILE, parts[0], parts[2]
         elif len(parts) == 2 and parts[1] in ("ws", "media"):

@@ -4,13 +4,14 @@
 |---|---|---|
 | answers | 64 | the page is closed: it asks and does not read |
 | pongs | 32 | the oldest is dropped |
-| state, each preview | 1 | the newest replaces it |
+| state, each kind of the mission's texts, each preview | 1 | the newest replaces it |
 | figures | 8 | the oldest is dropped |
 | haptics, of each end | 25 blocks, 0.5 s | the oldest is dropped |
 | sound, of each stream | 15 blocks, 0.3 s | the oldest is dropped, and counted |
 | units, of each picture | 45 or 1 MiB | all are dropped and counted; see `Lane` |
 
-They are sent in this order: pongs, answers, state, sound, haptics, units, figures, previews.
+They are sent in this order: pongs, answers, state, sound, haptics, units, the mission's
+texts, figures, previews.
 A replay is as long as the history from which it is taken, and there is one at a time of a stream.
 """
 
@@ -102,6 +103,7 @@ class ClientQueue:
         self._answers: deque[str] = deque()
         self._pongs: deque[bytes] = deque(maxlen=_MOST_PONGS)
         self._state: str | None = None
+        self._newest: dict[str, str] = {}
         self._figures: deque[str] = deque(maxlen=_MOST_FIGURES)
         self._haptics: dict[int, deque[bytes]] = {}
         self._sounds: dict[int, deque[bytes]] = {}
@@ -109,8 +111,8 @@ class ClientQueue:
 
     def __len__(self) -> int:
         """Messages that wait."""
-        lines: list[Sequence[Message] | Lane | dict[int, bytes]] = [
-            *(self._answers, self._pongs, self._figures, self._previews),
+        lines: list[Sequence[Message] | Lane | dict[int, bytes] | dict[str, str]] = [
+            *(self._answers, self._pongs, self._figures, self._newest, self._previews),
             *self._lanes.values(),
             *self._haptics.values(),
             *self._sounds.values(),
@@ -143,6 +145,10 @@ class ClientQueue:
     def put_state(self, text: str) -> None:
         self._state = text
 
+    def put_newest(self, kind: str, text: str) -> None:
+        """A text that holds all that is known of its kind."""
+        self._newest[kind] = text
+
     def put_figures(self, text: str) -> None:
         self._figures.append(text)
 
@@ -174,6 +180,8 @@ class ClientQueue:
         for lane in self._lanes.values():
             if (unit := lane.pop()) is not None:
                 return unit
+        for kind in self._newest:
+            return self._newest.pop(kind)
         if self._figures:
             return self._figures.popleft()
         for preview in self._previews:

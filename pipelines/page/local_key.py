@@ -14,14 +14,17 @@ from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, empty_picture
 _QUANTIZER = 8
 
 
-def key_of(picture: I420) -> bytes:
-    """Return an access unit with one IDR picture of high quality, with SPS and PPS (Annex B)."""
+def key_of(picture: I420, quantizer: int = _QUANTIZER) -> bytes:
+    """Return an access unit with one IDR picture, with SPS and PPS (Annex B).
+
+    quantizer: libx264's; by default of high quality.
+    """
     codec = av.CodecContext.create("libx264", "w")
     codec.width, codec.height = picture.shape[1], picture.shape[0] * 2 // 3
     codec.pix_fmt = "yuv420p"
     codec.framerate, codec.time_base = Fraction(30), Fraction(1, 30)
     codec.thread_count = 1
-    codec.options = {"preset": "superfast", "tune": "zerolatency", "qp": str(_QUANTIZER)}
+    codec.options = {"preset": "superfast", "tune": "zerolatency", "qp": str(quantizer)}
     frame = av.VideoFrame.from_numpy_buffer(picture, "yuv420p")
     frame.pts = 0
     frame.pict_type = PictureType.I

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
-from pipelines.page.access import Role
+from pipelines.cores.seat_roles import VIEWER_WORDS, Role
 from pipelines.page.messages import OwnPicture, Ping, pack_pong, parse_media_message
 from pipelines.page.page_clock import PageClock
 from pipelines.page.plan import SeatInput, SeatPlan
@@ -69,7 +69,7 @@ class OwnInputs:
             raise ProtocolError("too many requests")
         request = parse_media_request(text)
         if one.role is Role.VIEWER:
-            error = "a viewer may watch only"
+            error = VIEWER_WORDS
         else:
             error = self._take(link, request.name) if request.on else self._give(link, request.name)
         return pack_text(AnswerText(request=request.request, ok=not error, error=error))

@@ -1,11 +1,18 @@
 """What a seat's pages are sent and may send, derived from the table of the session."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import partial
+from types import MappingProxyType
+
+from msgspec.structs import replace
 
 from kontur_av.clock import NS_PER_MS
+from pipelines.cores.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
 from pipelines.cores.previewing import preview_size
+from pipelines.page.passes_ahead import passes_ahead
+from pipelines.page.telemetry_log import application_texts
 from pipelines.page.texts import (
     BoardText,
     CameraText,
@@ -13,20 +20,31 @@ from pipelines.page.texts import (
     PreviewText,
     SeatText,
     StreamText,
+    TaskText,
     WorkspaceText,
 )
-from pipelines.setup.table import VideoStream, VoiceStream
+from pipelines.setup.table import RtcLeg, VideoStream, VoiceStream
 from pipelines.topology import (
     JOYSTICK_TRACE_TOPIC,
+    MISSION_GROUND_TOPIC,
+    MISSION_PANEL_TOPIC,
+    ROBOT_STATUS_TOPIC,
     ROBOT_TRACE_TOPIC,
+    RTC_CODED_CAMERA_TOPIC,
+    RTC_DECODED_CAMERA_TOPIC,
+    RTC_VOICE_TOPIC,
     Direction,
     Segment,
     Topology,
     VideoRow,
+    partner_camera,
+    partner_voice,
 )
-from telepresence.haptics.board import LEDS_M, WALL_X_M
+from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_controller import RobotControllerModel
+from telepresence.tasks.definitions import Catalogue
+from telepresence.tmtc.pus.dictionary import Dictionary
 
 
 class Via(Enum):
@@ -75,9 +93,27 @@ class SeatInput:
     fps: int
 
 
+Shown = PanelShown | ExperimentShown | RobotStatus
+Unpack = Callable[[bytes], Shown]
+#: By end: kind of text, the topic of what the processes of a mission show.
+_SHOWN: Mapping[Segment, Mapping[str, tuple[str, Unpack]]] = MappingProxyType(
+    {
+        Segment.SPACE: {"panel": (MISSION_PANEL_TOPIC, partial(unpack, PanelShown))},
+        Segment.GROUND: {
+            "experiment": (MISSION_GROUND_TOPIC, partial(unpack, ExperimentShown)),
+            "robot": (ROBOT_STATUS_TOPIC, partial(unpack, RobotStatus)),
+        },
+    }
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class SeatPlan:
-    """A seat. traces: topics with samples of haptics, by the number of their end."""
+    """A seat. traces: topics with samples of haptics, by the number of their end.
+
+    shown: what processes of the mission show here: by kind of text, the topic.
+    orders: whether its pages may start and stop the session; in space only if it runs here whole.
+    """
 
     segment: Segment
     streams: tuple[SeatStream, ...]
@@ -86,6 +122,9 @@ class SeatPlan:
     traces: dict[int, str]
     backlog_topic: str
     text: SeatText
+    dictionary: Dictionary
+    orders: bool
+    shown: Mapping[str, tuple[str, Unpack]] = field(default_factory=dict)
 
     @property
     def sizes(self) -> dict[int, tuple[int, int] | None]:
@@ -93,11 +132,25 @@ class SeatPlan:
         return {each.index: each.size for each in self.inputs}
 
 
-def seat_plan(topology: Topology, segment: Segment, session: str) -> SeatPlan:
-    """Return the plan of a segment's seat. session: the name of the session."""
+def seat_plan(
+    topology: Topology,
+    segment: Segment,
+    session: str,
+    dictionary: Dictionary,
+    *,
+    tasks: Catalogue | None = None,
+) -> SeatPlan:
+    """Return the plan of a segment's seat.
+
+    session: the name of the session. dictionary: of its telecommands and telemetry.
+    tasks: what people in space know of the tasks, in a session with some.
+    """
+    written = {topic for row in topology.processes for topic in row.writes}
+    tasked = bool(written & {MISSION_PANEL_TOPIC, MISSION_GROUND_TOPIC})
     streams = tuple(_streams(topology, segment))
     previews = tuple(_previews(topology, segment))
     inputs = tuple(_inputs(topology, segment))
+    text = _text(topology, segment, session, streams, previews, inputs)
     trace = {0: JOYSTICK_TRACE_TOPIC} if segment is Segment.SPACE else {1: ROBOT_TRACE_TOPIC}
     return SeatPlan(
         segment=segment,
@@ -106,7 +159,20 @@ def seat_plan(topology: Topology, segment: Segment, session: str) -> SeatPlan:
         inputs=inputs,
         traces=trace,
         backlog_topic=topology.link(segment.transmits).backlog_topic,
-        text=_text(topology, segment, session, streams, previews, inputs),
+        dictionary=dictionary,
+        shown={kind: one for kind, one in _SHOWN[segment].items() if one[0] in written},
+        orders=segment is Segment.GROUND or len(topology.segments) > 1,
+        text=replace(
+            text,
+            board=replace(text.board, lights_m=LIGHTS_M if tasked else ()),
+            applications=application_texts(dictionary),
+            tasks=tasked,
+            task_list=tuple(
+                TaskText(name=one.name, text=one.text)
+                for one in (() if tasks is None else tasks.tasks.values())
+            ),
+            passes=passes_ahead(topology.setup.radio_profile) if segment is Segment.GROUND else (),
+        ),
     )
 
 
@@ -135,6 +201,24 @@ def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:
         else:
             continue
         index += 1
+    if segment is Segment.GROUND and topology.setup.rtc is not None:
+        yield from _partner(topology.setup.rtc, index)
+
+
+def _partner(leg: RtcLeg, index: int) -> Iterator[SeatStream]:
+    """The picture and the voice of a partner across the Internet."""
+    camera, voice = partner_camera(leg), partner_voice(leg)
+    yield SeatStream(
+        index=index,
+        name=camera.name,
+        via=Via.CODED,
+        topic=RTC_CODED_CAMERA_TOPIC,
+        stream=camera,
+        decoded_topic=RTC_DECODED_CAMERA_TOPIC,
+    )
+    yield SeatStream(
+        index=index + 1, name=voice.name, via=Via.SOUND, topic=RTC_VOICE_TOPIC, stream=voice
+    )
 
 
 def _previews(topology: Topology, segment: Segment) -> Iterator[SeatPreview]:

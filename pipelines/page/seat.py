@@ -1,10 +1,13 @@
 """A seat: what its pages are sent, and what comes of what they send."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import count
+from types import MappingProxyType
 from typing import NamedTuple
+
+from msgspec.structs import replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ProtocolError
@@ -13,9 +16,10 @@ from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.cores.figures import HOLDER
 from pipelines.cores.hand_topics import HandRequest, JoystickStatus
 from pipelines.cores.haptic_trace import rows_of
+from pipelines.cores.seat_roles import VIEWER_WORDS, Role, refusal
 from pipelines.cores.session_switch import Order
+from pipelines.cores.tmtc_messages import TmtcNews, TmtcRequest
 from pipelines.page import texts
-from pipelines.page.access import Role
 from pipelines.page.client_queue import ClientQueue, Message
 from pipelines.page.figures_log import FiguresLog
 from pipelines.page.hand_gate import HandGate
@@ -32,9 +36,10 @@ from pipelines.page.messages import (
     pack_unit,
     parse_seat_message,
 )
+from pipelines.page.mission_desk import MissionDesk
 from pipelines.page.own_inputs import OwnInputs
 from pipelines.page.ownership import HandleOwnership
-from pipelines.page.plan import SeatPlan, Via
+from pipelines.page.plan import SeatPlan, Shown, Via
 from pipelines.page.rates import TokenBucket
 from pipelines.page.unit_history import KeptUnit, UnitHistory
 from pipelines.setup.segments import Segment
@@ -44,7 +49,16 @@ from telepresence.haptics.device.states import JoystickEvent, JoystickState
 HEARTBEAT_NS = 100 * NS_PER_MS
 _TEXT_HZ = _PING_HZ = 20
 _HAND_HZ = 1200
-_VIEWER = "a viewer may watch only"
+#: By request: what the role of a page must permit.
+_DEEDS: Mapping[type[texts.SeatRequest], str] = MappingProxyType(
+    {
+        texts.SelectRequest: "select",
+        texts.JoystickRequest: "joystick",
+        texts.HandRequest: "hand",
+        texts.SessionRequest: "session",
+        texts.RecordRequest: "record",
+    }
+)
 
 
 class HandMoved(NamedTuple):
@@ -81,16 +95,26 @@ class RecordingAsked(NamedTuple):
     begin: bool
 
 
-Event = HandMoved | CommandGiven | CameraAsked | SessionOrdered | RecordingAsked
+class TmtcAsked(NamedTuple):
+    """The TM/TC end of this segment is to be told this."""
+
+    request: TmtcRequest
+
+
+Event = HandMoved | CommandGiven | CameraAsked | SessionOrdered | RecordingAsked | TmtcAsked
 
 
 @dataclass
 class _Page:
-    """idle: it has taken all that there was, so it would take more at once."""
+    """plain: without pictures, sound and haptics.
+
+    idle: it has taken all that there was, so it would take more at once.
+    """
 
     number: int
     role: Role
     queue: ClientQueue
+    plain: bool = False
     idle: bool = True
     texts: TokenBucket = field(default_factory=lambda: TokenBucket(_TEXT_HZ, _TEXT_HZ))
     pings: TokenBucket = field(default_factory=lambda: TokenBucket(_PING_HZ, _PING_HZ))
@@ -122,6 +146,9 @@ class Seat:
         self._hand = HandleOwnership()
         self._gate = HandGate(self._hand)
         self._desk = JoystickDesk(first_command)
+        self.mission = MissionDesk(
+            plan.segment, plan.dictionary, client=f"page.{plan.segment.value}.{first_command}"
+        )
         self._figures = FiguresLog()
         self._joystick: texts.JoystickText | None = None
         self._signal: bool | None = None
@@ -149,15 +176,20 @@ class Seat:
             return self._figures.number(HOLDER)
         return self._hand.state.holder
 
-    def handle_opened(self, role: Role, now_ns: int) -> int:
-        """A page has come; return its number."""
+    def handle_opened(self, role: Role, now_ns: int, *, plain: bool = False) -> int:
+        """A page has come; return its number. plain: it gets no picture, sound or haptics."""
         number = next(self._numbers)
-        page = self._pages[number] = _Page(number, role, ClientQueue(self._histories))
-        if role is Role.OPERATOR:
+        lanes = () if plain else self._histories
+        page = self._pages[number] = _Page(number, role, ClientQueue(lanes), plain)
+        if role is Role.OPERATOR or not refusal(role, self.plan.segment, "hand"):
             self._hand.handle_joined(number)
+        seat = replace(self.plan.text, streams=(), previews=()) if plain else self.plan.text
         page.queue.put_answer(
-            texts.hello(self.plan.text, role=role.value, page=number, now_us=now_ns // NS_PER_US)
+            texts.hello(seat, role=role.value, page=number, now_us=now_ns // NS_PER_US)
         )
+        self._tell_mission()
+        for kind, text in self.mission.texts.items():
+            page.queue.put_newest(kind, text)
         page.queue.put_state(self._state_text(number, now_ns))
         figures = self._figures.joined_text()
         if figures is not None:
@@ -224,8 +256,24 @@ class Seat:
             raise ProtocolError("too many requests")
         request = texts.parse_seat_request(text)
         if page.role is Role.VIEWER:
-            self._answer(number, request.request, _VIEWER)
+            self._answer(number, request.request, VIEWER_WORDS)
             return
+        if isinstance(request, texts.CommandRequest):
+            refused = self.mission.handle_command(number, page.role, request, now_ns)
+            if refused is not None:
+                self._answer(number, request.request, refused)
+            self._settle_mission(now_ns)
+            return
+        if isinstance(request, texts.ChatRequest):
+            error = self.mission.handle_chat(page.role, request, now_ns)
+            self._answer(number, request.request, error)
+            self._settle_mission(now_ns)
+            return
+        if page.role is not Role.OPERATOR:
+            refused = refusal(page.role, self.plan.segment, _DEEDS[type(request)])
+            if refused:
+                self._answer(number, request.request, refused)
+                return
         match request:
             case texts.SelectRequest():
                 self._handle_select(number, request)
@@ -265,7 +313,7 @@ class Seat:
         return handlers[action](number)
 
     def _handle_order(self, number: int, request: texts.SessionRequest) -> None:
-        if self.plan.segment is not Segment.GROUND:
+        if not self.plan.orders:
             self._answer(number, request.request, "ground control starts and stops the session")
             return
         self._events.append(SessionOrdered(Order(request.action)))
@@ -287,7 +335,7 @@ class Seat:
         if kept is None or not self._pages:
             return
         message = _packed(stream, kept)
-        for page in self._pages.values():
+        for page in self._seeing():
             lane = page.queue.lane(stream)
             if lane.open or not page.idle:
                 lane.put_unit(message, key=kept.key)
@@ -322,12 +370,16 @@ class Seat:
             if self._histories[index].needs_filmed and camera in topics[index]
         }
 
+    def _seeing(self) -> list[_Page]:
+        """Pages with pictures, sound and haptics."""
+        return [page for page in self._pages.values() if not page.plain]
+
     def _joined(self) -> list[int]:
         """Streams with units that a page waits for."""
         return [
             index
             for index in self._histories
-            if any(not page.queue.lane(index).open for page in self._pages.values())
+            if any(not page.queue.lane(index).open for page in self._seeing())
         ]
 
     def handle_sound(self, stream: int, samples: bytes, stamp: CaptureStamp) -> None:
@@ -339,19 +391,19 @@ class Seat:
             samples,
             concealed=stamp.quality is Quality.CONCEALED,
         )
-        for page in self._pages.values():
+        for page in self._seeing():
             page.queue.put_sound(stream, message)
 
     def handle_haptics(self, end: int, block: bytes) -> None:
         """A block of haptic samples of an end."""
         message = pack_haptic(end, rows_of(block))
-        for page in self._pages.values():
+        for page in self._seeing():
             page.queue.put_haptics(end, message)
 
     def handle_preview(self, preview: int, picture: I420, stamp: CaptureStamp) -> None:
         """A small picture of an input."""
         message = pack_preview(preview, stamp.capture_ns // NS_PER_US, picture)
-        for page in self._pages.values():
+        for page in self._seeing():
             page.queue.put_preview(preview, message)
 
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
@@ -371,9 +423,19 @@ class Seat:
 
     def handle_signal(self, heard: bool, now_ns: int) -> None:
         """Whether this end of the link hears its peer."""
+        self.mission.handle_signal(heard)
         if heard != self._signal:
             self._signal = heard
             self._tell_state(now_ns)
+
+    def handle_news(self, news: TmtcNews, now_ns: int) -> None:
+        """What the TM/TC end of this segment has published."""
+        self.mission.handle_news(news, now_ns)
+        self._settle_mission(now_ns)
+
+    def handle_shown(self, kind: str, shown: Shown) -> None:
+        """What a process of the mission shows; pages get it with the next heartbeat."""
+        self.mission.handle_shown(kind, shown)
 
     def handle_camera(self, camera: str, now_ns: int) -> None:
         """The selected camera."""
@@ -413,8 +475,10 @@ class Seat:
         """Send the heartbeat if it is due."""
         self._desk.handle_timeout(now_ns)
         self._settle_desk(now_ns)
+        self._settle_mission(now_ns)
         if now_ns >= self._due_ns:
             self._tell_state(now_ns)
+            self._tell_mission()
 
     def _tell_state(self, now_ns: int) -> None:
         self._due_ns = now_ns + HEARTBEAT_NS
@@ -447,6 +511,19 @@ class Seat:
             self._events.append(HandMoved(released))
         if self._hand.next_event() is not None:
             self._tell_state(now_ns)
+
+    def _tell_mission(self) -> None:
+        """Send the pages what changed of the mission."""
+        for kind, text in self.mission.poll_texts().items():
+            for page in self._pages.values():
+                page.queue.put_newest(kind, text)
+
+    def _settle_mission(self, now_ns: int) -> None:
+        while (request := self.mission.poll_transmit(now_ns)) is not None:
+            self._events.append(TmtcAsked(request))
+        while (answered := self.mission.next_event()) is not None:
+            number, request_number, error, round_trip_ms = answered
+            self._answer(number, request_number, error, round_trip_ms)
 
     def _settle_desk(self, now_ns: int) -> None:
         while (answered := self._desk.next_event()) is not None:

@@ -28,13 +28,15 @@ from pipelines.cores.hand_topics import (
     pack_request,
     unpack_status,
 )
-from pipelines.page.access import Access, AccessError, Found, Kind, Role, headers
+from pipelines.cores.seat_roles import Role
+from pipelines.cores.tmtc_messages import unpack_news
+from pipelines.page.access import Access, AccessError, Found, Kind, headers
 from pipelines.page.console_link import ask_console
 from pipelines.page.feeds import Feed, State
 from pipelines.page.local_key import filmed_key, key_of
 from pipelines.page.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.page.own_inputs import Given
-from pipelines.page.plan import SeatStream, Via, seat_plan
+from pipelines.page.plan import SeatStream, Unpack, Via, seat_plan
 from pipelines.page.recorder_link import ask_recorder
 from pipelines.page.seat import (
     CameraAsked,
@@ -43,17 +45,22 @@ from pipelines.page.seat import (
     RecordingAsked,
     Seat,
     SessionOrdered,
+    TmtcAsked,
 )
 from pipelines.runtime.process import PATIENCE_NS, Context
+from pipelines.runtime.tmtc_socket import send_to_tmtc
 from pipelines.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
     JOYSTICK_STATE_TOPIC,
     PAGES,
     SELECTED_TOPIC,
+    TMTC_TOPICS,
     Segment,
 )
 from telepresence.link.backlog import Backlog
+from telepresence.tasks.definitions import Catalogue
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {
@@ -78,15 +85,28 @@ _DEPTH = 8
 #: Pictures that are kept until the unit of one comes: a sender may wait for its channel.
 _FILMED = 8
 _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
+#: As many news of telecommands and telemetry as their topic keeps.
+_NEWS = 32
+#: By end: the pages beside the seat of the same name.
+_OTHERS = {Segment.SPACE: ("panel", "k2cp"), Segment.GROUND: ("top", "k2sv")}
+#: In the query of a socket: without pictures, sound and haptics.
+_PLAIN = "plain"
 
 
 class PageServer:
     """Serves the pages of `segment` until `context.stopping`.
 
-    While nobody looks, only the units of pictures are read, for those who join.
+    While nobody looks, only the units of pictures and what telecommands and telemetry bring are
+    read, for those who join. tasks: what people in space know of the session's.
     """
 
-    def __init__(self, context: Context, segment: Segment, bus: TopicBus) -> None:
+    def __init__(
+        self,
+        context: Context,
+        segment: Segment,
+        bus: TopicBus,
+        tasks: Catalogue | None = None,
+    ) -> None:
         self._context, self._bus, self._segment = context, bus, segment
         self._now_ns = context.clock.now_ns
         self._listener = context.pages[PAGES[segment]]
@@ -97,8 +117,12 @@ class PageServer:
             names=self._listener.names,
             operator_token=self._listener.operator_token,
             viewer_token=self._listener.viewer_token,
+            role_tokens=self._listener.role_tokens,
+            others=_OTHERS[segment],
         )
-        plan = seat_plan(context.topology, segment, context.session)
+        plan = seat_plan(
+            context.topology, segment, context.session, built_in_dictionary(), tasks=tasks
+        )
         self._seat = Seat(plan, first_command=self._now_ns())
         self._loop = asyncio.get_running_loop()
         self._ended: asyncio.Future[None] = self._loop.create_future()
@@ -111,6 +135,8 @@ class PageServer:
         self._connections = self._garbage = self._closed = 0
         self._refused: dict[str, int] = {}
         self._numbers = count()
+        # Read always: what is said in the chat while no page is open must not be missed.
+        self._news = Feed(self._loop, bus, TMTC_TOPICS[segment], self._handle_news, depth=_NEWS)
         self._histories = [
             Feed(self._loop, bus, each.topic, partial(self._unit, each.index), depth=_DEPTH)
             for each in plan.streams
@@ -132,6 +158,10 @@ class PageServer:
             ),
         ]
         self._backlog = State(bus, plan.backlog_topic)
+        #: By kind of text: what a process of the mission shows, and how to read it.
+        self._shown: dict[str, tuple[State, Unpack]] = {
+            kind: (State(bus, topic), unpack) for kind, (topic, unpack) in plan.shown.items()
+        }
         self._selected: State | None = None
         self._decoded: dict[int, Feed] = {}
         #: By stream: the pictures that its sender may encode, and from which topic they come.
@@ -160,7 +190,7 @@ class PageServer:
         context = self._context
         context.on_flush(self._tell)
         self._loop.set_exception_handler(self._handle_bug)
-        for feed in self._histories:
+        for feed in (*self._histories, self._news):
             feed.open()
         if context.link is not None:
             self._loop.add_reader(context.link.fileno(), self._figures)
@@ -184,7 +214,13 @@ class PageServer:
                 task.cancel()
             await runner.cleanup()
             filmed = (feed for _, feed, _ in self._filmed.values())
-            for feed in (*self._histories, *self._live, *self._decoded.values(), *filmed):
+            for feed in (
+                *self._histories,
+                self._news,
+                *self._live,
+                *self._decoded.values(),
+                *filmed,
+            ):
                 feed.close()
 
     def _tls(self) -> ssl.SSLContext | None:
@@ -217,6 +253,9 @@ class PageServer:
         told = self._backlog.latest()
         if told is not None:
             self._seat.handle_signal(Backlog.unpack(told).peer_heard, now_ns)
+        for kind, (state, unpack) in self._shown.items():
+            if (shown := state.latest()) is not None:
+                self._seat.handle_shown(kind, unpack(shown))
         chosen = None if self._selected is None else self._selected.latest()
         if chosen is not None:
             self._seat.handle_camera(Choice.unpack(chosen).camera, now_ns)
@@ -241,6 +280,12 @@ class PageServer:
     def _preview(self, preview: int, lease: Lease) -> None:
         self._seat.handle_preview(preview, lease.video().data, lease.stamp)
         self._settle()
+
+    def _handle_news(self, lease: Lease) -> None:
+        news = unpack_news(lease.octets())
+        if news is not None:
+            self._seat.handle_news(news, self._now_ns())
+            self._settle()
 
     def _status(self, lease: Lease) -> None:
         status = unpack_status(lease.octets())
@@ -285,6 +330,7 @@ class PageServer:
     def _watch(self) -> None:
         """Open what pages are shown with the first of them, and close it with the last."""
         feeds: list[Feed | State] = [*self._live, self._backlog]
+        feeds += [state for state, _ in self._shown.values()]
         if self._selected is not None:
             feeds.append(self._selected)
         for feed in feeds:
@@ -312,6 +358,9 @@ class PageServer:
                     self._context.order(order, self._now_ns())
                 case RecordingAsked():
                     self._begin(self._record(event))
+                case TmtcAsked(asked):
+                    # One that is not taken now is repeated.
+                    send_to_tmtc(self._context.session, self._segment, asked)
         for number, wake in self._wakes.items():
             if seat.waits(number):
                 wake.set()
@@ -385,7 +434,7 @@ class PageServer:
             return await self._serve_seat(request, found.role)
         if found.kind is Kind.MEDIA:
             return await self._serve_media(request, found.role)
-        name = f"{self._segment.value}.html" if found.kind is Kind.PAGE else found.name
+        name = f"{found.name}.html" if found.kind is Kind.PAGE else found.name
         data = _file(name)
         if found.kind is Kind.PAGE:
             data = data.replace(_BASE.encode(), f"/{found.token}/static/".encode())
@@ -400,7 +449,8 @@ class PageServer:
         transport = request.transport
         if transport is None:
             return ws
-        number = self._seat.handle_opened(role, self._now_ns())
+        plain = request.query_string == _PLAIN
+        number = self._seat.handle_opened(role, self._now_ns(), plain=plain)
         if self._seat.watching == 1:
             self._watch()
         self._wakes[number] = asyncio.Event()

@@ -11,6 +11,7 @@ from kontur_av.errors import ProtocolError
 
 _Number = Annotated[int, msgspec.Meta(ge=0, le=1 << 53)]
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+_Value = bool | Annotated[int, msgspec.Meta(ge=-(1 << 31), le=1 << 32)] | float | _Name
 
 
 class _Request(msgspec.Struct, frozen=True, tag_field="do", forbid_unknown_fields=True):
@@ -54,7 +55,35 @@ class InputRequest(_Request, frozen=True, tag="input"):
     on: bool
 
 
-SeatRequest = SelectRequest | JoystickRequest | HandRequest | SessionRequest | RecordRequest
+class CommandRequest(_Request, frozen=True, tag="command"):
+    """Send a telecommand to an application of either end; the fields are those of `SendCommand`."""
+
+    application: _Name
+    verb: Literal["call", "ping", "report", "housekeeping_on", "housekeeping_off"] = "call"
+    name: Annotated[str, msgspec.Meta(max_length=64)] = ""
+    arguments: Annotated[tuple[_Value, ...], msgspec.Meta(max_length=4)] = ()
+
+    @property
+    def deed(self) -> str:
+        """What the role of a page must permit."""
+        return f"{self.application}.{self.name}" if self.verb == "call" else "housekeeping"
+
+
+class ChatRequest(_Request, frozen=True, tag="chat"):
+    """Write a line to the others."""
+
+    text: Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+
+
+SeatRequest = (
+    SelectRequest
+    | JoystickRequest
+    | HandRequest
+    | SessionRequest
+    | RecordRequest
+    | CommandRequest
+    | ChatRequest
+)
 
 _SEAT = msgspec.json.Decoder(SeatRequest)
 _MEDIA = msgspec.json.Decoder(InputRequest)
@@ -127,16 +156,17 @@ class WorkspaceText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BoardText(msgspec.Struct, frozen=True, kw_only=True):
-    """The robot's task board; its middle is (0, 0)."""
+    """The robot's task board; its middle is (0, 0). lights_m: of the LED panel, with tasks."""
 
     width_m: float
     height_m: float
     wall_x_m: float
     leds_m: tuple[tuple[float, float], ...]
+    lights_m: tuple[tuple[float, float], ...] = ()
 
 
 class SeatText(msgspec.Struct, frozen=True, kw_only=True):
-    """What does not change at a seat."""
+    """What does not change at a seat. tasks: whether the session has any."""
 
     seat: str
     setup: str
@@ -149,6 +179,10 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     workspace: WorkspaceText
     board: BoardText
     caps: dict[str, int]
+    applications: tuple["ApplicationText", ...] = ()
+    passes: tuple["PassText", ...] = ()
+    tasks: bool = False
+    task_list: tuple["TaskText", ...] = ()
 
 
 class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
@@ -190,6 +224,140 @@ class AnswerText(
     ok: bool
     error: str
     round_trip_ms: float | None = None
+
+
+class ChatLine(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A line of the chat. state: `waiting`, `delivered`, `refused`; `received` from the others."""
+
+    number: int
+    at_us: int
+    sender: str
+    text: str
+    state: str
+    reason: str = ""
+    round_trip_ms: float = 0.0
+
+
+class ChatText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="chat"):
+    """The whole chat, as far as it is kept."""
+
+    lines: tuple[ChatLine, ...]
+
+
+class CommandLine(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A telecommand of this seat. stage, done, ok, verified: as in `CommandUpdate`."""
+
+    number: int
+    at_us: int
+    who: str
+    words: str
+    stage: str
+    done: bool = False
+    ok: bool = False
+    verified: bool = False
+    reason: str = ""
+    round_trip_ms: float = 0.0
+    tries: int = 0
+
+
+class CommandsText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="commands"):
+    """The telecommands of this seat."""
+
+    commands: tuple[CommandLine, ...]
+
+
+class ValueText(msgspec.Struct, frozen=True, kw_only=True):
+    """A parameter's newest value. value: None if it is no number. at_us: when it was heard."""
+
+    application: str
+    name: str
+    value: bool | int | float | str | None
+    level: str
+    at_us: int
+
+
+class ValuesText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="values"):
+    """All parameters that were reported."""
+
+    values: tuple[ValueText, ...]
+
+
+class EventLine(msgspec.Struct, frozen=True, kw_only=True):
+    """An event of an application of either end."""
+
+    number: int
+    at_us: int
+    application: str
+    name: str
+    severity: str
+    values: dict[str, bool | int | float | str | None]
+
+
+class EventsText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="events"):
+    """The newest events."""
+
+    events: tuple[EventLine, ...]
+
+
+class RadioText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="radio"):
+    """Whether both directions carry, in words. level: `good`, `warn`, `bad` or `none`."""
+
+    level: str
+    words: str
+
+
+class ParameterText(msgspec.Struct, frozen=True, kw_only=True):
+    """A parameter, and from where on it is coloured."""
+
+    name: str
+    unit: str
+    text: str
+    low: float | None
+    high: float | None
+
+
+class StructureText(msgspec.Struct, frozen=True, kw_only=True):
+    """A housekeeping report. on: from the start."""
+
+    name: str
+    parameters: tuple[str, ...]
+    interval_s: float
+    on: bool
+
+
+class FunctionText(msgspec.Struct, frozen=True, kw_only=True):
+    """A function that a telecommand starts."""
+
+    name: str
+    arguments: tuple[str, ...]
+    text: str
+
+
+class ApplicationText(msgspec.Struct, frozen=True, kw_only=True):
+    """An application of the dictionary."""
+
+    name: str
+    end: str
+    text: str
+    parameters: tuple[ParameterText, ...]
+    structures: tuple[StructureText, ...]
+    functions: tuple[FunctionText, ...]
+
+
+class TaskText(msgspec.Struct, frozen=True, kw_only=True):
+    """A task that can be selected. text: for the cosmonaut."""
+
+    name: str
+    text: str
+
+
+class PassText(msgspec.Struct, frozen=True, kw_only=True):
+    """A pass ahead. `_s`: from the acquisition of this session's own pass."""
+
+    acquisition: str
+    acquisition_s: float
+    loss_s: float
+    peak_deg: float
 
 
 def hello(seat: SeatText, *, role: str, page: int, now_us: int) -> str:

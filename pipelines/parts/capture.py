@@ -1,5 +1,7 @@
 """The process of an input: from its source, or from a browser page, into its topic."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -11,6 +13,8 @@ from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.cores.capturing import Capturing
 from pipelines.cores.previewing import Previewing, preview_size
 from pipelines.cores.taking_over import Takeover
+from pipelines.cores.training import Exercises
+from pipelines.parts.exercises import new_exercises
 from pipelines.parts.robot_state import newest_state
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.table import VideoStream
@@ -25,16 +29,26 @@ _BLOCK_OCTETS = 2 * BLOCK_SAMPLES
 
 
 def run_camera(
-    context: Context, *, name: str, stream: VideoStream, page: str | None = None
+    context: Context,
+    *,
+    name: str,
+    stream: VideoStream,
+    page: str | None = None,
+    trainer: bool = False,
+    leds: bool = False,
 ) -> None:
     """Capture the pictures of the input `name` in the size and rate of `stream`.
 
     A built-in scene always counts its pictures, and draws them only while somebody looks.
 
     page: the topic with pictures of browser pages, which are taken in place of the source's.
+    trainer: give no pictures while a trainer's exercise says so.
+    leds: a scene has what the LED panel shows, too.
     """
     with context.open_bus() as bus:
-        camera = _Camera(context, bus, name, stream, page)
+        camera = _Camera(context, bus, name, stream, page, leds=leds)
+        if trainer:
+            camera.follow(new_exercises(bus))
         while not context.stopping:
             camera.handle_next()
             context.tick(context.clock.now_ns())
@@ -58,7 +72,14 @@ class _Camera:
     """A camera: its source, a page in place of it, and what it writes."""
 
     def __init__(
-        self, context: Context, bus: TopicBus, name: str, stream: VideoStream, page: str | None
+        self,
+        context: Context,
+        bus: TopicBus,
+        name: str,
+        stream: VideoStream,
+        page: str | None,
+        *,
+        leds: bool,
     ) -> None:
         self._clock = context.clock
         row = context.topology.input(name)
@@ -72,7 +93,7 @@ class _Camera:
             height=stream.height,
             fps=stream.fps,
             clock=context.clock,
-            scenes=video_scenes(newest_state(bus)),
+            scenes=video_scenes(newest_state(bus, leds=leds)),
         )
         # Drawing is most of a scene's work, and needless without a reader.
         self._scene = self._source if isinstance(self._source, SceneVideo) else None
@@ -83,10 +104,20 @@ class _Camera:
         self._takeover = Takeover.of_pictures(name)
         self._capturing = Capturing(context.probe)
         context.on_flush(self._tell)
+        self._name = name
+        self._exercises: Callable[[], Exercises | None] | None = None
+        self._lost_until_ns = 0
         self._loan = self._writer.loan_picture(*self._size)
+
+    def follow(self, take: Callable[[], Exercises | None]) -> None:
+        """Heed a trainer's exercises. take: returns them after a change."""
+        self._exercises = take
 
     def handle_next(self) -> None:
         """Capture the next picture, or wait for it at most `PATIENCE_NS`."""
+        exercises = None if self._exercises is None else self._exercises()
+        if exercises is not None:
+            self._lost_until_ns = exercises.cameras_ns.get(self._name, 0)
         page, now_ns = self._page, self._clock.now_ns()
         if page is not None and _waits_for_page(self._source, self._takeover, now_ns):
             page.wait(_patience_ns(self._takeover, now_ns, self._period_ns))
@@ -134,6 +165,8 @@ class _Camera:
             self._publish(stamp, drawn=drawn)
 
     def _publish(self, stamp: CaptureStamp, *, drawn: bool) -> None:
+        if stamp.capture_ns < self._lost_until_ns:
+            return
         if drawn:
             # Before the loan is gone.
             self._publish_preview(self._loan.picture, stamp)

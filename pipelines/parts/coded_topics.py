@@ -9,22 +9,19 @@ from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.topics.bus import TopicBus, Writer
 from pipelines.cores.coded_units import received_unit, sent_unit
 from pipelines.setup.table import VideoStream
-from pipelines.topology import VideoRow
 
 #: Room for most units; the topic makes more for a larger one.
 _USUAL_OCTETS = 16 << 10
 
 
 class ReceivedTopics:
-    """What a stream's receiver got and decoded: `coded/STREAM` and `decoded/STREAM`."""
+    """What a stream's receiver got and decoded: the topics `coded` and `decoded`."""
 
-    def __init__(self, bus: TopicBus, row: VideoRow, stream: VideoStream) -> None:
+    def __init__(self, bus: TopicBus, stream: VideoStream, *, coded: str, decoded: str) -> None:
         self._source = stream.name
         self._numbers = count()
-        self._coded = bus.writer(row.coded_topic, max_octets=_USUAL_OCTETS)
-        self._decoded = bus.writer(
-            row.decoded_topic, max_octets=stream.width * stream.height * 3 // 2
-        )
+        self._coded = bus.writer(coded, max_octets=_USUAL_OCTETS)
+        self._decoded = bus.writer(decoded, max_octets=stream.width * stream.height * 3 // 2)
         self._sets = b""
         self._size: tuple[int, int] | None = None
         self._shown: CaptureStamp | None = None
@@ -60,12 +57,12 @@ class ReceivedTopics:
 
 
 class SentTopic:
-    """The access units that a stream's sender made: `sent/STREAM`."""
+    """The access units that the sender of the stream `name` made."""
 
-    def __init__(self, bus: TopicBus, row: VideoRow) -> None:
-        self._source = row.name
+    def __init__(self, bus: TopicBus, name: str, topic: str) -> None:
+        self._source = name
         self._numbers = count()
-        self._writer = bus.writer(row.sent_topic, max_octets=_USUAL_OCTETS)
+        self._writer = bus.writer(topic, max_octets=_USUAL_OCTETS)
         self._sets = b""
 
     def handle_unit(self, unit: AccessUnit, size: tuple[int, int]) -> None:

@@ -1,6 +1,7 @@
 """The console's process: a Unix socket for terminals, and the ports of telecommands and telemetry.
 
-`Console` decides what is sent and answered. This module has the sockets and the sleep.
+`Console` decides what is sent and answered, `TmtcDesk` does the same for PUS. This module has the
+sockets and the sleep.
 """
 
 import secrets
@@ -12,12 +13,14 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root
-from pipelines.cores.console import MOST_TERMINALS, Console
+from pipelines.cores.console import Console
+from pipelines.cores.terminal_lines import MOST_TERMINALS
 from pipelines.parts.sample_topic import SampleTopic
+from pipelines.parts.tmtc_desk import TmtcDesk
 from pipelines.runtime.control import console_path
 from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
 from pipelines.runtime.terminals import TerminalSockets
-from pipelines.topology import TELECOMMAND, TELEMETRY, WALL_TOPIC, packets_topic
+from pipelines.topology import TELECOMMAND, TELEMETRY, WALL_TOPIC, Segment, packets_topic
 from telepresence.haptics.mediated.wall import WALL_OCTETS
 
 
@@ -47,26 +50,37 @@ def _serve(context: Context, bus: TopicBus, publish: Callable[[bytes, int], None
     sent = SampleTopic(bus, packets_topic(TELECOMMAND, sent=True))
     received = SampleTopic(bus, packets_topic(TELEMETRY, sent=False))
     context.on_flush(console.tell)
+
+    def send(packet: bytes, now_ns: int) -> None:
+        udp.sendto(packet, gateway)
+        sent.handle_sample(packet, now_ns)
+
+    desk = TmtcDesk(context, bus, Segment.SPACE, send)
     while not context.stopping:
         now_ns = clock.now_ns()
         context.tick(now_ns)
         due_ns = console.poll_timeout()
         wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, max(0, due_ns - now_ns))
+        wait_ns = desk.wait_ns(now_ns, wait_ns)
         asking = list(console.asking)
-        ready = select.select([udp, *terminals.readers(asking)], [], [], wait_ns / NS_PER_S)[0]
+        ready = select.select(
+            [udp, desk.socket, *terminals.readers(asking)], [], [], wait_ns / NS_PER_S
+        )[0]
         now_ns = clock.now_ns()
         if (terminal := terminals.accept(ready)) is not None:
             console.handle_terminal(terminal)
         for terminal, data in terminals.read(ready, asking):
             console.handle_octets(terminal, data, now_ns)
         while (datagram := context.receive(udp)) is not None:
-            console.handle_packet(datagram, now_ns)
+            if not desk.handle_packet(datagram, now_ns):
+                console.handle_packet(datagram, now_ns)
             received.handle_sample(datagram, now_ns)
         if (wall := console.poll_wall()) is not None:
             publish(wall, now_ns)
         while (packet := console.poll_transmit(now_ns)) is not None:
-            udp.sendto(packet, gateway)
-            sent.handle_sample(packet, now_ns)
+            send(packet, now_ns)
+        desk.work(now_ns)
         while (reply := console.next_event()) is not None:
             terminals.send(reply.terminal, reply.octets, last=reply.last)
     terminals.close()
+    desk.close()

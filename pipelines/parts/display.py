@@ -16,23 +16,26 @@ from pipelines.cores.showing import Showing
 from pipelines.cores.watching import OPERATORS, Watching
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.table import VideoStream, VoiceStream
-from pipelines.topology import VideoRow
+from pipelines.topology import displayed_topic, received_topic
 
 
 class _Picture:
     """The displayed picture of one video stream, published as a topic while there is a reader."""
 
-    def __init__(self, bus: TopicBus, row: VideoRow, stream: VideoStream) -> None:
+    def __init__(self, bus: TopicBus, stream: VideoStream, lag_topic: str | None) -> None:
         octets = stream.width * stream.height * 3 // 2
-        self._writer = bus.writer(row.displayed_topic, max_octets=octets)
+        self._writer = bus.writer(displayed_topic(stream.name), max_octets=octets)
         # The voice receiver polls it for lip-sync.
-        self._lag = bus.writer(row.lag_topic, max_octets=LAG.size, wake=False)
+        self._lag = None
+        if lag_topic is not None:
+            self._lag = bus.writer(lag_topic, max_octets=LAG.size, wake=False)
         self._lease: Lease | None = None
 
     def handle_picture(self, lease: Lease, now_ns: int) -> None:
         """The newest picture; it is kept until the next one comes."""
         stamp = lease.stamp
-        self._lag.publish_octets(LAG.pack(now_ns, now_ns - stamp.capture_ns), stamp)
+        if self._lag is not None:
+            self._lag.publish_octets(LAG.pack(now_ns, now_ns - stamp.capture_ns), stamp)
         if self._lease is not None:
             self._lease.release()
         self._lease = lease
@@ -50,8 +53,16 @@ class _Picture:
         loan.publish(frame.stamp)
 
 
-def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream]) -> None:
-    """Show the newest picture and every block of sound of `streams`."""
+def run_display(
+    context: Context,
+    *,
+    streams: Sequence[VideoStream | VoiceStream],
+    for_lip_sync: bool = True,
+) -> None:
+    """Show the newest picture and every block of sound of `streams`.
+
+    for_lip_sync: tell the voices' receivers how late the pictures are shown.
+    """
     clock = context.clock
     showing = Showing(context.setup, streams, context.probe)
     watching, watched = Watching(context.probe), {stream.name for stream in streams} & OPERATORS
@@ -59,13 +70,17 @@ def run_display(context: Context, *, streams: Sequence[VideoStream | VoiceStream
     with context.open_bus() as bus:
         readers = [
             bus.reader(
-                context.topology.media(stream.name).received_topic,
+                received_topic(stream.name),
                 depth=1 if isinstance(stream, VideoStream) else 8,
             )
             for stream in streams
         ]
         pictures = {
-            stream.name: _Picture(bus, context.topology.video(stream.name), stream)
+            stream.name: _Picture(
+                bus,
+                stream,
+                context.topology.video(stream.name).lag_topic if for_lip_sync else None,
+            )
             for stream in streams
             if isinstance(stream, VideoStream)
         }

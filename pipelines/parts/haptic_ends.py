@@ -1,24 +1,25 @@
 """The processes of robot (ground) and joystick (space), each a 1 kHz loop."""
 
-import secrets
-import select
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import count
 
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
-from pipelines.cores.figures import LoopCounters
 from pipelines.cores.hand_topics import STATUS_OCTETS, unpack_input
-from pipelines.cores.haptic_trace import BLOCK_OCTETS, BLOCK_ROWS, HapticTrace
-from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
+from pipelines.cores.haptic_trace import BLOCK_OCTETS, HapticTrace
+from pipelines.cores.haptics import JoystickEnd, RobotEnd
 from pipelines.cores.joystick_status import JoystickStatusTeller
-from pipelines.cores.replaying import ReplayedEnd
-from pipelines.cores.rows import LatenessRow
+from pipelines.cores.robot_desk import RobotDesk
+from pipelines.parts.exercises import new_exercises
+from pipelines.parts.haptic_loop import Cycle, new_life, run_loop, session_ports
+from pipelines.parts.mission_ends import both, looking, serve_robot
+from pipelines.parts.partner_arm import follow_owner, letting_go, open_partner, route_to_owner
 from pipelines.parts.robot_state import STATE_OCTETS, pack_state
-from pipelines.runtime.process import PATIENCE_NS, Context
+from pipelines.runtime.process import Context
 from pipelines.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
+    JOYSTICK_COMMAND_TOPIC,
     JOYSTICK_STATE_TOPIC,
     JOYSTICK_TRACE_TOPIC,
     ROBOT_TOPIC,
@@ -28,26 +29,22 @@ from pipelines.topology import (
 )
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice
+from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.spec import SIMULATED, open_device
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.sample import SAMPLE_OCTETS
-from telepresence.haptics.schedule import PeriodicSchedule
-from telepresence.haptics.session import LIVES
+from telepresence.haptics.ownership import HapticOwnership
+from telepresence.tasks.cosmonaut import Cosmonaut, Skill
 from telepresence.world import WorldState
 
-#: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
-_PHASE = 0.5
-#: In so many cycles a loop looks once for what is rare; two of them are a block of a trace.
-_SELDOM = BLOCK_ROWS // 2
 #: Commands of a person that can wait; all that the topic can hold.
 _REQUESTS = 8
 
-#: What a loop calls, with the instant of the cycle.
-Cycle = Callable[[int], None]
 
+def run_robot(context: Context, *, tasks: bool = False) -> None:
+    """Follow the commands, measure the force, and publish the state of the robot.
 
-def run_robot(context: Context) -> None:
-    """Follow the commands, measure the force, and publish the state of the robot."""
+    tasks: the robot is off until the kernel or a person switches it on.
+    """
     with context.open_bus() as bus:
         writer = bus.writer(ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
         numbers = count()
@@ -58,11 +55,15 @@ def run_robot(context: Context) -> None:
 
         setup, topology = context.setup, context.topology
         mediated = setup.hand == "mediated"
+        # Nobody drives until the desk has told who is to.
+        ownership = HapticOwnership(None) if setup.partner_arm == "shared" else None
+        life = new_life()
         end = RobotEnd(
             context.probe,
-            life=new_life(),
+            life=life,
             deadband=setup.deadband != "off",
             mediated=mediated,
+            ownership=ownership,
         )
         to_gateway = context.sender(topology.entry_port(TELEMETRY)) if mediated else None
 
@@ -71,19 +72,41 @@ def run_robot(context: Context) -> None:
             if wall is not None and to_gateway is not None:
                 to_gateway(wall)
 
+        desk = RobotDesk(end.side, life=life, tasks=tasks, now_ns=context.clock.now_ns())
+        seldom = [_trace(bus, ROBOT_TRACE_TOPIC, end.trace), serve_robot(bus, desk, tasks=tasks)]
+        before: Cycle = desk.step
+        route = None
+        if ownership is not None:
+            seldom.append(follow_owner(bus, ownership))
+            take_partner, to_partner = open_partner(context, end)
+            before = both(take_partner, desk.step)
+            route = route_to_owner(ownership, to_partner)
         run_loop(
             context,
             end,
-            "robot",
+            session_ports(topology, "robot"),
             publish,
+            before=before,
             after=tell_wall if mediated else None,
-            seldom=[_trace(bus, ROBOT_TRACE_TOPIC, end.trace)],
+            seldom=seldom,
+            route=route,
         )
 
 
-def run_joystick(context: Context, spec: str = SIMULATED) -> None:
-    """Operate the joystick that `spec` names, and put the robot's force on it."""
-    device = open_device(spec, hand=Hand())
+def run_joystick(
+    context: Context,
+    spec: str = SIMULATED,
+    *,
+    trainer: bool = False,
+    skill: float | None = None,
+) -> None:
+    """Operate the joystick that `spec` names, and put the robot's force on it.
+
+    trainer: have the faults of a trainer's exercises. skill: of a simulated cosmonaut, who does
+    tasks with a simulated joystick; None: the hand that taps the targets.
+    """
+    hand = Hand() if skill is None else Cosmonaut(Skill(level=skill), seed=context.seed)
+    device = open_device(spec, hand=hand)
     try:
         handle = OperatedHandle(device)
         setup = context.setup
@@ -99,10 +122,17 @@ def run_joystick(context: Context, spec: str = SIMULATED) -> None:
             seldom = [_trace(bus, JOYSTICK_TRACE_TOPIC, end.trace), _status(bus, handle, reads)]
             if WALL_TOPIC in reads:
                 seldom.append(_walls(bus, end))
+            if trainer:
+                seldom.append(_exercises(bus, handle))
+            if isinstance(hand, Cosmonaut):
+                seldom.append(looking(bus, hand, handle))
             before = None
             if isinstance(device, PageDevice) and HAND_INPUT_TOPIC in reads:
                 before = _hand(bus, device)
-            run_loop(context, end, "joystick", before=before, seldom=seldom)
+            if setup.partner_arm == "shared" and isinstance(device, SimulatedDevice):
+                seldom.append(letting_go(device, end))
+            ports = session_ports(context.topology, "joystick")
+            run_loop(context, end, ports, before=before, seldom=seldom)
     finally:
         device.close()
 
@@ -123,13 +153,14 @@ def _trace(bus: TopicBus, topic: str, trace: HapticTrace) -> Cycle:
 
 
 def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycle:
-    """Return what takes an operator's commands, and publishes the state of the joystick."""
+    """Return what takes persons' commands and telecommands, and publishes the joystick's state."""
     teller = JoystickStatusTeller(handle)
     writer = bus.writer(JOYSTICK_STATE_TOPIC, max_octets=STATUS_OCTETS)
     requests = None
     # A restarted joystick reads the newest command once more, so a person's halt outlives it.
     if HAND_REQUEST_TOPIC in reads:
         requests = bus.reader(HAND_REQUEST_TOPIC, depth=_REQUESTS)
+    commands = bus.reader(JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)
     numbers = count()
 
     def tell(now_ns: int) -> None:
@@ -137,6 +168,9 @@ def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycl
         if requests is not None and (lease := requests.next()) is not None:
             with lease:
                 teller.handle_request(lease.octets())
+        if (lease := commands.next()) is not None:
+            with lease:
+                teller.handle_telecommand(lease.octets())
         status = teller.poll_status(now_ns)
         if status is not None:
             writer.publish_octets(status, CaptureStamp(now_ns, next(numbers), "joystick"))
@@ -159,6 +193,18 @@ def _walls(bus: TopicBus, end: JoystickEnd) -> Cycle:
     return take
 
 
+def _exercises(bus: TopicBus, handle: OperatedHandle) -> Cycle:
+    """Return what takes a trainer's exercises."""
+    take = new_exercises(bus)
+
+    def follow(now_ns: int) -> None:
+        exercises = take()
+        if exercises is not None:
+            handle.handle_exercise(exercises.joystick_ns - now_ns)
+
+    return follow
+
+
 def _hand(bus: TopicBus, device: PageDevice) -> Cycle:
     """Return what takes the newest input of the page that holds the handle."""
     latest = bus.reader(HAND_INPUT_TOPIC).latest
@@ -173,91 +219,3 @@ def _hand(bus: TopicBus, device: PageDevice) -> Cycle:
             device.handle_input(hand, now_ns - hand.received_ns)
 
     return take
-
-
-def new_life() -> int:
-    """The number of a new life of an end."""
-    return 1 + secrets.randbelow(LIVES - 1)
-
-
-def run_loop(
-    context: Context,
-    end: RobotEnd | JoystickEnd | ReplayedEnd,
-    process: str,
-    publish: Callable[[WorldState], None] | None = None,
-    *,
-    before: Cycle | None = None,
-    after: Cycle | None = None,
-    seldom: Sequence[Cycle] = (),
-) -> None:
-    """Run an end at 1 kHz.
-
-    before, after: called in each cycle. seldom: called every `_SELDOM` cycles.
-    """
-    clock, probe = context.clock, context.probe
-    rows = context.topology.haptics
-    (taken,) = (row for row in rows if row.receiver == process)
-    (given,) = (row for row in rows if row.sender == process)
-    udp = context.listen(taken.exit_port)
-    more = select.poll()
-    more.register(udp, select.POLLIN)
-    to_gateway = context.sender(given.entry_port)
-    schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(CYCLE_NS, _PHASE))
-    # Looked up once: what follows runs a thousand times a second.
-    take, receive = udp.recv, context.receive
-    clock_ns, sleep_until_ns = clock.now_ns, clock.sleep_until_ns
-    handle_wakeup, handle_datagram, handle_cycle = (
-        schedule.handle_wakeup,
-        end.handle_datagram,
-        end.handle_cycle,
-    )
-    poll_transmit, next_event, ask = end.poll_transmit, end.next_event, more.poll
-    # A list, because an array checks the type of each number.
-    lateness: list[int] = []
-    lateness_rows, add_lateness = probe.series(LatenessRow), lateness.append
-
-    def fill() -> None:
-        end.tell()
-        lateness_rows.extend_column(lateness)
-        lateness.clear()
-        probe.count(LoopCounters(slips=schedule.slips, cycles=schedule.cycles))
-
-    context.on_flush(fill)
-    tick_ns = 0
-    wait = _SELDOM
-    while not context.stopping:
-        sleep_until_ns(schedule.next_deadline_ns)
-        now_ns = clock_ns()
-        lateness_ns = handle_wakeup(now_ns)
-        if lateness_ns < 0:
-            continue
-        add_lateness(lateness_ns)
-        try:
-            datagram: bytes | None = take(SAMPLE_OCTETS + 1)
-        except OSError:
-            # There is no datagram, or this is an ICMP error of an earlier one.
-            datagram = receive(udp, SAMPLE_OCTETS + 1)
-        # Most cycles have exactly one sample. poll(2) costs a third of reading an empty socket.
-        while datagram is not None:
-            handle_datagram(datagram, now_ns)
-            datagram = receive(udp, SAMPLE_OCTETS + 1) if ask(0) else None
-        if before is not None:
-            before(now_ns)
-        handle_cycle(now_ns, schedule.advance_ns)
-        sample = poll_transmit(now_ns)
-        if sample is not None:
-            to_gateway(sample)
-        if publish is not None:
-            state = next_event()
-            if state is not None:
-                publish(state)
-        if after is not None:
-            after(now_ns)
-        wait -= 1
-        if not wait:
-            wait = _SELDOM
-            for look in seldom:
-                look(now_ns)
-        if now_ns >= tick_ns:
-            tick_ns = now_ns + PATIENCE_NS
-            context.tick(now_ns)

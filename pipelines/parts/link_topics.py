@@ -1,5 +1,7 @@
 """What a gateway publishes for a recorder: its figures ten times a second, and all its frames.
 
+Telemetry gets a few of its figures twice a second.
+
 Nothing is made while nobody reads.
 """
 
@@ -12,8 +14,10 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus, Writer
 from pipelines.cores.frame_batch import pack_frames
+from pipelines.cores.tmtc_sources import LINK_STATE_OCTETS, link_values, pack_link
 from pipelines.setup.segments import Segment
-from pipelines.topology import Topology, gateway_topic
+from pipelines.topology import Topology, gateway_topic, link_state_topic
+from telepresence.link.figures import GatewayFigures
 from telepresence.link.gateway import Gateway
 
 #: Frames of so long are one sample.
@@ -41,7 +45,12 @@ class LinkTopics:
         self._received = bus.writer(
             back.received_frames_topic, max_octets=_FRAMES_OCTETS, wake=False
         )
-        self._numbers = {writer: count() for writer in (self._figures, self._sent, self._received)}
+        self._state = bus.writer(
+            link_state_topic(segment), max_octets=LINK_STATE_OCTETS, wake=False
+        )
+        self._numbers = {
+            writer: count() for writer in (self._figures, self._sent, self._received, self._state)
+        }
         self._batches = 0
 
     def handle_time(self, now_ns: int) -> None:
@@ -62,6 +71,10 @@ class LinkTopics:
         if self._figures.has_readers():
             figures = msgspec.msgpack.encode(gateway.report(now_ns))
             self._publish(self._figures, figures, now_ns)
+
+    def handle_figures(self, figures: GatewayFigures, now_ns: int) -> None:
+        """Publish for telemetry what was counted for the report anyway, twice a second."""
+        self._publish(self._state, pack_link(link_values(figures)), now_ns)
 
     def _publish(self, writer: Writer, octets: bytes, now_ns: int) -> None:
         stamp = CaptureStamp(now_ns, next(self._numbers[writer]), "gateway")

@@ -5,13 +5,17 @@ import asyncio
 from pipelines.page.server import PageServer
 from pipelines.runtime.process import Context
 from pipelines.topology import Segment
+from telepresence.tasks.definitions import Catalogue
 
 
-def run_page(context: Context, *, segment: Segment) -> None:
-    """Serve the pages of `segment` on the socket that the launcher has bound."""
-    asyncio.run(_serve(context, segment))
+def run_page(context: Context, *, segment: Segment, tasks: Catalogue | None = None) -> None:
+    """Serve the pages of `segment` on the socket that the launcher has bound.
+
+    tasks: those of the session, for the panel.
+    """
+    asyncio.run(_serve(context, segment, tasks))
 
 
-async def _serve(context: Context, segment: Segment) -> None:
+async def _serve(context: Context, segment: Segment, tasks: Catalogue | None) -> None:
     with context.open_bus() as bus:
-        await PageServer(context, segment, bus).run()
+        await PageServer(context, segment, bus, tasks).run()

@@ -22,7 +22,7 @@ from pipelines.cores.session_streams import video_sender, voice_sender
 from pipelines.cores.stream_figures import tell_sender
 from pipelines.cores.video_sending import LinkedVideoSender
 from pipelines.parts.coded_topics import SentTopic
-from pipelines.parts.haptic_ends import new_life, run_loop
+from pipelines.parts.haptic_loop import new_life, run_loop, session_ports
 from pipelines.parts.sending import to_gateway
 from pipelines.recording.recorded_session import SentPacket, SentUnit
 from pipelines.runtime.process import PATIENCE_NS, Context
@@ -86,7 +86,7 @@ def run_video_replay(
     context.on_flush(lambda: tell_sender(context.probe, sender, linked.gain))
     script = start.script(context, units, _PICTURE_NS)
     with context.open_bus() as bus:
-        sent, backlogs = SentTopic(bus, row), bus.reader(row.backlog_topic)
+        sent, backlogs = SentTopic(bus, row.name, row.sent_topic), bus.reader(row.backlog_topic)
         waiter = bus.waiter([backlogs], [feedback.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
@@ -226,4 +226,5 @@ def run_haptic_replay(
     """Send the recorded samples of an end, in a loop at 1 kHz."""
     time = start.time_of(context)
     end = ReplayedEnd(rows, time, context.probe, robot=robot, life=new_life())
-    run_loop(context, end, "robot" if robot else "joystick")
+    ports = session_ports(context.topology, "robot" if robot else "joystick")
+    run_loop(context, end, ports)

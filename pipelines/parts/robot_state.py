@@ -1,10 +1,14 @@
 """The robot's state in shared memory, from which scenes draw pictures and make sounds."""
 
 import struct
+from dataclasses import replace
 
 from kontur_av.topics.bus import TopicBus
-from pipelines.topology import ROBOT_TOPIC
+from pipelines.cores.mission_messages import LedsShown, unpack
+from pipelines.topology import MISSION_LEDS_TOPIC, ROBOT_TOPIC
+from telepresence.tasks.lights import lights_of
 from telepresence.world import StateAt, WorldState, scripted_state
+from telepresence.world.state import Lights
 
 #: Instant, x, y (m), force (N), contact, instants at which this contact and the newest one began.
 _LAYOUT = struct.Struct("=qddd?qq")
@@ -38,17 +42,28 @@ def unpack_state(data: bytes) -> WorldState:
     )
 
 
-def newest_state(bus: TopicBus) -> StateAt:
-    """Return a function from an instant to the robot's state; without a robot, scripted motion."""
+def newest_state(bus: TopicBus, *, leds: bool = False) -> StateAt:
+    """Return a function from an instant to the robot's state; without a robot, scripted motion.
+
+    leds: the state has what the LED panel shows, too.
+    """
     reader = bus.reader(ROBOT_TOPIC)
+    shown = bus.reader(MISSION_LEDS_TOPIC) if leds else None
     known: WorldState | None = None
+    lights = Lights()
 
     def state_at(now_ns: int) -> WorldState:
-        nonlocal known
+        nonlocal known, lights
         lease = reader.latest()
         if lease is not None:
             with lease:
                 known = unpack_state(lease.octets())
-        return scripted_state(now_ns) if known is None else known.at(now_ns)
+        state = scripted_state(now_ns) if known is None else known.at(now_ns)
+        if shown is None:
+            return state
+        if (lease := shown.latest()) is not None:
+            with lease:
+                lights = lights_of(unpack(LedsShown, lease.octets()).picture)
+        return replace(state, lights=lights)
 
     return state_at

@@ -1,24 +1,30 @@
 """The selector's process: it receives telecommands, and tells the sender which camera to follow.
 
 It reads no pictures. A choice is kept in a file, then published, and acknowledged when the sender
-has confirmed it.
+has confirmed it. PUS of the ground is here, too: `TmtcDesk`.
 """
 
+from contextlib import suppress
 from itertools import count
 
+from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.session_files import session_root
 from pipelines.cores.choosing import CameraChoice
 from pipelines.cores.following import CHOICE_OCTETS, unpack_confirmed
+from pipelines.cores.mission_messages import CameraWish, unpack
 from pipelines.parts.reception import replace_file
 from pipelines.parts.robot_state import newest_state
 from pipelines.parts.sample_topic import SampleTopic
+from pipelines.parts.tmtc_desk import TmtcDesk
 from pipelines.runtime.process import LOOPBACK, PATIENCE_NS, Context
 from pipelines.topology import (
     FOLLOWED_TOPIC,
+    MISSION_CAMERA_TOPIC,
     SELECTED_TOPIC,
     TELECOMMAND,
     TELEMETRY,
+    Segment,
     packets_topic,
 )
 
@@ -38,17 +44,35 @@ def run_selector(context: Context) -> None:
         writer = bus.writer(SELECTED_TOPIC, max_octets=CHOICE_OCTETS)
         reader = bus.reader(FOLLOWED_TOPIC)
         state_at = newest_state(bus)
-        waiter = bus.waiter([reader], [udp.fileno()])
         received = SampleTopic(bus, packets_topic(TELECOMMAND, sent=False))
         sent = SampleTopic(bus, packets_topic(TELEMETRY, sent=True))
+        wished = None
+        if MISSION_CAMERA_TOPIC in topology.process("selector").reads:
+            wished = bus.reader(MISSION_CAMERA_TOPIC)
+        newest_wish = -1
+
+        def send(packet: bytes, now_ns: int) -> None:
+            udp.sendto(packet, gateway)
+            sent.handle_sample(packet, now_ns)
+
+        desk = TmtcDesk(context, bus, Segment.GROUND, send)
+        waiter = bus.waiter([reader], [udp.fileno(), desk.socket.fileno()])
         publish_ns = 0
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             changed = False
             while (datagram := context.receive(udp)) is not None:
-                changed |= choice.handle_packet(datagram, now_ns)
+                if not desk.handle_packet(datagram, now_ns):
+                    changed |= choice.handle_packet(datagram, now_ns)
                 received.handle_sample(datagram, now_ns)
+            if wished is not None and (lease := wished.latest()) is not None:
+                with lease:
+                    wish = unpack(CameraWish, lease.octets())
+                if wish.number > newest_wish:
+                    newest_wish = wish.number
+                    with suppress(ProtocolError):  # checked when the session began
+                        changed |= choice.select(wish.camera, now_ns)
             if changed:
                 replace_file(remembered, choice.selected.encode("ascii"))
             if changed or now_ns >= publish_ns:
@@ -63,7 +87,8 @@ def run_selector(context: Context) -> None:
             if now_ns >= choice.poll_timeout():
                 choice.handle_state(state_at(now_ns), now_ns)
             while (packet := choice.poll_transmit(now_ns)) is not None:
-                udp.sendto(packet, gateway)
-                sent.handle_sample(packet, now_ns)
-            waiter.wait(PATIENCE_NS)
+                send(packet, now_ns)
+            desk.work(now_ns)
+            waiter.wait(desk.wait_ns(now_ns, PATIENCE_NS))
         del waiter
+        desk.close()

@@ -33,7 +33,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
         to_sender = context.sender(context.topology.entry_port(row.feedback))
         largest_octets = stream.width * stream.height * 3 // 2
         writer = bus.writer(row.received_topic, max_octets=largest_octets)
-        topics = ReceivedTopics(bus, row, stream)
+        topics = ReceivedTopics(bus, stream, coded=row.coded_topic, decoded=row.decoded_topic)
         while not context.stopping:
             context.tick(clock.now_ns())
             incoming.wait(receiver.poll_timeout())

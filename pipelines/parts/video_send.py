@@ -13,12 +13,14 @@ from pipelines.cores.following import CONFIRMED_OCTETS, CameraFollower, Choice, 
 from pipelines.cores.gain import gain_of
 from pipelines.cores.session_streams import video_sender
 from pipelines.cores.stream_figures import tell_sender
+from pipelines.cores.tip_region import TipRegion, tip_region
 from pipelines.cores.video_sending import LinkedVideoSender
 from pipelines.parts.coded_topics import SentTopic
+from pipelines.parts.robot_state import unpack_state
 from pipelines.parts.sending import to_gateway
 from pipelines.runtime.process import PATIENCE_NS, Context
 from pipelines.setup.table import VideoStream
-from pipelines.topology import FOLLOWED_TOPIC, SELECTED_TOPIC
+from pipelines.topology import FOLLOWED_TOPIC, ROBOT_TOPIC, SELECTED_TOPIC
 from telepresence.link.backlog import Backlog
 
 #: How long to sleep at least while a switch keeps the sender from encoding.
@@ -32,12 +34,14 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
     """
     switch_threads_often()
     clock, probe = context.clock, context.probe
+    tip = tip_region(context.setup) if topic is None else None
     encoder = H264Encoder(
         width=stream.width,
         height=stream.height,
         fps=stream.fps,
         cap_bps=stream.cap_bps,
         coded_size=stream.coded,
+        regions=tip is not None,
     )
     row = context.topology.video(stream.name)
     identity = RtpIdentity.draw(secrets.randbits)
@@ -54,7 +58,8 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
         selection = None if topic is not None else SelectionTopics(context, bus)
         reader = None if topic is None else bus.reader(topic)
         backlog_reader = bus.reader(row.backlog_topic)
-        sent = SentTopic(bus, row)
+        robot = None if tip is None else bus.reader(ROBOT_TOPIC)
+        sent = SentTopic(bus, row.name, row.sent_topic)
         sockets = [feedback.fileno(), encoding.fileno()]
         waiter = bus.waiter(_wakers(reader, selection), sockets)
         # The newest picture, held until it is encoded or a newer one comes, and the one that is
@@ -118,10 +123,13 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
             if held is not None and (selection is None or selection.may_encode):
                 coding = linked.poll_encode(clock.now_ns())
                 if coding is not None:
-                    frame = held.video()
+                    frame, region = held.video(), None
                     if selection is not None:
                         frame = replace(frame, stamp=selection.restamp(frame.stamp))
-                    encoding.submit(frame, coding)
+                        if tip is not None and robot is not None:
+                            read_tip(robot, tip)
+                            region = tip.region(selection.camera, clock.now_ns())
+                    encoding.submit(frame, coding, region)
                     held, encoded = None, held
         encoding.close()
         for lease in (held, encoded):
@@ -152,6 +160,11 @@ class SelectionTopics:
         """The topic of the selected camera."""
         assert self._follower.camera is not None
         return self._topology.camera(self._follower.camera).topic
+
+    @property
+    def camera(self) -> str | None:
+        """The selected camera; None before the first choice."""
+        return self._follower.camera
 
     @property
     def may_encode(self) -> bool:
@@ -187,6 +200,15 @@ class SelectionTopics:
         # Repeatedly, for a selector that has started since.
         self._told, self._told_ns = number, now_ns
         self._writer.publish_octets(pack_confirmed(number), CaptureStamp(now_ns, number, "sender"))
+
+
+def read_tip(robot: Reader, tip: TipRegion) -> None:
+    """Tell `tip` the robot's newest state, if there is a new one."""
+    lease = robot.latest()
+    if lease is not None:
+        with lease:
+            state = unpack_state(lease.octets())
+        tip.handle_tip(state.x_m, state.y_m, state.time_ns)
 
 
 def _wakers(reader: Reader | None, selection: SelectionTopics | None) -> list[Reader]:

@@ -26,7 +26,17 @@ from pipelines.recording.schemas import (
     MessageSchema,
     descriptor_set,
 )
-from pipelines.topology import TELECOMMAND, TELEMETRY, Direction, Kind, Topology, VideoRow
+from pipelines.topology import (
+    RTC_CAMERA,
+    RTC_VIDEO,
+    RTC_VOICE,
+    TELECOMMAND,
+    TELEMETRY,
+    Direction,
+    Kind,
+    Topology,
+    VideoRow,
+)
 from pipelines.topology.tables import Table
 
 PROTOBUF = "protobuf"
@@ -83,6 +93,14 @@ def _channels(topology: Topology, *, link_frames: bool) -> Iterator[tuple[str, M
             yield topic, schema, f"{unit} as {way}"
             if video:
                 yield f"{topic}/facts", UNIT_FACTS, f"facts about the access unit as {way}"
+    if topology.setup.rtc is not None:
+        for name, way, whose in (
+            (RTC_VIDEO, SENT, "for the partner"),
+            (RTC_CAMERA, RECEIVED, "of the partner"),
+        ):
+            yield f"/{name}/{way}", VIDEO, f"access unit {whose}"
+            yield f"/{name}/{way}/facts", UNIT_FACTS, f"facts about the access unit {whose}"
+        yield f"/{RTC_VOICE}/{RECEIVED}", AUDIO, "Opus packet of the partner"
     for row in topology.inputs:
         if topology.media(row.stream).kind is Kind.VIDEO:
             yield f"/camera/{row.name}", VIDEO, "access unit, while no stream carries the camera"

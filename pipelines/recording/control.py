@@ -54,7 +54,7 @@ def remove_wish(session: str) -> None:
 def find_session(name: str | None) -> str:
     """Return the running session that `name` means, as `choose_session`; else ConfigError."""
     running = []
-    for session in running_sessions():
+    for session in running_sessions(_SOCKET):
         link = _connected(session)
         if link is not None:
             link.close()

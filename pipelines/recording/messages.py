@@ -44,6 +44,7 @@ from telepresence.link.figures import (
     SupervisionFigures,
 )
 from telepresence.tmtc.packets import Housekeeping, SelectAck, SelectCamera, parse_packet
+from telepresence.tmtc.pus.head import apid_of, is_packet, is_telecommand, message_of
 
 H264, OPUS = "h264", "opus"
 
@@ -409,6 +410,10 @@ def unpack_haptics(octets: bytes) -> NDArray[np.void]:
 
 def packet_words(data: bytes) -> str:
     """Return what a space packet of telecommands or telemetry says, in words."""
+    if is_packet(data):
+        service, subtype = message_of(data)
+        way = "telecommand to" if is_telecommand(data) else "report of"
+        return f"PUS {service},{subtype}: {way} application {apid_of(data):#x}"
     try:
         message = parse_packet(data).message
     except ProtocolError:

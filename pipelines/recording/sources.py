@@ -8,6 +8,12 @@ from pipelines.recording.channels import RECEIVED, SENT
 from pipelines.topology import (
     JOYSTICK_TRACE_TOPIC,
     ROBOT_TRACE_TOPIC,
+    RTC_CAMERA,
+    RTC_CODED_CAMERA_TOPIC,
+    RTC_CODED_VOICE_TOPIC,
+    RTC_VIDEO,
+    RTC_VIDEO_TOPIC,
+    RTC_VOICE,
     TELECOMMAND,
     TELEMETRY,
     Segment,
@@ -49,7 +55,11 @@ class Source:
 
 def sources_of(topology: Topology, *, link_frames: bool = False) -> tuple[Source, ...]:
     """Return what is read of a session. link_frames: with every frame of the radio link."""
-    return tuple(_sources(topology, link_frames=link_frames))
+    every = tuple(_sources(topology, link_frames=link_frames))
+    if topology.alone is None:
+        return every
+    # The other machine records what is there.
+    return tuple(one for one in every if topology.runs(topology.topic(one.topic).writer))
 
 
 def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
@@ -63,6 +73,24 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
                 channels=(channel, f"{channel}/facts") if video else (channel,),
                 name=media.name,
             )
+    if topology.setup.rtc is not None:
+        for name, way, topic in (
+            (RTC_VIDEO, SENT, RTC_VIDEO_TOPIC),
+            (RTC_CAMERA, RECEIVED, RTC_CODED_CAMERA_TOPIC),
+        ):
+            channel = f"/{name}/{way}"
+            yield Source(
+                topic=topic,
+                content=Content.UNIT,
+                channels=(channel, f"{channel}/facts"),
+                name=name,
+            )
+        yield Source(
+            topic=RTC_CODED_VOICE_TOPIC,
+            content=Content.SOUND,
+            channels=(f"/{RTC_VOICE}/{RECEIVED}",),
+            name=RTC_VOICE,
+        )
     for name in (TELECOMMAND, TELEMETRY):
         for way in (SENT, RECEIVED):
             yield Source(

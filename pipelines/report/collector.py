@@ -5,23 +5,34 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.meters import Histogram
 from pipelines.cores.figures import (
     DisplayCounters,
 )
 from pipelines.cores.probe import Message, Series
 from pipelines.cores.rows import (
+    ClickRow,
+    ClockRow,
     LatenessRow,
+    LightRow,
     SampleReceivedRow,
     SampleSentRow,
     SendingRow,
+    ShownRow,
 )
 from pipelines.report.journeys import HapticFigures, StreamFigures
 from pipelines.report.process_figures import ProcessFigures
 from pipelines.report.skew import LipSyncShare, Skew
 from pipelines.report.sync.figures import PERCEIVED, SyncFigures
-from pipelines.topology import Topology
+from pipelines.report.trace import Trace
+from pipelines.topology import RTC_CAMERA, RTC_DISPLAY, RTC_VOICE, SECOND_ROBOT, Topology
+from telepresence.link.clock.history import ClockHistory
+
+#: Rows with stamps that travelled from the other end.
+_DATED = frozenset({ShownRow, LightRow, ClickRow})
 
 
 class Collector:
@@ -36,6 +47,8 @@ class Collector:
             for row in topology.media_streams
             for process in (row.sender, row.receiver)
         }
+        #: What is shown and heard of a partner: from capture to display.
+        self.partner = {RTC_CAMERA: Histogram(), RTC_VOICE: Histogram()}
         self.haptics = {row.key: HapticFigures() for row in topology.haptics}
         #: By process: the samples that it sends, and those that it receives.
         self._sampled = {row.sender: self.haptics[row.key] for row in topology.haptics}
@@ -43,8 +56,12 @@ class Collector:
         self.processes: dict[str, ProcessFigures] = {}
         self.skews = {name: Skew() for name in ("video_haptic", "audio_haptic", "audio_video")}
         self.lip_sync = LipSyncShare()
+        #: Of the gateway of this machine, if the other one is on another machine.
+        self.clock = ClockHistory()
         #: The same by content: contacts, and when each was seen, heard and felt.
         self.sync = SyncFigures()
+        #: The rows for a join, if the other end is on another machine.
+        self.trace = None if topology.alone is None else Trace()
 
     def process(self, name: str) -> ProcessFigures:
         """The figures of the process `name`."""
@@ -63,6 +80,9 @@ class Collector:
         figures.handle_message(message, now_ns)
         for series in message.series:
             self._handle_series(process, figures, series, now_ns)
+            # What was shown before the other clock was known has stamps of no clock.
+            if self.trace is not None and (self.clock.known or series.kind not in _DATED):
+                self.trace.add(process, series)
         # A second later the messages of all senses about an instant have come.
         self._compare(now_ns - NS_PER_S)
         self.sync.handle_time(now_ns, self.haptics["up"].sent_ns_at)
@@ -89,6 +109,17 @@ class Collector:
         self, process: str, figures: ProcessFigures, series: Series[Any], now_ns: int
     ) -> None:
         kind = series.kind
+        if kind is ClockRow:
+            for row in series.rows():
+                self.clock.add(*row)
+            return
+        if process == SECOND_ROBOT and kind is not LatenessRow:
+            # A partner's: nothing of it is felt, seen or heard in space.
+            return
+        if process == RTC_DISPLAY and kind is ShownRow:
+            shown = np.frombuffer(series.values, np.int64).reshape(-1, series.width)
+            self.partner[series.stream].add(shown[:, 2] - shown[:, 1])
+            return
         if kind in PERCEIVED:
             self.sync.handle_series(series)
             return
@@ -102,7 +133,17 @@ class Collector:
         elif kind is SampleReceivedRow:
             self._felt[process].handle_received(rows, now_ns)
         else:
-            self.streams[series.stream or self._ends[process]].handle_rows(kind, rows, now_ns)
+            stream = self.streams[series.stream or self._ends[process]]
+            if kind is ShownRow and self.topology.alone is not None:
+                self._note_dating(stream, rows)
+            stream.handle_rows(kind, rows, now_ns)
+
+    def _note_dating(self, stream: StreamFigures, rows: NDArray[np.int64]) -> None:
+        """Pictures and sounds of another machine came: are their stamps known in this clock?"""
+        stream.dated = self.clock.known
+        if self.clock.known:
+            errors_ns = self.clock.at(rows[:, 2]).errors_ns
+            stream.error_ns = max(stream.error_ns, int(errors_ns.max(initial=0)))
 
     def _compare(self, until_ns: int | None) -> None:
         """The skews at the operator in space, who sees, hears and feels the ground."""

@@ -10,16 +10,24 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import JoystickGauges
+from pipelines.cores.figures import (
+    JoystickGauges,
+    OwnerGauges,
+    PeerGauges,
+    TaskGauges,
+    TrainerGauges,
+)
 from pipelines.cores.marking import age_words
 from pipelines.cores.session_events import Event
 from pipelines.cores.session_switch import Activity, SessionSwitch
+from pipelines.cores.task_journal import KEPT, OPEN
 from pipelines.report.collector import Collector
 from pipelines.report.present import shown_now
 from pipelines.report.silence import silences
 from pipelines.setup.table import Setup
-from pipelines.topology import Segment
+from pipelines.topology import TASKS, TRAINER, Segment
 from telepresence.link.figures import SupervisionFigures
+from telepresence.tasks.experiment import Step
 
 #: How many events are kept.
 DEPTH = 200
@@ -50,6 +58,14 @@ class EventLog:
         self._running = True
         #: By segment and kind: until when the record of its gateway has been told.
         self._link_told_ns: dict[tuple[Segment, str], int] = {}
+        #: By segment: until when the events of its path have been told.
+        self._peer_told_ns: dict[Segment, int] = {}
+        #: Until when a trainer's doings have been told.
+        self._exercise_told_ns = -1
+        #: Until when the robot's owners have been told.
+        self._owner_told_ns = -1
+        #: Run and stage of a task until which they have been told.
+        self._task_told = 0, 0
         self._pass_s: float | None = None
         self._camera = setup.cameras[0] if setup.cameras else ""
         self._restarts: dict[str, int] = {}
@@ -71,6 +87,10 @@ class EventLog:
         found = [
             *self._session(switch),
             *self._links(),
+            *self._peers(),
+            *self._exercises(),
+            *self._owners(),
+            *self._tasks(now_ns),
             *self._passes(started_ns, now_ns),
             *self._cameras(),
             *self._restarted(processes, now_ns),
@@ -108,9 +128,60 @@ class EventLog:
                 newest_ns = max([told_ns, *(at_ns for at_ns, _ in record)])
                 self._link_told_ns[segment, kind] = newest_ns
 
+    def _peers(self) -> Iterator[tuple[int, str, str]]:
+        """What happened on the paths to another machine."""
+        for segment in Segment:
+            process = self._collector.process(self._collector.topology.gateway(segment).name)
+            gauges = process.gauges(PeerGauges)
+            if gauges is None:
+                continue
+            told_ns = self._peer_told_ns.get(segment, -1)
+            for event in gauges.peer.events:
+                at_ns = gauges.peer.begun_ns + event.at_ns
+                if at_ns > told_ns:
+                    yield at_ns, "link", f"{segment.value}: {event.what}"
+            newest_ns = [gauges.peer.begun_ns + event.at_ns for event in gauges.peer.events]
+            self._peer_told_ns[segment] = max([told_ns, *newest_ns])
+
+    def _exercises(self) -> Iterator[tuple[int, str, str]]:
+        """What a trainer did."""
+        gauges = self._collector.process(TRAINER).gauges(TrainerGauges)
+        events = () if gauges is None else gauges.events
+        for event in events:
+            if event.at_ns > self._exercise_told_ns:
+                self._exercise_told_ns = event.at_ns
+                yield event.at_ns, "session", f"trainer: {event.what}"
+
+    def _owners(self) -> Iterator[tuple[int, str, str]]:
+        """Who drives the robot."""
+        gauges = self._collector.process("robot").gauges(OwnerGauges)
+        events = () if gauges is None else gauges.arm.events
+        for event in events:
+            if event.at_ns > self._owner_told_ns:
+                self._owner_told_ns = event.at_ns
+                yield event.at_ns, "session", f"robot: {event.what}"
+
+    def _tasks(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
+        """Selection, start and end of the runs of tasks."""
+        gauges = self._collector.process(TASKS).gauges(TaskGauges)
+        for row in () if gauges is None else gauges.rows[-KEPT:]:
+            at_ns = {one.step: one.at_ns for one in row.steps}
+            result = f"{row.result}: {row.reason}" if row.reason else row.result
+            ended = "" if row.result == OPEN else result
+            for stage, (step, text) in enumerate(
+                ((Step.SELECTED, "selected"), (Step.STARTED, "started"), (Step.ENDED, ended))
+            ):
+                # The end of a killed process's run has no instant.
+                came = step.value in at_ns or step is Step.ENDED
+                if text and came and (row.run, stage) > self._task_told:
+                    self._task_told = row.run, stage
+                    words = f"task {row.name}, run {row.run}: {text}"
+                    yield at_ns.get(step.value, now_ns), "session", words
+
     def _passes(self, started_ns: int, now_ns: int) -> Iterator[tuple[int, str, str]]:
         """Begin and end of the pass, as the orbit predicts them."""
-        link = self._collector.process(self._collector.topology.gateway(Segment.GROUND).name).link
+        first = self._collector.topology.segments[0]
+        link = self._collector.process(self._collector.topology.gateway(first).name).link
         channel = None if link is None else link.radio.channel
         if channel is None or channel.contact is None:
             return

@@ -105,6 +105,10 @@ class StreamFigures:
 
     def __init__(self) -> None:
         self.rate = RateMeter()
+        #: Whether the stamps of what is displayed are known in the display's clock.
+        self.dated = True
+        #: How far they may be wrong: the error between the clocks of two machines.
+        self.error_ns = 0
         #: The largest excess of the rate over a sliding second above the cap at its end; that rate.
         self.above_cap_bps = 0.0, 0.0
         self.latency = Histogram()
@@ -180,10 +184,12 @@ class StreamFigures:
 
     def handle_shown(self, rows: NDArray[np.int64], now_ns: int) -> None:
         for timestamp, capture_ns, displayed_ns in rows.tolist():
+            self.pauses.add(displayed_ns)
+            if not self.dated:
+                continue
             latency_ns = displayed_ns - capture_ns
             self.latency.add(latency_ns)
             self.last_latency_ns = latency_ns
-            self.pauses.add(displayed_ns)
             self.recent.add(displayed_ns, latency_ns)
             self.fresh.append((displayed_ns, latency_ns))
             journey = self._journey(timestamp, now_ns)

@@ -31,7 +31,19 @@ _UNITS = {
 _KEYS = {
     "strangers": "_PORT",
     "refused": "_REASON",
+    "samples": "_FATE",
     **dict.fromkeys(("kept", "missed", "dropped"), "_CHANNEL"),
+    **dict.fromkeys(
+        (
+            "packets",
+            "octets",
+            "packets_lost",
+            "packets_asked",
+            "packets_repeated",
+            "keys_asked",
+        ),
+        "_STREAM",
+    ),
 }
 _WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "true or false"}
 

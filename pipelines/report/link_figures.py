@@ -5,19 +5,22 @@ from dataclasses import replace
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
-from pipelines.cores.figures import GatewayCounters, LoopCounters
+from pipelines.cores.figures import GatewayCounters, LoopCounters, PeerGauges
 from pipelines.report.collector import Collector
 from pipelines.report.model import (
     DirectionReport,
     GatewayReport,
     LineReport,
     NeedReport,
+    PeerEventReport,
+    PeerReport,
     Punctuality,
     RadioReport,
 )
 from pipelines.setup.table import Setup
 from pipelines.topology import Direction, Segment
 from telepresence.link.figures import PathFigures, QueueFigures
+from telepresence.link.peer.figures import PeerFigures
 from telepresence.link.profile import LinkProfile
 
 
@@ -120,12 +123,48 @@ def gateway_figures(collector: Collector, end: str) -> GatewayReport:
     segment = Segment(end)
     figures = collector.process(collector.topology.gateway(segment).name)
     last = next(reversed(list(figures.links())), None)
+    peer = figures.gauges(PeerGauges)
     return GatewayReport(
         supervision=None if last is None else last.supervision,
         radio=None if last is None else _radio(last.radio),
         strangers=stranger_counts(collector, segment),
         unsent=figures.total(GatewayCounters).unsent,
+        clock=None if last is None else last.clock,
+        peer=_peer(peer),
+        radio_back=None if peer is None or peer.back is None else _radio(peer.back),
     )
+
+
+def _peer(gauges: PeerGauges | None) -> PeerReport | None:
+    if gauges is None:
+        return None
+    peer = gauges.peer
+    return PeerReport(
+        protected=peer.protected,
+        identity=peer.identity or None,
+        address=peer.address or None,
+        session_ns=peer.session_ns,
+        sessions=peer.sessions,
+        failed_attempts=peer.failed_attempts,
+        address_changes=peer.address_changes,
+        sent=peer.sent,
+        unsent=peer.unsent,
+        taken=peer.taken,
+        handshake_datagrams=peer.handshake_datagrams,
+        dropped=dict(peer.dropped),
+        events=[PeerEventReport(at_ns=event.at_ns, what=event.what) for event in peer.events],
+    )
+
+
+def peer_words(figures: PeerFigures) -> str:
+    """The state of the path to the other machine, in a few words."""
+    found = figures.address or "nobody has called"
+    words = f"{'no session' if figures.session_ns is None else 'path'} {found}"
+    dropped = sum(figures.dropped.values())
+    if dropped:
+        reason = max(figures.dropped, key=lambda name: figures.dropped[name])
+        words += f", {dropped} datagrams dropped (most: {reason})"
+    return words if figures.protected else f"NOT PROTECTED, {words}"
 
 
 def stranger_counts(collector: Collector, segment: Segment) -> dict[str, int]:

@@ -4,10 +4,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from kontur_av.clock import NS_PER_S
-from pipelines.cores.figures import LoopCounters
+from pipelines.cores.figures import LoopCounters, PeerGauges
+from pipelines.report.clock import clock_words
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import fitted_line
-from pipelines.report.link_figures import gateway_figures, link_figures, stranger_counts
+from pipelines.report.link_figures import (
+    gateway_figures,
+    link_figures,
+    peer_words,
+    stranger_counts,
+)
 from pipelines.report.model import (
     DirectionReport,
     GatewayReport,
@@ -16,7 +22,7 @@ from pipelines.report.model import (
     ProcessReport,
 )
 from pipelines.report.session_report import cpu_report
-from pipelines.report.warnings import find_loop_warnings
+from pipelines.report.warnings import find_loop_warnings, find_path_warnings
 from pipelines.setup.table import Setup
 from pipelines.topology import Segment
 from telepresence.link.figures import SenderFigures, SupervisionFigures
@@ -63,7 +69,10 @@ def build_link_report(
         },
         failures=_failures(collector, ends, restarts),
         # A restart is a failure of the link already.
-        warnings=[warning for name in cpu_s for warning in find_loop_warnings(collector, name)],
+        warnings=[
+            *(warning for name in cpu_s for warning in find_loop_warnings(collector, name)),
+            *find_path_warnings(collector, ends),
+        ],
     )
 
 
@@ -129,6 +138,11 @@ class LinkView:
         ]
         if strangers:
             parts.insert(3, f"{strangers} strangers")
+        peer = figures.gauges(PeerGauges)
+        if peer is not None:
+            parts.insert(1, peer_words(peer.peer))
+        if link.clock is not None:
+            parts.append(clock_words(end.peer.value, link.clock))
         return fitted_line(parts, width, gap=", ")
 
 
@@ -153,6 +167,9 @@ def summary_lines(report: LinkReport) -> list[str]:
         lines += _direction(direction, link)
     for end, gateway in report.gateways.items():
         lines.append(end_line(end, gateway))
+        lines += peer_lines(end, gateway)
+        if gateway.clock is not None:
+            lines.append(clock_words(Segment(end).peer.value, gateway.clock))
     cpu = report.cpu
     lines.append(f"CPU: {cpu.total_s:.1f} s, {cpu.cores_used:.2f} of a core")
     lines += [f"failed: {failure}" for failure in report.failures]
@@ -201,6 +218,21 @@ def ledger_line(link: DirectionReport) -> str:
     shares = link.octets_percent.items()
     used = ", ".join(f"{kind} {share:.2f}" for kind, share in shares)
     return f"of {sum(link.octets.values())} octets, in %: {used}"
+
+
+def peer_lines(end: str, gateway: GatewayReport) -> list[str]:
+    """The path to the other machine, if there is one."""
+    peer = gateway.peer
+    if peer is None:
+        return []
+    state = "no session" if peer.session_ns is None else f"{peer.address}"
+    line = (
+        f"{end}, path: {state}; {peer.sessions} sessions, {peer.failed_attempts} handshakes "
+        f"failed, {peer.address_changes} changes of address; {peer.taken} frames taken"
+    )
+    if peer.dropped:
+        line += ", dropped: " + ", ".join(f"{n} {why}" for why, n in peer.dropped.items())
+    return [line if peer.protected else f"{line}; NOT PROTECTED"]
 
 
 def end_line(end: str, gateway: GatewayReport) -> str:

@@ -13,19 +13,23 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import HapticCounters, ReceptionCounters
+from pipelines.cores.figures import HapticCounters, PeerGauges, ReceptionCounters
 from pipelines.cores.marking import age_words
 from pipelines.cores.session_switch import Activity
+from pipelines.report.clock import clock_lines
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import Column, fitted_line, fitted_table
+from pipelines.report.journeys import StreamFigures
+from pipelines.report.link_figures import peer_words
 from pipelines.report.present import last_bps, shown_now
 from pipelines.report.recording import recording_line
+from pipelines.report.rtc_figures import rtc_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import silences
 from pipelines.report.summary import NO_SAMPLE
 from pipelines.runtime.launcher import Launcher
 from pipelines.setup.table import VideoStream, VoiceStream
-from pipelines.topology import HapticRow, Segment
+from pipelines.topology import HapticRow
 
 #: The columns, with the rank by which they are left out on a narrow terminal.
 _COLUMNS = (
@@ -86,6 +90,8 @@ class LiveView:
                 Group(
                     Text(first_line(launcher, self._collector, self._console.width), "bold"),
                     streams_table(launcher, self._collector, self._console.width),
+                    *_path(self._collector),
+                    *(Text(line, "dim") for line in clock_lines(self._collector)),
                     *_inputs(launcher, self._collector),
                     *_recording(self._collector),
                     _processes(launcher, verbose=self._verbose),
@@ -98,18 +104,26 @@ class LiveView:
 
 def first_line(launcher: Launcher, collector: Collector, width: int) -> str:
     """The session's name and time, the link's state, radio and camera, as many of them as fit."""
-    link = collector.process(collector.topology.gateway(Segment.GROUND).name).link
-    camera = collector.process("selector").selected or NO_SAMPLE
+    topology = collector.topology
+    link = collector.process(topology.gateway(topology.segments[0]).name).link
     state = "starting" if link is None else link.supervision.state
-    return fitted_line(
-        [
-            f"{launcher.session}   {launcher.seconds:.0f} s",
-            f"link {state}" if _runs(launcher) else "stopped from a page",
-            f"radio {launcher.setup.radio_profile.name}",
-            f"camera {camera}",
-        ],
-        width,
-    )
+    parts = [
+        f"{launcher.session}   {launcher.seconds:.0f} s",
+        f"link {state}" if _runs(launcher) else "stopped from a page",
+        f"radio {launcher.setup.radio_profile.name}",
+    ]
+    if topology.runs("selector"):
+        parts.append(f"camera {collector.process('selector').selected or NO_SAMPLE}")
+    return fitted_line(parts, width)
+
+
+def path_line(collector: Collector) -> str:
+    """The path to the other machine; empty if both ends are here."""
+    alone = collector.topology.alone
+    if alone is None:
+        return ""
+    gauges = collector.process(collector.topology.gateway(alone).name).gauges(PeerGauges)
+    return f"{alone.value} end alone: {'starting' if gauges is None else peer_words(gauges.peer)}"
 
 
 def _runs(launcher: Launcher) -> bool:
@@ -132,27 +146,38 @@ def _stream_row(
     launcher: Launcher, collector: Collector, stream: VideoStream | VoiceStream
 ) -> list[str | Text]:
     figures = collector.streams[stream.name]
+    row = collector.topology.media(stream.name)
+    side = collector.topology.side_here(row)
     newest = latency_ms(figures)
     largest = figures.rate.max_bps(NS_PER_S)
-    receiver = collector.process(collector.topology.media(stream.name).receiver)
-    return [
+    receiver = collector.process(row.receiver)
+    cells: list[str | Text] = [
         stream.name,
         f"{last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}",
         Text(f"{largest / 1000:.1f}", "bold red" if figures.above_cap_bps[0] > 0 else "green"),
         f"{stream.cap_bps / 1000:g}",
         str(collector.shown(stream.name).frames_displayed),
         str(receiver.total(ReceptionCounters).rtp_lost),
-        NO_SAMPLE if newest is None else f"{newest:.1f}",
+        NO_SAMPLE if newest is None else f"{newest:.1f}{_error(figures)}",
         _percentile_ms(figures.latency, 99),
         _age(launcher, collector, stream),
     ]
+    return _known(cells, sent=(1, 2), came=(4, 5), side=side)
+
+
+def _known(
+    cells: list[str | Text], *, sent: tuple[int, ...], came: tuple[int, ...], side: str | None
+) -> list[str | Text]:
+    """The cells of a row; a dash for those whose side is on another machine."""
+    missing = {None: (), "sender": came, "receiver": sent}[side]
+    return [NO_SAMPLE if at in missing else cell for at, cell in enumerate(cells)]
 
 
 def _haptic_row(launcher: Launcher, collector: Collector, row: HapticRow) -> list[str | Text]:
     figures = collector.haptics[row.key]
     samples = collector.process(row.receiver).total(HapticCounters)
     profile = launcher.setup.profile(row.direction)
-    return [
+    cells: list[str | Text] = [
         f"haptic_{row.key}",
         f"{last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}",
         "",
@@ -163,6 +188,12 @@ def _haptic_row(launcher: Launcher, collector: Collector, row: HapticRow) -> lis
         _percentile_ms(figures.latency, 99),
         "",
     ]
+    return _known(cells, sent=(), came=(1, 4, 5), side=collector.topology.side_here(row))
+
+
+def _error(figures: StreamFigures) -> str:
+    """How far a latency between two machines may be wrong, in ms; empty on one machine."""
+    return f" ± {figures.error_ns / NS_PER_MS:.1f}" if figures.error_ns else ""
 
 
 def _percentile_ms(histogram: Histogram, percent: float) -> str:
@@ -195,12 +226,20 @@ def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
     return lines
 
 
-def _recording(collector: Collector) -> list[Text]:
-    line = recording_line(collector)
-    if line is None:
+def _path(collector: Collector) -> list[Text]:
+    line = path_line(collector)
+    if not line:
         return []
+    return [Text(line, "bold red" if "NOT PROTECTED" in line else "dim")]
+
+
+def _recording(collector: Collector) -> list[Text]:
+    partner, line = rtc_line(collector), recording_line(collector)
+    lines = [] if partner is None else [Text(partner, "dim")]
+    if line is None:
+        return lines
     text, bad = line
-    return [Text(text, "bold red" if bad else "dim")]
+    return [*lines, Text(text, "bold red" if bad else "dim")]
 
 
 def _processes(launcher: Launcher, *, verbose: bool) -> Columns:
@@ -221,25 +260,36 @@ def _line(launcher: Launcher, collector: Collector) -> str:
     parts = [f"{launcher.seconds:6.1f} s"]
     for stream in launcher.setup.streams:
         figures = collector.streams[stream.name]
-        newest = latency_ms(figures)
-        receiver = collector.process(collector.topology.media(stream.name).receiver)
-        parts.append(
-            f"{stream.name} {last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}"
-            f"/{stream.cap_bps / 1000:g} kbit/s "
-            f"{collector.shown(stream.name).frames_displayed} shown "
-            f"{receiver.total(ReceptionCounters).rtp_lost} lost "
-            f"{NO_SAMPLE if newest is None else f'{newest:.0f}'} ms"
+        row = collector.topology.media(stream.name)
+        side = collector.topology.side_here(row)
+        sent = (
+            f" {last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}"
+            f"/{stream.cap_bps / 1000:g} kbit/s"
         )
+        lost = collector.process(row.receiver).total(ReceptionCounters).rtp_lost
+        came = f" {collector.shown(stream.name).frames_displayed} shown {lost} lost"
+        newest = latency_ms(figures)
+        late = f" {NO_SAMPLE if newest is None else f'{newest:.0f}'}{_error(figures)} ms"
+        known = {None: sent + came + late, "sender": sent, "receiver": came + late}
+        parts.append(stream.name + known[side])
         now_ns = launcher.clock.now_ns()
         state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
         if state is State.STALE and _runs(launcher):
             parts[-1] += f" STALE {age_words(age_ns)}"
-    for row in collector.topology.haptics:
-        samples = collector.process(row.receiver).total(HapticCounters)
-        parts.append(
-            f"haptic_{row.key} {samples.received} received {samples.lost} lost "
-            f"{collector.haptics[row.key].latency.percentile(50) / 1e6:.1f} ms"
-        )
+    for haptic in collector.topology.haptics:
+        side = collector.topology.side_here(haptic)
+        samples = collector.process(haptic.receiver).total(HapticCounters)
+        late_ms = collector.haptics[haptic.key].latency.percentile(50) / 1e6
+        if side is None:
+            parts.append(
+                f"haptic_{haptic.key} {samples.received} received {samples.lost} lost "
+                f"{late_ms:.1f} ms"
+            )
+        elif side == "receiver":
+            parts.append(f"haptic_{haptic.key} {samples.received} received {samples.lost} lost")
+    if path := path_line(collector):
+        parts.append(path)
+    parts += clock_lines(collector)
     if not _runs(launcher):
         return "  ".join([*parts, "stopped from a page"])
     parts += map(str, silences(launcher.setup, collector, launcher.clock.now_ns()))

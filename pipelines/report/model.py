@@ -11,7 +11,12 @@ from typing import Any, TypeVar
 import msgspec
 
 from telepresence.haptics.figures import JoystickFigures, OperationFigures
-from telepresence.link.figures import ContactWindows, QueueFigures, SupervisionFigures
+from telepresence.link.figures import (
+    ClockFigures,
+    ContactWindows,
+    QueueFigures,
+    SupervisionFigures,
+)
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -53,6 +58,8 @@ class StreamLatency(Spread, frozen=True, kw_only=True):
 class StreamReport(Report, frozen=True, kw_only=True):
     """One media stream, from its input to its display."""
 
+    #: The only side that ran here, `sender` or `receiver`; what the other one counts is 0 or empty.
+    side: str | None = None
     #: The largest rate of RTP payload over any second.
     cap_bps: int
     #: What haptic samples that were left out added to the cap, on average.
@@ -110,8 +117,10 @@ class StreamReport(Report, frozen=True, kw_only=True):
     #: How long the picture showed damage; of pictures only.
     damaged_ms: float | None = None
     damaged_episodes: int | None = None
-    #: From capture to display.
+    #: From capture to display; of one end alone without its stages.
     latency_ms: StreamLatency
+    #: Every latency may be wrong by this, because two machines took its stamps.
+    latency_error_ms: float | None = None
     #: From when to when nothing was displayed, each longer than 1 s, in seconds of the session.
     pauses_s: list[tuple[float, float]]
     #: The largest difference of the capture time that travelled by RTCP to the stamp itself.
@@ -146,6 +155,8 @@ class PortReport(Report, frozen=True, kw_only=True):
 class HapticReport(Report, frozen=True, kw_only=True):
     """One direction of the haptic samples: `up` carries forces, `down` carries motion."""
 
+    #: The only side that ran here, `sender` or `receiver`; what the other one counts is 0 or empty.
+    side: str | None = None
     #: The rate of the insert zone.
     cap_bps: int
     #: The rate of the samples that were received.
@@ -268,6 +279,48 @@ class RadioReport(Report, frozen=True, kw_only=True):
     contact: ContactWindows | None = None
 
 
+class PeerEventReport(Report, frozen=True, kw_only=True):
+    """Something that happened on the path to the other end."""
+
+    #: Since its gateway began.
+    at_ns: int
+    #: In words.
+    what: str
+
+
+class PeerReport(Report, frozen=True, kw_only=True):
+    """The path to the other end, if it is on another machine; of the last life of the gateway.
+
+    Every datagram received is counted once: as taken, of a handshake, or dropped.
+    """
+
+    #: Whether the datagrams were encrypted and authenticated.
+    protected: bool
+    #: The identity that the other end must prove; left out without protection.
+    identity: str | None = None
+    #: Where frames went last; null if the other end was never found.
+    address: str | None
+    #: Since when frames could be sent, without a pause; null: they could not.
+    session_ns: int | None
+    #: Handshakes with both ends proven.
+    sessions: int
+    #: Handshakes that came to nothing.
+    failed_attempts: int
+    address_changes: int
+    #: Datagrams with frames that were sent.
+    sent: int
+    #: Frames that were not sent, because there was no session or no address.
+    unsent: int
+    #: Datagrams whose frame was taken.
+    taken: int
+    #: Datagrams of handshakes that were heeded.
+    handshake_datagrams: int
+    #: Dropped datagrams, by reason.
+    dropped: dict[str, int]
+    #: The newest 50 events.
+    events: list[PeerEventReport]
+
+
 class GatewayReport(Report, frozen=True, kw_only=True):
     """What only this end of the link knows, of the last life of its gateway."""
 
@@ -277,6 +330,12 @@ class GatewayReport(Report, frozen=True, kw_only=True):
     strangers: dict[str, int]
     #: Datagrams that the network did not take.
     unsent: int
+    #: The path to the other end; left out if both ends ran on this machine.
+    peer: PeerReport | None = None
+    #: The clock of the other end; left out if both ends ran on this machine.
+    clock: ClockFigures | None = None
+    #: The radio on the way in; only where `--trainer` put both directions at this end.
+    radio_back: RadioReport | None = None
 
 
 class SkewReport(Report, frozen=True, kw_only=True):
@@ -553,11 +612,197 @@ class RecorderReport(Report, frozen=True, kw_only=True):
     channels: dict[str, RecordedChannel]
 
 
+class ArmEventReport(Report, frozen=True, kw_only=True):
+    """Something that happened to the robot's haptic port."""
+
+    #: Since the session began.
+    at_s: float
+    #: In words.
+    what: str
+
+
+class ArmReport(Report, frozen=True, kw_only=True):
+    """Who drives the robot, where a partner may, too (docs/partner.md)."""
+
+    #: `iss` or `partner`; null: nobody.
+    owner: str | None
+    #: Who was to drive.
+    wanted: str
+    #: Whether the owner has yet to release the dead-man button.
+    waiting: bool
+    #: How often the port changed hands, the start included.
+    turns: int
+    #: Datagrams that came while their sender did not drive, by sender.
+    refused: dict[str, int]
+    #: The newest 200 events.
+    events: list[ArmEventReport]
+
+
+class SecondArmReport(Report, frozen=True, kw_only=True):
+    """The arm that only a partner drives (docs/partner.md)."""
+
+    #: Samples sent to the partner.
+    sent: int
+    #: Samples of the partner that were the newest.
+    received: int
+    #: Gaps in their numbers.
+    lost: int
+    #: Datagrams that are neither sample nor greeting.
+    garbage: int
+    #: Samples of another session.
+    strays: int
+    #: Sessions begun.
+    sessions: int
+    #: Energy that went into the port at the arm, and that came out there.
+    energy_in_uj: int
+    energy_out_uj: int
+
+
+class ExerciseReport(Report, frozen=True, kw_only=True):
+    """Something that a trainer did."""
+
+    #: Since the session began.
+    at_s: float
+    #: In words.
+    what: str
+
+
+class RtcStreamReport(Report, frozen=True, kw_only=True):
+    """One stream of the leg to a partner, in RTP packets."""
+
+    packets: int
+    #: Of the payload, over the whole session.
+    mean_bps: int
+    #: By the reports of who received them.
+    lost: int
+    #: Asked for again by NACK.
+    asked: int
+    #: Sent again.
+    repeated: int
+    #: PLI and FIR.
+    keys_asked: int
+
+
+class RtcShownReport(Report, frozen=True, kw_only=True):
+    """What was shown or heard of a partner."""
+
+    #: Pictures, or blocks of 20 ms of voice.
+    displayed: int
+    #: How long a picture was shown that a loss has damaged.
+    damaged_ms: float
+    #: From capture to display, above the least delay of the network in the last 30 s: nobody knows
+    #: the partner's clock.
+    latency_ms: Spread
+
+
+class RtcReport(Report, frozen=True, kw_only=True):
+    """The leg to a partner across the Internet."""
+
+    #: Connections that stood.
+    connections: int
+    ice_restarts: int
+    #: How the addresses of the newest one were found, ours and theirs: host, srflx, prflx or relay.
+    route: str | None
+    #: Of the newest answer to a report.
+    round_trip_ms: float | None
+    #: Of the picture that was coded for the partner, in the end.
+    rate_bps: int
+    #: How often it was lowered because the partner could take no more.
+    rate_lowered: int
+    #: Requests and packets that were none of a partner.
+    garbage: int
+    refused: int
+    #: Haptic samples: `taken` from the partner, `given` to it, or `left_out` for a slow network.
+    samples: dict[str, int]
+    #: `rtc_video`, `rtc_speech` and the downlink's to the partner; `rtc_camera`, `rtc_voice` of it.
+    streams: dict[str, RtcStreamReport]
+    #: `rtc_camera` and `rtc_voice`.
+    shown: dict[str, RtcShownReport]
+
+
+class TaskStepReport(Report, frozen=True, kw_only=True):
+    """A step of Fig. 14 of the paper."""
+
+    #: Since the session began.
+    at_s: float
+    #: In words.
+    step: str
+
+
+class TaskRunReport(Report, frozen=True, kw_only=True):
+    """One run of a task."""
+
+    name: str
+    #: Its number in the session.
+    run: int
+    #: `finished`, `aborted`, `timed_out`, `lost_signal`; `open` if the session ended during it.
+    result: str
+    #: Why it did not finish; empty if it did.
+    reason: str
+    #: When it was selected, since the session began.
+    selected_s: float
+    #: From the cosmonaut's start to its end; null if it was never started.
+    seconds: float | None
+    #: The tip's way while the cosmonaut drove.
+    path_m: float
+    #: The board's force on the tip.
+    force_max_n: float
+    force_mean_n: float
+    #: Distance from what was to be reached or followed (m), or from the force to be held (N); null
+    #: where there was none.
+    error_mean: float | None
+    error_max: float | None
+    #: Of the link meanwhile, both ways.
+    frames: int
+    frames_lost: int
+    #: The longer delay of both directions at its end.
+    delay_ms: float
+    #: Each is logged once.
+    steps: list[TaskStepReport]
+
+
+class TraceBlock(Report, frozen=True, kw_only=True):
+    """Rows of integers, packed (`pipelines.report.trace`)."""
+
+    rows: int
+    #: Base64.
+    octets: str
+
+
+class TraceSeries(Report, frozen=True, kw_only=True):
+    """The rows of one kind that a process told."""
+
+    process: str
+    #: `Tx`, `Rx`, `Shown` and so on.
+    kind: str
+    #: The stream that they are about; empty if the process alone says that.
+    stream: str
+    blocks: list[TraceBlock]
+
+
+class EndTrace(Report, frozen=True, kw_only=True):
+    """What `report join` needs of an end."""
+
+    #: The setup, as TOML.
+    setup: str
+    #: Unix time minus the clock of all instants here.
+    wall_offset_ns: int
+    #: From when to when the end ran.
+    began_ns: int
+    ended_ns: int
+    #: The numbers of the lives of this end's gateway, and of those that it met of the other's.
+    lives: list[int]
+    peers: list[int]
+    series: list[TraceSeries]
+
+
 class SessionReport(Report, frozen=True, kw_only=True):
     """The report of `stream`, `replay` and `simulate`."""
 
     #: The setup's name.
     setup: str
+    #: The only end that ran here, `ground` or `space`; what the other knows is 0, empty or null.
+    end: str | None = None
     #: How long the session ran. Mean rates are over the time outside of `stopped_s`.
     seconds: float
     #: From when to when ground control had stopped it; left out if never.
@@ -569,7 +814,7 @@ class SessionReport(Report, frozen=True, kw_only=True):
     joystick: JoystickFigures | None
     #: `uplink` and `downlink`.
     link: dict[str, DirectionReport]
-    #: `ground` and `space`.
+    #: `ground` and `space`, those that ran here.
     gateways: dict[str, GatewayReport]
     #: At the operator, by stamps: `video_haptic`, `audio_haptic`, `audio_video`; null without any.
     skew_ms: dict[str, SkewReport | None]
@@ -587,8 +832,20 @@ class SessionReport(Report, frozen=True, kw_only=True):
     failures: list[str]
     #: What made the session worse than it has to be, with what mends it.
     warnings: list[Warning]
+    #: Who drove the robot; only where a partner may, too.
+    arm: ArmReport | None = None
+    #: The arm that only a partner drives; left out without one.
+    second_arm: SecondArmReport | None = None
+    #: What the trainer did, oldest first; left out if nothing.
+    exercises: list[ExerciseReport] | None = None
     #: The recording; left out without one.
     recorder: RecorderReport | None = None
+    #: The leg to a partner; left out without one.
+    rtc: RtcReport | None = None
+    #: The runs of tasks, oldest first; left out of a session without a plan.
+    tasks: list[TaskRunReport] | None = None
+    #: What a join with the other end's report needs; of one end alone.
+    trace: EndTrace | None = None
     #: Of `simulate` only.
     simulation: SimulationReport | None = None
     #: Of a replay only.

@@ -9,18 +9,21 @@ These have none there:
 | STREAM.`rate_bps`, `haptic.`WAY`.rate_bps` | the rate of the last second |
 | `skew_limits_ms.`NAME`.least`, `.most` | what people do not notice |
 | `hand.holder` | the page that holds the handle |
+| `rtc.partners`, `rtc_camera.displayed` | a partner's connections, its pictures that were shown |
+| `tmtc.`END`.`COUNT | telecommands, telemetry and K2ACI of an end (`TmtcCounters`) |
 | `contact.since_acquisition_s`, `contact.until_loss_s` | the present instant in the pass |
 """
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import HOLDER, PageGauges
+from pipelines.cores.figures import HOLDER, PageGauges, TmtcCounters
 from pipelines.cores.session_events import Event
 from pipelines.cores.session_switch import Activity, SessionSwitch
 from pipelines.report.collector import Collector
@@ -29,6 +32,7 @@ from pipelines.report.link_figures import gateway_figures, link_figures
 from pipelines.report.model import DirectionReport, GatewayReport, to_builtins
 from pipelines.report.present import last_bps, shown_now
 from pipelines.report.recording import seat_recording
+from pipelines.report.rtc_figures import rtc_now
 from pipelines.report.session_report import (
     cpu_report,
     haptic_report,
@@ -47,6 +51,8 @@ Figure = int | float | str | bool | None
 _CPU_NS = 2 * NS_PER_S
 #: What a page does not show: it lists all counters, or never changes.
 _LEFT_OUT = {"counts", "history", "contacts", "arithmetic", "headers", "log", "needed_at_caps_bps"}
+#: By end: the process that has its telecommands and telemetry.
+_TMTC_ENDS = {"space": "console", "ground": "selector"}
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max", "mean")
 
 
@@ -125,7 +131,10 @@ class SeatFigures:
 
         cpu_s: of each process since the session began. running_ns: how long it was not stopped.
         """
-        ends = {end.value: gateway_figures(self._collector, end.value) for end in Segment}
+        ends = {
+            end.value: gateway_figures(self._collector, end.value)
+            for end in self._topology.segments
+        }
         directions = {
             link.direction.value: link_figures(self._setup, self._collector, link.direction.value)
             for link in self._topology.links
@@ -182,11 +191,15 @@ class SeatFigures:
         for name, figure in seat_recording(collector).items():
             yield f"recorder.{name}", figure
         yield HOLDER, (seat.holder or None) if seat is not None else None
+        yield from rtc_now(collector, now_ns).items()
+        for segment, process in _TMTC_ENDS.items():
+            counts = asdict(collector.process(process).total(TmtcCounters))
+            yield from _flat(f"tmtc.{segment}", counts).items()
         for name, direction in directions.items():
             yield from _flat(f"link.{name}", to_builtins(direction)).items()
         for name, end in ends.items():
             yield from _flat(f"gateways.{name}", to_builtins(end)).items()
-        radio = ends[Segment.GROUND.value].radio
+        radio = next(iter(ends.values())).radio
         if radio is not None and radio.contact is not None:
             pass_s = setup.radio_profile.start_s + (now_ns - self._started_ns) / NS_PER_S
             yield "contact.since_acquisition_s", round(pass_s - radio.contact.acquisition_s, 1)

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from kontur_av.meters import Histogram
 from pipelines.cores.figures import (
     HapticCounters,
     JoystickGauges,
@@ -13,26 +12,29 @@ from pipelines.cores.figures import (
     ReceptionCounters,
     ReceptionGauges,
     SendingCounters,
+    TrainerGauges,
     VideoReceptionCounters,
     VideoSendingCounters,
     VoiceReceptionCounters,
 )
+from pipelines.report.arm_figures import arm_report, second_arm_report
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import Pauses, StreamFigures
 from pipelines.report.link_figures import gateway_figures, link_figures, punctuality_us
 from pipelines.report.model import (
     CpuReport,
+    ExerciseReport,
     HapticReport,
     PortReport,
     ProcessReport,
     SessionReport,
     SkewReport,
-    Spread,
     Stages,
     StreamLatency,
     StreamReport,
 )
 from pipelines.report.recording import recorder_report, recorder_warnings
+from pipelines.report.rtc_figures import rtc_report
 from pipelines.report.silence import (
     MISSED_NS,
     missed_ns,
@@ -42,12 +44,14 @@ from pipelines.report.silence import (
     taken_by_page,
     waits_for_page,
 )
+from pipelines.report.spread import spread_ms
 from pipelines.report.sync.figures import disagreements
 from pipelines.report.sync.section import sync_section
+from pipelines.report.task_figures import live_task_report, task_warnings
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
 from pipelines.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.topology import HapticRow, Segment
+from pipelines.topology import TRAINER, HapticRow
 from telepresence.haptics.figures import JoystickFigures
 from telepresence.link.profile import LinkProfile
 
@@ -72,8 +76,10 @@ def build_report(
     streams = setup.streams if media else ()
     whole_s, seconds = seconds, seconds - sum(end_s - begin_s for begin_s, end_s in stopped_s)
     uplink = link_figures(setup, collector, "uplink")
+    topology, alone = collector.topology, collector.topology.alone
     return SessionReport(
         setup=setup.name,
+        end=None if alone is None else alone.value,
         seconds=round(whole_s, 3),
         stopped_s=[(round(begin, 3), round(end, 3)) for begin, end in stopped_s] or None,
         streams={
@@ -85,7 +91,7 @@ def build_report(
         },
         joystick=joystick_report(collector),
         link={"uplink": uplink, "downlink": link_figures(setup, collector, "downlink")},
-        gateways={end: gateway_figures(collector, end) for end in ("ground", "space")},
+        gateways={end.value: gateway_figures(collector, end.value) for end in topology.segments},
         skew_ms=skew_reports(collector),
         video_lead=video_lead(
             setup,
@@ -94,7 +100,8 @@ def build_report(
             force_ns=collector.haptics["up"].latency.mean,
             epoch_ns=_radio_epoch_ns(collector),
         ),
-        sync=sync_section(setup, collector.sync, media=media),
+        # Contacts are felt on the ground, and seen and heard in space.
+        sync=None if alone else sync_section(setup, collector.sync, media=media),
         lip_sync=collector.lip_sync.summary() if collector.lip_sync.counted_ns else None,
         cpu=cpu_report(cpu_s, launcher_cpu_s, seconds),
         processes={
@@ -105,9 +112,27 @@ def build_report(
         warnings=[
             *find_warnings(setup, collector, seconds=seconds, restarts=restarts, media=media),
             *recorder_warnings(collector),
+            *task_warnings(collector),
         ],
         recorder=recorder_report(collector),
+        exercises=_exercises(collector),
+        rtc=rtc_report(collector, seconds),
+        arm=arm_report(collector, _radio_epoch_ns(collector)),
+        second_arm=second_arm_report(collector),
+        tasks=live_task_report(collector, _radio_epoch_ns(collector)),
     )
+
+
+def _exercises(collector: Collector) -> list[ExerciseReport] | None:
+    """What the trainer did; None if nothing."""
+    gauges = collector.process(TRAINER).gauges(TrainerGauges)
+    if gauges is None or not gauges.events:
+        return None
+    epoch_ns = _radio_epoch_ns(collector)
+    return [
+        ExerciseReport(at_s=round((event.at_ns - epoch_ns) / NS_PER_S, 3), what=event.what)
+        for event in gauges.events
+    ]
 
 
 def skew_reports(collector: Collector) -> dict[str, SkewReport | None]:
@@ -129,7 +154,8 @@ def cpu_report(cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float
 
 def _radio_epoch_ns(collector: Collector) -> int:
     """When the radio's time began: with its gateway."""
-    for link in collector.process(collector.topology.gateway(Segment.GROUND).name).links():
+    first = collector.topology.segments[0]
+    for link in collector.process(collector.topology.gateway(first).name).links():
         return link.supervision.begun_ns
     return 0
 
@@ -159,6 +185,7 @@ def stream_report(
     displayed, gained = shown.frames_displayed, video_sent.gained_bits
     is_video = isinstance(stream, VideoStream)
     return StreamReport(
+        side=collector.topology.side_here(collector.topology.media(stream.name)),
         cap_bps=stream.cap_bps,
         gained_bps=None if gained is None else round(gained / max(seconds, 1e-9)),
         gain_changes=video_sent.gain_changes,
@@ -192,13 +219,15 @@ def stream_report(
         frozen_episodes=shown.frozen_episodes if is_video else None,
         damaged_ms=_ms(shown.damaged_ns) if is_video else None,
         damaged_episodes=shown.damaged_episodes if is_video else None,
-        latency_ms=_latency_ms(figures),
+        latency_ms=stream_latency_ms(figures),
+        latency_error_ms=_ms(figures.error_ns) if figures.error_ns else None,
         pauses_s=_pauses_s(figures.pauses, collector),
         capture_stamp_error_us=round(figures.stamp_error.max / NS_PER_US, 1),
     )
 
 
-def _latency_ms(figures: StreamFigures) -> StreamLatency:
+def stream_latency_ms(figures: StreamFigures) -> StreamLatency:
+    """From capture to display, with its stages."""
     whole = spread_ms(figures.latency)
     return StreamLatency(
         p50=whole.p50,
@@ -233,6 +262,7 @@ def haptic_report(
     sent, received = sender.total(HapticCounters), receiver.total(HapticCounters)
     left_out, port = sent.left_out, sender.gauges(PortGauges)
     return HapticReport(
+        side=collector.topology.side_here(row),
         cap_bps=haptic_cap_bps(profile),
         payload_bps_mean=haptic_bps(profile, received.received, seconds),
         sent=sent.sent,
@@ -296,6 +326,7 @@ def failures(
 ) -> list[str]:
     """What broke a promise of the project; empty for a good run."""
     found = []
+    topology = collector.topology
     delay_ns = setup.radio_profile.longest_delay_ns
     # The radio may keep all back. So only what is missed while there is a signal counts.
     signals_ns = {segment: signal_ns(segment, collector) for segment in ("ground", "space")}
@@ -305,6 +336,9 @@ def failures(
         above_bps, largest_bps = figures.above_cap_bps
         if above_bps > 0:
             found.append(f"{stream.name}: {largest_bps:.0f} bit/s in 1 s, above its cap")
+        if topology.alone is not None:
+            # Whether the other machine sends or shows anything is not known here.
+            continue
         still_ns = stopped_ns(stream, setup, collector)
         heard_ns = signals_ns[collector.topology.media(stream.name).direction.receiver.value]
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
@@ -322,7 +356,8 @@ def failures(
         receiver = collector.process(row.receiver)
         heard_ns = signals_ns[row.direction.receiver.value]
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
-        if long_enough and receiver.total(HapticCounters).received == 0:
+        both = topology.alone is None
+        if both and long_enough and receiver.total(HapticCounters).received == 0:
             found.append(f"haptic_{row.key}: no sample was received")
         port = collector.process(row.sender).gauges(PortGauges)
         # One count of energy in a sample is rounding.
@@ -334,26 +369,13 @@ def failures(
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")
     taken = {stream.name for stream in setup.streams if taken_by_page(stream, collector)}
-    found += disagreements(sync_section(setup, collector.sync, media=media), unjudged=taken)
+    if topology.alone is None:
+        found += disagreements(sync_section(setup, collector.sync, media=media), unjudged=taken)
     for process, reported in collector.processes.items():
         dropped = reported.total(ProbeCounters).probe_values_dropped
         if dropped:
             found.append(f"{process}: {dropped} values for this report were lost")
     return found
-
-
-def spread_ms(histogram: Histogram) -> Spread:
-    """Percentiles of values in ns, in ms; to the microsecond, because more would be noise."""
-    summary = histogram.summary_ms()
-    return Spread(
-        p50=round(summary["p50"], 3),
-        p95=round(summary["p95"], 3),
-        p99=round(summary["p99"], 3),
-        p99_9=round(histogram.percentile(99.9) / NS_PER_MS, 3),
-        max=round(summary["max"], 3),
-        mean=round(histogram.mean / NS_PER_MS, 3),
-        count=histogram.count,
-    )
 
 
 def latency_ms(figures: StreamFigures) -> float | None:

@@ -5,9 +5,18 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from pipelines.report.clock import clock_words
 from pipelines.report.fitting import Column, fitted_line, fitted_table
-from pipelines.report.link_report import end_line, ledger_line
-from pipelines.report.model import HapticReport, SessionReport, Spread, StreamReport, SyncReport
+from pipelines.report.link_report import end_line, ledger_line, peer_lines
+from pipelines.report.model import (
+    HapticReport,
+    SessionReport,
+    Spread,
+    StreamReport,
+    SyncReport,
+    TaskRunReport,
+)
+from pipelines.topology import Segment
 
 #: What stands where there is no sample.
 NO_SAMPLE = "–"
@@ -26,6 +35,13 @@ _COLUMNS = (
 )
 
 
+def task_line(run: TaskRunReport) -> str:
+    """A run of a task, in one line."""
+    took = "" if run.seconds is None else f" after {run.seconds:.1f} s"
+    why = f": {run.reason}" if run.reason else ""
+    return f"task {run.name}, run {run.run}: {run.result.replace('_', ' ')}{took}{why}"
+
+
 def print_summary(report: SessionReport) -> None:
     """The streams, the senses and the cost, on standard output."""
     # Without a terminal no width limits the table; the widest one takes about this.
@@ -33,12 +49,27 @@ def print_summary(report: SessionReport) -> None:
     console.print(Text(first_line(report, console.width), "bold"))
     console.print(streams_table(report, console.width))
     for direction, link in report.link.items():
-        console.print(
-            f"{direction}: {link.frames} frames, {link.frames_lost} lost, "
-            f"{link.slips} slips; {ledger_line(link)}"
-        )
+        if report.end is None:
+            line = f"{link.frames} frames, {link.frames_lost} lost, {link.slips} slips"
+            console.print(f"{direction}: {line}; {ledger_line(link)}")
+        elif link.frames:
+            line = f"{link.frames} frames sent, {link.slips} slips"
+            console.print(f"{direction}: {line}; {ledger_line(link)}")
+        else:
+            console.print(f"{direction}: {link.frames_lost} frames lost")
     for end, gateway in report.gateways.items():
         console.print(end_line(end, gateway))
+        for line in peer_lines(end, gateway):
+            console.print(line, highlight=False)
+        if gateway.clock is not None:
+            console.print(clock_words(Segment(end).peer.value, gateway.clock), highlight=False)
+    errors_ms = [
+        stream.latency_error_ms
+        for stream in report.streams.values()
+        if stream.latency_error_ms is not None
+    ]
+    if errors_ms:
+        console.print(f"latencies between the machines may be wrong by {max(errors_ms):.2f} ms")
     skews = [
         f"{name.replace('_', ' to ')} {skew.p50:+.1f} (p95 {skew.p95:+.1f})"
         for name, skew in report.skew_ms.items()
@@ -50,6 +81,8 @@ def print_summary(report: SessionReport) -> None:
     if stages:
         console.print(stages, highlight=False)
     _print_content(console, report.sync)
+    for run in report.tasks or ():
+        console.print(task_line(run), highlight=False)
     together = report.lip_sync
     if together is not None:
         console.print(
@@ -97,12 +130,14 @@ def print_summary(report: SessionReport) -> None:
 
 def first_line(report: SessionReport, width: int) -> str:
     """The setup, how long the session ran, its radio, and the link's last state."""
-    ground = report.gateways["ground"]
+    first = next(iter(report.gateways.values()))
     parts = [f"{report.setup}, {report.seconds:.1f} s"]
-    if ground.supervision is not None:
-        parts.append(f"link {ground.supervision.state}")
-    if ground.radio is not None and ground.radio.profile is not None:
-        parts.append(f"radio {ground.radio.profile}")
+    if report.end is not None:
+        parts.insert(1, f"the {report.end} end alone")
+    if first.supervision is not None:
+        parts.append(f"link {first.supervision.state}")
+    if first.radio is not None and first.radio.profile is not None:
+        parts.append(f"radio {first.radio.profile}")
     return fitted_line(parts, width)
 
 
@@ -122,25 +157,27 @@ def streams_table(report: SessionReport, width: int) -> Table:
 
 
 def _stream_cells(stream: StreamReport) -> list[str]:
+    sent = [stream.payload_bps_mean, stream.payload_bps_max_1s, stream.payload_bps_max_100ms]
     return [
         _kbps(stream.cap_bps),
-        _kbps(stream.payload_bps_mean),
-        _kbps(stream.payload_bps_max_1s),
-        _kbps(stream.payload_bps_max_100ms),
-        f"{stream.displayed_hz:.1f}",
-        str(stream.rtp_lost or 0),
+        *(NO_SAMPLE if stream.side == "receiver" else _kbps(bps) for bps in sent),
+        NO_SAMPLE if stream.side == "sender" else f"{stream.displayed_hz:.1f}",
+        NO_SAMPLE if stream.side == "sender" else str(stream.rtp_lost or 0),
         *_latency_cells(stream.latency_ms),
     ]
 
 
 def _haptic_cells(haptic: HapticReport, seconds: float) -> list[str]:
-    return [
-        _kbps(haptic.cap_bps),
+    felt = [
         _kbps(haptic.payload_bps_mean),
         "",
         "",
         f"{haptic.received / max(seconds, 1e-9):.1f}",
         str(haptic.lost),
+    ]
+    return [
+        _kbps(haptic.cap_bps),
+        *(felt if haptic.side != "sender" else [NO_SAMPLE, "", "", NO_SAMPLE, NO_SAMPLE]),
         *_latency_cells(haptic.latency_ms),
     ]
 

@@ -4,11 +4,11 @@ A failure is a broken promise of the project. A warning is about the machine: a 
 something.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.sources.page import PAGE
-from pipelines.cores.figures import CaptureCounters, LoopCounters, SendingCounters
+from pipelines.cores.figures import CaptureCounters, LoopCounters, PeerGauges, SendingCounters
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
 from pipelines.setup.table import Setup, VideoStream
@@ -60,7 +60,28 @@ def find_warnings(
                 refused=collector.process(topology.media(stream.name).sender)
                 .total(SendingCounters)
                 .frames_refused,
-                displayed=collector.shown(stream.name).frames_displayed,
+                # What another machine shows is not known here.
+                displayed=collector.shown(stream.name).frames_displayed
+                if topology.alone is None
+                else None,
+            )
+    return [*found, *find_path_warnings(collector, topology.segments)]
+
+
+def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> list[Warning]:
+    """A warning for each of these ends whose path to another machine is not protected."""
+    found = []
+    for segment in segments:
+        gateway = collector.topology.gateway(segment).name
+        gauges = collector.process(gateway).gauges(PeerGauges)
+        if gauges is not None and not gauges.peer.protected:
+            found.append(
+                Warning(
+                    what="not_protected",
+                    where=gateway,
+                    measured="anybody on the path could read, change and steer",
+                    mend="leave --insecure out at both ends: `kontur-av keys new`",
+                )
             )
     return found
 
@@ -111,12 +132,12 @@ def restart_warning(process: str, restarts: int, last_error: str) -> Warning:
 
 
 def picture_warnings(
-    stream: str, *, fps: int, seconds: float, captured: int, refused: int, displayed: int
+    stream: str, *, fps: int, seconds: float, captured: int, refused: int, displayed: int | None
 ) -> list[Warning]:
     """Whether too few pictures were captured or shown over a free channel.
 
     captured: at the input; 0 if it delivered none, which another warning reports. refused: pictures
-    that the cap had no room for. displayed: pictures that were shown.
+    that the cap had no room for. displayed: pictures that were shown; None: not known.
     """
     seconds = max(seconds, 1e-9)
     if not captured:
@@ -125,7 +146,7 @@ def picture_warnings(
         measured = f"its input gave {captured / seconds:.1f} of {fps} pictures a second"
         mend = f"if the source gives more, {_TOO_SLOW}"
         return [Warning(what="few_captured", where=stream, measured=measured, mend=mend)]
-    if displayed < SHOWN_SHARE * (captured - refused):
+    if displayed is not None and displayed < SHOWN_SHARE * (captured - refused):
         measured = (
             f"{displayed / seconds:.1f} pictures a second were shown of "
             f"{captured / seconds:.1f} captured"

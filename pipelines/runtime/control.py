@@ -21,9 +21,12 @@ def console_path(session: str) -> Path:
     return session_root(session) / _SOCKET
 
 
-def running_sessions() -> list[str]:
-    """Return the sessions of this user that have a console, oldest first."""
-    found = session_root("x").parent.glob(f"*/{_SOCKET}")
+def running_sessions(socket_name: str = _SOCKET) -> list[str]:
+    """Return the sessions of this user that have such a socket, oldest first.
+
+    socket_name: by default that of a console.
+    """
+    found = session_root("x").parent.glob(f"*/{socket_name}")
     return [path.parent.name for path in sorted(found, key=lambda path: path.stat().st_mtime)]
 
 

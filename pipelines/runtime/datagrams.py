@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from pipelines.runtime.process import LOOPBACK
+from telepresence.haptics.sample import SAMPLE_OCTETS
 
 Address = tuple[str, int]
 
@@ -16,16 +17,12 @@ _MOST_ERRORS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class EndAddresses:
-    """The addresses of one end of the link. By default all are on loopback.
+    """The addresses of the channels of one end of the link. By default all are on loopback.
 
-    bind: the local address of the radio port.
-    peer: host and port of the other end's radio port; None: that of the setup, on loopback.
     apps: the host of the programs that use the channels; datagrams of other hosts are dropped.
     apps_bind: the local address of the channel ports.
     """
 
-    bind: str = LOOPBACK
-    peer: Address | None = None
     apps: str = LOOPBACK
     apps_bind: str = LOOPBACK
 
@@ -129,6 +126,15 @@ def receive(udp: socket.socket, most_octets: int) -> bytes | None:
         except OSError:
             continue
     return None
+
+
+def newest_sample(udp: socket.socket) -> bytes | None:
+    """Return the newest haptic sample that waits, or None. All else that waits is dropped."""
+    newest = None
+    while (datagram := receive(udp, SAMPLE_OCTETS + 1)) is not None:
+        if len(datagram) == SAMPLE_OCTETS:
+            newest = datagram
+    return newest
 
 
 def is_loopback(host: str) -> bool:

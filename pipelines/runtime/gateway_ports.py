@@ -1,10 +1,12 @@
 """The UDP ports of one end of the link, and the datagrams that wait in them."""
 
 import select
+import socket
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
 from pipelines.runtime.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
+from pipelines.runtime.peer_socket import PeerSocket
 from pipelines.runtime.process import LOOPBACK
 from pipelines.topology import Segment, Topology
 from telepresence.link.frame import MAX_PACKET_OCTETS
@@ -12,12 +14,22 @@ from telepresence.link.gateway import Gateway
 
 
 class GatewayPorts:
-    """The sockets of one end, with counts of strangers' datagrams."""
+    """The sockets of one end, with counts of strangers' datagrams.
+
+    peer: the socket to the other end on another machine; None: it is on this one.
+    radio: becomes readable when a frame may have come.
+    frame: returns the next frame of the peer, or None.
+    to_peer: sends a frame.
+    """
 
     def __init__(
-        self, topology: Topology, segment: Segment, gateway: Gateway, addresses: EndAddresses
+        self,
+        topology: Topology,
+        segment: Segment,
+        gateway: Gateway,
+        addresses: EndAddresses,
+        peer: PeerSocket | None,
     ) -> None:
-        radio, peer = topology.radio_port(segment), topology.radio_port(segment.peer)
         (haptic_out,) = (row for row in topology.haptics if row.direction is segment.transmits)
         (haptic_in,) = (row for row in topology.haptics if row is not haptic_out)
 
@@ -27,15 +39,19 @@ class GatewayPorts:
         def exit_to(port: int) -> Outlet:
             return outlet(addresses.apps_bind, (addresses.apps, port))
 
-        self.radio, self._not_peer = open_peer(
-            (addresses.bind, radio), addresses.peer or (LOOPBACK, peer)
-        )
-        #: The next frame of the peer, or None.
-        self.frame: Callable[[], bytes | None] = partial(
-            receive, self.radio, gateway.receiver.profile.frame_octets + 1
-        )
+        self.radio: socket.socket
+        self.frame: Callable[[], bytes | None]
+        self.to_peer: Outlet | PeerSocket
+        self._not_peer: socket.socket | None = None
+        if peer is None:
+            here, there = topology.radio_port(segment), topology.radio_port(segment.peer)
+            self.radio, self._not_peer = open_peer((LOOPBACK, here), (LOOPBACK, there))
+            frame_octets = gateway.receiver.profile.frame_octets
+            self.frame = partial(receive, self.radio, frame_octets + 1)
+            self.to_peer = Outlet(self.radio)
+        else:
+            self.radio, self.frame, self.to_peer = peer.udp, peer.frame, peer
         self._haptic_octets = gateway.sender.profile.insert_octets + 1
-        self.to_peer = Outlet(self.radio)
         self._haptic = entry(haptic_out.entry_port)
         self._fetch_haptic = self._haptic.receive
         more_haptic = select.epoll()
@@ -51,8 +67,10 @@ class GatewayPorts:
         self._radio_strangers = 0
         self._flow_by_fd = {inlet.udp.fileno(): name for name, inlet in self._entries.items()}
         flow_ports = select.epoll()
-        for fd in (*self._flow_by_fd, self._not_peer.fileno()):
+        for fd in self._flow_by_fd:
             flow_ports.register(fd, select.EPOLLIN)
+        if self._not_peer is not None:
+            flow_ports.register(self._not_peer.fileno(), select.EPOLLIN)
         #: Returns the flows' ports with datagrams. One epoll(7) costs less than a read of each
         #: empty socket.
         self.poll_flows = flow_ports.poll
@@ -68,7 +86,7 @@ class GatewayPorts:
                 flow = flow_by_fd.get(fd)
                 if flow is not None:
                     yield flow, entries[flow].receive(MAX_PACKET_OCTETS + 1)
-                else:
+                elif self._not_peer is not None:
                     self._radio_strangers += receive(self._not_peer, 1) is not None
                     yield "radio", None
             ready = self.poll_flows(0)

@@ -417,7 +417,7 @@ def hold_ports(topology: Topology) -> socket.socket:
     at the same moment only one gets it.
     """
     held = hold_port(topology.launcher_port)
-    for port in topology.ports:
+    for port in topology.ports_here:
         if port != topology.launcher_port:
             hold_port(port).close()
     return held

@@ -12,6 +12,7 @@ from fcntl import ioctl
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
+from pipelines.cores.seat_roles import PEOPLE
 from pipelines.runtime.datagrams import reaches
 from pipelines.runtime.page_listener import PageListener
 
@@ -79,7 +80,10 @@ def bind_pages(host: PageHost, port: int, names: Iterable[str]) -> Mapping[str, 
 def listeners(
     sockets: Mapping[str, socket.socket], host: PageHost, certificate: Path | None
 ) -> Mapping[str, PageListener]:
-    """Return what the page processes are handed. All pages have the same two tokens."""
+    """Return what the page processes are handed. All ends have the same two tokens.
+
+    Each of the people of an end has one more, for the pages of that end. sockets: by the end.
+    """
     operator, viewer = (secrets.token_urlsafe(_TOKEN_OCTETS) for _ in range(2))
     names = host.names()
     return {
@@ -92,6 +96,12 @@ def listeners(
             operator_token=operator,
             viewer_token=viewer,
             certificate=certificate,
+            role_tokens={
+                role.value: secrets.token_urlsafe(_TOKEN_OCTETS)
+                for segment, people in PEOPLE.items()
+                for role in people
+                if segment.value == name
+            },
         )
         for name, listener in sockets.items()
     }

@@ -18,22 +18,25 @@ from kontur_av.topics.session_files import make_session_root, remove_session, se
 _LOCK = "launcher"
 
 
-def new_session_name(setup: str, attempt: int = 0) -> str:
+def new_session_name(setup: str, attempt: int = 0, *, end: str = "") -> str:
     """Return a name for a session of the setup `setup`, which ends with this process id.
 
-    attempt: the number of names that were taken already.
+    attempt: the number of names that were taken already. end: the only segment of it here.
     """
-    readable = re.sub("[^a-z0-9]+", "-", setup.lower())[:16].strip("-") or "session"
+    readable = re.sub("[^a-z0-9]+", "-", setup.lower())[: 12 if end else 16].strip("-") or "session"
+    if end:
+        readable = f"{readable}-{end}"
     return f"{readable}{f'-{attempt}' if attempt else ''}-{os.getpid()}"
 
 
 @contextmanager
-def hold_session(setup: str) -> Iterator[str]:
+def hold_session(setup: str, *, end: str = "") -> Iterator[str]:
     """Make a session of the setup `setup`, alive within this context, and yield its name.
 
+    end: the only segment of it that runs here, which is then part of the name.
     It is removed afterwards. Raises ConfigError if the user's directory cannot be used.
     """
-    names = (new_session_name(setup, attempt) for attempt in count())
+    names = (new_session_name(setup, attempt, end=end) for attempt in count())
     session, lock = next((name, lock) for name in names if (lock := _lock_new(name)) is not None)
     try:
         yield session

@@ -12,7 +12,8 @@ from typing import Any
 from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.table import NO_RADIO, Setup, VideoStream, VoiceStream
+from pipelines.setup.setup_text import setup_toml
+from pipelines.setup.table import NO_RADIO, RtcLeg, Setup, VideoStream, VoiceStream
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile import started
@@ -35,6 +36,13 @@ class _Video:
 class _Voice:
     cap_kbps: float
     stale_after_ms: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rtc:
+    video_kbps: float = RtcLeg.video_bps / 1000
+    voice_kbps: float = RtcLeg.voice_bps / 1000
+    taken_kbps: float = RtcLeg.taken_bps / 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +72,14 @@ class _File:
     radio_delay_ms: float = 0.0
     deadband: str = "off"
     hand: str = "direct"
+    rtc: _Rtc | None = None
+    partner_arm: str = "none"
+    tasks: bool = False
+    region: str = "off"
+    region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(
+        default_factory=dict,
+        metadata={"like": "a table of points, like wrist = [[x, y], [x, y], [x, y], [x, y]]"},
+    )
     base_port: int = 27_000
 
 
@@ -116,21 +132,37 @@ def _built(
 def _values_of(name: str) -> dict[str, Any]:
     if name in BUILT_IN:
         return {each.name: getattr(BUILT_IN[name], each.name) for each in fields(Setup)}
+    table = _table_of(name)
+    try:
+        return _values(table)
+    except ConfigError as error:
+        raise ConfigError(f"setup {name}: {error}") from None
+
+
+def _table_of(name: str) -> Mapping[str, Any]:
     path = Path(name)
     if path.suffix != ".toml":
         raise ConfigError(
             f"unknown setup {name}: take {' or '.join(sorted(BUILT_IN))}, or a file NAME.toml"
         )
-    table = read_toml(path, "setup")
-    try:
-        return _values({"name": path.stem, **table})
-    except ConfigError as error:
-        raise ConfigError(f"setup {path}: {error}") from None
+    return {"name": path.stem, **read_toml(path, "setup")}
 
 
-def setup_from_table(table: Mapping[str, Any]) -> Setup:
-    """A setup from the table that a TOML file holds."""
-    return Setup(**_values(table))
+def setup_from_table(
+    table: Mapping[str, Any],
+    *,
+    changes: Mapping[str, Any] = _NOTHING,
+    radio_start_s: float | None = None,
+) -> Setup:
+    """A setup from the table that a TOML file holds; changes, radio_start_s: as of `load_setup`."""
+    return _built(_values(table), _NOTHING, changes, radio_start_s)
+
+
+def setup_table(name: str) -> Mapping[str, Any]:
+    """The table that the TOML file of a setup holds, also of one that is built in; ConfigError."""
+    if name in BUILT_IN:
+        return tomllib.loads(setup_toml(BUILT_IN[name]))
+    return _table_of(name)
 
 
 def _values(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -147,6 +179,12 @@ def _values(table: Mapping[str, Any]) -> dict[str, Any]:
             values[name] = VoiceStream(
                 name=name, cap_bps=cap_bps, stale_after_ms=voice.stale_after_ms
             )
+    if entry.rtc is not None:
+        values["rtc"] = RtcLeg(
+            video_bps=round(entry.rtc.video_kbps * 1000),
+            voice_bps=round(entry.rtc.voice_kbps * 1000),
+            taken_bps=round(entry.rtc.taken_kbps * 1000),
+        )
     for name, profile in (("uplink", UPLINK), ("downlink", DOWNLINK)):
         values[name] = _profile(profile, values[name].frame_octets)
     return values

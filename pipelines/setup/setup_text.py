@@ -22,6 +22,9 @@ def _plain(setup: Setup) -> Iterator[str]:
     yield f"radio_delay_ms = {float(setup.radio_delay_ms)!r}"
     yield f"deadband = {_text(setup.deadband)}"
     yield f"hand = {_text(setup.hand)}"
+    yield f"partner_arm = {_text(setup.partner_arm)}"
+    yield f"tasks = {'true' if setup.tasks else 'false'}"
+    yield f"region = {_text(setup.region)}"
     yield f"base_port = {setup.base_port}"
 
 
@@ -29,8 +32,16 @@ def _tables(setup: Setup) -> Iterator[str]:
     for stream in setup.streams:
         yield f"\n[{stream.name}]"
         yield from _video(stream) if isinstance(stream, VideoStream) else _voice(stream)
+    if setup.rtc is not None:
+        yield "\n[rtc]"
+        for name in ("video", "voice", "taken"):
+            yield f"{name}_kbps = {getattr(setup.rtc, f'{name}_bps') / 1000!r}"
     for name in ("uplink", "downlink"):
         yield f"\n[{name}]\nframe_octets = {getattr(setup, name).frame_octets}"
+    if setup.region_points:
+        yield "\n[region_points]"
+        for camera, points in setup.region_points.items():
+            yield f"{_text(camera)} = {[[float(x), float(y)] for x, y in points]}"
     if setup.inputs:
         yield "\n[sources]"
         for name in setup.inputs:

@@ -18,6 +18,7 @@ from kontur_av.streams.budget import Pacer
 from pipelines.setup.segments import Direction
 from telepresence.haptics.mediated.wall import WALL_OCTETS
 from telepresence.link.arithmetic import (
+    RESERVE_DOWN_BPS,
     ChannelNeed,
     StreamNeed,
     TableLine,
@@ -33,6 +34,7 @@ from telepresence.link.radio.path import RadioPath
 from telepresence.link.radio.profile import RadioProfile, built_in_radio, delayed
 from telepresence.tmtc.packets import check_name
 from telepresence.world import DEFAULT_SCENES
+from telepresence.world.board_view import BoardView
 
 #: The camera that is merged from the inputs `left` and `right`.
 STEREO = "stereo"
@@ -141,8 +143,41 @@ DEADBANDS: tuple[Deadband, ...] = get_args(Deadband)
 #: robot's side estimates and the joystick's side renders.
 HandMode = Literal["direct", "mediated"]
 HAND_MODES: tuple[HandMode, ...] = get_args(HandMode)
+
+#: What a partner's joystick may drive. `none`: nothing. `shared`: the robot, in the place of the
+#: joystick in space, once an operator has handed it over. `second`: an arm of its own.
+PartnerArm = Literal["none", "shared", "second"]
+PARTNER_ARMS: tuple[PartnerArm, ...] = get_args(PartnerArm)
+
+#: What of the uplink video is coded finer. `off`: nothing. `stylus`: what is around its tip.
+RegionChoice = Literal["off", "stylus"]
+REGION_CHOICES: tuple[RegionChoice, ...] = get_args(RegionChoice)
+#: The built-in scenes that see the task board.
+_BOARD_SCENES = ("left", "right", "static", "head")
+
 #: Walls are told this often on average. Uplink capacity is kept for them.
 _WALLS_PER_S = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class RtcLeg:
+    """The leg to a partner across the Internet, by WebRTC (docs/rtc.md). It shares no cap with the
+    radio.
+
+    video_bps, voice_bps: of the selected camera and of ground control's voice, coded for it.
+    taken_bps: the most that its picture may take.
+    """
+
+    video_bps: int = 1_500_000
+    voice_bps: int = 32_000
+    taken_bps: int = 1_500_000
+
+    def __post_init__(self) -> None:
+        for name, bps in (("video", self.video_bps), ("taken", self.taken_bps)):
+            if not 100_000 <= bps <= 20_000_000:
+                raise ConfigError(f"rtc: {name}_kbps of {bps / 1000:g}; take 100 to 20000")
+        if not 6_000 <= self.voice_bps <= 128_000:
+            raise ConfigError(f"rtc: voice_kbps of {self.voice_bps / 1000:g}; take 6 to 128")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,6 +195,12 @@ class Setup:
         uplink video gets the room: as a higher rate, or a lower delay (docs/deadband.md).
     hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
         joystick (docs/haptics-mediated.md).
+    rtc: the leg to a partner across the Internet; None: there is none.
+    partner_arm: what a partner's joystick may drive, at ports of its own (docs/partner.md).
+    tasks: a live session has tasks, which people select and do (docs/tasks.md).
+    region: what of the uplink video is coded finer than the rest (docs/video.md).
+    region_points: for a camera that is no built-in scene, the four corners of the task board in
+        its pictures: upper left, upper right, lower right, lower left; (x, y) in pixels.
     """
 
     name: str
@@ -175,6 +216,11 @@ class Setup:
     radio_delay_ms: float = 0.0
     deadband: Deadband = "off"
     hand: HandMode = "direct"
+    rtc: RtcLeg | None = None
+    partner_arm: PartnerArm = "none"
+    tasks: bool = False
+    region: RegionChoice = "off"
+    region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     #: Below 32768, where Linux takes the ports of sockets that ask for any port.
     base_port: int = 27_000
 
@@ -193,6 +239,7 @@ class Setup:
             raise ConfigError(f"deadband {self.deadband!r}: take one of {', '.join(DEADBANDS)}")
         if self.hand not in HAND_MODES:
             raise ConfigError(f"hand {self.hand!r}: take one of {', '.join(HAND_MODES)}")
+        self._check_partner_arm()
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
         radio = self._named_radio
@@ -219,6 +266,7 @@ class Setup:
                 )
         for name in self.inputs:
             self.source(name)
+        self._check_region()
         self.need_up()
         self.need_down()
 
@@ -227,6 +275,56 @@ class Setup:
         """The profile of the radio, with the setup's own delay."""
         profile = self._named_radio
         return delayed(profile, self.radio_delay_ms) if self.radio_delay_ms else profile
+
+    def _check_partner_arm(self) -> None:
+        if self.partner_arm not in PARTNER_ARMS:
+            raise ConfigError(
+                f"partner_arm {self.partner_arm!r}: take one of {', '.join(PARTNER_ARMS)}"
+            )
+        if self.partner_arm == "shared" and self.tasks:
+            raise ConfigError(
+                'partner_arm shared: tasks are the cosmonaut\'s, so take partner_arm = "none"'
+            )
+        if self.partner_arm == "shared" and self.hand == "mediated":
+            raise ConfigError(
+                "partner_arm shared: only the joystick in space renders walls, so take "
+                'hand = "direct", or partner_arm = "second"'
+            )
+
+    def _check_region(self) -> None:
+        if self.region not in REGION_CHOICES:
+            raise ConfigError(f"region {self.region!r}: take one of {', '.join(REGION_CHOICES)}")
+        for camera, points in self.region_points.items():
+            if camera not in self.cameras:
+                raise ConfigError(
+                    f"region_points of {camera}: setup {self.name} has no such camera: it has "
+                    f"{', '.join(self.cameras)}"
+                )
+            try:
+                BoardView.from_corners(points)
+            except ConfigError as error:
+                raise ConfigError(f"region_points of {camera}: {error}") from None
+        if self.region == "off":
+            if self.region_points:
+                raise ConfigError('region_points without a region: add region = "stylus"')
+            return
+        known = {camera for camera in self.cameras if self.board_scene(camera) is not None}
+        if not known | set(self.region_points):
+            raise ConfigError(
+                "region stylus: no camera is a built-in scene of the board, so name the board's "
+                'corners in region_points, or take region = "off"'
+            )
+
+    def board_scene(self, camera: str) -> str | None:
+        """The built-in scene of the task board that a camera shows; None if it shows none.
+
+        That of `stereo` is its left half's: the board's plane is at the same pixels in both.
+        """
+        inputs = STEREO_INPUTS if camera == STEREO else (camera,)
+        kinds, _, scenes = zip(*(self.source(name).partition(":") for name in inputs), strict=True)
+        if set(kinds) != {"scene"} or (camera == STEREO and scenes != STEREO_INPUTS):
+            return None
+        return scenes[0] if scenes[0] in _BOARD_SCENES else None
 
     @property
     def _named_radio(self) -> RadioProfile:
@@ -314,7 +412,8 @@ class Setup:
 
     def need_down(self) -> ChannelNeed:
         """What the downlink carries with all streams at their caps; ConfigError if too much."""
-        return check_fit(self.downlink, _needs(self.downlink_voice, self.downlink_video))
+        streams = _needs(self.downlink_voice, self.downlink_video)
+        return check_fit(self.downlink, streams, reserve_bps=RESERVE_DOWN_BPS)
 
     def _needs_up(self) -> list[StreamNeed]:
         return [*_needs(self.uplink_voice, self.uplink_video), *self._walls]
@@ -346,7 +445,8 @@ class Setup:
         """The arithmetic of `need_up` or `need_down`, line by line."""
         if direction is Direction.UPLINK:
             return channel_table(self.uplink, self._needs_up())
-        return channel_table(self.downlink, _needs(self.downlink_voice, self.downlink_video))
+        streams = _needs(self.downlink_voice, self.downlink_video)
+        return channel_table(self.downlink, streams, reserve_bps=RESERVE_DOWN_BPS)
 
 
 def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:

@@ -16,6 +16,7 @@ from pipelines.cores.session_streams import (
     voice_sender,
 )
 from pipelines.cores.showing import Showing
+from pipelines.cores.tip_region import tip_region
 from pipelines.cores.watching import OPERATORS
 from pipelines.setup.table import (
     GROUND_MIC,
@@ -117,8 +118,10 @@ class Media:
 
     def _send_uplink_video(self) -> None:
         setup, stream = self._scene.setup, self._scene.setup.uplink_video
-        studio = self._studio(stream, setup.camera_inputs)
+        tip = tip_region(setup)
+        studio = self._studio(stream, setup.camera_inputs, regions=tip is not None)
         sender = self._video_sender(stream, self._scene.ground, studio)
+        sender.tip = None if tip is None else (tip, self._scene.state_at)
         follower = sender.follower = CameraFollower()
         sender.on_confirmed = self._on_confirmed
         self._follow_choice = sender.handle_choice
@@ -154,9 +157,13 @@ class Media:
         if self._follow_choice is not None:
             self._follow_choice(choice, now_ns)
 
-    def _studio(self, stream: VideoStream, cameras: Sequence[str]) -> Worker:
+    def _studio(
+        self, stream: VideoStream, cameras: Sequence[str], *, regions: bool = False
+    ) -> Worker:
         specs = {name: self._scene.setup.source(name) for name in cameras}
-        return self._scene.workers.start(partial(VideoStudio, stream, specs, self._scene.start_ns))
+        return self._scene.workers.start(
+            partial(VideoStudio, stream, specs, self._scene.start_ns, regions=regions)
+        )
 
     def _film(self, name: str, studio: Worker) -> Worker | None:
         """What plays the file of an input; None for a scene."""

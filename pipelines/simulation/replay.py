@@ -31,7 +31,7 @@ from pipelines.simulation.senders import RecordedVideoProcess, RecordedVoiceProc
 from pipelines.simulation.session import HapticEnd, Simulation
 from pipelines.simulation.studio import SAME_DB, Originals, VideoDecoding, VideoStudio
 from pipelines.simulation.workers import Coder, Workers
-from pipelines.topology import TELECOMMAND, TELEMETRY
+from pipelines.topology import TELECOMMAND, TELEMETRY, Segment
 from telepresence.link.gateway import Gateway
 
 #: The link begins this and two round trips before the first instant, so that it is connected then.
@@ -50,6 +50,8 @@ class Replay(Simulation):
     recode: with the path of the recording, its pictures are coded anew, by the session's encoder.
     Raises ConfigError for a stream of the setup that is not in the recording.
     """
+
+    _recorded = True
 
     def __init__(
         self,
@@ -128,6 +130,8 @@ class Replay(Simulation):
 
     def _take_telecommand(self, data: bytes, now_ns: int) -> None:
         """It is executed, although the pictures of the camera that it selects are not shown."""
+        if self.tmtc.handle_packet(Segment.GROUND, data, now_ns):
+            return
         self._choice.handle_packet(data, now_ns)
         self._confirm(self._choice.choice.number, now_ns)
 

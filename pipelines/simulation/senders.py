@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 
+from kontur_av.codecs.region import Region
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_sender import VoiceSender
@@ -11,6 +12,7 @@ from pipelines.cores.following import CameraFollower, Choice
 from pipelines.cores.gain import CapGain
 from pipelines.cores.probe import Probe
 from pipelines.cores.stream_figures import Outgoing, tell_sender
+from pipelines.cores.tip_region import TipRegion
 from pipelines.cores.video_sending import LinkedVideoSender
 from pipelines.simulation.agenda import Agenda, Timer
 from pipelines.simulation.costs import CodingCosts
@@ -82,6 +84,8 @@ class VideoSendProcess(SendProcess):
         #: Of a sender that follows the selected camera.
         self.follower: CameraFollower | None = None
         self.on_confirmed: Callable[[int, int], None] | None = None
+        #: With the newest state of the robot: where pictures are coded finer.
+        self.tip: tuple[TipRegion, Callable[[int], WorldState]] | None = None
         self._confirmed: int | None = None
         self._reported: tuple[Backlog, int] | None = None
         self.handle_feedback = sender.handle_feedback
@@ -145,8 +149,16 @@ class VideoSendProcess(SendProcess):
             return
         (picture, stamp), self._newest = self._newest, None
         self._busy = True
-        job = self._studio.submit((picture, coding))
+        job = self._studio.submit((picture, coding, self._region(now_ns)))
         self._agenda.at(now_ns + self._cost_ns, lambda now: self._finish(job, stamp, now))
+
+    def _region(self, now_ns: int) -> Region | None:
+        if self.tip is None or self.follower is None:
+            return None
+        tip, state_at = self.tip
+        state = state_at(now_ns)
+        tip.handle_tip(state.x_m, state.y_m, state.time_ns)
+        return tip.region(self.follower.camera, now_ns)
 
     def _finish(self, job: Job, stamp: CaptureStamp, now_ns: int) -> None:
         data, keyframe = job.result()

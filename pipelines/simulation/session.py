@@ -23,20 +23,30 @@ from pipelines.cores.figures import GatewayGauges, LoopCounters
 from pipelines.cores.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.cores.probe import FLUSH_NS, Probe
 from pipelines.cores.requests import Request, pack_line
+from pipelines.cores.robot_desk import RobotDesk
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
+from pipelines.report.task_figures import task_report
 from pipelines.setup.table import Setup
 from pipelines.simulation.agenda import FAR_NS, Agenda, Timer
 from pipelines.simulation.costs import CodingCosts
 from pipelines.simulation.media import Consumer, Media, Scene
+from pipelines.simulation.mission import SimulatedMission
 from pipelines.simulation.telling import Telling
+from pipelines.simulation.tmtc import SimulatedTmtc
 from pipelines.simulation.workers import Workers
 from pipelines.topology import TELECOMMAND, TELEMETRY, Segment, topology_of
+from telepresence.haptics.bilateral import Handle, HeldJoystick
+from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.session import LIVES
 from telepresence.link.gateway import Gateway
-from telepresence.link.receiver import HapticReceived, PacketReceived
+from telepresence.link.received import HapticReceived, PacketReceived
 from telepresence.link.slots import GatewaySlots
+from telepresence.tasks.cosmonaut import Cosmonaut, Skill
+from telepresence.tasks.definitions import Catalogue
+from telepresence.tasks.plan import SessionPlan
 from telepresence.world import WorldState, scripted_state
 
 #: The figures of a decoder are reported later by this, so that it need not keep step.
@@ -70,8 +80,15 @@ class Simulation:
 
     seed: everything random derives from it. media: without, only haptics and telecommands travel.
     selections: the script of telecommands. start_ns: when it begins. epoch_ns: time 0
-    of the radio.
+    of the radio. plan: what an experimenter selects, and the tasks for a simulated cosmonaut.
+    joystick: in operation, with its states, faults and functions; None: one that is always in the
+    application.
+
+    tmtc: telecommands and telemetry of both segments after PUS; ask it, and subscribe to its news.
     """
+
+    #: Whether a recording has the packets of telecommands and telemetry.
+    _recorded = False
 
     def __init__(
         self,
@@ -84,6 +101,8 @@ class Simulation:
         costs: CodingCosts | None = None,
         start_ns: int = 0,
         epoch_ns: int = 0,
+        plan: tuple[SessionPlan, Catalogue] | None = None,
+        joystick: JoystickDevice | None = None,
     ) -> None:
         slot_ns = setup.uplink.slot_ns
         if not slot_ns == setup.downlink.slot_ns == CYCLE_NS:
@@ -95,6 +114,11 @@ class Simulation:
         self.topology = topology_of(setup)
         self.collector = Collector(self.topology)
         self._seed = seed
+        self._cosmonaut: Cosmonaut | None = None
+        if plan is not None:
+            seed_of_hand = self._random("cosmonaut").getrandbits(32)
+            self._cosmonaut = Cosmonaut(Skill(level=plan[0].skill), seed=seed_of_hand)
+        self._device = joystick
         self._costs = costs or CodingCosts()
         self._agenda = agenda = Agenda()
         self._telling = telling = Telling(self.collector)
@@ -118,13 +142,37 @@ class Simulation:
         self._robot, self._joystick = self._make_ends()
         telling.add(self._robot.tell)
         telling.add(self._joystick.tell)
-        self._choice = CameraChoice(setup, self._probe(telemetry.sender), now_ns=start_ns)
+        #: None while a recording drives the robot.
+        self.robot_desk: RobotDesk | None = None
+        if isinstance(self._robot, RobotEnd):
+            life = self._life(self.topology.haptic("up").sender)
+            self.robot_desk = RobotDesk(
+                self._robot.side, life=life, tasks=plan is not None, now_ns=start_ns
+            )
+        ground_probe, space_probe = self._probe(telemetry.sender), self._probe(telemetry.receiver)
+        self._choice = CameraChoice(setup, ground_probe, now_ns=start_ns)
         self._console = Console(
-            setup,
-            self._probe(telemetry.receiver),
-            first_token=self._random("console").getrandbits(16),
+            setup, space_probe, first_token=self._random("console").getrandbits(16)
         )
         self._add(self._choice, self._console)
+        end = self._joystick
+        self.tmtc = tmtc = SimulatedTmtc(
+            setup,
+            agenda,
+            send={
+                Segment.GROUND: partial(self._ground.handle_datagram, TELEMETRY),
+                Segment.SPACE: partial(self._space.handle_datagram, TELECOMMAND),
+            },
+            gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
+            state_at=self._state_at,
+            robot=self.robot_desk,
+            handle=end.side.handle if isinstance(end, JoystickEnd) else None,
+            random=self._random("tmtc"),
+            now_ns=start_ns,
+            silent=self._recorded,
+        )
+        telling.add(partial(tmtc.ends[Segment.GROUND].tell, ground_probe))
+        telling.add(partial(tmtc.ends[Segment.SPACE].tell, space_probe))
         self._console_timer = Timer(agenda, self._console_sends)
         self._choice_timer = Timer(agenda, self._choice_sends)
         self._set_choice_timer(start_ns)
@@ -156,6 +204,24 @@ class Simulation:
             TELEMETRY: self._take_telemetry,
         }
         agenda.at(start_ns + FLUSH_NS, self._flush)
+        self.mission = None if plan is None else self._make_mission(*plan)
+
+    def _make_mission(self, plan: SessionPlan, catalogue: Catalogue) -> SimulatedMission:
+        robot, joystick, cosmonaut = self.robot_desk, self._joystick, self._cosmonaut
+        assert robot is not None and isinstance(joystick, JoystickEnd) and cosmonaut is not None
+        return SimulatedMission(
+            plan,
+            catalogue,
+            cosmonaut,
+            robot=robot,
+            joystick=joystick,
+            gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
+            tmtc=self.tmtc,
+            choice=self._choice,
+            select=self._select_below,
+            agenda=self._agenda,
+            now_ns=self.start_ns,
+        )
 
     def run(self, until_ns: int) -> None:
         """Go on until `until_ns`; the session began at `start_ns`."""
@@ -167,6 +233,7 @@ class Simulation:
         robot, joystick = self._robot, self._joystick
         to_robot, to_joystick = robot.handle_datagram, joystick.handle_datagram
         robot_cycle, joystick_cycle = robot.handle_cycle, joystick.handle_cycle
+        before_robot = None if self.robot_desk is None else self.robot_desk.step
         robot_sends, joystick_sends = robot.poll_transmit, joystick.poll_transmit
         feedback, command = ground.handle_haptic, space.handle_haptic
         next_state, advance = robot.next_event, self._advance
@@ -188,6 +255,8 @@ class Simulation:
                 to_joystick(sample, now_ns)
             samples_down.clear()
             samples_up.clear()
+            if before_robot is not None:
+                before_robot(now_ns)
             robot_cycle(now_ns, CYCLE_NS)
             joystick_cycle(now_ns, CYCLE_NS)
             if poll_wall is not None and (wall := poll_wall(now_ns)) is not None:
@@ -228,7 +297,10 @@ class Simulation:
             media=self._media is not None,
             costs=CostsReport(**asdict(self._costs)),
         )
-        return msgspec.structs.replace(report, simulation=simulation)
+        mission = self.mission
+        rows = None if mission is None else mission.journal.report()
+        tasks = None if rows is None else task_report(rows, self.start_ns)
+        return msgspec.structs.replace(report, simulation=simulation, tasks=tasks)
 
     @property
     def _mediated(self) -> bool:
@@ -249,8 +321,15 @@ class Simulation:
             life=self._life(up.receiver),
             deadband=deadband,
             mediated=self._mediated,
+            handle=self._make_handle(),
         )
         return robot, joystick
+
+    def _make_handle(self) -> Handle | None:
+        """The joystick in a hand; None for the one that taps targets."""
+        if self._device is not None:
+            return OperatedHandle(self._device)
+        return None if self._cosmonaut is None else HeldJoystick(hand=self._cosmonaut)
 
     def _life(self, process: str) -> int:
         return self._random(f"{process} life").randrange(1, LIVES)
@@ -353,6 +432,8 @@ class Simulation:
         self._console_timer.set(self._console.poll_timeout(), now_ns)
 
     def _take_telemetry(self, data: bytes, now_ns: int) -> None:
+        if self.tmtc.handle_packet(Segment.SPACE, data, now_ns):
+            return
         self._console.handle_packet(data, now_ns)
         wall = self._console.poll_wall()
         if wall is not None and isinstance(self._joystick, JoystickEnd):
@@ -360,12 +441,19 @@ class Simulation:
         self._console_sends(now_ns)
 
     def _take_telecommand(self, data: bytes, now_ns: int) -> None:
+        if self.tmtc.handle_packet(Segment.GROUND, data, now_ns):
+            return
         self._choice.handle_packet(data, now_ns)
         if self._media is not None:
             self._media.handle_choice(self._choice.choice, now_ns)
         else:
             self._choice.handle_confirmed(self._choice.choice.number, now_ns)
         self._choice_sends(now_ns)
+
+    def _select_below(self, camera: str, now_ns: int) -> None:
+        """A task on the ground selects a camera."""
+        if self._choice.select(camera, now_ns) and self._media is not None:
+            self._media.handle_choice(self._choice.choice, now_ns)
 
     def _confirm(self, number: int, now_ns: int) -> None:
         self._choice.handle_confirmed(number, now_ns)

@@ -14,6 +14,7 @@ from kontur_av.clock import NS_PER_S, ManualClock
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import DecodedPicture, H264Decoder, H264Encoder
 from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
+from kontur_av.codecs.region import Region
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.playout import PlayoutBlock
@@ -55,13 +56,22 @@ class VideoStudio:
     """Draws pictures or reads them from files, and encodes them.
 
     cameras: name -> SPEC of each input that the stream may show.
+    regions: pictures may have a region of interest.
 
     A job is one of:
-    - a `Picture` and its `Coding`; the result is (access unit, whether it is a key picture);
+    - a `Picture`, its `Coding`, and its `Region` or None; the result is (access unit, whether it is
+      a key picture);
     - a camera's name; the result is the capture instant of the file's next picture, or None.
     """
 
-    def __init__(self, stream: VideoStream, cameras: dict[str, str], start_ns: int) -> None:
+    def __init__(
+        self,
+        stream: VideoStream,
+        cameras: dict[str, str],
+        start_ns: int,
+        *,
+        regions: bool = False,
+    ) -> None:
         self._stream = stream
         self._encoder = H264Encoder(
             width=stream.width,
@@ -69,6 +79,7 @@ class VideoStudio:
             fps=stream.fps,
             cap_bps=stream.cap_bps,
             coded_size=stream.coded,
+            regions=regions,
         )
         self._views: dict[str, str] = {}
         self._films: dict[str, _Film] = {}
@@ -80,10 +91,14 @@ class VideoStudio:
                 self._films[name] = _Film(spec, name, stream, start_ns)
         self._rooms = [empty_picture(stream.width, stream.height) for _ in range(3)]
 
-    def __call__(self, job: tuple[Picture, Coding] | str) -> tuple[bytes, bool] | int | None:
+    def __call__(
+        self, job: tuple[Picture, Coding, Region | None] | str
+    ) -> tuple[bytes, bool] | int | None:
         return self._films[job].next() if isinstance(job, str) else self._encode(*job)
 
-    def _encode(self, shots: Sequence[Shot | None], coding: Coding) -> tuple[bytes, bool]:
+    def _encode(
+        self, shots: Sequence[Shot | None], coding: Coding, region: Region | None
+    ) -> tuple[bytes, bool]:
         parts = [
             None if shot is None else self._picture(shot, room)
             for shot, room in zip(shots, self._rooms, strict=False)
@@ -94,7 +109,7 @@ class VideoStudio:
             merge(parts[0], parts[1], picture)
         assert picture is not None
         stamp = CaptureStamp(0, self._encoder.encoded, self._stream.name)
-        unit = self._encoder.encode(VideoFrame(picture, stamp), coding)
+        unit = self._encoder.encode(VideoFrame(picture, stamp), coding, region=region)
         return unit.data, unit.keyframe
 
     def _picture(self, shot: Shot, room: I420) -> I420:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from pipelines.setup.segments import Direction
+from pipelines.setup.segments import Direction, Segment
 from pipelines.setup.table import Setup
 from pipelines.topology.processes import process_rows, topic_rows
 from pipelines.topology.streams import (
@@ -23,12 +23,18 @@ def topology_of(
     snapshots: bool = False,
     pages: bool = False,
     recorder: bool = False,
+    trainer: bool = False,
+    tasks: bool = False,
+    segments: tuple[Segment, ...] = tuple(Segment),
 ) -> Topology:
     """The table of a session of `setup`.
 
     joystick: SPEC of the joystick. snapshots: with the process that keeps pictures as files.
     pages: with the processes that serve a browser page at each end.
     recorder: with the process that can record the session.
+    trainer: with the process that takes a trainer's requests.
+    tasks: with the processes by which tasks are done.
+    segments: those that run on this machine.
     """
     streams = Topology(
         setup=setup,
@@ -39,9 +45,16 @@ def topology_of(
         inputs=tuple(input_rows(setup)),
         cameras=tuple(camera_row(name) for name in setup.cameras),
         launcher_port=setup.base_port + LAUNCHER_OFFSET,
+        segments=segments,
     )
     processes = process_rows(
-        streams, joystick=joystick, snapshots=snapshots, pages=pages, recorder=recorder
+        streams,
+        joystick=joystick,
+        snapshots=snapshots,
+        pages=pages,
+        recorder=recorder,
+        trainer=trainer,
+        tasks=tasks,
     )
     return replace(
         streams,

@@ -5,6 +5,14 @@ from dataclasses import replace
 
 from pipelines.setup.segments import Segment
 from pipelines.setup.table import STEREO, STEREO_INPUTS, VideoStream
+from pipelines.topology.mission import (
+    MISSION_SAMPLES,
+    MISSION_SHOWN,
+    ROBOT_COMMAND_TOPIC,
+    ROBOT_STATUS_TOPIC,
+    with_mission,
+)
+from pipelines.topology.partner import PARTNER_SAMPLES, with_partner
 from pipelines.topology.rows import (
     LOOP_PRIORITY,
     VOICE_PRIORITY,
@@ -15,6 +23,7 @@ from pipelines.topology.rows import (
     TopicRow,
     VideoRow,
 )
+from pipelines.topology.rtc import RTC_RECORDED, RTC_SAMPLES, RTC_SEEN, rtc_rows
 from pipelines.topology.streams import STEREO_TOPIC, TELECOMMAND, TELEMETRY
 from pipelines.topology.table import Topology
 from telepresence.haptics.device.spec import PAGE
@@ -29,6 +38,7 @@ WALL_TOPIC = "received/wall"
 #: What the operator's page and the joystick tell each other; see `pipelines.cores.hand_topics`.
 HAND_INPUT_TOPIC = "hand/input"
 HAND_REQUEST_TOPIC = "hand/request"
+JOYSTICK_COMMAND_TOPIC = "joystick/command"
 JOYSTICK_STATE_TOPIC = "joystick/state"
 #: Both ends' haptic samples at 1 kHz; see `pipelines.cores.haptic_trace`.
 JOYSTICK_TRACE_TOPIC = "haptic/joystick"
@@ -45,6 +55,17 @@ def gateway_topic(segment: Segment) -> str:
     return f"figures/{segment.value}"
 
 
+def link_state_topic(segment: Segment) -> str:
+    """What telemetry says of a segment's gateway: `pipelines.cores.tmtc_sources.link_values`."""
+    return f"link_state/{segment.value}"
+
+
+#: By segment: what its end of telecommands and telemetry has to say, one `TmtcNews` a sample.
+TMTC_TOPICS = {segment: f"tmtc/{segment.value}" for segment in Segment}
+#: What a trainer wants to happen: `pipelines.cores.training.Exercises`.
+TRAINER_TOPIC = "trainer/exercises"
+#: The process that takes a trainer's requests.
+TRAINER = "trainer"
 #: The process that records the session.
 RECORDER = "recorder"
 #: By segment: the process that serves its browser pages.
@@ -52,15 +73,40 @@ PAGES = {segment: f"page_{segment.value}" for segment in Segment}
 
 
 def process_rows(
-    session: Topology, *, joystick: str, snapshots: bool, pages: bool, recorder: bool
+    session: Topology,
+    *,
+    joystick: str,
+    snapshots: bool,
+    pages: bool,
+    recorder: bool,
+    trainer: bool,
+    tasks: bool,
 ) -> tuple[ProcessRow, ...]:
     """The processes, in the order in which they are started, of a table that has none yet."""
     rows = [*_ground(session), *_space(session, joystick, pages=pages)]
+    rows = list(with_partner(rows, session.setup))
+    if tasks:
+        rows = list(
+            with_mission(
+                rows,
+                session.setup,
+                cameras=_cameras(session),
+                news=TMTC_TOPICS,
+                joystick_state=JOYSTICK_STATE_TOPIC,
+                link_state={segment: link_state_topic(segment) for segment in Segment},
+                selected=SELECTED_TOPIC,
+                robot=ROBOT_TOPIC,
+            )
+        )
     if pages:
         rows = [_taken_over(row, session) for row in rows]
-        rows += [_page(session, segment) for segment in Segment]
+        rows += [_page(session, segment, tasks=tasks) for segment in Segment]
+    if trainer:
+        rows = [_trained(row, session) for row in rows]
+        rows.append(_trainer())
     if snapshots:
         rows.append(_snapshots(session))
+    rows += rtc_rows(session, SELECTED_TOPIC)
     if recorder:
         rows.insert(0, _recorder(session))
     rows.sort(key=lambda row: row.stage)
@@ -74,10 +120,15 @@ def topic_rows(session: Topology) -> Iterable[TopicRow]:
         STEREO_TOPIC: "two pictures side by side",
         SELECTED_TOPIC: "name of the selected camera, number of the choice",
         WALL_TOPIC: "message with the wall that the robot touched",
+        **PARTNER_SAMPLES,
+        **MISSION_SAMPLES,
+        TRAINER_TOPIC: "until when a trainer's exercises last",
         FOLLOWED_TOPIC: "number of the choice that the sender has confirmed",
         HAND_INPUT_TOPIC: "where a page's hand wants the handle, dead-man button",
         HAND_REQUEST_TOPIC: "a person's command to the joystick",
+        JOYSTICK_COMMAND_TOPIC: "a telecommand to the joystick",
         JOYSTICK_STATE_TOPIC: "state of the joystick, answer to a command",
+        **RTC_SAMPLES,
         JOYSTICK_TRACE_TOPIC: "20 ms of the handle: place, force, energy",
         ROBOT_TRACE_TOPIC: "20 ms of the tip: place, force, energy",
     }
@@ -88,6 +139,8 @@ def topic_rows(session: Topology) -> Iterable[TopicRow]:
         samples[row.page_topic] = f"{'picture' if video else '20 ms of sound'} of a browser page"
     for segment in Segment:
         samples[gateway_topic(segment)] = "what the gateway counts, ten times a second"
+        samples[link_state_topic(segment)] = "what telemetry says of the gateway"
+        samples[TMTC_TOPICS[segment]] = "reports, verification, what applications are asked for"
     for name in (TELECOMMAND, TELEMETRY):
         samples[packets_topic(name, sent=True)] = "space packet as sent"
         samples[packets_topic(name, sent=False)] = "space packet as received"
@@ -123,7 +176,8 @@ def _ground(session: Topology) -> Iterable[ProcessRow]:
         stage=Stage.LINK,
         run="pipelines.parts.haptic_ends:run_robot",
         priority=LOOP_PRIORITY,
-        writes=(ROBOT_TOPIC, ROBOT_TRACE_TOPIC),
+        reads=(ROBOT_COMMAND_TOPIC,),
+        writes=(ROBOT_TOPIC, ROBOT_STATUS_TOPIC, ROBOT_TRACE_TOPIC),
         what="1 kHz loop of the robot and its task board",
     )
     video = session.media(setup.uplink_video.name)
@@ -144,18 +198,26 @@ def _ground(session: Topology) -> Iterable[ProcessRow]:
         segment=Segment.GROUND,
         stage=Stage.RELAY,
         run="pipelines.parts.selector:run_selector",
-        reads=(FOLLOWED_TOPIC, ROBOT_TOPIC),
+        reads=(
+            FOLLOWED_TOPIC,
+            ROBOT_TOPIC,
+            ROBOT_STATUS_TOPIC,
+            link_state_topic(Segment.GROUND),
+        ),
         writes=(
             SELECTED_TOPIC,
+            ROBOT_COMMAND_TOPIC,
+            TMTC_TOPICS[Segment.GROUND],
             packets_topic(TELECOMMAND, sent=False),
             packets_topic(TELEMETRY, sent=True),
         ),
-        what="tells the sender which camera telecommands select",
+        what="tells the sender which camera telecommands select; PUS of the ground",
     )
     cameras = tuple(camera.topic for camera in session.cameras)
+    tip = () if setup.region == "off" else (ROBOT_TOPIC,)
     yield replace(
         _send(video, None),
-        reads=(SELECTED_TOPIC, *cameras, video.backlog_topic),
+        reads=(SELECTED_TOPIC, *cameras, video.backlog_topic, *tip),
         writes=(FOLLOWED_TOPIC, video.sent_topic),
     )
     if setup.uplink_voice is not None:
@@ -177,7 +239,7 @@ def _space(session: Topology, joystick: str, *, pages: bool) -> Iterable[Process
         run="pipelines.parts.haptic_ends:run_joystick",
         arguments={"spec": joystick},
         priority=LOOP_PRIORITY,
-        reads=(*wall, *page),
+        reads=(*wall, *page, JOYSTICK_COMMAND_TOPIC),
         writes=(JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC),
         what="1 kHz loop of the operator's joystick",
     )
@@ -186,12 +248,15 @@ def _space(session: Topology, joystick: str, *, pages: bool) -> Iterable[Process
         segment=Segment.SPACE,
         stage=Stage.LINK,
         run="pipelines.parts.console:run_console",
+        reads=(JOYSTICK_STATE_TOPIC, link_state_topic(Segment.SPACE)),
         writes=(
             *wall,
+            JOYSTICK_COMMAND_TOPIC,
+            TMTC_TOPICS[Segment.SPACE],
             packets_topic(TELECOMMAND, sent=True),
             packets_topic(TELEMETRY, sent=False),
         ),
-        what="sends telecommands, answers `kontur-av select`",
+        what="sends telecommands, answers `kontur-av select`; PUS of space",
     )
     yield from _end(session, Segment.SPACE)
     for stream in (setup.downlink_video, setup.downlink_voice):
@@ -211,6 +276,7 @@ def _gateway(session: Topology, segment: Segment) -> ProcessRow:
         writes=(
             link.backlog_topic,
             gateway_topic(segment),
+            link_state_topic(segment),
             link.sent_frames_topic,
             back.received_frames_topic,
         ),
@@ -242,6 +308,36 @@ def _taken_over(row: ProcessRow, session: Topology) -> ProcessRow:
             arguments = {**row.arguments, "page": one.page_topic}
             return replace(row, arguments=arguments, reads=(*row.reads, one.page_topic))
     return row
+
+
+def _trained(row: ProcessRow, session: Topology) -> ProcessRow:
+    """A gateway, the joystick or a camera also heeds the trainer; all others are unchanged."""
+    cameras = _cameras(session)
+    gateways = {link.sender for link in session.links}
+    if row.name not in cameras | gateways | {"joystick"}:
+        return row
+    arguments = {**row.arguments, "trainer": True}
+    return replace(row, arguments=arguments, reads=(*row.reads, TRAINER_TOPIC))
+
+
+def _cameras(session: Topology) -> set[str]:
+    """The processes that capture pictures."""
+    return {
+        one.process
+        for one in session.inputs
+        if isinstance(session.media(one.stream).stream, VideoStream)
+    }
+
+
+def _trainer() -> ProcessRow:
+    return ProcessRow(
+        name=TRAINER,
+        segment=None,
+        stage=Stage.LINK,
+        run="pipelines.parts.trainer:run_trainer",
+        writes=(TRAINER_TOPIC,),
+        what="takes a trainer's requests: no signal, a fault, a lost camera",
+    )
 
 
 def _say(session: Topology, stream: str) -> Iterable[ProcessRow]:
@@ -337,6 +433,7 @@ def _recorder(session: Topology) -> ProcessRow:
                 for row in session.media_streams
                 for topic in (row.sent_topic, row.coded_topic)
             ),
+            *(RTC_RECORDED if session.setup.rtc is not None else ()),
             *(
                 packets_topic(name, sent=sent)
                 for name in (TELECOMMAND, TELEMETRY)
@@ -354,7 +451,7 @@ def _recorder(session: Topology) -> ProcessRow:
     )
 
 
-def _page(session: Topology, segment: Segment) -> ProcessRow:
+def _page(session: Topology, segment: Segment, *, tasks: bool) -> ProcessRow:
     """What a seat shows of its own segment, and what its person tells it, films and says."""
     rows = [row for row in session.media_streams if row.direction.receiver is segment]
     sounds = (row.received_topic for row in rows if row.kind is Kind.VOICE)
@@ -373,6 +470,9 @@ def _page(session: Topology, segment: Segment) -> ProcessRow:
             *(topic for row in pictures for topic in (row.coded_topic, row.decoded_topic)),
             *sounds,
             link,
+            TMTC_TOPICS[segment],
+            *(MISSION_SHOWN[segment] if tasks else ()),
+            *(() if space or session.setup.rtc is None else RTC_SEEN),
             *(joystick if space else (*_robot_seen(session), SELECTED_TOPIC, *robot)),
         ),
         writes=(
@@ -404,5 +504,5 @@ def _with_streams(row: ProcessRow, session: Topology) -> ProcessRow:
         row,
         sends=tuple(stream.name for stream in session.streams if stream.sender == row.name),
         receives=tuple(stream.name for stream in session.streams if stream.receiver == row.name),
-        ports=(*radio, *entries, *exits),
+        ports=(*row.ports, *radio, *entries, *exits),
     )

@@ -41,6 +41,16 @@ class Kind(Enum):
     MAINTENANCE = "maintenance"
 
 
+def received_topic(stream: str) -> str:
+    """The decoded pictures or sounds of a stream."""
+    return f"received/{stream}"
+
+
+def displayed_topic(stream: str) -> str:
+    """The displayed pictures of a stream."""
+    return f"displayed/{stream}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class ProcessRow:
     """A process.
@@ -144,7 +154,7 @@ class VideoRow(MediaRow):
     @property
     def displayed_topic(self) -> str:
         """The displayed pictures."""
-        return f"displayed/{self.name}"
+        return displayed_topic(self.name)
 
     @property
     def lag_topic(self) -> str:

@@ -22,6 +22,7 @@ from pipelines.topology.rows import (
     MediaRow,
     StreamRow,
     VideoRow,
+    received_topic,
 )
 from telepresence.link.flows import (
     Flow,
@@ -190,6 +191,6 @@ def _media(setup: Setup, direction: Direction, stream: VideoStream | VoiceStream
         inputs=tuple(row.name for row in input_rows(setup) if row.stream == name),
         display=f"{direction.receiver.value}_display",
         rtcp=f"{name}_rtcp",
-        received_topic=f"received/{name}",
+        received_topic=received_topic(name),
         backlog_topic=_backlog_topic(direction),
     )

@@ -6,6 +6,7 @@ from functools import cached_property
 
 from pipelines.setup.segments import Direction, Segment
 from pipelines.setup.table import PORTS, Setup
+from pipelines.topology.partner import partner_ports
 from pipelines.topology.rows import (
     CameraRow,
     HapticRow,
@@ -26,6 +27,7 @@ class Topology:
 
     processes: in the order in which they are started. streams: by direction, and within one by
     priority. Lookups by name raise KeyError for a name that the session does not have.
+    segments: those that run on this machine. All rows are there in any case.
     """
 
     setup: Setup
@@ -36,6 +38,7 @@ class Topology:
     inputs: tuple[InputRow, ...]
     cameras: tuple[CameraRow, ...]
     launcher_port: int
+    segments: tuple[Segment, ...] = tuple(Segment)
 
     @property
     def ports(self) -> range:
@@ -54,6 +57,41 @@ class Topology:
         """Return the processes of a machine on which these segments run."""
         here = {None, *segments}
         return tuple(row for row in self.processes if row.segment in here)
+
+    @property
+    def alone(self) -> Segment | None:
+        """The only segment on this machine; None if both are."""
+        return self.segments[0] if len(self.segments) == 1 else None
+
+    @property
+    def processes_here(self) -> tuple[ProcessRow, ...]:
+        """The processes of this machine, in the order in which they are started."""
+        return self.processes_of(self.segments)
+
+    @property
+    def ports_here(self) -> tuple[int, ...]:
+        """The UDP ports that the session holds on this machine, the launcher's first.
+
+        The radio's ports are not among them if the radio is between two machines.
+        """
+        if self.alone is None:
+            # A partner's program may be there already.
+            _, partner = partner_ports(self.setup)
+            return tuple(port for port in self.ports if port != partner)
+        radio = {self.radio_port(segment) for segment in Segment}
+        taken = (port for row in self.processes_here for port in row.ports)
+        return (self.launcher_port, *(port for port in taken if port not in radio))
+
+    def runs(self, process: str) -> bool:
+        """Whether the process `process` is one of this machine."""
+        segment = self._processes[process].segment
+        return segment is None or segment in self.segments
+
+    def side_here(self, row: StreamRow) -> str | None:
+        """The only side of a stream on this machine, "sender" or "receiver"; None: both are."""
+        if self.alone is None:
+            return None
+        return "sender" if row.direction.sender is self.alone else "receiver"
 
     def stream(self, name: str) -> StreamRow:
         """The stream `name`, of any kind."""

@@ -34,61 +34,87 @@ _TITLES = {
     "video": "Pictures through a thin channel",
     "voice": "Speech through a lossy network",
     "link": "The radio link",
+    "protection": "What protection costs the link",
+    "machines": "A session on two machines",
     "haptics": "Stability and passivity of the hand",
     "sync": "Sight, hearing and touch, by content: virtual time",
     "sync-live": "Sight, hearing and touch, by content: live",
     "passes": "Sessions of a whole pass",
+    "tasks": "Tasks in passes, by a simulated cosmonaut",
     "fanout": "One picture for many processes",
     "page": "The browser pages",
+    "rtc": "The leg to a partner",
     "record": "Recordings",
     "replay": "A recorded session through other links",
 }
-_VIRTUAL = ("haptics", "sync", "passes")
+#: Measurements that have another name than their bench.
+_BENCH = {"sync-live": "sync", "protection": "link"}
+#: Clips that no setting was tuned on, one that was, and the contenders of the targets.
+_VIDEO = " ".join(
+    f"--only {name}"
+    for name in (
+        *("bikes", "castle", "cube", "pedestrians", "megamind", "speaker"),
+        *("kontur-av", "gst-default", "gst-tuned"),
+    )
+)
+_VIRTUAL = ("haptics", "sync", "passes", "tasks")
 
 #: In all three the benches and their order are the same.
 _OPTIONS: Mapping[str, Mapping[str, str]] = {
     "quick": {
         "latency": "--seconds 10 --live-seconds 10",
         "cpu": "--runs 1 --seconds 10",
-        "video": "--seconds 8 --only bikes --only scene",
+        "video": f"--fetch --seconds 8 --lead-s 4 {_VIDEO}",
         "voice": "--seconds 10",
         "link": "--seconds 5 --blackouts 20",
+        "protection": "--protected --runs 1 --seconds 10",
+        "machines": "--runs 1 --seconds 10",
         "haptics": "--grid small",
         "sync": "--seconds 60",
         "sync-live": "--live --seconds 15",
         "passes": "--sessions 3 --no-media",
+        "tasks": "--sessions 23",
         "fanout": "--seconds 2 --readers 1,8",
         "page": "--runs 1 --seconds 8",
+        "rtc": "--runs 1 --seconds 10",
         "record": "--kills 10 --cuts 500 --pairs 1 --seconds 20",
         "replay": "--seconds 20",
     },
     "full": {
         "latency": "--seconds 60 --live-seconds 60",
         "cpu": "--runs 1 --seconds 30",
-        "video": "--seconds 20 --wide",
+        "video": "--fetch --seconds 20 --wide",
         "voice": "--seconds 40",
         "link": "--seconds 20 --blackouts 100",
+        "protection": "--protected --runs 1 --seconds 20",
+        "machines": "--runs 1 --seconds 60",
         "haptics": "--grid full",
         "sync": "--seconds 300",
         "sync-live": "--live --seconds 60",
         "passes": "--sessions 23",
+        "tasks": "--sessions 23",
         "fanout": "--seconds 10",
         "page": "--runs 1 --seconds 30",
+        "rtc": "--runs 1 --seconds 30",
         "record": "--kills 200 --cuts 0 --pairs 3 --seconds 60",
         "replay": "--seconds 120",
     },
     "smoke": {
         "latency": "--seconds 1 --live-seconds 5",
         "cpu": "--runs 1 --seconds 2",
-        "video": "--seconds 1 --only scene --size 320x240",
+        "video": "--seconds 1 --only scene --only kontur-av --only gst-default --size 320x240",
         "voice": "--seconds 1",
         "link": "--seconds 1 --blackouts 1",
+        "protection": "--protected --runs 1 --seconds 2",
+        "machines": "--runs 1 --seconds 4",
         "haptics": "--cell delay=100 --seconds 4",
         "sync": "--seconds 10",
         "sync-live": "--live --seconds 8",
         "passes": "--sessions 1 --seconds 4 --radio clean --no-media",
+        "tasks": "--sessions 1 --seconds 40 --radio clean",
         "fanout": "--seconds 0.2 --readers 1",
         "page": "--runs 1 --seconds 2",
+        "rtc": "--runs 1 --seconds 3 --only reception",
         "record": "--kills 1 --cuts 10 --pairs 1 --seconds 5",
         "replay": "--seconds 5",
     },
@@ -111,7 +137,7 @@ def measurements(length: str, only: str | None = None) -> list[Measurement]:
         Measurement(
             name=name,
             title=_TITLES[name],
-            words=(name.removesuffix("-live"), *words.split()),
+            words=(_BENCH.get(name, name), *words.split()),
             runs=1 if name in _VIRTUAL or length == "smoke" else LIVE_RUNS,
         )
         for name, words in options.items()

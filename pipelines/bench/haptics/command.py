@@ -15,13 +15,15 @@ from pipelines.bench.haptics.cell import Cell, full_grid, read_cell, small_grid
 from pipelines.bench.haptics.charts import chart
 from pipelines.bench.haptics.claims import Claim, claims, needed
 from pipelines.bench.haptics.figures import CellFigures
-from pipelines.bench.haptics.grid import processors, run_grid
+from pipelines.bench.haptics.grid import run_grid
 from pipelines.bench.haptics.hands import HANDS
 from pipelines.bench.haptics.map import StabilityMap
 from pipelines.bench.haptics.plan import plan
 from pipelines.bench.haptics.run import run_cell
 from pipelines.bench.result import Headline, Json, as_json
 from pipelines.bench.result_file import write_result
+from pipelines.campaign.options import add_place_arguments, cluster_of, jobs_of
+from pipelines.campaign.progress import Progress
 from pipelines.report.report_file import check_writable
 
 _GRIDS = {"small": small_grid, "full": full_grid}
@@ -85,9 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"hand ({', '.join(HANDS)})",
     )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of losses and jitter")
-    parser.add_argument(
-        "--jobs", type=int, metavar="N", help="processes (default: one for each processor)"
-    )
+    add_place_arguments(parser)
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw courses and the map as PNG")
 
@@ -96,18 +96,20 @@ def run(args: argparse.Namespace) -> int:
     """Measure; 1 when a claim of correctness does not hold."""
     if not 4 <= args.seconds <= 600:
         raise ConfigError(f"--seconds {args.seconds:g}: give 4 to 600")
-    jobs = processors() if args.jobs is None else args.jobs
-    if not 1 <= jobs <= 256:
-        raise ConfigError(f"--jobs {jobs}: give 1 to 256")
+    jobs = jobs_of(args)
     check_writable(args.report)
     check_plot(args.plot)
     chosen = [read_cell(text) for text in args.cell or ()]
     cells = chosen or list(_GRIDS[args.grid]())
     console = open_console(args)
     without, with_ = [], []
-    for pair in run_grid(cells, seconds=args.seconds, seed=args.seed, jobs=jobs):
-        without.append(pair[0])
-        with_.append(pair[1])
+    progress = Progress(len(cells), "cells")
+    with cluster_of(args) as cluster:
+        pairs = run_grid(cells, seconds=args.seconds, seed=args.seed, jobs=jobs, cluster=cluster)
+        for pair in pairs:
+            without.append(pair[0])
+            with_.append(pair[1])
+            progress.told(len(without))
     if chosen:
         console.print(_cell_table(without, with_))
     else:

@@ -1,35 +1,51 @@
 """Many cells at once, in a pool of processes."""
 
 import multiprocessing
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
+from kontur_av.errors import ConfigError
 from pipelines.bench.haptics.cell import Cell
 from pipelines.bench.haptics.figures import CellFigures
 from pipelines.bench.haptics.run import run_cell
+from pipelines.campaign.cluster import Cluster
+from pipelines.campaign.tasks import Crash
 
-
-def processors() -> int:
-    """The number of processors that this process may use."""
-    return len(os.sched_getaffinity(0))
+_Pair = tuple[CellFigures, CellFigures]
 
 
 def run_grid(
-    cells: Sequence[Cell], *, seconds: float, seed: int, jobs: int
+    cells: Sequence[Cell], *, seconds: float, seed: int, jobs: int, cluster: Cluster | None = None
 ) -> Iterator[tuple[CellFigures, CellFigures]]:
     """Figures (without, with) the controllers for each of `cells`, in order, as they are known.
 
-    They are the same for every number of `jobs`: the randomness of a cell depends on `seed` and the
-    cell only.
+    They are the same for every number of `jobs` and on a cluster: the randomness of a cell depends
+    on `seed` and the cell only.
     """
     both = partial(_both, seconds=seconds, seed=seed)
+    if cluster is not None:
+        yield from _in_order(cluster, both, cells)
+        return
     if jobs == 1:
         yield from map(both, cells)
         return
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("fork")) as pool:
         yield from pool.map(both, cells)
+
+
+def _in_order(
+    cluster: Cluster, both: Callable[[Cell], _Pair], cells: Sequence[Cell]
+) -> Iterator[_Pair]:
+    found: dict[int, _Pair] = {}
+    following = 0
+    for number, result in cluster.results(both, cells):
+        if isinstance(result, Crash):
+            raise ConfigError(f"cell {cells[number].name}: {result.error}")
+        found[number] = result
+        while following in found:
+            yield found.pop(following)
+            following += 1
 
 
 def _both(cell: Cell, *, seconds: float, seed: int) -> tuple[CellFigures, CellFigures]:

@@ -195,7 +195,7 @@ def _setups(args: argparse.Namespace) -> list[Setup]:
     # Check the port of the live run before anything is measured.
     first = replace(chosen, base_port=args.base_port, **changes)
     check_virtual_sources(first)
-    check_sources(first)
+    check_sources(first, first.inputs)
     return [first, *(replace(setup, **changes) for setup in others)]
 
 

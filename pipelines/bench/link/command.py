@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from rich.console import Console
 from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS
@@ -12,6 +13,8 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.console import open_console
 from pipelines.bench.link.cost import slot_cost
 from pipelines.bench.link.live import LoopPunctuality, live_punctuality
+from pipelines.bench.link.paired import WAYS, headlines
+from pipelines.bench.link.protected import paired_run
 from pipelines.bench.link.resume import resumptions
 from pipelines.bench.link.virtual import (
     FILE,
@@ -48,6 +51,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--setup", default="spacejustin", metavar="NAME", help="of the live runs")
     parser.add_argument("--no-live", action="store_true", help="virtual time and cost only")
+    parser.add_argument(
+        "--protected",
+        action="store_true",
+        help="instead, live only: two ends over loopback in turns, --insecure, protected, and "
+        "protected with new keys every 2 s",
+    )
+    parser.add_argument(
+        "--runs", type=int, default=3, metavar="N", help="with --protected: of each (default 3)"
+    )
     parser.add_argument("--base-port", type=int, default=27_000, metavar="P", help="of live runs")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
 
@@ -122,9 +134,13 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds {args.seconds:g}: give 1 to 3600")
     if not 1 <= args.blackouts <= 10_000:
         raise ConfigError(f"--blackouts {args.blackouts}: give 1 to 10000")
+    if not 1 <= args.runs <= 1000:
+        raise ConfigError(f"--runs {args.runs}: give 1 to 1000")
     check_writable(args.report)
     load_setup(args.setup)
     console = open_console(args)
+    if args.protected:
+        return _run_protected(args, console)
     delays = _measure_delays(args.seconds)
     console.print(_delay_table(delays, args.seconds))
     headers = header_octets(args.seconds)
@@ -152,6 +168,44 @@ def run(args: argparse.Namespace) -> int:
         figures[f"live_{name}_media"] = as_json(live[name])
     write_result(args.report, figures, _headlines(delays, headers, resumption, costs, live))
     return 0
+
+
+def _run_protected(args: argparse.Namespace, console: Console) -> int:
+    """Run the ways in turn, so that a change of the machine's load falls on all."""
+    runs = []
+    for number in range(1, args.runs + 1):
+        for way in WAYS:
+            run = paired_run(way, setup=args.setup, seconds=args.seconds, base_port=args.base_port)
+            runs.append(run)
+            cpu = ", ".join(f"{end} {one.cpu_percent:.1f} %" for end, one in run.ends.items())
+            late = ", ".join(
+                f"{name} {of['p99']:.0f} µs" for name, of in run.delay_us.items() if of
+            )
+            console.print(
+                f"run {number}, {way}: p99 {late}; CPU {cpu}; {run.frames_lost} frames lost",
+                highlight=False,
+            )
+    found = headlines(runs)
+    table = _table(f"{args.runs} runs of {args.seconds:g} s each", "what", *WAYS)
+    for what in dict.fromkeys(line.what for line in found if line.who):
+        cells = {line.who: line for line in found if line.what == what}
+        table.add_row(what, *(_cell(cells[way]) for way in WAYS))
+    console.print(table)
+    for line in found:
+        if not line.who:
+            console.print(f"{line.what}: {_cell(line)}{_verdict(line)}", highlight=False)
+    write_result(args.report, {"runs": as_json(runs)}, found)
+    return 0
+
+
+def _verdict(line: Headline) -> str:
+    if line.met is None:
+        return ""
+    return f"; {line.target} {line.unit}: {'met' if line.met else 'missed'}"
+
+
+def _cell(line: Headline) -> str:
+    return "–" if line.value is None else f"{line.value:.1f} {line.unit}".strip()
 
 
 def _headlines(

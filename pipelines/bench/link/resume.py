@@ -9,7 +9,7 @@ from pipelines.bench.link.virtual import COMMANDS, FLOWS, VIDEO, VOICE, Talker
 from telepresence.link.gateway import Gateway
 from telepresence.link.radio import RadioProfile
 from telepresence.link.radio.profile import Blackout
-from telepresence.link.receiver import HapticReceived, PacketReceived
+from telepresence.link.received import HapticReceived, PacketReceived
 from telepresence.link.supervision.supervisor import LinkState
 from telepresence.link.virtual import VirtualLink
 

@@ -11,7 +11,7 @@ from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import LinkProfile
 from telepresence.link.radio import RadioPath
-from telepresence.link.receiver import HapticReceived, PacketReceived
+from telepresence.link.received import HapticReceived, PacketReceived
 from telepresence.link.virtual import VirtualLink
 
 COMMANDS, VOICE, VIDEO, FILE = "commands", "voice", "video", "file"

@@ -22,7 +22,8 @@ new MutationObserver((changes) => {
 }).observe(document, { attributes: true, subtree: true, attributeFilter: ["data-stale"] });
 """
 _SPOT = """
-const picture = document.getElementById("picture");
+const picture = document.querySelector(arguments[0]);
+if (picture === null) return [0, 0, 1, 0];
 const box = picture.getBoundingClientRect();
 const wide = picture.videoWidth || picture.width;
 return [
@@ -106,9 +107,9 @@ class Browser:
         self.driver.switch_to.new_window("window")
         self.driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": _NOTE_JOIN})
 
-    def spot(self) -> Spot | None:
+    def spot(self, selector: str = "#picture") -> Spot | None:
         """Return where the present window's picture is; None while there is none."""
-        left, top, scale, wide = self.driver.execute_script(_SPOT)
+        left, top, scale, wide = self.driver.execute_script(_SPOT, selector)
         return Spot(left=left, top=top, scale=scale) if wide > 1 else None
 
     def joined_ms(self) -> float | None:

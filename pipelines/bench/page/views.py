@@ -59,14 +59,14 @@ def measured(
                 browser.new_window()
             browser.open(url, left=view * _WIDTH, top=0, width=_WIDTH - 20, height=_HEIGHT - 40)
             if who == OURS:
-                joins.append(_wait_for(browser.joined_ms))
+                joins.append(wait_for(browser.joined_ms))
             else:
-                _wait_for(browser.spot)
+                wait_for(browser.spot)
         sleep(_SETTLE_S)
         # The layout may move until the first figures are there.
         for window in browser.driver.window_handles:
             browser.driver.switch_to.window(window)
-            spots.append(_wait_for(browser.spot))
+            spots.append(wait_for(browser.spot))
         begun_s, begun_cpu_s, first = monotonic(), cpu_s(server), _count(published)
         with forked(watch, screen.file, spots, seen, ended):
             sleep(seconds)
@@ -115,7 +115,8 @@ def _count(published: Any) -> int:
     return low
 
 
-def _wait_for(ask: Callable[[], Found | None]) -> Found:
+def wait_for(ask: Callable[[], Found | None]) -> Found:
+    """Return what `ask` finds, once it does. RuntimeError if a window shows no picture."""
     until_s = monotonic() + _PATIENCE_S
     while (found := ask()) is None:
         if monotonic() > until_s:

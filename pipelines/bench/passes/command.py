@@ -16,7 +16,6 @@ from pipelines.bench.children import ended_alike
 from pipelines.bench.console import open_console
 from pipelines.bench.passes.figures import (
     HEADINGS,
-    Crash,
     PassFigures,
     Session,
     faults,
@@ -26,8 +25,11 @@ from pipelines.bench.passes.figures import (
     summary,
     table_rows,
 )
-from pipelines.bench.passes.run import Result, SessionPlan, run_sessions
+from pipelines.bench.passes.plan import SessionPlan
 from pipelines.bench.result_file import write_result
+from pipelines.campaign.options import add_place_arguments, cluster_of, jobs_of
+from pipelines.campaign.sessions import session_results
+from pipelines.campaign.tasks import Crash, Result
 from pipelines.commands.session_options import (
     add_radio_argument,
     add_setup_argument,
@@ -56,9 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_radio_argument(parser, default="iss-pass")
     parser.add_argument("--first-seed", type=int, default=1, metavar="N", help="(default 1)")
-    parser.add_argument(
-        "--jobs", type=int, default=2, metavar="N", help="sessions at a time (default 2)"
-    )
+    add_place_arguments(parser)
     parser.add_argument(
         "--no-media", action="store_true", help="haptics and telecommands alone: much faster"
     )
@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run what is missing, and print the table; 1 if a pass was not usable."""
-    setup = _checked(args)
+    jobs, setup = jobs_of(args), _checked(args)
     plan = SessionPlan(
         setup=args.setup,
         seconds=args.seconds,
@@ -84,17 +84,23 @@ def run(args: argparse.Namespace) -> int:
     sessions = _kept(args.report, plan)
     seeds = range(args.first_seed, args.first_seed + args.sessions)
     missing = [seed for seed in seeds if seed not in sessions]
+    tasks = [plan.task(setup, seed) for seed in missing]
     console = open_console(args, width=150)
     if len(missing) < len(seeds):
         console.print(f"{len(seeds) - len(missing)} of {len(seeds)} are in {args.report}")
     ended_early = False
     try:
-        with ended_alike(), closing(run_sessions(plan, missing, jobs=args.jobs)) as runs:
-            for seed, result in runs:
+        with (
+            ended_alike(),
+            cluster_of(args) as cluster,
+            closing(session_results(tasks, jobs=jobs, cluster=cluster)) as runs,
+        ):
+            for number, result in runs:
+                seed = missing[number]
                 session = sessions[seed] = _session(result, setup)
                 _keep(args.report, plan, sessions)
                 verdict = ", ".join(faults(session)) or "usable"
-                took = "" if isinstance(session, Crash) else f" after {session.wall_s:.0f} s"
+                took = "" if isinstance(result, Crash) else f" after {result.wall_s:.0f} s"
                 console.print(f"seed {seed}: {verdict}{took}", highlight=False)
     except KeyboardInterrupt:
         ended_early = True
@@ -118,8 +124,6 @@ def _checked(args: argparse.Namespace) -> Setup:
         raise ConfigError(f"--sessions {args.sessions}: give 1 to 1000")
     if not 1 <= args.seconds <= 100_000:
         raise ConfigError(f"--seconds {args.seconds:g}: give 1 to 100000")
-    if not 1 <= args.jobs <= 64:
-        raise ConfigError(f"--jobs {args.jobs}: give 1 to 64")
     check_writable(args.report)
     check_writable(args.markdown, "--markdown")
     return load_setup(args.setup, changes=radio_change(args.radio))
@@ -133,8 +137,7 @@ def _content(setup: Setup) -> str:
 def _session(result: Result, setup: Setup) -> Session:
     if isinstance(result, Crash):
         return result
-    start_s = setup.radio_profile.start_s
-    return pass_figures(result.report, start_s=start_s, wall_s=result.wall_s)
+    return pass_figures(result.report, start_s=setup.radio_profile.start_s)
 
 
 def _kept(path: Path | None, plan: SessionPlan) -> dict[int, Session]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
 from pipelines.bench.result import Headline, JsonReader
+from pipelines.campaign.tasks import Crash
 
 #: The least share of the usable time that the orbit predicts.
 USABLE_SHARE = 0.99
@@ -85,7 +86,6 @@ class PassFigures:
     None where the radio has no contact. longest_delay_s: of the radio. signal_s: time with a
     signal, at the end that had less. contacts, frames_hit: by end. video_lead_ms: by how much force
     came before its picture. least_energy_uj: the least energy that a passivity observer saw.
-    wall_s: how long the session ran in real time.
     """
 
     seconds: float
@@ -105,20 +105,12 @@ class PassFigures:
     sync: Contacts | None
     least_energy_uj: float | None
     failures: list[str]
-    wall_s: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Crash:
-    """A session without a report. error: its last words."""
-
-    error: str
 
 
 Session = PassFigures | Crash
 
 
-def pass_figures(report: JsonReader, *, start_s: float = 0.0, wall_s: float = 0.0) -> PassFigures:
+def pass_figures(report: JsonReader, *, start_s: float = 0.0) -> PassFigures:
     """The figures of a session.
 
     start_s: when the session began, after the acquisition of signal.
@@ -162,7 +154,6 @@ def pass_figures(report: JsonReader, *, start_s: float = 0.0, wall_s: float = 0.
         sync=_contacts(report.at("sync")) if report.has("sync") else None,
         least_energy_uj=least_energy_uj(report),
         failures=[failure.text() for failure in report.elements("failures")],
-        wall_s=wall_s,
     )
 
 

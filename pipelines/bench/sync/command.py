@@ -116,7 +116,7 @@ def _run_session(args: argparse.Namespace, console: Console) -> int:
         raise ConfigError(f"--seconds {seconds:g}: give 5 to 36000")
     name, radio = args.setup or "spacejustin", args.radio or "clean"
     setup = load_setup(name, changes=radio_change(radio))
-    check_sources(setup)
+    check_sources(setup, setup.inputs)
     if args.live:
         report = live_session(
             name, seconds=seconds, seed=args.seed, radio=radio, base_port=args.base_port

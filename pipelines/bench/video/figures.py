@@ -69,13 +69,36 @@ def largest_bps(came_ns: Sequence[int], octets: Sequence[int]) -> tuple[float, f
     return meter.max_bps(_WINDOWS_NS[0]), meter.max_bps(_WINDOWS_NS[1])
 
 
+def mean_bps(
+    came_ns: Sequence[int], octets: Sequence[int], *, begin_ns: int, seconds: float
+) -> float:
+    """The mean rate over `seconds` from `begin_ns` on."""
+    end_ns = begin_ns + round(seconds * NS_PER_S)
+    of = [size for at, size in zip(came_ns, octets, strict=True) if begin_ns <= at < end_ns]
+    return 8 * sum(of) / seconds
+
+
+def latest(numbers: Sequence[int | None], wanted: int) -> tuple[int, int | None]:
+    """Index and number of the newest picture that is not newer than `wanted`; (-1, None): none.
+
+    numbers: of the pictures in order of arrival; None for an unreadable one.
+    """
+    found: tuple[int, int | None] = (-1, None)
+    for index, number in enumerate(numbers):
+        if number is not None and number <= wanted:
+            found = (index, number)
+    return found
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContenderFigures:
     """Of one contender on one clip. Rates in bit/s, at the entrance of the channel.
 
     payload_*, rtp_*: the largest windows of 1 s and of 100 ms, of RTP payload and with RTP headers.
+    payload_bps: RTP payload over the time of the pictures that count, on average.
     rtcp_octets: of the sender's reports. answers: datagrams from the receiver to the sender.
     *_cpu_s: of the whole life of the process, its start included.
+    vmaf: null without an FFmpeg that has libvmaf.
     guessed: pictures whose number follows only from those of their neighbours; unreadable: pictures
     without a number.
     camera_latest_us, channel_late_us: delays of the bench itself. realtime: whether all its own
@@ -85,12 +108,14 @@ class ContenderFigures:
     latency_ms: dict[str, float]
     psnr_db: QualityMeans
     ssim: QualityMeans
+    vmaf: QualityMeans | None
     per_second: float
     longest_gap_ms: float
     payload_1s_bps: float
     payload_100ms_bps: float
     rtp_1s_bps: float
     rtp_100ms_bps: float
+    payload_bps: float
     rtcp_octets: int
     answers: int
     sender_cpu_s: float

@@ -4,8 +4,9 @@ import os
 import resource
 import socket
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,41 +16,69 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
 from pipelines.bench.children import ended_alike
-from pipelines.bench.video.clips import Clip, shared_array
+from pipelines.bench.video.clips import Clip, led_in, shared_array
 from pipelines.bench.video.contenders import Course, started
 from pipelines.bench.video.ends import Carried, Filmed, Watched, carry, film_to, watch
 from pipelines.bench.video.figures import (
     ContenderFigures,
     largest_bps,
+    latest,
+    mean_bps,
     percentiles,
     shown,
 )
 from pipelines.bench.video.marks import MARK_ROWS, read_all, read_number
-from pipelines.bench.video.quality import psnr_db, ssim, summarise
+from pipelines.bench.video.quality import Luma, psnr_db, ssim, summarise
+from pipelines.bench.video.targets import CHROMIUM
+from pipelines.bench.video.vmaf import vmaf
 
 _START_S = 30.0
 #: After the end of the camera, the last pictures have this long to arrive.
 _REST_S = 1.5
+#: Before the clip Chromium gets this much of it backwards, so that its estimate of the rate
+#: settles, and what its start has put into the channel's queue is gone. There is no cut between.
+CHROMIUM_LEAD_S = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialTerms:
     """The same for all contenders.
 
-    settle_s: length of the beginning that counts only against the cap.
+    settle_s: length of the beginning that counts only against the cap. lead_s: before that, this
+    much of the clip backwards, which Chromium gets anyway. wide: of the wide channel.
     """
 
     fps: int = 30
     cap_kbps: float
     channel_kbps: float
     settle_s: int = 1
+    lead_s: int = 0
+    wide: bool = False
 
 
-def measure(name: str, clip: Clip, terms: TrialTerms) -> tuple[ContenderFigures, list[float]]:
-    """The figures of contender `name`, and each latency in ms.
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What one contender did on one clip.
 
-    Raises ContenderError when it does not run, EndError when the bench itself fails.
+    latencies_ms: of each picture that counts, in order of arrival. shots: what the screen showed
+    when the pictures of those numbers were due there, and the number of the picture shown.
     """
+
+    figures: ContenderFigures
+    latencies_ms: list[float]
+    shots: dict[int, tuple[int, Luma]]
+
+
+def measure(name: str, clip: Clip, terms: TrialTerms, *, shot_numbers: Sequence[int] = ()) -> Trial:
+    """Measure contender `name`.
+
+    shot_numbers: of the pictures to keep. Raises ContenderError when it does not run, EndError when
+    the bench itself fails.
+    """
+    lead_s = max(terms.lead_s, CHROMIUM_LEAD_S) if name in CHROMIUM else terms.lead_s
+    lead = lead_s * terms.fps
+    clip = led_in(clip, lead)
+    terms = replace(terms, settle_s=terms.settle_s + lead_s)
     _, rows, width = clip.pictures.shape
     height = rows * 2 // 3
     lumas = shared_array(len(clip.order), height, width)
@@ -67,7 +96,7 @@ def measure(name: str, clip: Clip, terms: TrialTerms) -> tuple[ContenderFigures,
             exit=exit_port,
             directory=directory,
         )
-        channel = carry(course, round(terms.channel_kbps * 1000))
+        channel = carry(course, round(terms.channel_kbps * 1000), muxed=name in CHROMIUM)
         stack.callback(channel.close)
         screen = watch(str(course.screen), lumas)
         stack.callback(screen.close)
@@ -83,7 +112,15 @@ def measure(name: str, clip: Clip, terms: TrialTerms) -> tuple[ContenderFigures,
         watched: Watched = screen.result(10)
         carried: Carried = channel.result(10)
     return _figures(
-        clip, terms, lumas, filmed, watched, carried, (sender_cpu_s, receiver_cpu_s), meter.others()
+        clip,
+        terms,
+        lumas,
+        filmed,
+        watched,
+        carried,
+        (sender_cpu_s, receiver_cpu_s),
+        meter.others(),
+        {number: number + lead for number in shot_numbers},
     )
 
 
@@ -96,7 +133,8 @@ def _figures(
     carried: Carried,
     cpu_s: tuple[float, float],
     others_cores: float,
-) -> tuple[ContenderFigures, list[float]]:
+    shot_numbers: Mapping[int, int],
+) -> Trial:
     first = terms.settle_s * terms.fps
     numbers = _numbers(filmed, watched)
     shown_ns = {
@@ -110,6 +148,8 @@ def _figures(
         for index, number in enumerate(numbers)
         if number is not None and number >= first
     ]
+    scores = vmaf(compared)
+    counted_ns = filmed.captured_ns[first:]
     unreadable = sum(number is None for number in numbers)
     payload_1s_bps, payload_100ms_bps = largest_bps(carried.came_ns, carried.payload_octets)
     rtp_1s_bps, rtp_100ms_bps = largest_bps(carried.came_ns, carried.octets)
@@ -117,12 +157,19 @@ def _figures(
         latency_ms=percentiles(seen.latency_ms),
         psnr_db=summarise([psnr_db(*pair) for pair in compared]),
         ssim=summarise([ssim(*pair) for pair in compared]),
+        vmaf=summarise(scores) if scores else None,
         per_second=seen.per_second,
         longest_gap_ms=seen.longest_gap_ms,
         payload_1s_bps=payload_1s_bps,
         payload_100ms_bps=payload_100ms_bps,
         rtp_1s_bps=rtp_1s_bps,
         rtp_100ms_bps=rtp_100ms_bps,
+        payload_bps=mean_bps(
+            carried.came_ns,
+            carried.payload_octets,
+            begin_ns=int(counted_ns[counted_ns > 0].min(initial=counted_ns.max(initial=0))),
+            seconds=len(counted_ns) / terms.fps,
+        ),
         rtcp_octets=carried.control_octets,
         answers=carried.returned,
         sender_cpu_s=cpu_s[0],
@@ -136,7 +183,12 @@ def _figures(
         realtime=filmed.realtime and watched.realtime and carried.realtime,
         others_cores=others_cores,
     )
-    return figures, seen.latency_ms
+    shots = {}
+    for wanted, drawn in shot_numbers.items():
+        index, number = latest(numbers, drawn)
+        if number is not None:
+            shots[wanted] = (number + wanted - drawn, lumas[index].copy())
+    return Trial(figures, seen.latency_ms, shots)
 
 
 def _numbers(filmed: Filmed, watched: Watched) -> list[int | None]:

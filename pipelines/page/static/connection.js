@@ -1,7 +1,7 @@
 /**
  * The page's side of its seat worker: typed events, requests, and the session's clock.
  *
- * @import { AnswerText, FiguresText, HelloText, Request, StateText, StreamText } from "./texts.js"
+ * @import { AnswerText, ChatText, CommandsText, EventsText, ExperimentText, FiguresText, HelloText, PanelText, RadioText, Request, RobotText, ServerText, StateText, StreamText, ValuesText } from "./texts.js"
  * @import { FrameNote, PageNote, PreviewNote, WorkerNote } from "./worker_messages.js"
  * @import { Hand, Haptics } from "./wire.js"
  */
@@ -10,6 +10,8 @@ import { readHaptics } from "./wire.js";
 
 /** Without an answer for so long, a request counts as failed. */
 const ANSWER_PATIENCE_MS = 10_000;
+/** A telecommand is repeated until it is acknowledged. */
+const COMMAND_PATIENCE_MS = 40_000;
 
 /**
  * The events by name. A listener of `frame` or `preview` draws at once: the frame is closed when
@@ -22,6 +24,14 @@ const ANSWER_PATIENCE_MS = 10_000;
  * @property {Haptics} haptic
  * @property {PreviewNote} preview
  * @property {AnswerText} answer
+ * @property {ChatText} chat
+ * @property {CommandsText} commands
+ * @property {ValuesText} values
+ * @property {EventsText} events
+ * @property {RadioText} radio
+ * @property {PanelText} panel
+ * @property {ExperimentText} experiment
+ * @property {RobotText} robot
  * @property {undefined} heard The server is heard again.
  * @property {{why: "closed" | "silent", reason: string}} lost The server is not heard.
  * @property {{stream: string, why: string}} fault A decoder closed; a replay opens it anew.
@@ -49,7 +59,8 @@ export class Connection {
   roundTripMs = null;
 
   constructor() {
-    this.#worker = new Worker(new URL("seat_worker.js", import.meta.url), { type: "module" });
+    const plain = document.body.hasAttribute("data-plain") ? "?plain" : "";
+    this.#worker = new Worker(new URL(`seat_worker.js${plain}`, import.meta.url), { type: "module" });
     this.#worker.onmessage = (event) => this.#handleNote(event.data);
     this.#worker.onerror = (event) => this.#handleLost("closed", event.message);
   }
@@ -83,11 +94,12 @@ export class Connection {
 
   /** Whether this page may act, or only watch. */
   get mayAct() {
-    return this.hello?.role === "operator";
+    return this.hello !== null && this.hello.role !== "viewer";
   }
 
   /**
-   * Asks the server for something. The answer always comes, at the latest after 10 s.
+   * Asks the server for something. The answer always comes, at the latest after 10 s; that of a
+   * telecommand after 40 s.
    * @param {Request} request @returns {Promise<AnswerText>}
    */
   request(request) {
@@ -97,10 +109,9 @@ export class Connection {
     return new Promise((resolve) => {
       this.#pending.set(number, resolve);
       this.#tell({ kind: "request", text: JSON.stringify({ request: number, ...request }) });
-      setTimeout(
-        () => this.#settle(refusal(number, "no answer within 10 s")),
-        ANSWER_PATIENCE_MS,
-      );
+      const patienceMs = request.do === "command" ? COMMAND_PATIENCE_MS : ANSWER_PATIENCE_MS;
+      const words = `no answer within ${patienceMs / 1000} s`;
+      setTimeout(() => this.#settle(refusal(number, words)), patienceMs);
     });
   }
 
@@ -161,7 +172,7 @@ export class Connection {
     }
   }
 
-  /** @param {HelloText | StateText | FiguresText | AnswerText} text */
+  /** @param {ServerText} text */
   #handleText(text) {
     switch (text.kind) {
       case "hello":
@@ -181,6 +192,30 @@ export class Connection {
       case "answer":
         this.#settle(text);
         this.#emit("answer", text);
+        break;
+      case "chat":
+        this.#emit("chat", text);
+        break;
+      case "commands":
+        this.#emit("commands", text);
+        break;
+      case "values":
+        this.#emit("values", text);
+        break;
+      case "events":
+        this.#emit("events", text);
+        break;
+      case "radio":
+        this.#emit("radio", text);
+        break;
+      case "panel":
+        this.#emit("panel", text);
+        break;
+      case "experiment":
+        this.#emit("experiment", text);
+        break;
+      case "robot":
+        this.#emit("robot", text);
         break;
     }
   }

@@ -12,6 +12,9 @@ const PRESSED = 0.3;
 const BUTTONS = 4;
 const SHAKE_MS = 80;
 
+/** Whether a shoulder button or trigger is pressed. @param {Gamepad} pad */
+export const holdsDeadMan = (pad) => DEAD_MAN.some((index) => (pad.buttons[index]?.value ?? 0) > PRESSED);
+
 /** @param {HandControl} control @param {() => number} forceShare The force now, 0 to 1 of the most. */
 export function steerByController(control, forceShare) {
   /** @type {ReturnType<typeof setInterval> | undefined} */
@@ -22,7 +25,7 @@ export function steerByController(control, forceShare) {
 
   const look = () => {
     const pad = navigator.getGamepads().find((one) => one !== null && one.connected) ?? null;
-    const held = pad !== null && DEAD_MAN.some((index) => (pad.buttons[index]?.value ?? 0) > PRESSED);
+    const held = pad !== null && holdsDeadMan(pad);
     if (pad === null || !held) {
       if (pressed) control.release("controller");
       pressed = false;

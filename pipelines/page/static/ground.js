@@ -8,6 +8,8 @@ import "./link_octets.js";
 import "./link_table.js";
 import "./loudspeaker_panel.js";
 import "./microphone_panel.js";
+import "./page_links.js";
+import "./partner_panel.js";
 import "./picture_view.js";
 import "./preview_strip.js";
 import "./process_grid.js";

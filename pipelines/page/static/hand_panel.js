@@ -7,11 +7,12 @@
  */
 import { announce } from "./announcer.js";
 import { steerByController } from "./controller_hand.js";
-import { make, setText } from "./dom.js";
+import { make, setAttribute, setText } from "./dom.js";
 import { ForceBar } from "./force_bar.js";
 import { forceShare } from "./force_view.js";
 import { HandControl } from "./hand_control.js";
 import { steerByKeys } from "./key_hand.js";
+import { AT_START } from "./mission_words.js";
 import { NewestRow } from "./newest_row.js";
 import { onNextFrame } from "./next_frame.js";
 import { steerByPointer } from "./pointer_hand.js";
@@ -42,6 +43,8 @@ class HandPanel extends HTMLElement {
   #seat = null;
   /** @type {NewestRow | null} */
   #newest = null;
+  /** Where a task begins, while that counts. @type {{xM: number, yM: number} | null} */
+  #start = null;
   /** What the last request came to. */
   #answer = "";
 
@@ -77,6 +80,12 @@ class HandPanel extends HTMLElement {
     newest.onchange = redraw;
     control.addEventListener("target", redraw);
     connection.on("hello", redraw);
+    connection.on("panel", ({ mode, start_m: [xM, yM] }) => {
+      const start = AT_START.has(mode) ? { xM, yM } : null;
+      if (start?.xM === this.#start?.xM && start?.yM === this.#start?.yM) return;
+      this.#start = start;
+      redraw();
+    });
   }
 
   get #workspace() {
@@ -114,11 +123,14 @@ class HandPanel extends HTMLElement {
     const handle = this.#newest?.row ?? null;
     const { half_width_m, half_height_m } = hello.workspace;
     const target = this.#control?.target ?? null;
+    const mm = (/** @type {number} */ m) => (1000 * m).toFixed(1);
+    setAttribute(this.#map.canvas, "data-place-mm", handle === null ? null : `${mm(handle.xM)} ${mm(handle.yM)}`);
     this.#map.show({
       workspace: hello.workspace,
       board: hello.board,
       handle,
       target: target === null ? null : { xM: target.x * half_width_m, yM: target.y * half_height_m },
+      start: this.#start,
     });
     this.#bar.show(this.#newest?.forceN ?? null, handle?.contact ?? false);
   }

@@ -1,5 +1,6 @@
 /**
- * `<joystick-panel>`: the joystick's state, and the few requests that a person may make.
+ * `<joystick-panel>`: the joystick's state, and the few requests that a person may make. With
+ * `telecommands` they go by telecommand, which is verified, and the functional test is one of them.
  *
  * Which request is allowed is decided by the joystick; the next one that makes sense is marked.
  *
@@ -7,7 +8,8 @@
  */
 import { make, setText } from "./dom.js";
 
-/** @typedef {"calibrate" | "start" | "stop" | "halt" | "resume" | "acknowledge"} JoystickRequest */
+/** @typedef {"calibrate" | "start" | "stop" | "halt" | "resume" | "acknowledge"} OwnRequest */
+/** @typedef {OwnRequest | "test"} JoystickRequest */
 
 /** @type {[JoystickRequest, string][]} */
 const REQUESTS = [
@@ -18,6 +20,9 @@ const REQUESTS = [
   ["resume", "Resume"],
   ["acknowledge", "Acknowledge"],
 ];
+
+/** @type {[JoystickRequest, string]} */
+const TEST = ["test", "Functional test"];
 
 /** By state: what a person would do next. @type {Record<string, JoystickRequest>} */
 const NEXT = {
@@ -51,7 +56,7 @@ class JoystickPanel extends HTMLElement {
   follow(seat) {
     this.#seat = seat;
     const buttons = make("div", { class: "buttons" });
-    for (const [event, words] of REQUESTS) {
+    for (const [event, words] of this.hasAttribute("telecommands") ? [...REQUESTS, TEST] : REQUESTS) {
       const button = make("button", { type: "button", "data-joystick": event }, words);
       if (event === "halt") button.classList.add("danger");
       button.addEventListener("click", () => void this.#request(event));
@@ -79,8 +84,11 @@ class JoystickPanel extends HTMLElement {
     if (connection === undefined) return;
     setText(this.#answer, `${event} …`);
     this.#answer.dataset.level = "none";
-    const { ok, error } = await connection.request({ do: "joystick", event });
-    setText(this.#answer, ok ? `${event}: done` : `refused: ${error}`);
+    const { ok, error, round_trip_ms: ms } = await (event === "test" || this.hasAttribute("telecommands")
+      ? connection.request({ do: "command", application: "joystick", name: event })
+      : connection.request({ do: "joystick", event }));
+    const verified = ms === undefined ? "" : `, verified after ${ms.toFixed(0)} ms`;
+    setText(this.#answer, ok ? `${event}: done${verified}` : `refused: ${error}`);
     this.#answer.dataset.level = ok ? "good" : "bad";
   }
 

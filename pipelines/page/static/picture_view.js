@@ -1,6 +1,7 @@
 /**
  * `<picture-view stream="uplink_video" via="coded" figure="uplink_video.age_ms">` around a canvas:
- * one stream's newest picture, its age, and an unmistakable mark when it is stale.
+ * one stream's newest picture, its age, and an unmistakable mark when it is stale. With `owner`, its
+ * picture does not come by the radio, and nothing is announced.
  *
  * The age is by the page's own clock, so that it grows when the server is dead, too.
  *
@@ -101,7 +102,9 @@ export class PictureView extends HTMLElement {
 
   /** Why no new picture comes, as far as is known. */
   #cause() {
-    const hindrance = this.#seat?.connection.hindrance ?? "the server does not answer";
+    const connection = this.#seat?.connection;
+    if (this.hasAttribute("owner") && connection?.alive === true) return "no new picture arrives";
+    const hindrance = connection?.hindrance ?? "the server does not answer";
     return hindrance || "no new picture arrives";
   }
 
@@ -124,7 +127,7 @@ export class PictureView extends HTMLElement {
     if (this.canvas.dataset.stale === text && (!stale || why === this.#why)) return;
     this.canvas.dataset.stale = this.dataset.stale = text;
     this.#why = why;
-    if (this.drawn > 0) announce(stale ? `The picture is stale: ${why}.` : "The picture is live.");
+    if (this.drawn > 0 && !this.hasAttribute("owner")) announce(stale ? `The picture is stale: ${why}.` : "The picture is live.");
   }
 }
 

@@ -44,7 +44,7 @@ class RobotMap extends HTMLElement {
       if (connection.hello === null || handle === drawn) return;
       drawn = handle;
       const { workspace, board } = connection.hello;
-      this.#map.show({ workspace, board, handle, target: handle });
+      this.#map.show({ workspace, board, handle, target: handle, start: null });
     });
   }
 

@@ -39,6 +39,8 @@ const tell = (note, transfer = []) => self.postMessage(note, { transfer });
 /** The socket's address: `ws` beside `static/`, so that it carries the token. */
 function address() {
   const url = new URL("../ws", import.meta.url);
+  // A page without pictures asks for none.
+  url.search = self.location.search;
   url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
   return url;
 }

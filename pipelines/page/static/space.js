@@ -7,6 +7,8 @@ import "./hand_panel.js";
 import "./joystick_panel.js";
 import "./loudspeaker_panel.js";
 import "./microphone_panel.js";
+import "./page_links.js";
+import "./panel_status.js";
 import "./picture_view.js";
 import "./senses_panel.js";
 import "./status_tiles.js";

@@ -6,6 +6,10 @@
  */
 import { make, setText } from "./dom.js";
 import { PictureView } from "./picture_view.js";
+import { linkText } from "./wording.js";
+
+/** With two machines an end's gateway says so; with one there is no such figure. */
+const PROTECTED = ["gateways.ground.peer.protected", "gateways.space.peer.protected"];
 
 /** @typedef {"good" | "warn" | "bad" | "none"} Level */
 
@@ -26,19 +30,21 @@ class Tile extends HTMLElement {
   }
 }
 
-/** `<link-tile>`: whether the radio link lives. */
+/** `<link-tile>`: whether the radio link lives, and whether anybody could be in it. */
 class LinkTile extends Tile {
   /** @param {Seat} seat */
-  follow({ connection }) {
+  follow({ connection, figures }) {
     const show = () => {
       const { alive, state, hello } = connection;
       if (!alive || state === null) {
         this.show(hello === null ? "Connecting" : "Connecting again", "NO SERVER", "bad");
-      } else if (state.link === "connected") {
-        this.show("Radio link", "● CONNECTED", "good");
-      } else {
-        this.show(`Radio link: ${state.signal ? "signal" : "no signal"}`, "✕ LOST", "bad");
+        return;
       }
+      const connected = state.link === "connected";
+      const open = PROTECTED.some((name) => figures.get(name) === false);
+      const words = linkText({ connected, signal: state.signal, open });
+      if (connected) this.show(words, "● CONNECTED", open ? "warn" : "good");
+      else this.show(words, "✕ LOST", "bad");
     };
     connection.on("state", show);
     connection.on("lost", show);
@@ -86,6 +92,9 @@ class HandTile extends Tile {
   }
 }
 
+/** By role: what stands beside the page's number. @type {Record<string, string>} */
+const PEOPLE = { operator: "", systems: " · systems operator", viewer: " · WATCHES ONLY" };
+
 /** `<seat-name>`: session, setup, page and role. */
 class SeatName extends HTMLElement {
   /** @param {Seat} seat */
@@ -93,7 +102,7 @@ class SeatName extends HTMLElement {
     const role = make("span", { class: "quiet small" });
     this.append(role);
     connection.on("hello", ({ setup, page, role: may }) => {
-      setText(role, `${setup} · page ${page}${may === "viewer" ? " · WATCHES ONLY" : ""}`);
+      setText(role, `${setup} · page ${page}${PEOPLE[may] ?? ` · ${may}`}`);
     });
   }
 }

@@ -42,6 +42,16 @@ export function clockText(seconds) {
   return (seconds < 0 ? "−" : "") + (hours > 0 ? `${hours}:${text}` : text);
 }
 
+/** An age: tenths of seconds below ten seconds, then seconds, minutes, hours.
+ * @param {unknown} seconds
+ */
+export function agoText(seconds) {
+  if (!known(seconds)) return NOTHING;
+  if (seconds < 9.95) return `${seconds.toFixed(1)} s`;
+  if (seconds < 99.5) return `${seconds.toFixed(0)} s`;
+  return clockText(seconds);
+}
+
 /** A count with thin spaces between thousands.
  * @param {unknown} value
  */
@@ -55,4 +65,15 @@ export function countText(value) {
  */
 export function nameText(name) {
   return name.replaceAll("_", " ");
+}
+
+/**
+ * The radio link in a few words, above its state.
+ *
+ * `open`: the two machines talk without protection. That stays in sight as long as it is so.
+ * @param {{ connected: boolean, signal: boolean, open: boolean }} link
+ */
+export function linkText({ connected, signal, open }) {
+  const name = open ? "Link NOT PROTECTED" : "Radio link";
+  return connected ? name : `${name}: ${signal ? "signal" : "no signal"}`;
 }

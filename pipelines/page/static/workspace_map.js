@@ -15,6 +15,7 @@ import { colour } from "./theme.js";
  * @property {BoardText} board
  * @property {{xM: number, yM: number, forceXN: number, forceYN: number, contact: boolean, lit: number | null} | null} handle
  * @property {{xM: number, yM: number} | null} target
+ * @property {{xM: number, yM: number} | null} start Where a task begins.
  */
 
 /** The LEDs' names, as they stand on the board. */
@@ -23,6 +24,9 @@ export const LED_NAMES = ["1", "2", "3", "A", "B"];
 const MARGIN = 1.12;
 /** The longest arrow, as a share of the map's smaller side. */
 const ARROW = 0.42;
+
+/** This near, the handle is at the start position. */
+const START_M = 0.005;
 
 export class WorkspaceMap {
   #sharp = new SharpCanvas(() => this.#handleChange());
@@ -61,7 +65,7 @@ export class WorkspaceMap {
   }
 
   /** @param {Scene} scene */
-  #draw({ workspace, board, handle, target }) {
+  #draw({ workspace, board, handle, target, start }) {
     const { width, height } = this.#sharp;
     if (width === 0) return;
     const context = this.#sharp.cleared();
@@ -127,6 +131,39 @@ export class WorkspaceMap {
       context.fillText(LED_NAMES[index] ?? "", across(xM), down(yM) + 0.5);
     });
 
+    // The LED panel, small: which of them is lit, the picture shows.
+    context.font = "9px system-ui, sans-serif";
+    (board.lights_m ?? []).forEach(([xM, yM], index) => {
+      context.beginPath();
+      context.arc(across(xM), down(yM), 6, 0, 2 * Math.PI);
+      context.lineWidth = 1;
+      context.strokeStyle = paint("--quiet");
+      context.stroke();
+      context.fillStyle = paint("--quiet");
+      context.fillText(String(index), across(xM), down(yM) + 0.5);
+    });
+    context.font = "11px system-ui, sans-serif";
+
+    if (start !== null) {
+      const [x, y] = [across(start.xM), down(start.yM)];
+      context.strokeStyle = context.fillStyle = paint("--accent");
+      context.lineWidth = 2.5;
+      context.beginPath();
+      context.arc(x, y, Math.max(8, START_M * scale), 0, 2 * Math.PI);
+      context.stroke();
+      context.textAlign = xRoom(x, width);
+      context.fillText("start", x, y - Math.max(8, START_M * scale) - 8);
+      if (handle !== null && Math.hypot(handle.xM - start.xM, handle.yM - start.yM) > START_M) {
+        context.setLineDash([5, 5]);
+        context.lineWidth = 1.5;
+        context.beginPath();
+        context.moveTo(across(handle.xM), down(handle.yM));
+        context.lineTo(x, y);
+        context.stroke();
+        context.setLineDash([]);
+      }
+    }
+
     if (target !== null) {
       const [x, y] = [across(target.xM), down(target.yM)];
       context.strokeStyle = paint("--accent");
@@ -153,3 +190,6 @@ export class WorkspaceMap {
     drawArrow(context, x, y, handle.forceXN * newton, -handle.forceYN * newton, 4);
   }
 }
+
+/** On which side of `x` a word has room. @param {number} x @param {number} width @returns {CanvasTextAlign} */
+const xRoom = (x, width) => (x < 30 ? "left" : x > width - 30 ? "right" : "center");

@@ -6,7 +6,6 @@ import pytest
 
 from pipelines.bench.passes.figures import (
     HEADINGS,
-    Crash,
     LongestPauses,
     faults,
     markdown,
@@ -15,6 +14,7 @@ from pipelines.bench.passes.figures import (
     usable_window,
 )
 from pipelines.bench.result import JsonReader
+from pipelines.campaign.tasks import Crash
 from pipelines.cli import main
 
 S = 1_000_000_000

@@ -9,6 +9,7 @@ from pipelines.commands.link_ports import channels, port_table
 from pipelines.runtime.datagrams import EndAddresses
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import Segment, topology_of
+from telepresence.link.protection.identity import MachineKey
 
 TASKBOARD, SPACEJUSTIN = BUILT_IN["taskboard"], BUILT_IN["spacejustin"]
 GROUND = ["--setup", "taskboard", "--end", "ground"]
@@ -37,27 +38,33 @@ def nothing_starts(monkeypatch):
         (["--setup", "taskboard", "--base-port", "80"], "1024"),
         (["--setup", "taskboard", "--end", "moon"], "--end"),
         (["--setup", "taskboard", "--peer", "192.0.2.7:27001"], "add --end ground or --end space"),
-        (["--setup", "taskboard", "--bind", "0.0.0.0"], "add --end ground or --end space"),
+        (["--setup", "taskboard", "--listen", "0.0.0.0:1"], "add --end ground or --end space"),
+        (["--setup", "taskboard", "--insecure"], "--insecure is for one end alone"),
+        (["--setup", "taskboard", "--key", "k"], "--key is for one end alone"),
         (["--setup", "taskboard", "--apps-bind", "127.0.0.1"], "--apps HOST"),
         (["--setup", "taskboard", "--apps", "no host"], "no host"),
         (["--setup", "taskboard", "--apps", "192.0.2.7"], "--apps-bind"),
-        (GROUND, "needs --peer HOST:PORT, the other end's radio port (27001"),
+        (GROUND, "needs --listen ADDR:PORT to wait for the other end, or --peer HOST:PORT"),
         ([*GROUND, "--peer", "127.0.0.1"], "--peer '127.0.0.1': write HOST:PORT"),
         ([*GROUND, "--peer", "::1:27001"], "--peer '::1:27001': write HOST:PORT"),
         ([*GROUND, "--peer", "[::1]:27001"], "no IPv4 host"),
-        ([*GROUND, "--peer", "127.0.0.1:27000"], "this end itself: the other has port 27001"),
-        ([*GROUND, "--peer", "127.0.0.2:27001", "--bind", "here"], "--bind 'here': write an IPv4"),
-        ([*GROUND, "--peer", "127.0.0.2:27001", "--bind", "192.0.2.77"], "no address of this"),
-        ([*GROUND, "--peer", "127.0.0.1:27000", "--bind", "0.0.0.0"], "this end itself"),
         ([*GROUND, "--peer", "0.0.0.0:27001"], "--peer 0.0.0.0:27001: give the address of one"),
-        ([*GROUND, "--peer", "224.0.0.1:27001", "--bind", "127.0.0.1"], "give the address of one"),
-        ([*GROUND, "--peer", "255.255.255.255:27001", "--bind", "0.0.0.0"], "cannot be reached"),
-        ([*GROUND, "--peer", "192.0.2.7:27001", "--bind", "127.0.0.1"], "cannot be reached from"),
+        ([*GROUND, "--peer", "224.0.0.1:27001"], "give the address of one machine"),
+        ([*GROUND, "--peer", "255.255.255.255:27001"], "cannot be reached"),
+        ([*GROUND, "--peer", "127.0.0.1:1", "--listen", "127.0.0.1:2"], "give one of them"),
+        ([*GROUND, "--listen", "27000"], "--listen '27000': write HOST:PORT"),
+        ([*GROUND, "--listen", "224.0.0.1:27000"], "give the address of one machine"),
+        ([*GROUND, "--listen", "0.0.0.0:27010"], "this end uses the ports 27000 to 27039 itself"),
+        ([*GROUND, "--listen", "192.0.2.77:9000", "--insecure"], "no address of this machine"),
+        ([*GROUND, "--listen", "0.0.0.0:27000"], "there is no key"),
+        ([*GROUND, "--listen", "0.0.0.0:27000", "--key", "mine"], "`kontur-av keys new` makes one"),
+        ([*GROUND, "--listen", "0.0.0.0:27000", "--key", "k", "--insecure"], "leave --key out"),
         (["--setup", "taskboard", "--apps", "0.0.0.0"], "--apps 0.0.0.0: give the address of one"),
     ],
 )
 def test_impossible_options_are_refused(capsys, tmp_path, monkeypatch, options, says):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "none"))
     assert main(["link", *options]) == 2
     out, error = capsys.readouterr()
     assert out == ""
@@ -66,16 +73,28 @@ def test_impossible_options_are_refused(capsys, tmp_path, monkeypatch, options, 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("way", "says"),
-    [("198.51.100.4", "add --bind 198.51.100.4"), (None, "cannot be reached from here")],
-)
-def test_another_machine_needs_an_address_of_this_one(capsys, monkeypatch, way, says):
-    monkeypatch.setattr(link, "reaches", lambda peer: way)
-    assert main(["link", *GROUND, "--peer", "192.0.2.7:27001"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "192.0.2.7:27001" in line
-    assert says in line
+def test_an_end_needs_somebody_to_trust(capsys, tmp_path):
+    key = tmp_path / "key.pem"
+    listen = ["link", *GROUND, "--listen", "127.0.0.1:27000", "--key", str(key)]
+    assert main(["keys", "new", "--key", str(key)]) == 0
+    assert main(listen) == 2
+    assert "trusts nobody: `kontur-av keys trust" in capsys.readouterr().err
+    two = [MachineKey.from_seed(bytes([n]) * 32).identity for n in (1, 2)]
+    for identity in two:
+        assert main(["keys", "trust", str(identity), "--key", str(key)]) == 0
+    assert main(listen) == 2
+    assert "name the peer's by --identity" in capsys.readouterr().err
+    assert main([*listen, "--identity", "nobody"]) == 2
+    assert "characters instead of" in capsys.readouterr().err
+
+
+def test_another_machine_s_programs_need_an_address_of_this_one(capsys, monkeypatch):
+    monkeypatch.setattr(link, "reaches", lambda peer: "198.51.100.4")
+    assert main(["link", "--setup", "taskboard", "--apps", "192.0.2.7"]) == 2
+    assert "add --apps-bind 198.51.100.4" in capsys.readouterr().err
+    monkeypatch.setattr(link, "reaches", lambda peer: None)
+    assert main(["link", "--setup", "taskboard", "--apps", "192.0.2.7"]) == 2
+    assert "cannot be reached from here" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
@@ -92,11 +111,8 @@ def test_every_channel_of_a_setup_has_a_line_with_its_ports(setup):
 
 
 def test_one_end_shows_and_binds_its_own_ports_only():
-    addresses = EndAddresses(
-        bind="192.0.2.1", peer=("192.0.2.7", 27_001), apps="198.51.100.2", apps_bind="198.51.100.1"
-    )
+    addresses = EndAddresses(apps="198.51.100.2", apps_bind="198.51.100.1")
     lines = port_table(topology_of(SPACEJUSTIN), [Segment.GROUND], addresses)
-    assert lines[0] == "radio of the ground end: 192.0.2.1:27000, peer 192.0.2.7:27001"
     video = next(line for line in lines if line.startswith("uplink_video "))
     assert "198.51.100.1:27010" in video
     assert "the other end" in video

@@ -7,13 +7,13 @@ import webbrowser
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.cli import _parser
+from pipelines.cli import make_parser
 from pipelines.commands import page_options
 from pipelines.commands.page_options import announced_pages, bound_pages, parse_page
 
 
 def options(*words):
-    return _parser("stream").parse_args(["stream", "--setup", "taskboard", *words])
+    return make_parser("stream").parse_args(["stream", "--setup", "taskboard", *words])
 
 
 @pytest.fixture
@@ -47,10 +47,14 @@ def test_the_addresses_are_printed_and_kept_for_the_user_alone(capsys, root):
         assert stat.S_IMODE((root / "pages.json").stat().st_mode) == 0o600
         assert kept["space"] == pages["page_space"].url("space")
         assert kept["ground"] == pages["page_ground"].url("ground")
+        assert kept["k2sv"] == pages["page_ground"].url("k2sv", role="supervisor")
     printed = capsys.readouterr().out.splitlines()
     assert printed == [
         f"space   {kept['space']}",
         f"ground  {kept['ground']}",
+        f"k2cp    {kept['k2cp']}",
+        f"k2sv    {kept['k2sv']}",
+        f"systems {kept['systems']}",
         f"to watch only: token={kept['viewer_token']}",
     ]
     assert all(page.socket.fileno() == -1 for page in pages.values())

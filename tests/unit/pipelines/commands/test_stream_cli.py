@@ -7,7 +7,7 @@ import tempfile
 import pytest
 
 from kontur_av.clock import MonotonicClock
-from pipelines.cli import _parser, main
+from pipelines.cli import main, make_parser
 from pipelines.commands import stream
 from pipelines.commands.session_options import radio_changes
 from pipelines.setup.setup_file import load_setup
@@ -40,6 +40,10 @@ def refusal(capsys, *arguments):
 def write(path, text):
     path.write_text(text)
     return str(path)
+
+
+GROUND = ["--setup", "spacejustin", "--end", "ground", "--listen", "0.0.0.0:27000", "--insecure"]
+SPACE = ["--setup", "spacejustin", "--end", "space", "--peer", "127.0.0.1:27000", "--insecure"]
 
 
 @pytest.mark.usefixtures("nothing_starts")
@@ -108,6 +112,14 @@ def write(path, text):
         (["--setup", "taskboard", "--report", "missing/r.json"], "--report missing/r.json"),
         (["--setup", "taskboard", "--report", "."], "--report"),
         (["--setup", "taskboard", "-v", "-q"], "-q"),
+        (["--setup", "taskboard", "--listen", "0.0.0.0:27000"], "add --end ground or --end space"),
+        ([*GROUND, "--joystick", "page"], "the joystick is in space; give it at --end space"),
+        ([*GROUND, "--source", "iss_camera=page"], "iss_camera is captured at --end space; this"),
+        ([*SPACE, "--source", "left=page"], "left is captured at --end ground; this end has iss_"),
+        ([*SPACE, "--rtc"], "--rtc: a partner joins the ground; give it at --end ground"),
+        ([*SPACE, "--ice-server", "turn:192.0.2.1"], "give it at --end ground"),
+        ([*GROUND, "--radio", "iss-pass", "--trainer"], "give it at --end space with --trainer"),
+        ([*SPACE, "--radio", "iss-pass"], "give it at --end space with --trainer, and none at"),
         (["--setup", "taskboard", "--page", "0"], "port from 1 to 65534"),
         (["--setup", "taskboard", "--page", "65535"], "port from 1 to 65534"),
         (["--setup", "taskboard", "--page", "localhost"], "[HOST:]PORT"),
@@ -117,6 +129,15 @@ def write(path, text):
         (["--setup", "taskboard", "--no-page", "--open"], "--open needs the pages"),
         (["--setup", "taskboard", "--no-page", "--page-cert", "x"], "--page-cert needs the pages"),
         (["--setup", "taskboard", "--page-cert", "missing.pem"], "missing.pem: cannot be read"),
+        (["--setup", "taskboard", "--leds", "panel:5000"], "give --tasks or --plan, too"),
+        (["--setup", "taskboard", "--runs", "runs"], "--runs is for tasks"),
+        (["--setup", "taskboard", "--tasks", "--leds", "panel"], "write HOST:PORT"),
+        (["--setup", "taskboard", "--tasks", "missing.xml"], "missing.xml"),
+        (["--setup", "taskboard", "--plan", "missing.toml"], "missing.toml"),
+        (
+            ["--setup", "taskboard", "--tasks", "--runs", "runs", "--record", "all.mcap"],
+            "want the same recorder",
+        ),
         (["--setup", "taskboard", "--sources", "left=x"], "--help"),
         ([], "--setup"),
     ],
@@ -165,17 +186,17 @@ def test_the_suggested_mends_for_a_missing_source_work(capsys, tmp_path):
     path = write(tmp_path / "mine.toml", wrist)
     line = refusal(capsys, "stream", "--setup", path)
     assert 'give --source wrist=SPEC, or wrist = "SPEC" in [sources] of the setup file' in line
-    chosen = _parser().parse_args(["stream", "--setup", path, "--source", "wrist=scene:head"])
+    chosen = make_parser().parse_args(["stream", "--setup", path, "--source", "wrist=scene:head"])
     assert stream.chosen_setup(chosen).source("wrist") == "scene:head"
     path = write(tmp_path / "mine.toml", wrist + '[sources]\nwrist = "scene:left"\n')
-    chosen = _parser().parse_args(["stream", "--setup", path])
+    chosen = make_parser().parse_args(["stream", "--setup", path])
     assert stream.chosen_setup(chosen).source("wrist") == "scene:left"
 
 
 @pytest.mark.parametrize("command", ["stream", "link", "simulate"])
 def test_every_session_can_begin_in_the_middle_of_a_pass(command):
     options = ["--setup", "taskboard", "--radio", "iss-pass", "--radio-start", "200"]
-    args = _parser().parse_args([command, "--seconds", "1", *options])
+    args = make_parser().parse_args([command, "--seconds", "1", *options])
     setup = load_setup(args.setup, changes=radio_changes(args), radio_start_s=args.radio_start)
     assert setup.radio_profile.start_s == 200
     assert setup.radio_profile.name == "iss-pass"
@@ -225,8 +246,8 @@ def test_the_setup_decides_the_kind_of_an_input_not_its_name(capsys, tmp_path):
     line = refusal(capsys, "stream", "--setup", path, "--source", "a_mic=alsa:hw")
     assert "this input wants pictures" in line
     setup = load_setup(path)
-    stream.check_sources(setup)
-    stream.draw_backgrounds(setup, MonotonicClock())
+    stream.check_sources(setup, setup.inputs)
+    stream.draw_backgrounds(setup, setup.inputs, MonotonicClock())
 
 
 @pytest.mark.usefixtures("nothing_starts")
@@ -246,7 +267,7 @@ def test_too_little_shared_memory_is_refused(
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
     path = write(tmp_path / "mine.toml", TOML + f'size = "{size}"\n')
     if needed_mb is None:
-        stream.check_room(load_setup(path), pages=True)
+        stream.check_room(load_setup(path), load_setup(path).inputs, pages=True)
     else:
         line = refusal(capsys, "stream", "--setup", path, *options)
         assert f"free {needed_mb} MB" in line
@@ -296,3 +317,18 @@ def test_version_is_printed(capsys):
         main(["--version"])
     assert end.value.code == 0
     assert capsys.readouterr().out.startswith("kontur-av 0.")
+
+
+@pytest.mark.usefixtures("nothing_starts")
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--tasks", "own.xml"], "--plan names its files itself"),
+        (["--leds", "127.0.0.1:5000"], "sees only the built-in LED panel"),
+        (["--end", "ground", "--listen", "0.0.0.0:27000", "--insecure"], "on one machine only"),
+    ],
+)
+def test_what_does_not_suit_a_plan_is_refused(capsys, tmp_path, options, says):
+    plan = write(tmp_path / "plan.toml", '[[task]]\nname = "line"\n')
+    words = ["stream", "--setup", "spacejustin", "--no-page", "--plan", plan, *options]
+    assert says in refusal(capsys, *words)

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from pipelines.cores.console import MOST_TERMINALS, Console, telecommand_sender
+from pipelines.cores.console import Console, telecommand_sender
 from pipelines.cores.probe import Probe
 from pipelines.cores.requests import Answer, Request, pack_line, parse_answer
+from pipelines.cores.terminal_lines import MOST_TERMINALS
 from pipelines.setup.built_in import BUILT_IN
 from telepresence.tmtc import SelectDone, TelecommandReceiver
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from pipelines.page.access import Access, AccessError, Kind, Role, headers
+from pipelines.cores.seat_roles import Role
+from pipelines.page.access import Access, AccessError, Kind, headers
 
 OPERATOR, VIEWER = "operator-token", "viewer-token"
 HOST = "127.0.0.1:8270"

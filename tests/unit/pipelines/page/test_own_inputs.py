@@ -7,13 +7,16 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from pipelines.page.access import Role
+from pipelines.cores.seat_roles import Role
 from pipelines.page.own_inputs import Given, OwnInputs
 from pipelines.page.plan import seat_plan
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import Segment, topology_of
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
-PLAN = seat_plan(topology_of(BUILT_IN["spacejustin"], pages=True), Segment.SPACE, "x")
+PLAN = seat_plan(
+    topology_of(BUILT_IN["spacejustin"], pages=True), Segment.SPACE, "x", built_in_dictionary()
+)
 CAMERA, MICROPHONE = PLAN.inputs
 
 

@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from kontur_av.media import CaptureStamp, Quality, empty_picture
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.cores.hand_topics import JoystickStatus
 from pipelines.cores.haptic_trace import BLOCK_ROWS, ROW
+from pipelines.cores.seat_roles import Role
 from pipelines.cores.session_switch import Order
-from pipelines.page.access import Role
 from pipelines.page.plan import seat_plan
 from pipelines.page.seat import (
     CameraAsked,
@@ -26,13 +27,15 @@ from pipelines.page.seat import (
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import Segment, topology_of
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
+DICTIONARY = built_in_dictionary()
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"], pages=True)
 KEY, DELTA = b"\0\0\0\1\x67s\0\0\0\1\x68p\0\0\0\1\x65i", b"\0\0\0\1\x41d"
 
 
-def seat_of(segment=Segment.SPACE):
-    return Seat(seat_plan(TOPOLOGY, segment, "spacejustin-1"), first_command=100)
+def seat_of(segment=Segment.SPACE, topology=TOPOLOGY):
+    return Seat(seat_plan(topology, segment, "spacejustin-1", DICTIONARY), first_command=100)
 
 
 def sent(seat, page):
@@ -268,7 +271,52 @@ def test_each_seat_does_its_own():
         ask(seat, page, "hand", action="take")
         ask(seat, page, "record", action="start")
     assert events(ground) == [SessionOrdered(Order.STOP), RecordingAsked(1, 7, begin=True)]
-    assert [type(event) for event in events(space)] == [CameraAsked]
+    assert [type(event) for event in events(space)] == [SessionOrdered, CameraAsked]
+
+
+def test_in_space_a_session_at_two_machines_is_not_stopped():
+    seat = seat_of(topology=replace(TOPOLOGY, segments=(Segment.SPACE,)))
+    page = seat.handle_opened(Role.OPERATOR, 0)
+    ask(seat, page, "session", action="stop")
+    assert events(seat) == []
+
+
+def test_a_role_does_what_is_its_own_and_is_told_who_may_the_rest():
+    seat = seat_of(Segment.GROUND)
+    page = seat.handle_opened(Role.SYSTEMS, 0)
+    ask(seat, page, "session", action="stop")
+    ask(seat, page, "command", application="tasks", name="abort")
+    answers = [text["error"] for text in texts(seat, page, "answer")]
+    assert answers == [
+        "session: the cosmonaut or the supervisor may, not the systems operator",
+        "tasks abort: the experimenter or the supervisor may, not the systems operator",
+    ]
+    ask(seat, page, "record", action="start")
+    ask(seat, page, "command", application="joystick", verb="ping")
+    recording, asked = events(seat)
+    assert recording == RecordingAsked(page, 7, begin=True)
+    assert (asked.request.application, asked.request.verb) == ("joystick", "ping")
+
+
+def test_all_pages_of_a_seat_see_one_chat_and_a_plain_one_sees_nothing_else():
+    seat = seat_of()
+    page, plain = (
+        seat.handle_opened(Role.COSMONAUT, 0),
+        seat.handle_opened(Role.VIEWER, 0, plain=True),
+    )
+    hello = json.loads(sent(seat, plain)[0])
+    assert hello["streams"] == [] and hello["applications"]
+    sent(seat, page)
+    ask(seat, page, "chat", text="hello")
+    give_unit(seat, 0, key=True)
+    seat.handle_haptics(0, np.zeros(BLOCK_ROWS, ROW).tobytes())
+    seat.handle_time(NS_PER_S)
+    seen, watched = sent(seat, page), sent(seat, plain)
+    chats = [one for one in watched if '"chat"' in one]
+    assert len(chats) == 1 and chats[0] in seen
+    assert all(isinstance(one, str) for one in watched)
+    late = seat.handle_opened(Role.VIEWER, NS_PER_S, plain=True)
+    assert chats[0] in sent(seat, late)
 
 
 def test_the_heartbeat_comes_ten_times_a_second_and_at_each_change():
@@ -302,9 +350,9 @@ def test_figures_pass_unchanged_and_who_joins_gets_all_events():
         *range(243, 251)
     ]
     late = seat.handle_opened(Role.VIEWER, 0)
-    found = [json.loads(text) for text in sent(seat, late)]
-    assert [each["number"] for each in found[2]["events"]] == [*range(51, 251)]
-    assert (found[1]["camera"], found[2]["more"]) == ("head", 1)
+    found = {text["kind"]: text for text in map(json.loads, sent(seat, late))}
+    assert [each["number"] for each in found["figures"]["events"]] == [*range(51, 251)]
+    assert (found["state"]["camera"], found["figures"]["more"]) == ("head", 1)
     with pytest.raises(ProtocolError):
         seat.handle_figures(b"{}", 0)
 

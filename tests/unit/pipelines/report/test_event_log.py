@@ -14,13 +14,16 @@ from pipelines.cores.figures import (
     GatewayGauges,
     JoystickGauges,
     SelectorGauges,
+    TaskGauges,
 )
 from pipelines.cores.session_switch import Order, SessionSwitch
+from pipelines.cores.task_journal import TaskRow, TaskStep
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import DEPTH, EventLog, ProcessNow
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import topology_of
 from telepresence.link.figures import ContactFigures, ContactWindows
+from telepresence.tasks.experiment import Step
 
 SETUP = BUILT_IN["taskboard"]
 CONNECTED = {"at_ns": 5000, "from": "configure", "to": "connected", "why": "data both ways"}
@@ -200,3 +203,28 @@ def test_only_the_newest_are_kept(session):
         session.told("selector", SelectorGauges(selected=f"camera{number}"))
         session.look(1)
     assert [event.number for event in session.log.events] == list(range(6, DEPTH + 6))
+
+
+def test_runs_of_tasks_are_told_once_each_with_its_own_instants(session):
+    def row(result, steps, reason="", run=7):
+        steps = [TaskStep(at_ns=at_us * 1000, step=step.value) for at_us, step in steps]
+        zero = dict.fromkeys(("path_m", "force_max_n", "force_mean_n", "delay_ms"), 0.0)
+        zero |= {"error_mean": None, "error_max": None, "frames": 0, "frames_lost": 0}
+        figures = {"selected_ns": 0, "seconds": None, "steps": steps, **zero}
+        return TaskRow(name="line", run=run, result=result, reason=reason, **figures)
+
+    first = row("open", [(50, Step.SELECTED), (60, Step.SHOWN), (70, Step.STARTED)])
+    session.told("tasks", TaskGauges(rows=(first,)))
+    assert session.look() == [
+        (50, "session", "task line, run 7: selected"),
+        (70, "session", "task line, run 7: started"),
+    ]
+    # Its process was killed.
+    killed = row("aborted", [], "the task's process was restarted")
+    session.told("tasks", TaskGauges(rows=(killed, row("open", [(900, Step.SELECTED)], run=8))))
+    words = "task line, run 7: aborted: the task's process was restarted"
+    assert session.look(2) == [
+        (900, "session", "task line, run 8: selected"),
+        (2_000_000, "session", words),
+    ]
+    assert session.look(2.5) == []

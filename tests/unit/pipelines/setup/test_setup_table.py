@@ -12,10 +12,18 @@ from pipelines.cores.session_streams import REPORT_INTERVAL_NS
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.setup.segments import Segment
 from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import PORTS, Setup, VideoStream
-from telepresence.link.arithmetic import RESERVE_BPS, RESUME_OCTETS, TAG_OCTETS
+from pipelines.setup.table import PORTS, RtcLeg, Setup, VideoStream
+from telepresence.link.arithmetic import (
+    RESERVE_BPS,
+    RESERVE_DOWN_BPS,
+    RESUME_OCTETS,
+    TAG_OCTETS,
+)
 from telepresence.link.radio import load_radio
 from telepresence.tmtc import Housekeeping, pack_packet
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.head import MAX_PACKET_OCTETS
+from telepresence.tmtc.pus.packets import MAX_REPORT_OCTETS
 
 EVERY_FIELD = """
 name = "wrist"
@@ -24,6 +32,9 @@ radio = "cable"
 radio_delay_ms = 12.5
 deadband = "latency"
 hand = "mediated"
+partner_arm = "second"
+tasks = true
+region = "stylus"
 base_port = 21000
 
 [uplink_video]
@@ -45,9 +56,17 @@ fps = 15
 [downlink_voice]
 cap_kbps = 24
 
+[region_points]
+wrist = [[40, 30], [280, 33.5], [300, 210], [25, 205]]
+
 [sources]
 wrist = "pipe:/tmp/wrist.y4m"
 left = "left.mp4"
+
+[rtc]
+video_kbps = 900
+voice_kbps = 24
+taken_kbps = 700
 
 [uplink]
 frame_octets = 40
@@ -66,7 +85,10 @@ def test_every_field_of_a_file_reaches_the_setup(tmp_path):
     assert (setup.name, setup.cameras) == ("wrist", ("wrist", "stereo"))
     assert (setup.radio, setup.radio_delay_ms, setup.base_port) == ("cable", 12.5, 21_000)
     assert setup.deadband == "latency"
-    assert setup.hand == "mediated"
+    assert (setup.hand, setup.partner_arm, setup.tasks) == ("mediated", "second", True)
+    corners = ((40, 30), (280, 33.5), (300, 210), (25, 205))
+    assert (setup.region, setup.region_points) == ("stylus", {"wrist": corners})
+    assert setup.rtc == RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000)
     video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
     assert asdict(setup.uplink_video) == video | {"stale_after_ms": 250.5, "coded": (160, 120)}
     down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
@@ -105,6 +127,8 @@ def test_a_setup_without_a_name_takes_that_of_its_file(tmp_path):
         ("cap_kbps = inf", "uplink_video.cap_kbps is inf: .* finite"),
         ("cap_kbps = nan", "uplink_video.cap_kbps is nan: .* finite"),
         ("cap_kbps = 50\n[uplink_voice]\ncap_kbps = 6", "uplink_voice: a cap of 6 kbit/s: .* 6.24"),
+        ("cap_kbps = 50\n[rtc]\nvideo_kbps = 50", "rtc: video_kbps of 50; take 100 to 20000"),
+        ("cap_kbps = 50\n[rtc]\nvoice_kbps = 600", "rtc: voice_kbps of 600; take 6 to 128"),
         ("cap_kbps = 50\n[downlink_voice]\ncap_kbps = 129", "downlink_voice: .* 129 .* most 128"),
         ("cap_kbps = 50\ncoded = '800x600'", "coded as 800x600: take no larger size"),
         ("cap_kbps = 50\nstale_after_ms = 2", "uplink_video: stale after 2 ms; take 10 to"),
@@ -162,6 +186,18 @@ def test_a_large_picture_takes_several_packets():
     assert VideoStream(name="uplink_video", cap_bps=20_000, fps=1).payload_octets == 375
 
 
+def pus_octets_per_s(end):
+    """The housekeeping of an end that is on from the start, with its tags."""
+    total = 0.0
+    for application in built_in_dictionary().applications:
+        for structure in application.structures:
+            if application.end == end and structure.on:
+                values = sum(one.octets for one in application.named(structure.parameters))
+                packet = MAX_PACKET_OCTETS - MAX_REPORT_OCTETS + 1 + values
+                total += (TAG_OCTETS + RESUME_OCTETS + packet) / structure.interval_s
+    return total
+
+
 def test_reports_and_telemetry_of_a_session_fit_the_reserve():
     rtp = RtpSender(
         payload_type=96,
@@ -176,7 +212,13 @@ def test_reports_and_telemetry_of_a_session_fit_the_reserve():
     state = pack_packet(Housekeeping("taskboard1", contact=True, force_n=1.0), 0)
     octets_per_s = 2 * (TAG_OCTETS + len(report)) * 1e9 / REPORT_INTERVAL_NS
     octets_per_s += (TAG_OCTETS + RESUME_OCTETS + len(state)) * 1e9 / HOUSEKEEPING_INTERVAL_NS
+    octets_per_s += pus_octets_per_s("ground")
     assert 0 <= RESERVE_BPS / 8 - octets_per_s <= 5
+    # In place of the robot's telemetry, a telecommand every five seconds.
+    octets_per_s = 2 * (TAG_OCTETS + len(report)) * 1e9 / REPORT_INTERVAL_NS
+    octets_per_s += (TAG_OCTETS + RESUME_OCTETS + len(state)) / 5
+    octets_per_s += pus_octets_per_s("space")
+    assert 0 <= RESERVE_DOWN_BPS / 8 - octets_per_s <= 5
 
 
 def test_the_ports_are_below_the_ephemeral_ports_of_linux():

@@ -7,10 +7,12 @@ from pkgutil import resolve_name
 
 import pytest
 
+from pipelines.recording.sources import sources_of
 from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.table import PORTS, Setup
+from pipelines.setup.table import PORTS, RtcLeg, Setup
 from pipelines.topology import (
     PAGES,
+    TASKS,
     Direction,
     Kind,
     Segment,
@@ -23,7 +25,7 @@ SPACEJUSTIN = topology_of(BUILT_IN["spacejustin"], snapshots=True, pages=True)
 
 
 def every_setup() -> list[Setup]:
-    """The built-in setups, one without each optional stream, and one with a mediated hand."""
+    """The built-in setups, one without each optional stream, a mediated hand, a partner's arm."""
     whole = BUILT_IN["spacejustin"]
     return [
         *BUILT_IN.values(),
@@ -32,12 +34,22 @@ def every_setup() -> list[Setup]:
         replace(whole, downlink_voice=None),
         replace(whole, cameras=("static",)),
         replace(whole, hand="mediated"),
+        replace(whole, partner_arm="shared"),
+        replace(whole, partner_arm="second"),
+        replace(whole, rtc=RtcLeg()),
+        replace(whole, rtc=RtcLeg(), uplink_voice=None, downlink_video=None, downlink_voice=None),
     ]
 
 
-@pytest.fixture(params=every_setup(), ids=lambda setup: f"{len(setup.streams)}-{setup.cameras[0]}")
+SESSIONS = [(setup, False) for setup in every_setup()] + [(BUILT_IN["spacejustin"], True)]
+
+
+@pytest.fixture(
+    params=SESSIONS, ids=[f"{len(each.streams)}-{each.cameras[0]}" for each, _ in SESSIONS]
+)
 def session(request) -> Topology:
-    return topology_of(request.param, snapshots=True, pages=True)
+    setup, tasks = request.param
+    return topology_of(setup, snapshots=True, pages=True, tasks=tasks)
 
 
 def test_names_are_unique(session):
@@ -61,7 +73,8 @@ def test_only_the_simulated_world_is_read_in_both_segments(session):
         for reader in topic.readers
         if session.process(reader).segment not in (None, session.process(topic.writer).segment)
     }
-    assert crossing <= {"robot/state"}
+    # A simulated cosmonaut looks at the task board and its LEDs.
+    assert crossing <= {"robot/state", "mission/leds"}
 
 
 def test_every_port_is_unique_and_within_the_session(session):
@@ -181,3 +194,43 @@ def test_every_input_is_offered_what_a_page_of_its_segment_gives():
         assert process.arguments["page"] == row.page_topic
         without = topology_of(SPACEJUSTIN.setup).process(row.process)
         assert "page" not in without.arguments and row.page_topic not in without.reads
+
+
+@pytest.mark.parametrize("segment", Segment, ids=lambda segment: segment.value)
+def test_one_end_holds_the_ports_and_processes_of_its_own_half(session, segment):
+    tasks = any(row.name == TASKS for row in session.processes)
+    ends = {
+        each: topology_of(session.setup, snapshots=True, pages=True, tasks=tasks, segments=(each,))
+        for each in Segment
+    }
+    mine, other = ends[segment], ends[segment.peer]
+    shared = {row.name for row in session.processes if row.segment is None}
+    names = {row.name for row in mine.processes_here}
+    assert names & {row.name for row in other.processes_here} == shared
+    assert names == {row.name for row in session.processes if mine.runs(row.name)}
+    held = set(mine.ports_here) - {mine.launcher_port}
+    assert held & set(other.ports_here) == set()
+    # Between two machines the radio has a port of its own.
+    radio = {session.radio_port(each) for each in Segment}
+    assert (
+        held | set(other.ports_here)
+        == {
+            mine.launcher_port,
+            *(port for row in session.processes for port in row.ports),
+        }
+        - radio
+    )
+    assert (mine.alone, session.alone) == (segment, None)
+    assert {mine.side_here(row) for row in mine.streams} == {"sender", "receiver"}
+    assert {session.side_here(row) for row in session.streams} == {None}
+
+
+def test_the_recorder_and_the_snapshots_read_only_what_is_here():
+    for segment in Segment:
+        here = topology_of(BUILT_IN["spacejustin"], recorder=True, segments=(segment,))
+        topics = {source.topic for source in sources_of(here, link_frames=True)}
+        assert topics
+        assert all(here.runs(here.topic(topic).writer) for topic in topics)
+    every = {source.topic for source in sources_of(SPACEJUSTIN, link_frames=True)}
+    halves = [topology_of(BUILT_IN["spacejustin"], segments=(segment,)) for segment in Segment]
+    assert every == {s.topic for half in halves for s in sources_of(half, link_frames=True)}

@@ -1,0 +1,1 @@
+"""`kontur-av bench tasks`."""

@@ -1,0 +1,148 @@
+"""`kontur-av joystick drive`: a partner's joystick, beside the robot or across the Internet."""
+
+import argparse
+import secrets
+import socket
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.errors import ConfigError
+from pipelines.commands.common import output_that_may_fail, stopped_by_signals
+from pipelines.commands.drive_far import Far
+from pipelines.commands.rtc_options import (
+    add_ice_arguments,
+    add_token_arguments,
+    ice_servers_of,
+    token_of,
+)
+from pipelines.cores.haptics import CYCLE_NS
+from pipelines.runtime.datagrams import Outlet, listen, outlet, receive
+from pipelines.runtime.process import LOOPBACK
+from pipelines.setup.table import Setup
+from pipelines.topology.partner import PARTNER_GIVEN, PARTNER_TAKEN
+from telepresence.haptics.bilateral import JoystickSide
+from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.simulated import SimulatedDevice
+from telepresence.haptics.device.spec import PAGE, SIMULATED, open_device
+from telepresence.haptics.hand import Hand
+from telepresence.haptics.loop import joystick_link
+from telepresence.haptics.sample import SAMPLE_OCTETS
+from telepresence.haptics.schedule import PeriodicSchedule
+from telepresence.haptics.session import LIVES
+
+#: How often it looks whether the robot answers.
+_LOOK_NS = 100 * NS_PER_MS
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The joystick, and where the robot's ports are."""
+    parser.add_argument(
+        "--device",
+        default=SIMULATED,
+        metavar="SPEC",
+        help=f"sim, evdev or evdev:/dev/input/eventN (default: {SIMULATED})",
+    )
+    parser.add_argument(
+        "--base-port",
+        type=int,
+        default=Setup.base_port,
+        metavar="P",
+        help=f"of the robot's session: samples go to P+{PARTNER_TAKEN}, and come to "
+        f"P+{PARTNER_GIVEN}, on this machine",
+    )
+    parser.add_argument(
+        "--rtc",
+        metavar="URL",
+        help="a robot across the Internet: what `stream --rtc` prints, up to the port",
+    )
+    add_token_arguments(parser)
+    add_ice_arguments(parser)
+    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+
+
+def drive(args: argparse.Namespace) -> int:
+    """Drive the robot until it is stopped; 0 if the robot has answered, else 1."""
+    spec, seconds = args.device, args.seconds
+    if spec == PAGE:
+        raise ConfigError("--device page: a page's hand is in a session only; take sim or evdev")
+    device = open_device(spec, hand=Hand())
+    try:
+        with _reached(args) as (udp, to_robot):
+            side = _run(device, udp, to_robot, seconds)
+    finally:
+        device.close()
+    figures = side.link.report()
+    with output_that_may_fail():
+        print(
+            f"{figures.sent} samples to the robot, {figures.received} from it, "
+            f"{figures.lost} lost, {figures.garbage} garbage"
+        )
+    return 0 if figures.received else 1
+
+
+@contextmanager
+def _reached(args: argparse.Namespace) -> Iterator[tuple[socket.socket, Outlet]]:
+    """The socket on which the robot's samples come, and where those for it go."""
+    token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
+    if args.rtc is not None:
+        with Far(args.rtc, token, servers) as far:
+            yield far.udp, far.to_robot
+        return
+    for option in ("token", "token_file", "ice_server"):
+        if getattr(args, option) is not None:
+            words = option.replace("_", "-")
+            raise ConfigError(f"--{words} is for a robot across the Internet: give --rtc URL, too")
+    udp, to_robot = _open(args.base_port)
+    with closing(udp):
+        yield udp, to_robot
+
+
+def _open(base_port: int) -> tuple[socket.socket, Outlet]:
+    taken, given = base_port + PARTNER_TAKEN, base_port + PARTNER_GIVEN
+    try:
+        return listen((LOOPBACK, given)), outlet(LOOPBACK, (LOOPBACK, taken))
+    except (OSError, OverflowError):
+        raise ConfigError(
+            f"--base-port {base_port}: port {given} cannot be had; end the other joystick there, "
+            "or take the base port of the robot's session"
+        ) from None
+
+
+def _run(
+    device: JoystickDevice, udp: socket.socket, to_robot: Outlet, seconds: float | None
+) -> JoystickSide:
+    handle = OperatedHandle(device)
+    link = joystick_link(life=1 + secrets.randbelow(LIVES - 1))
+    side = JoystickSide(link=link, handle=handle)
+    clock = MonotonicClock()
+    now_ns = clock.now_ns()
+    end_ns = None if seconds is None else now_ns + round(seconds * NS_PER_S)
+    schedule = PeriodicSchedule(start_ns=now_ns, period_ns=CYCLE_NS)
+    answers, look_ns = False, now_ns
+    print("joystick: waiting for the robot; Ctrl-C ends", flush=True)
+    with stopped_by_signals() as stopped:
+        while not stopped() and (end_ns is None or now_ns < end_ns):
+            clock.sleep_until_ns(schedule.next_deadline_ns)
+            now_ns = clock.now_ns()
+            if schedule.handle_wakeup(now_ns) < 0:
+                continue
+            while (datagram := receive(udp, SAMPLE_OCTETS + 1)) is not None:
+                side.handle_datagram(datagram, now_ns)
+            feedback = link.latest(now_ns)
+            if feedback is not None:
+                handle.handle_feedback(feedback)
+            side.handle_cycle(now_ns, schedule.advance_ns)
+            sample = side.poll_transmit(now_ns)
+            if sample is not None:
+                to_robot.send(sample)
+            if now_ns < look_ns:
+                continue
+            look_ns = now_ns + _LOOK_NS
+            if isinstance(device, SimulatedDevice):
+                device.handle_robot(link.hearing, now_ns)
+            if link.hearing is not answers:
+                answers = link.hearing
+                print(f"joystick: the robot {'answers' if answers else 'is silent'}", flush=True)
+    return side

@@ -1,0 +1,97 @@
+"""What the live commands have in common: the table in the terminal, and the report at the end."""
+
+import argparse
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import msgspec
+
+from kontur_av.errors import ConfigError
+from pipelines.commands.common import output_that_may_fail
+from pipelines.report.collector import Collector
+from pipelines.report.live import LiveView
+from pipelines.report.model import EndTrace, ReplayReport
+from pipelines.report.report_file import write_report
+from pipelines.report.session_report import build_report
+from pipelines.report.summary import print_summary
+from pipelines.runtime.launcher import Launcher, launcher_cpu_s
+from pipelines.setup.setup_text import setup_toml
+from pipelines.setup.table import Setup
+
+
+@contextmanager
+def live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[LiveView]:
+    """The table of a session in the terminal."""
+    view = LiveView(collector, quiet=quiet, verbose=verbose)
+    view.__enter__()
+    try:
+        yield view
+    finally:
+        # A closed terminal cannot take a last table, but the report must still be written.
+        with suppress(OSError):
+            view.__exit__(None, None, None)
+
+
+def made_directory(path: Path | None) -> Path | None:
+    """The directory for snapshots, which is made if need be; ConfigError if it cannot be."""
+    if path is None:
+        return None
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--snapshots {path}: {error.strerror or error}") from None
+    if not os.access(path, os.W_OK):
+        raise ConfigError(f"--snapshots {path}: cannot be written to; choose another directory")
+    return path.absolute()
+
+
+def end_session(
+    args: argparse.Namespace,
+    setup: Setup,
+    collector: Collector,
+    launcher: Launcher,
+    *,
+    replay: ReplayReport | None = None,
+) -> int:
+    """Write and print the report of a session that has ended; 1 if it names a failure."""
+    collector.handle_end()
+    report = build_report(
+        setup,
+        collector,
+        seconds=launcher.seconds,
+        cpu_s=launcher.cpu_s(),
+        restarts={child.row.name: child.restarts for child in launcher.children},
+        launcher_cpu_s=launcher_cpu_s(),
+        stopped_s=launcher.stopped_s,
+    )
+    if collector.trace is not None:
+        report = msgspec.structs.replace(report, trace=end_trace(collector, launcher))
+    if replay is not None:
+        report = msgspec.structs.replace(report, replay=replay)
+    if args.report is not None:
+        write_report(args.report, report)
+    if not args.quiet:
+        with output_that_may_fail():
+            print_summary(report)
+    return 1 if report.failures else 0
+
+
+def end_trace(collector: Collector, launcher: Launcher) -> EndTrace:
+    """What a join with the other end's report needs of this one."""
+    assert collector.trace is not None
+    (segment,) = collector.topology.segments
+    links = [
+        link.supervision
+        for link in collector.process(collector.topology.gateway(segment).name).links()
+    ]
+    return EndTrace(
+        setup=setup_toml(launcher.setup),
+        wall_offset_ns=launcher.clock.wall_offset_ns,
+        began_ns=launcher.started_ns,
+        ended_ns=launcher.ended_ns,
+        lives=[link.life for link in links],
+        peers=[link.peer.life for link in links if link.peer.life is not None],
+        series=collector.trace.report(),
+    )

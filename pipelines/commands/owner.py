@@ -1,0 +1,71 @@
+"""`kontur-av owner`: who drives the robot, the joystick in space or a partner's."""
+
+import argparse
+import sys
+import time
+
+from kontur_av.errors import ConfigError
+from pipelines.cores.arm_owner import (
+    OWNERS,
+    OwnerAnswer,
+    OwnerRequest,
+    pack_line,
+    parse_owner_answer,
+)
+from pipelines.runtime.asking import ask_desk
+
+_DESK = "arm"
+#: How long a hand-over may take: the robot comes to rest first.
+_PATIENCE_S = 5.0
+_LOOK_S = 0.1
+_MISSING = (
+    "no session here lets a partner drive the robot: "
+    'give its setup partner_arm = "shared" (docs/partner.md)'
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The new owner, and the session where several run."""
+    parser.add_argument(
+        "owner", nargs="?", default="", metavar="|".join(OWNERS), help="hand the robot over"
+    )
+    parser.add_argument(
+        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
+    )
+    parser.description = (
+        "Hand the robot over to the joystick in space (iss) or to a partner's. "
+        "Without an owner, say who drives."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once the wanted owner drives; 1 without an answer, or if the robot does not rest."""
+    answer = _ask(args.owner, args.session)
+    end_s = time.monotonic() + _PATIENCE_S
+    while answer.ok and args.owner and answer.owner != args.owner and time.monotonic() < end_s:
+        time.sleep(_LOOK_S)
+        answer = _ask("", args.session)
+    if answer.mistake:
+        raise ConfigError(answer.error)
+    if not answer.ok:
+        print(f"kontur-av: {answer.error}", file=sys.stderr)
+        return 1
+    print(state_words(answer))
+    return 0 if args.owner in ("", answer.owner) else 1
+
+
+def state_words(answer: OwnerAnswer) -> str:
+    """Who drives, in one line."""
+    if not answer.owner:
+        return f"nobody drives; {answer.wanted} will, once the robot rests"
+    if answer.waiting:
+        return f"{answer.owner} drives, once the dead-man button was released and pressed"
+    return f"{answer.owner} drives"
+
+
+def _ask(owner: str, session: str | None) -> OwnerAnswer:
+    line = ask_desk(_DESK, pack_line(OwnerRequest(owner=owner)), session, missing=_MISSING)
+    answer = parse_owner_answer(line)
+    if answer is None:
+        return OwnerAnswer(ok=False, error="the session has ended before it answered")
+    return answer

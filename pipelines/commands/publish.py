@@ -1,0 +1,94 @@
+"""`kontur-av publish`: a picture and a voice to a media server, by WebRTC and WHIP."""
+
+import argparse
+import asyncio
+import time
+
+from kontur_av.clock import MonotonicClock
+from kontur_av.errors import ConfigError
+from pipelines.commands.common import check_options
+from pipelines.commands.rtc_options import (
+    add_ice_arguments,
+    add_token_arguments,
+    ice_servers_of,
+    token_of,
+)
+from pipelines.commands.rtc_reports import RtcReport, connection_report
+from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
+from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
+from pipelines.rtc.ice_servers import IceServers
+from pipelines.rtc.keeper import Keeper
+from pipelines.rtc.peer import RtcPeer
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av publish`."""
+    parser.add_argument("--whip", metavar="URL", required=True, help="the endpoint (RFC 9725)")
+    add_token_arguments(parser)
+    add_source_arguments(parser)
+    add_ice_arguments(parser)
+    add_run_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Publish until the time is over or Ctrl-C. Exit code 0 or 1.
+
+    Raises ConfigError for what cannot work.
+    """
+    check_options(args)
+    if args.video is None and args.audio is None:
+        raise ConfigError("nothing to publish: give --video SPEC, --audio SPEC or both")
+    return closing_lines(args, asyncio.run(_publish(args)))
+
+
+async def _publish(args: argparse.Namespace) -> RtcReport:
+    clock, sends = MonotonicClock(), sends_of(args)
+    token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
+
+    def make_peer(found: IceServers) -> RtcPeer:
+        return RtcPeer(
+            clock=clock,
+            sends=sends,
+            want_key=lambda: sources.want_key(),
+            servers=found,
+            wall_offset_ns=clock.wall_offset_ns,
+        )
+
+    keeper = Keeper(
+        args.whip, token=token, make_peer=make_peer, servers=servers, clock=clock, told=say
+    )
+    begin_s, newest = time.monotonic(), None
+    with CodedSources(
+        args,
+        clock,
+        send_unit=lambda unit: None if keeper.peer is None else keeper.peer.send_unit(unit),
+        send_opus=lambda opus, stamp: (
+            None if keeper.peer is None else keeper.peer.send_opus(opus, stamp)
+        ),
+    ) as sources:
+        running = asyncio.create_task(keeper.run())
+        async for _ in driven(args, running):
+            peer = keeper.peer
+            sources.wanted = peer is not None and peer.connected
+            if peer is not None and peer.media is not None:
+                newest = connection_report(peer) or newest
+                sources.handle_wish(peer.media.wish_bps)
+        if keeper.peer is not None:
+            newest = connection_report(keeper.peer) or newest
+        keeper.stop()
+        await running
+        failed = []
+        if not keeper.attempts.stood:
+            failed.append(f"no connection to {args.whip}: {keeper.fault or 'none was made'}")
+        if sources.fault:
+            failed.append(sources.fault)
+        return RtcReport(
+            seconds=time.monotonic() - begin_s,
+            connections=keeper.attempts.stood,
+            ice_restarts=keeper.attempts.restarts,
+            last=newest,
+            coded=dict(sources.coded),
+            rate_bps=sources.rate.bps if args.video is not None else None,
+            cpu_s=time.process_time(),
+            failed=failed,
+        )

@@ -1,0 +1,131 @@
+"""`kontur-av rtc serve`: a partner comes to us, by WebRTC with WHIP and WHEP, or by our page."""
+
+import argparse
+import asyncio
+import secrets
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from kontur_av.clock import MonotonicClock
+from pipelines.commands.common import check_options
+from pipelines.commands.page_options import parse_page
+from pipelines.commands.rtc_options import (
+    add_ice_arguments,
+    add_token_arguments,
+    ice_servers_of,
+    token_of,
+)
+from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
+from pipelines.commands.rtc_reports import RtcReport, connection_report
+from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
+from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
+from pipelines.rtc.programme import Programme
+from pipelines.rtc.server import RtcServer
+from pipelines.runtime.page_certificate import check_certificate, fingerprint, make_certificate
+from pipelines.runtime.page_listener import PageListener
+from pipelines.runtime.page_sockets import bind_pages, listeners
+
+#: The only programme of this command.
+_NAME = "main"
+_SEAT = "rtc"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The actions of `kontur-av rtc` and their options."""
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    text = "serve a partner: it sees and hears what is given here, and is seen and heard"
+    serve = actions.add_parser("serve", help=text, description=text)
+    serve.add_argument(
+        "--http",
+        metavar="[HOST:]PORT",
+        required=True,
+        help="where; another host than loopback gets TLS",
+    )
+    serve.add_argument(
+        "--cert",
+        type=Path,
+        metavar="FILE",
+        help="PEM file with certificate and key (default: made for this run)",
+    )
+    add_token_arguments(serve)
+    add_source_arguments(serve)
+    add_output_arguments(serve)
+    add_ice_arguments(serve)
+    add_run_arguments(serve)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until the time is over or Ctrl-C. Exit code 0 or 1.
+
+    Raises ConfigError for what cannot work.
+    """
+    check_options(args)
+    return closing_lines(args, asyncio.run(_serve(args)))
+
+
+@contextmanager
+def _listening(args: argparse.Namespace) -> Iterator[PageListener]:
+    """The listener, with a certificate where it needs one, and its addresses printed."""
+    host, port = parse_page(args.http, "--http")
+    if args.cert is not None:
+        check_certificate(args.cert)
+    token = token_of(args) or secrets.token_urlsafe(24)
+    with TemporaryDirectory(prefix="kontur-rtc-") as folder:
+        certificate: Path | None = args.cert
+        made = certificate is None and not host.is_loopback
+        if made:
+            certificate = Path(folder) / "rtc.pem"
+            make_certificate(certificate, host.names())
+        sockets = bind_pages(host, port, [_SEAT])
+        (listener,) = listeners(sockets, host, certificate).values()
+        listener = replace(listener, operator_token=token)
+        base = listener.url(_SEAT).partition(f"/{_SEAT}?")[0]
+        say(f"page {listener.url(_SEAT)}")
+        say(f"whip {base}/whip\nwhep {base}/whep/{_NAME}\ntoken {token}")
+        if made and certificate is not None:
+            say(f"certificate made for this run, SHA-256 {fingerprint(certificate)}")
+        with closing(listener.socket):
+            yield listener
+
+
+async def _serve(args: argparse.Namespace) -> RtcReport:
+    clock, sends, servers = MonotonicClock(), sends_of(args), ice_servers_of(args)
+    begin_s = time.monotonic()
+    with _listening(args) as listener, closing(PartnerOutput(args, clock)) as output:
+        programme = Programme(_NAME, sends=sends, want_key=lambda _: sources.want_key())
+        server = RtcServer(
+            listener,
+            [programme] if sends else [],
+            clock=clock,
+            handle=output.handle,
+            servers=servers,
+            wall_offset_ns=clock.wall_offset_ns,
+        )
+        with CodedSources(
+            args, clock, send_unit=programme.send_unit, send_opus=programme.send_opus
+        ) as sources:
+            await server.start()
+            newest = None
+            async for _ in driven(args):
+                output.flush()
+                sources.wanted = any(peer.connected for peer in programme.peers)
+                sources.handle_wish(programme.wish_bps)
+                for peer in server.peers:
+                    newest = connection_report(peer) or newest
+            await server.close()
+            return RtcReport(
+                seconds=time.monotonic() - begin_s,
+                connections=server.made,
+                ice_restarts=sum(peer.restarts for peer in server.peers),
+                last=newest,
+                pictures=output.pictures(),
+                voice=output.voice(),
+                coded=dict(sources.coded),
+                rate_bps=sources.rate.bps if args.video is not None else None,
+                cpu_s=time.process_time(),
+                failed=[sources.fault] if sources.fault else [],
+            )

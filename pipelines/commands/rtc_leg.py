@@ -1,0 +1,132 @@
+"""The options of a session's leg to a partner across the Internet, and where it is served."""
+
+import argparse
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from socket import socket
+
+from kontur_av.errors import ConfigError
+from kontur_av.topics.session_files import session_root
+from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.page_options import parse_page
+from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of, read_secret
+from pipelines.rtc.ice_servers import IceServers
+from pipelines.runtime.page_certificate import fingerprint, make_certificate
+from pipelines.runtime.page_listener import PageListener
+from pipelines.runtime.page_sockets import PageHost, bind_pages, listeners
+from pipelines.setup.table import RtcLeg, Setup
+from pipelines.topology import RTC, ProcessRow, Segment
+
+_PORT = "8290"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RtcWish:
+    """The leg as the options ask for it. sockets: bound. servers: of each new connection."""
+
+    host: PageHost
+    sockets: Mapping[str, socket]
+    token: str
+    certificate: Path | None
+    servers: Callable[[], IceServers]
+
+
+def add_rtc_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--rtc`, and the way through NAT."""
+    parser.add_argument(
+        "--rtc",
+        metavar="[HOST:]PORT",
+        nargs="?",
+        const=_PORT,
+        help="serve a partner across the Internet by WebRTC: it sees and hears both sides, and is "
+        f"seen and heard at the ground (default 127.0.0.1:{_PORT}); another host than loopback "
+        "gets TLS",
+    )
+    parser.add_argument(
+        "--rtc-token-file",
+        type=Path,
+        metavar="FILE",
+        help="the partner's token (default: a new one for each session)",
+    )
+    add_ice_arguments(parser)
+
+
+def with_rtc(args: argparse.Namespace, setup: Setup) -> Setup:
+    """The setup with a leg, if the options ask for one."""
+    if args.rtc is not None and setup.rtc is None:
+        return replace(setup, rtc=RtcLeg())
+    return setup
+
+
+def bound_rtc(
+    args: argparse.Namespace, setup: Setup, segments: tuple[Segment, ...]
+) -> RtcWish | None:
+    """Bind what the options ask for; None without a leg on this machine.
+
+    ConfigError for options that cannot work, and for an address that cannot be had.
+    """
+    servers = ice_servers_of(args)
+    if setup.rtc is None or Segment.GROUND not in segments:
+        given = (args.rtc, args.rtc_token_file, args.ice_server)
+        if any(one is not None for one in given):
+            why = "give --rtc, too" if setup.rtc is None else "the leg is at the ground's end"
+            raise ConfigError(f"--rtc-token-file and --ice-server belong to a partner: {why}")
+        return None
+    token = ""
+    if args.rtc_token_file is not None:
+        token = read_secret(args.rtc_token_file, "--rtc-token-file")
+    host, port = parse_page(args.rtc or _PORT, "--rtc")
+    return RtcWish(
+        host=host,
+        sockets=bind_pages(host, port, [RTC]),
+        token=token,
+        certificate=args.page_cert,
+        servers=servers,
+    )
+
+
+@contextmanager
+def announced_rtc(
+    wish: RtcWish | None, session: str, *, quiet: bool
+) -> Iterator[Mapping[str, PageListener]]:
+    """Make token and certificate, print the addresses, and yield the listener by process.
+
+    They are also in `rtc.json` in the session's directory, for programs of this user.
+    """
+    if wish is None:
+        yield {}
+        return
+    root, certificate = session_root(session), wish.certificate
+    made = certificate is None and not wish.host.is_loopback
+    if made:
+        certificate = root / "rtc.pem"
+        make_certificate(certificate, wish.host.names())
+    found = listeners(wish.sockets, wish.host, certificate and certificate.resolve())
+    listener = found[RTC]
+    if wish.token:
+        listener = replace(listener, operator_token=wish.token)
+    base = listener.url(RTC).partition(f"/{RTC}?")[0]
+    told = {"page": listener.url(RTC), "base": base, "token": listener.operator_token}
+    file = root / "rtc.json"
+    file.touch(0o600, exist_ok=False)
+    file.write_text(json.dumps(told, indent=1) + "\n")
+    if not quiet:
+        lines = [f"partner {told['page']}"]
+        if made and certificate is not None:
+            lines.append(f"its certificate was made for this session: {fingerprint(certificate)}")
+        with output_that_may_fail():
+            print("\n".join(lines), flush=True)
+    try:
+        yield {RTC: listener}
+    finally:
+        listener.socket.close()
+
+
+def with_servers(row: ProcessRow, wish: RtcWish | None) -> ProcessRow:
+    """The process of the leg with its STUN and TURN servers; all others are unchanged."""
+    if wish is None or row.name != RTC:
+        return row
+    return replace(row, arguments={**row.arguments, "servers": wish.servers})

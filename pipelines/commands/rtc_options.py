@@ -1,0 +1,113 @@
+"""Options of the commands that speak WebRTC: tokens, STUN and TURN servers, rates."""
+
+import argparse
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from kontur_av.errors import ConfigError
+from pipelines.rtc.ice_servers import IceServer, IceServers, timed_credentials
+
+_MOST_SECRET_OCTETS = 4096
+#: What an HTTP header can carry (RFC 6750 section 2.1).
+_TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{1,4096}")
+
+
+def add_token_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--token` and `--token-file`."""
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument("--token", metavar="T", help="the bearer token that the server wants")
+    either.add_argument(
+        "--token-file",
+        type=Path,
+        metavar="FILE",
+        help="the same in a file, which other users of this machine do not see",
+    )
+
+
+def token_of(args: argparse.Namespace) -> str:
+    """Return the token; "" for none. ConfigError for one that cannot be sent."""
+    token: str = args.token or ""
+    if args.token_file is not None:
+        token = read_secret(args.token_file, "--token-file")
+    if token and _TOKEN.fullmatch(token) is None:
+        raise ConfigError("the token has characters that no bearer token may have")
+    return token
+
+
+def add_ice_arguments(parser: argparse.ArgumentParser) -> None:
+    """Servers for the way through NAT."""
+    parser.add_argument(
+        "--ice-server",
+        metavar="URL",
+        help="stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what the media "
+        "server names, if there is one)",
+    )
+    parser.add_argument(
+        "--turn-secret-file",
+        type=Path,
+        metavar="FILE",
+        help="the secret shared with a TURN server, from which credentials for one hour are made "
+        "(coturn's use-auth-secret)",
+    )
+    parser.add_argument("--turn-user", metavar="NAME", help="a lasting user name of the server")
+    parser.add_argument("--turn-password-file", type=Path, metavar="FILE", help="with --turn-user")
+    parser.add_argument(
+        "--ice-relay-only",
+        action="store_true",
+        help="go through the TURN server only, and tell no address of this machine",
+    )
+
+
+def ice_servers_of(
+    args: argparse.Namespace, *, may_be_named: bool = False
+) -> Callable[[], IceServers]:
+    """Return what makes the servers of a new connection, with fresh credentials.
+
+    may_be_named: a media server may name them later (RFC 9725 section 4.6). ConfigError for options
+    that cannot work together.
+    """
+    url, secret_file, user = args.ice_server, args.turn_secret_file, args.turn_user
+    if url is None:
+        for option, given in (
+            ("--turn-secret-file", secret_file),
+            ("--turn-user", user),
+            ("--turn-password-file", args.turn_password_file),
+        ):
+            if given is not None:
+                raise ConfigError(f"{option} belongs to a server: give --ice-server turn:HOST, too")
+        servers = IceServers(relay_only=args.ice_relay_only)
+        if not may_be_named:
+            servers.check()
+        return lambda: servers
+    if (user is None) != (args.turn_password_file is None):
+        raise ConfigError("give both --turn-user and --turn-password-file, or neither")
+    if user is not None and secret_file is not None:
+        raise ConfigError("give either --turn-secret-file or --turn-user")
+    secret = "" if secret_file is None else read_secret(secret_file, "--turn-secret-file")
+    password = "" if user is None else read_secret(args.turn_password_file, "--turn-password-file")
+
+    def make() -> IceServers:
+        username, credential = user or "", password
+        if secret:
+            username, credential = timed_credentials(secret, name="kontur", now_s=int(time.time()))
+        server = IceServer(url=url, username=username, credential=credential)
+        return IceServers(servers=(server,), relay_only=args.ice_relay_only)
+
+    make().check()
+    return make
+
+
+def read_secret(path: Path, option: str) -> str:
+    """Return the text of a file that holds a secret; ConfigError if it has none."""
+    try:
+        octets = path.read_bytes()[: _MOST_SECRET_OCTETS + 1]
+    except OSError as error:
+        raise ConfigError(f"{option} {str(path)!r} cannot be read: {error.strerror}") from None
+    if len(octets) > _MOST_SECRET_OCTETS:
+        raise ConfigError(f"{option} {str(path)!r} is longer than {_MOST_SECRET_OCTETS} octets")
+    text = octets.decode("utf-8", "replace").strip()
+    if not text:
+        raise ConfigError(f"{option} {str(path)!r} is empty")
+    return text

@@ -1,0 +1,110 @@
+"""What becomes of a partner's picture and voice: decoded, counted, and written where asked."""
+
+import argparse
+
+from kontur_av.clock import MonotonicClock
+from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.meters import Histogram
+from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.wire import TimestampUnwrapper
+from kontur_av.streams.voice_player import VoicePlayer
+from pipelines.commands.media_reports import latency_ms
+from pipelines.commands.raw_pictures import RawPictures
+from pipelines.commands.remux import MatroskaWriter
+from pipelines.commands.rtc_reports import ReceivedKind
+from pipelines.rtc.media import PictureCame, SoundCame
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of what is received."""
+    parser.add_argument("--save", metavar="FILE.mkv", help="write the picture as it comes")
+    parser.add_argument("--save-voice", metavar="FILE.mka", help="write the voice as it comes")
+    parser.add_argument(
+        "--raw",
+        metavar="PATH",
+        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
+    )
+
+
+class PartnerOutput:
+    """Takes the events of a connection. `close` it at the end.
+
+    ConfigError for files that cannot be written.
+    """
+
+    def __init__(self, args: argparse.Namespace, clock: MonotonicClock) -> None:
+        self._clock = clock
+        self._decoder = H264Decoder(reordered=True)
+        self._player = VoicePlayer()
+        self._files: list[MatroskaWriter] = []
+        self._picture_file = self._open(args.save)
+        self._voice_file = self._open(args.save_voice)
+        self._raw = None if args.raw is None else RawPictures(args.raw)
+        self._ticks = TimestampUnwrapper(), TimestampUnwrapper()
+        self._picture_ns, self._voice_ns = Histogram(), Histogram()
+        self._pictures = self._blocks = 0
+        #: Width and height of the newest picture; None before the first.
+        self.size: tuple[int, int] | None = None
+
+    def handle(self, event: PictureCame | SoundCame) -> None:
+        """Decode and write what has come."""
+        if isinstance(event, PictureCame):
+            self._handle_unit(event.unit, event.capture_ns)
+        else:
+            self._handle_block(event)
+
+    def flush(self) -> None:
+        """Write what a slow reader of --raw has not taken. Call it often."""
+        if self._raw is not None and self._raw.pending() is not None:
+            self._raw.handle_writable()
+
+    def close(self) -> None:
+        """Finish the files."""
+        for file in self._files:
+            file.close()
+        if self._raw is not None:
+            self._raw.close()
+
+    def pictures(self) -> ReceivedKind:
+        """Figures of the picture."""
+        return _kind(self._pictures, self._picture_ns)
+
+    def voice(self) -> ReceivedKind:
+        """Figures of the voice."""
+        return _kind(self._blocks, self._voice_ns)
+
+    def _open(self, path: str | None) -> MatroskaWriter | None:
+        if path is None:
+            return None
+        file = MatroskaWriter(path)
+        self._files.append(file)
+        return file
+
+    def _handle_unit(self, unit: ReceivedUnit, capture_ns: int | None) -> None:
+        for picture in self._decoder.decode(unit.data, unit.timestamp):
+            self._pictures += 1
+            self.size = picture.width, picture.height
+            if self._raw is not None:
+                self._raw.handle_picture(picture)
+            if capture_ns is not None and picture.timestamp == unit.timestamp:
+                self._picture_ns.add(max(self._clock.now_ns() - capture_ns, 0))
+        if self._picture_file is not None:
+            ticks = self._ticks[0].unwrap(unit.timestamp)
+            self._picture_file.add_unit(unit.data, ticks, keyframe=unit.keyframe)
+
+    def _handle_block(self, event: SoundCame) -> None:
+        block = event.block
+        _, decoded = self._player.play(block)
+        if not decoded:
+            return
+        self._blocks += 1
+        if event.capture_ns is not None:
+            self._voice_ns.add(max(block.play_ns - event.capture_ns, 0))
+        if self._voice_file is not None and block.payload is not None and not block.recovered:
+            ticks = self._ticks[1].unwrap(block.timestamp)
+            self._voice_file.add_opus(block.payload, ticks, block.samples)
+
+
+def _kind(decoded: int, latency_ns: Histogram) -> ReceivedKind:
+    latency = latency_ms(latency_ns) if latency_ns.count else None
+    return ReceivedKind(decoded=decoded, latency_ms=latency)

@@ -1,0 +1,60 @@
+"""The common part of the commands that speak WebRTC: how long they run, and what they say."""
+
+import argparse
+import asyncio
+import signal
+import sys
+from collections.abc import AsyncIterator
+from contextlib import suppress
+
+from pipelines.commands.common import output_that_may_fail, write_text
+from pipelines.commands.rtc_reports import RtcReport
+from pipelines.report.model import to_json
+
+_LOOK_S = 0.2
+
+
+def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--seconds` and `--report`."""
+    parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
+    parser.add_argument("--report", metavar="FILE", help="write a JSON report")
+
+
+def say(line: str) -> None:
+    """Print a line about a connection."""
+    with output_that_may_fail():
+        print(line, flush=True)
+
+
+async def driven(
+    args: argparse.Namespace, running: asyncio.Future[None] | None = None
+) -> AsyncIterator[None]:
+    """Yield five times a second, until the time is over, a signal comes, or `running` has ended.
+
+    Raises what `running` raises.
+    """
+    loop, stop = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop.set)
+    end_s = None if args.seconds is None else loop.time() + args.seconds
+    try:
+        while not stop.is_set() and (end_s is None or loop.time() < end_s):
+            if running is not None and running.done():
+                running.result()
+                return
+            yield
+            with suppress(TimeoutError):
+                async with asyncio.timeout(_LOOK_S):
+                    await stop.wait()
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)
+
+
+def closing_lines(args: argparse.Namespace, report: RtcReport) -> int:
+    """Write the report and say what failed; the exit code."""
+    if args.report:
+        write_text(args.report, to_json(report), "--report")
+    for failure in report.failed:
+        print(f"failed: {failure}", file=sys.stderr)
+    return 1 if report.failed else 0

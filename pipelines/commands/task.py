@@ -1,0 +1,95 @@
+"""`kontur-av task`: list, select, start and abort the tasks of a running session."""
+
+import argparse
+from random import SystemRandom
+
+from rich.console import Console
+
+from kontur_av.errors import ConfigError
+from kontur_av.topics.bus import TopicBus
+from kontur_av.topics.session_files import choose_session
+from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.telecommand import Sending
+from pipelines.cores.mission_messages import ExperimentShown, unpack
+from pipelines.cores.tmtc_messages import SendCommand
+from pipelines.runtime.control import running_sessions
+from pipelines.runtime.tmtc_socket import tmtc_socket_name
+from pipelines.setup.segments import Segment
+from pipelines.topology import MISSION_GROUND_TOPIC, TASKS, TMTC_TOPICS
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+
+_CLIENT = "kontur-av task"
+_PATIENCE_NS = 2_000_000_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """`list`, `select`, `start` and `abort`."""
+    parser.add_argument(
+        "action",
+        choices=["list", "select", "start", "abort"],
+        help="list: the tasks, and where the present one is; select: prepare the robot, and tell "
+        "the cosmonaut; start: begin in the cosmonaut's place; abort: end it",
+    )
+    parser.add_argument("task", nargs="?", metavar="TASK", help="which one to select")
+    parser.add_argument(
+        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
+    )
+    parser.description = (
+        "What an experimenter on the ground does with the tasks of a session that was started with "
+        "--tasks or --plan. Exit code 1 if it is refused."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once it is done; else 1."""
+    if (args.task is not None) != (args.action == "select"):
+        if args.action == "select":
+            raise ConfigError("task select: name the task; `kontur-av task list` lists them")
+        raise ConfigError(f"task {args.action} takes no name")
+    running = running_sessions(tmtc_socket_name(Segment.GROUND))
+    if not running:
+        raise ConfigError("no session's ground end runs here: start kontur-av stream --tasks")
+    session = choose_session(args.session, running, " with --session")
+    with TopicBus.join(session) as bus:
+        shown = _shown(bus, session)
+        if args.action == "list":
+            _print(shown)
+            return 0
+        arguments: tuple[int, ...] = ()
+        if args.action == "select":
+            names = [one.name for one in shown.tasks]
+            if args.task not in names:
+                raise ConfigError(f"unknown task {args.task}: choose one of {', '.join(names)}")
+            arguments = (names.index(args.task),)
+        request = SendCommand(
+            _CLIENT, SystemRandom().getrandbits(48), TASKS, "call", args.action, arguments
+        )
+        application = built_in_dictionary().application(TASKS)
+        reader = bus.reader(TMTC_TOPICS[Segment.GROUND], depth=32)
+        return Sending(session, Segment.GROUND, application, request, reader).follow()
+
+
+def _shown(bus: TopicBus, session: str) -> ExperimentShown:
+    reader = bus.reader(MISSION_GROUND_TOPIC)
+    for _ in range(20):
+        lease = reader.latest()
+        if lease is not None:
+            with lease:
+                return unpack(ExperimentShown, lease.octets())
+        reader.wait(_PATIENCE_NS // 20)
+    raise ConfigError(f"session {session} has no tasks: start it with --tasks or --plan PLAN.toml")
+
+
+def _print(shown: ExperimentShown) -> None:
+    console = Console()
+    with output_that_may_fail():
+        for one in shown.tasks:
+            console.print(f"{one.name:<10} {one.text}", highlight=False, soft_wrap=True)
+        present = f"{shown.task}, run {shown.run}: {shown.phase}" if shown.task else shown.phase
+        elemop = f", {shown.elemop}" if shown.elemop else ""
+        console.print(f"now: {present}{elemop}", highlight=False, soft_wrap=True)
+        for run in shown.runs:
+            took = "" if run.seconds is None else f" after {run.seconds:.1f} s"
+            why = f": {run.reason}" if run.reason else ""
+            line = f"run {run.run} {run.task}: {run.result}{took}{why}"
+            console.print(line, highlight=False, soft_wrap=True)

@@ -1,0 +1,124 @@
+"""Options of `kontur-av stream` for tasks."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from kontur_av.errors import ConfigError
+from pipelines.commands.live_session import made_directory
+from pipelines.setup.segments import Segment
+from pipelines.setup.table import Setup
+from pipelines.topology import PAGES, TASKS, ProcessRow
+from telepresence.haptics.device.spec import is_simulated
+from telepresence.tasks.definitions import Catalogue
+from telepresence.tasks.plan import SessionPlan
+from telepresence.tasks.plan_file import load_plan
+from telepresence.tasks.task_files import load_tasks
+
+_MOST_PORT = 65_535
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskWish:
+    """Which tasks there are, who selects them, and where the LED panel is (None: built in).
+
+    runs: directory for one recording of each run. simulated: a simulated cosmonaut does them.
+    """
+
+    catalogue: Catalogue
+    plan: SessionPlan | None
+    leds: tuple[str, int] | None
+    runs: Path | None
+    simulated: bool
+
+
+def add_task_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--plan`, `--tasks`, `--leds` and `--runs`."""
+    parser.add_argument(
+        "--plan",
+        type=Path,
+        metavar="PLAN.toml",
+        help="select the tasks of a plan; a simulated joystick is then in the hand of a simulated "
+        "cosmonaut, who does them",
+    )
+    parser.add_argument(
+        "--tasks",
+        nargs="*",
+        type=Path,
+        metavar="FILE.xml",
+        help="have tasks, which people select and do; with files, further tasks",
+    )
+    parser.add_argument(
+        "--leds", metavar="HOST:PORT", help="of an LED panel that takes the place of the built-in"
+    )
+    parser.add_argument(
+        "--runs", type=Path, metavar="DIR", help="record each run of a task into a file there"
+    )
+
+
+def task_wish(
+    args: argparse.Namespace, setup: Setup, segments: Sequence[Segment]
+) -> TaskWish | None:
+    """What the options wish; None for a session without tasks. ConfigError."""
+    if args.plan is None and args.tasks is None and not setup.tasks:
+        for option in ("leds", "runs"):
+            if getattr(args, option) is not None:
+                raise ConfigError(f"--{option} is for tasks: give --tasks or --plan, too")
+        return None
+    files = args.tasks or []
+    if args.plan is None:
+        plan, catalogue = None, load_tasks(files)
+    elif files:
+        raise ConfigError("--plan names its files itself: leave those of --tasks out")
+    else:
+        plan, catalogue = load_plan(args.plan)
+        plan.check(catalogue, setup.cameras, setup.name)
+    simulated = plan is not None and is_simulated(args.joystick)
+    if simulated and len(segments) == 1:
+        raise ConfigError(
+            "a simulated cosmonaut sees the LED panel on one machine only: leave --end out, or "
+            "give --tasks at both ends, and --joystick page or evdev in space"
+        )
+    if simulated and args.leds is not None:
+        raise ConfigError(
+            "a simulated cosmonaut sees only the built-in LED panel: leave --leds out"
+        )
+    if setup.partner_arm == "shared":
+        raise ConfigError('tasks are the cosmonaut\'s: take a setup with partner_arm = "none"')
+    if args.runs is not None and getattr(args, "record", None) is not None:
+        raise ConfigError("--runs and --record want the same recorder: give one of them")
+    return TaskWish(
+        catalogue=catalogue,
+        plan=plan,
+        leds=None if args.leds is None else _address(args.leds),
+        runs=made_directory(args.runs),
+        simulated=simulated,
+    )
+
+
+def with_tasks(row: ProcessRow, wish: TaskWish | None) -> ProcessRow:
+    """The processes that need to know what is wished; others are unchanged."""
+    if wish is None:
+        return row
+    if row.name == TASKS:
+        arguments: dict[str, object] = {
+            "plan": wish.plan,
+            "catalogue": wish.catalogue,
+            "leds": wish.leds,
+        }
+        if wish.runs is not None:
+            arguments["runs"] = str(wish.runs.resolve())
+        return replace(row, arguments={**row.arguments, **arguments})
+    if row.name == PAGES[Segment.SPACE]:
+        return replace(row, arguments={**row.arguments, "tasks": wish.catalogue})
+    if row.name == "joystick" and wish.simulated and wish.plan is not None:
+        return replace(row, arguments={**row.arguments, "skill": wish.plan.skill})
+    return row
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) <= _MOST_PORT:
+        raise ConfigError(f"--leds {text!r}: write HOST:PORT")
+    return host, int(port)

@@ -1,0 +1,92 @@
+"""`kontur-av tc`: send a telecommand to an application of a running session, and print its way."""
+
+import argparse
+from random import SystemRandom
+
+from kontur_av.errors import ConfigError
+from kontur_av.topics.bus import TopicBus
+from kontur_av.topics.session_files import choose_session
+from pipelines.commands.telecommand import Sending
+from pipelines.cores.tmtc_words import (
+    SHORT_VERBS,
+    command_from_words,
+)
+from pipelines.runtime.control import running_sessions
+from pipelines.runtime.tmtc_socket import tmtc_socket_name
+from pipelines.setup.segments import Segment
+from pipelines.topology import TMTC_TOPICS
+from telepresence.tmtc.pus.dictionary import Application
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.xtce import dictionary_xtce
+
+_CLIENT = "kontur-av tc"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The application, what it is to do, and from where."""
+    parser.add_argument(
+        "application", nargs="?", metavar="APPLICATION", help="for example joystick or robot"
+    )
+    parser.add_argument(
+        "words",
+        nargs="*",
+        metavar="WHAT",
+        help="a function with its arguments, such as halt; or ping, report NAME, on NAME, "
+        "off NAME, get NAME..., set NAME=VALUE...",
+    )
+    parser.add_argument(
+        "--from",
+        dest="origin",
+        choices=[segment.value for segment in Segment],
+        help="the end that sends it; default: the one across the radio",
+    )
+    parser.add_argument(
+        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
+    )
+    parser.add_argument(
+        "--xtce", action="store_true", help="print the dictionary as XTCE, for other ground systems"
+    )
+    parser.description = (
+        "Send a telecommand, wait for its verification and print it. Without WHAT, list what an "
+        "application can do. Exit code 1 if it fails, or if nobody verifies it."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once the telecommand is verified as completed; else 1."""
+    dictionary = built_in_dictionary()
+    if args.xtce:
+        print(dictionary_xtce(dictionary), end="")
+        return 0
+    if args.application is None:
+        for one in dictionary.applications:
+            print(f"{one.name} ({one.end}): {one.text}")
+        return 0
+    application = dictionary.application(args.application)
+    if not args.words:
+        _list(application)
+        return 0
+    request = command_from_words(
+        application, args.words, client=_CLIENT, number=SystemRandom().getrandbits(48)
+    )
+    origin = Segment(args.origin) if args.origin else Segment(application.end).peer
+    running = running_sessions(tmtc_socket_name(origin))
+    if not running:
+        raise ConfigError(
+            f"no session with its end {origin.value} runs here: start one with kontur-av stream"
+        )
+    session = choose_session(args.session, running, " with --session")
+    with TopicBus.join(session) as bus:
+        reader = bus.reader(TMTC_TOPICS[origin], depth=32)
+        return Sending(session, origin, application, request, reader).follow()
+
+
+def _list(application: Application) -> None:
+    for function in application.functions:
+        print(" ".join((function.name, *function.arguments)))
+    for structure in application.structures:
+        print(f"report {structure.name}: {', '.join(structure.parameters)}")
+    settable = [one.name for one in application.parameters if one.writable]
+    if settable:
+        print(f"set {', '.join(settable)}")
+    print(", ".join(SHORT_VERBS))

@@ -1,0 +1,56 @@
+"""`kontur-av trainer`: give a running session an exercise."""
+
+import argparse
+import sys
+
+from kontur_av.errors import ConfigError
+from pipelines.cores.training import CAMERA, END, JOYSTICK, LOS, TrainerRequest
+from pipelines.runtime.trainer_control import ask_trainer
+
+#: By exercise: what it does, and how long it lasts by default.
+_EXERCISES = {
+    LOS: ("no frame gets through, either way", 20.0),
+    JOYSTICK: ("the joystick has a fault, and recovers afterwards", 5.0),
+    CAMERA: ("a camera gives no pictures", 10.0),
+    END: ("end all exercises at once", None),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The exercises, and the session where several run."""
+    exercises = parser.add_subparsers(dest="exercise", required=True, metavar="EXERCISE")
+    for name, (text, seconds) in _EXERCISES.items():
+        exercise = exercises.add_parser(name, help=text, description=text)
+        if name == CAMERA:
+            exercise.add_argument("camera", metavar="NAME", help="the camera, such as iss_camera")
+        if seconds is not None:
+            exercise.add_argument(
+                "seconds",
+                nargs="?",
+                type=float,
+                default=seconds,
+                metavar="S",
+                help=f"for S seconds (default {seconds:g})",
+            )
+        exercise.add_argument(
+            "--session",
+            metavar="NAME",
+            help="which one, where several run; its setup's name will do",
+        )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once the session has begun the exercise; 1 if it did not answer."""
+    request = TrainerRequest(
+        exercise=args.exercise,
+        seconds=getattr(args, "seconds", 0.0),
+        camera=getattr(args, "camera", ""),
+    )
+    answer = ask_trainer(request, args.session)
+    if answer.mistake:
+        raise ConfigError(answer.text)
+    if not answer.ok:
+        print(f"kontur-av: {answer.text}", file=sys.stderr)
+        return 1
+    print(answer.text)
+    return 0

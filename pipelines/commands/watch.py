@@ -1,0 +1,88 @@
+"""`kontur-av watch`: a picture and a voice from a media server, by WebRTC and WHEP."""
+
+import argparse
+import asyncio
+import time
+from contextlib import closing
+
+from kontur_av.clock import MonotonicClock
+from pipelines.commands.common import check_options
+from pipelines.commands.rtc_options import (
+    add_ice_arguments,
+    add_token_arguments,
+    ice_servers_of,
+    token_of,
+)
+from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
+from pipelines.commands.rtc_reports import RtcReport, connection_report
+from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
+from pipelines.rtc.ice_servers import IceServers
+from pipelines.rtc.keeper import Keeper
+from pipelines.rtc.peer import RtcPeer
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `kontur-av watch`."""
+    parser.add_argument(
+        "--whep", metavar="URL", required=True, help="the endpoint (draft-ietf-wish-whep)"
+    )
+    add_token_arguments(parser)
+    add_output_arguments(parser)
+    add_ice_arguments(parser)
+    add_run_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Watch until the time is over or Ctrl-C. Exit code 0 or 1.
+
+    Raises ConfigError for what cannot work.
+    """
+    check_options(args)
+    return closing_lines(args, asyncio.run(_watch(args)))
+
+
+async def _watch(args: argparse.Namespace) -> RtcReport:
+    clock = MonotonicClock()
+    token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
+    begin_s, newest = time.monotonic(), None
+    with closing(PartnerOutput(args, clock)) as output:
+
+        def make_peer(found: IceServers) -> RtcPeer:
+            return RtcPeer(
+                clock=clock,
+                sends={},
+                receives=("audio", "video"),
+                handle=output.handle,
+                servers=found,
+                wall_offset_ns=clock.wall_offset_ns,
+            )
+
+        keeper = Keeper(
+            args.whep, token=token, make_peer=make_peer, servers=servers, clock=clock, told=say
+        )
+        running = asyncio.create_task(keeper.run())
+        async for _ in driven(args, running):
+            output.flush()
+            if keeper.peer is not None:
+                newest = connection_report(keeper.peer) or newest
+        if keeper.peer is not None:
+            newest = connection_report(keeper.peer) or newest
+        keeper.stop()
+        await running
+        pictures, voice = output.pictures(), output.voice()
+        failed = []
+        if not keeper.attempts.stood:
+            failed.append(f"no connection to {args.whep}: {keeper.fault or 'none was made'}")
+        elif not pictures.decoded and not voice.decoded:
+            failed.append("nothing could be decoded: does anybody send?")
+        return RtcReport(
+            seconds=time.monotonic() - begin_s,
+            connections=keeper.attempts.stood,
+            ice_restarts=keeper.attempts.restarts,
+            last=newest,
+            pictures=pictures,
+            voice=voice,
+            coded={},
+            cpu_s=time.process_time(),
+            failed=failed,
+        )

@@ -1,0 +1,198 @@
+"""What the processes of a mission tell each other through topics.
+
+| topic | writer | content |
+|---|---|---|
+| `robot/order` | tasks | `RobotOrder`: the kernel's newest orders to the robot controller |
+| `mission/camera` | tasks | `CameraWish`: the camera that a task selects |
+| `robot/command` | selector | `RobotCommand`: a telecommand to the robot controller |
+| `robot/status` | robot | `RobotStatus`: what the robot controller does |
+| `mission/panel` | panel | `PanelShown`: what the mission control panel shows |
+| `mission/ground` | tasks | `ExperimentShown`: where the experiment is |
+| `mission/leds` | leds | `LedsShown`: what the LED panel shows |
+"""
+
+from typing import Annotated, Literal, TypeVar
+
+import msgspec
+
+from kontur_av.errors import ProtocolError
+from telepresence.tasks.definitions import ControlMode, Pattern
+from telepresence.tasks.panel_picture import PanelPicture
+
+MISSION_OCTETS = 16 << 10
+OrderKind = Literal["power", "mode", "move", "reset"]
+_Octet = Annotated[int, msgspec.Meta(ge=0, le=255)]
+
+
+class RobotOrder(msgspec.Struct, frozen=True, array_like=True):
+    """An order. number: grows, also over lives of the sender. on: of "power".
+
+    mode: of "mode". x_m, y_m: of "move".
+    """
+
+    number: int
+    kind: OrderKind
+    on: bool = False
+    mode: ControlMode = ControlMode.POSITION
+    x_m: float = 0.0
+    y_m: float = 0.0
+
+
+class RobotCommand(msgspec.Struct, frozen=True, array_like=True):
+    """A function of PUS that a telecommand asks for. number: as in `RobotOrder`.
+
+    mode: of "set_mode".
+    """
+
+    number: int
+    function: str
+    mode: ControlMode = ControlMode.POSITION
+
+
+class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """The robot controller. life: of its process. handled: number of the newest order.
+
+    x_m, y_m: of the tip. push_n: the board's force. goal_m: where it rests after a move.
+    fault: one line, "" for none. error: its kind, a `telepresence.tasks.robot_control.Fault`.
+    halted: the newest sample of the joystick says that it is.
+    commanded: number of the newest `RobotCommand`; None for none. command_refusal: why that was
+    refused, "" if it was carried out. step_hz: cycles of the controller, in the last second.
+    """
+
+    life: int
+    powered: bool
+    mode: ControlMode
+    x_m: float
+    y_m: float
+    push_n: float
+    goal_m: tuple[float, float] | None = None
+    fault: str = ""
+    faults: int = 0
+    refused: int = 0
+    handled: int = 0
+    halted: bool = False
+    error: str = "none"
+    commanded: int | None = None
+    command_refusal: str = ""
+    step_hz: float = 0.0
+
+
+class CameraWish(msgspec.Struct, frozen=True, array_like=True):
+    """The camera that a task selects. number: grows with each."""
+
+    number: int
+    camera: str
+
+
+class PanelShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """The panel, as `telepresence.tasks.panel.PanelView` has it; handle_m: where the handle is."""
+
+    mode: str
+    task: str
+    run: int
+    text: str
+    words: str
+    start_m: tuple[float, float]
+    distance_m: float
+    held_s: float
+    handle_m: tuple[float, float] = (0.0, 0.0)
+    dead_man: bool = False
+
+
+class TaskListed(msgspec.Struct, frozen=True, array_like=True):
+    """A task that can be selected."""
+
+    name: str
+    text: str
+
+
+class StepShown(msgspec.Struct, frozen=True, array_like=True):
+    """A step of a run, at an instant of the session's clock."""
+
+    at_ns: int
+    run: int
+    task: str
+    step: str
+
+
+class RunShown(msgspec.Struct, frozen=True, array_like=True):
+    """A run that is over. seconds: from its start; None if it never started."""
+
+    task: str
+    run: int
+    result: str
+    reason: str
+    seconds: float | None
+
+
+class ExperimentShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """The experiment: its phase, the present task ("" without), Elemop, and what the panel shows.
+
+    tasks: in the catalogue's order, by whose index telecommands name them. steps: the newest ones.
+    runs: the newest ones. planned: a plan selects the tasks.
+    """
+
+    phase: str
+    task: str
+    run: int
+    elemop: str
+    panel: str
+    tasks: tuple[TaskListed, ...]
+    steps: tuple[StepShown, ...] = ()
+    runs: tuple[RunShown, ...] = ()
+    planned: bool = False
+
+
+class LedsShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """The LED panel, as `telepresence.tasks.panel_picture.PanelPicture` has it."""
+
+    pattern: Pattern
+    leds: _Octet
+    spot_m: tuple[float, float]
+    colour: tuple[_Octet, _Octet, _Octet]
+
+    @classmethod
+    def of(cls, picture: PanelPicture) -> "LedsShown":
+        """Return what is to be told of a picture."""
+        return cls(
+            pattern=picture.pattern,
+            leds=picture.leds,
+            spot_m=picture.spot_m,
+            colour=picture.colour,
+        )
+
+    @property
+    def picture(self) -> PanelPicture:
+        """The picture."""
+        return PanelPicture(self.pattern, self.leds, self.spot_m, self.colour)
+
+
+Message = (
+    CameraWish | RobotOrder | RobotCommand | RobotStatus | PanelShown | ExperimentShown | LedsShown
+)
+_Kind = TypeVar(
+    "_Kind",
+    CameraWish,
+    RobotOrder,
+    RobotCommand,
+    RobotStatus,
+    PanelShown,
+    ExperimentShown,
+    LedsShown,
+)
+
+
+def pack(message: Message) -> bytes:
+    """Return at most `MISSION_OCTETS` octets."""
+    return msgspec.msgpack.encode(message)
+
+
+def unpack(kind: type[_Kind], octets: bytes) -> _Kind:
+    """Return what `pack` packed; ProtocolError for anything else."""
+    if len(octets) > MISSION_OCTETS:
+        raise ProtocolError(f"{kind.__name__} has {len(octets)} octets: at most {MISSION_OCTETS}")
+    try:
+        return msgspec.msgpack.decode(octets, type=kind)
+    # Text that is no UTF-8; lists in lists in the place of a field that nobody knows.
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise ProtocolError(f"{kind.__name__}: {error}") from None

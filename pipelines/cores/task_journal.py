@@ -1,0 +1,160 @@
+"""The runs of tasks in a session: their steps, how well they were done, and the link. A core."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import msgspec
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.tasks.definitions import Elemop
+from telepresence.tasks.experiment import Logged, Step, TaskRun
+from telepresence.tasks.kernel import KernelEvent
+from telepresence.tasks.panel_picture import PanelPicture
+from telepresence.tasks.scores import ScoreKeeper, Scores
+
+
+class TaskStep(msgspec.Struct, frozen=True, kw_only=True):
+    """A step of Fig. 14, at an instant."""
+
+    at_ns: int
+    step: str
+
+
+class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
+    """A run: the fields of `pipelines.report.model.TaskRunReport`, with instants in ns."""
+
+    name: str
+    run: int
+    result: str
+    reason: str
+    selected_ns: int
+    seconds: float | None
+    path_m: float
+    force_max_n: float
+    force_mean_n: float
+    error_mean: float | None
+    error_max: float | None
+    frames: int
+    frames_lost: int
+    delay_ms: float
+    steps: list[TaskStep]
+
+    def with_steps_of(self, earlier: "TaskRow") -> "TaskRow":
+        """Return this row, with the steps of an earlier state of it if that has more."""
+        more = len(earlier.steps) > len(self.steps)
+        return msgspec.structs.replace(self, steps=earlier.steps) if more else self
+
+
+class LinkMeanwhile(NamedTuple):
+    """The link at an instant: frames received and lost both ways so far, and its longer delay."""
+
+    frames: int
+    frames_lost: int
+    delay_ns: int
+
+
+class TaskJournal:
+    """Takes the events of an experiment; `report` has a row for each run.
+
+    earlier: rows of an earlier life.
+    """
+
+    def __init__(self, earlier: Sequence[TaskRow] = ()) -> None:
+        self._rows = list(earlier)
+        self._begin = LinkMeanwhile(0, 0, 0)
+        self._newest = self._begin
+        #: The selection of the run that is not over, and its steps.
+        self._open: Logged | None = None
+        self._steps: list[TaskStep] = []
+        self._keeper = ScoreKeeper()
+
+    def handle_begin(self, link: LinkMeanwhile) -> None:
+        """A task is selected."""
+        self._begin = link
+        self._keeper = ScoreKeeper()
+
+    def handle_robot(
+        self, x_m: float, y_m: float, push_n: float, elemop: Elemop | None, picture: PanelPicture
+    ) -> None:
+        """As `ScoreKeeper.handle_robot`, while the cosmonaut drives."""
+        self._keeper.handle_robot(x_m, y_m, push_n, elemop, picture)
+
+    def handle_event(self, event: Logged | TaskRun | KernelEvent, link: LinkMeanwhile) -> None:
+        """An event of the experiment."""
+        self._newest = link
+        if isinstance(event, Logged):
+            if event.step is Step.SELECTED:
+                self._open, self._steps = event, []
+            self._add_step(event)
+        elif isinstance(event, TaskRun):
+            began_ns = event.started_ns
+            lasted_ns = None if began_ns is None else event.ended_ns - began_ns
+            ending = event.result.value, event.reason, event.selected_ns, lasted_ns
+            figures = self._keeper.report(), self._begin, link
+            self._rows.append(self._row(event.task, event.run, *ending, *figures))
+            self._open, self._steps = None, []
+
+    def report(self) -> list[TaskRow]:
+        """The runs, oldest first; the last one is `OPEN` if it is not over."""
+        return self.newest(len(self._rows) + 1)
+
+    def newest(self, most: int) -> list[TaskRow]:
+        """The last ones of `report`."""
+        if (begun := self._open) is None:
+            return self._rows[-most:]
+        figures = self._keeper.report(), self._begin, self._newest
+        row = self._row(begun.task, begun.run, OPEN, "", begun.now_ns, None, *figures)
+        return [*self._rows, row][-most:]
+
+    @property
+    def closed(self) -> tuple[TaskRow, ...]:
+        """The newest runs that are over, for a next life."""
+        return tuple(self._rows[-KEPT:])
+
+    def _add_step(self, event: Logged) -> None:
+        step = TaskStep(at_ns=event.now_ns, step=event.step.value)
+        if self._open is not None and self._open.run == event.run:
+            self._steps.append(step)
+            return
+        # The panel shows the end after the run is over.
+        if self._rows and self._rows[-1].run == event.run:
+            row = self._rows[-1]
+            self._rows[-1] = msgspec.structs.replace(row, steps=[*row.steps, step])
+
+    def _row(
+        self,
+        task: str,
+        run: int,
+        result: str,
+        reason: str,
+        selected_ns: int,
+        lasted_ns: int | None,
+        scores: Scores,
+        begin: LinkMeanwhile,
+        end: LinkMeanwhile,
+    ) -> TaskRow:
+        return TaskRow(
+            name=task,
+            run=run,
+            result=result,
+            reason=reason,
+            selected_ns=selected_ns,
+            seconds=None if lasted_ns is None else round(lasted_ns / NS_PER_S, 3),
+            path_m=round(scores.path_m, 4),
+            force_max_n=round(scores.force_max_n, 3),
+            force_mean_n=round(scores.force_mean_n, 3),
+            error_mean=None if scores.error_mean is None else round(scores.error_mean, 6),
+            error_max=None if scores.error_max is None else round(scores.error_max, 6),
+            frames_lost=end.frames_lost - begin.frames_lost,
+            frames=end.frames - begin.frames,
+            delay_ms=round(end.delay_ns / NS_PER_MS, 3),
+            steps=[*self._steps],
+        )
+
+
+#: The result of a run that the end of the session cut off.
+OPEN = "open"
+#: So many of the newest runs are told, and known to a next life. The collector keeps all.
+KEPT = 20
+#: In the order of Fig. 14.
+STEPS = tuple(step.value for step in Step)

@@ -1,0 +1,220 @@
+"""What processes and the TM/TC end of their segment tell each other: one message a datagram.
+
+A process sends requests to the end's socket; the end publishes news on its topic. Both are
+MessagePack. A request with a `client` and an `id` may be repeated: it is carried out once.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from types import MappingProxyType
+
+import msgspec
+
+from kontur_av.errors import ConfigError
+from telepresence.tmtc.k2aci import (
+    Chat,
+    K2aciMessage,
+    PanelState,
+    StartTask,
+    TaskFinished,
+    TaskSelected,
+)
+from telepresence.tmtc.pus.values import Value
+
+MAX_REQUEST_OCTETS = 2048
+MAX_NEWS_OCTETS = 4096
+
+Values = dict[str, Value]
+FieldValue = str | int | tuple[int, ...]
+Fields = dict[str, FieldValue]
+
+
+class SetValues(msgspec.Struct, frozen=True, tag=True):
+    """Parameters of an application of this end have these values now."""
+
+    application: str
+    values: Values
+
+
+class RaiseEvent(msgspec.Struct, frozen=True, tag=True):
+    """The event `event` of an application of this end happened."""
+
+    application: str
+    event: str
+
+
+class SendCommand(msgspec.Struct, frozen=True, tag=True):
+    """Send a telecommand to an application of either end.
+
+    verb: what it asks for.
+
+    | verb | name | else |
+    |---|---|---|
+    | call | function | arguments |
+    | ping | | |
+    | report, housekeeping_on, housekeeping_off | structure | |
+    | parameters | | arguments: names of parameters |
+    | set | | values |
+    """
+
+    client: str
+    id: int
+    application: str
+    verb: str
+    name: str = ""
+    arguments: tuple[Value, ...] = ()
+    values: Values = {}
+
+
+class FunctionDone(msgspec.Struct, frozen=True, tag=True):
+    """A function was carried out, or refused for a reason; answers `FunctionAsked`."""
+
+    application: str
+    token: int | None
+    refusal: str = ""
+
+
+class SendK2aci(msgspec.Struct, frozen=True, tag=True):
+    """Send a message of K2ACI to the other end. kind: its class; fields: as `plain_fields`."""
+
+    client: str
+    id: int
+    kind: str
+    fields: Fields
+
+
+TmtcRequest = SetValues | RaiseEvent | SendCommand | FunctionDone | SendK2aci
+
+
+class CommandUpdate(msgspec.Struct, frozen=True, tag=True, omit_defaults=True):
+    """What became of a telecommand.
+
+    stage: "taken" (by this end), "unacknowledged" (sent `tries` times, and nothing came back),
+    "accepted", "started", "completed", "failed", or "refused" here, before it was sent. done:
+    nothing follows. verified: the other end said so; without it nobody knows whether it was carried
+    out.
+    """
+
+    client: str
+    id: int
+    application: str
+    stage: str
+    done: bool = False
+    ok: bool = False
+    verified: bool = False
+    reason: str = ""
+    round_trip_ms: float = 0.0
+    tries: int = 0
+
+
+class FunctionAsked(msgspec.Struct, frozen=True, tag=True):
+    """Carry out a function of an application of this end, then send `FunctionDone`.
+
+    token: None after an event: nobody waits for its result.
+    """
+
+    application: str
+    token: int | None
+    function: str
+    arguments: tuple[Value, ...] = ()
+
+
+class ParameterChanged(msgspec.Struct, frozen=True, tag=True):
+    """A telecommand has set a parameter of an application of this end."""
+
+    application: str
+    name: str
+    value: Value
+
+
+class Reported(msgspec.Struct, frozen=True, tag=True):
+    """Telemetry. kind: "housekeeping", "event", "parameters" or "alive".
+
+    name: the structure or the event. severity: of an event. unix_ns: on the sender's clock.
+    """
+
+    kind: str
+    application: str
+    unix_ns: int
+    name: str = ""
+    severity: str = ""
+    values: Values = {}
+
+
+class K2aciArrived(msgspec.Struct, frozen=True, tag=True):
+    """A message of the other end, once and in order. life, number: the other end's."""
+
+    life: int
+    number: int
+    kind: str
+    fields: Fields
+
+
+class K2aciUpdate(msgspec.Struct, frozen=True, tag=True, omit_defaults=True):
+    """What became of a message. state: "waiting", "delivered" or "refused" (see `reason`)."""
+
+    client: str
+    id: int
+    state: str
+    reason: str = ""
+    round_trip_ms: float = 0.0
+
+
+TmtcNews = CommandUpdate | FunctionAsked | ParameterChanged | Reported | K2aciArrived | K2aciUpdate
+
+K2ACI_KINDS: Mapping[str, type[K2aciMessage]] = MappingProxyType(
+    {one.__name__: one for one in (TaskSelected, StartTask, TaskFinished, PanelState, Chat)}
+)
+_REQUESTS: msgspec.msgpack.Decoder[TmtcRequest] = msgspec.msgpack.Decoder(TmtcRequest)
+_NEWS: msgspec.msgpack.Decoder[TmtcNews] = msgspec.msgpack.Decoder(TmtcNews)
+
+
+def pack_request(request: TmtcRequest) -> bytes:
+    """Return a request as octets. ConfigError if they are more than a datagram may have."""
+    octets = msgspec.msgpack.encode(request)
+    if len(octets) > MAX_REQUEST_OCTETS:
+        raise ConfigError(f"a request of {len(octets)} octets: give at most {MAX_REQUEST_OCTETS}")
+    return octets
+
+
+def unpack_request(octets: bytes) -> TmtcRequest | None:
+    """Return what `pack_request` packed, or None for anything else."""
+    if len(octets) > MAX_REQUEST_OCTETS:
+        return None
+    try:
+        return _REQUESTS.decode(octets)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return None
+
+
+def pack_news(news: TmtcNews) -> bytes:
+    """Return news as octets, at most `MAX_NEWS_OCTETS`."""
+    return msgspec.msgpack.encode(news)
+
+
+def unpack_news(octets: bytes) -> TmtcNews | None:
+    """Return what `pack_news` packed, or None for anything else."""
+    try:
+        return _NEWS.decode(octets)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return None
+
+
+def plain_fields(message: K2aciMessage) -> Fields:
+    """Return a message of K2ACI as plain values by name, for `SendK2aci` and `K2aciArrived`."""
+    found: Fields = msgspec.to_builtins(message)
+    return found
+
+
+def k2aci_message(kind: str, given: Mapping[str, FieldValue]) -> K2aciMessage:
+    """Return the message of K2ACI of these fields; ConfigError."""
+    cls = K2ACI_KINDS.get(kind)
+    if cls is None:
+        raise ConfigError(f"K2ACI {kind!r} is unknown: choose one of {', '.join(K2ACI_KINDS)}")
+    known = [one.name for one in fields(cls)]
+    if unknown := set(given) - set(known):
+        raise ConfigError(f"{kind} has no {', '.join(sorted(unknown))}: it has {', '.join(known)}")
+    try:
+        return msgspec.convert(given, cls)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{kind}: {error}") from None

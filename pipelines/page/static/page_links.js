@@ -1,0 +1,37 @@
+/**
+ * `<page-links>`: the other pages of this end, which the same token opens.
+ *
+ * @import { Seat } from "./seat.js"
+ */
+import { make } from "./dom.js";
+
+/** By end: address and name of its pages. @type {Record<string, [string, string][]>} */
+const PAGES = {
+  space: [
+    ["space", "Seat"],
+    ["panel", "Panel"],
+    ["k2cp", "K2CP"],
+  ],
+  ground: [
+    ["ground", "Ground control"],
+    ["top", "TOP-UI"],
+    ["k2sv", "K2SV"],
+  ],
+};
+
+class PageLinks extends HTMLElement {
+  /** @param {Seat} seat */
+  follow({ connection }) {
+    const token = new URL(document.baseURI).pathname.split("/")[1] ?? "";
+    connection.on("hello", ({ seat, tasks }) => {
+      const here = location.pathname.slice(1);
+      const shown = (PAGES[seat] ?? []).filter(([page]) => tasks || !["panel", "top"].includes(page) || page === here);
+      const links = shown.map(([page, name]) =>
+        make("a", { href: `${location.origin}/${page}?token=${token}`, ...(page === here ? { "aria-current": "page" } : {}) }, name),
+      );
+      this.replaceChildren(make("nav", { "aria-label": "Pages of this end" }, ...links));
+    });
+  }
+}
+
+customElements.define("page-links", PageLinks);

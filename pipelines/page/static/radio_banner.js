@@ -1,0 +1,32 @@
+/**
+ * `<radio-banner>`: whether both directions of the radio carry, and whether telecommands are
+ * acknowledged, as the server of this end knows it.
+ *
+ * @import { Seat } from "./seat.js"
+ */
+import { announce } from "./announcer.js";
+import { make, setText } from "./dom.js";
+
+/** @type {Record<string, string>} */
+const SIGNS = { good: "● ", warn: "▲ ", bad: "✕ ", none: "" };
+
+class RadioBanner extends HTMLElement {
+  #words = make("span");
+
+  /** @param {Seat} seat */
+  follow({ connection }) {
+    this.append(this.#words);
+    this.dataset.level = "none";
+    connection.on("radio", ({ level, words }) => {
+      this.dataset.level = level;
+      setText(this.#words, `${SIGNS[level]}${words}`);
+      if (level === "bad") announce(words);
+    });
+    connection.on("lost", () => {
+      this.dataset.level = "none";
+      setText(this.#words, "The server does not answer.");
+    });
+  }
+}
+
+customElements.define("radio-banner", RadioBanner);

@@ -1,0 +1,391 @@
+"""Joins the reports of the two ends of a session on two machines. A core.
+
+What one end alone counts is taken from its report. What needs both (latencies, stages, skews,
+contacts) is found anew, by the collector of a session on one machine, from the rows of both: those
+of space with their instants on the clock of the ground (`telepresence.link.clock`).
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.cores.probe import FLUSH_NS, Message, Series
+from pipelines.cores.rows import INSTANTS, ClockRow, Row
+from pipelines.report.collector import Collector
+from pipelines.report.model import (
+    CpuReport,
+    DirectionReport,
+    EndTrace,
+    ExerciseReport,
+    HapticReport,
+    RecorderReport,
+    SessionReport,
+    StreamReport,
+    TraceSeries,
+)
+from pipelines.report.session_report import skew_reports, stream_latency_ms
+from pipelines.report.spread import spread_ms
+from pipelines.report.sync.section import sync_section
+from pipelines.report.terms import video_lead
+from pipelines.report.trace import TRACED, rows_of
+from pipelines.setup.table import Setup
+from pipelines.topology import Segment, Topology, topology_of
+from telepresence.link.clock.history import ClockHistory
+
+#: A session lasts no longer.
+_LONGEST_NS = 7 * 24 * 3600 * NS_PER_S
+_NEEDS = "write both with `kontur-av stream --end … --report FILE` of one session"
+
+#: Of a stream's report: what the receiver knows. The rest is the sender's, or found anew.
+_RECEIVED = (
+    "frames_displayed",
+    "displayed_hz",
+    "rtp_packets",
+    "rtp_lost",
+    "rtp_reordered",
+    "rtp_duplicates",
+    "rtp_late",
+    "garbage",
+    "frames_damaged",
+    "frames_concealed",
+    "frames_recovered",
+    "frames_corrupt",
+    "frames_undated",
+    "frames_oversized",
+    "stale_after_ms",
+    "stale_ms",
+    "stale_episodes",
+    "frozen_ms",
+    "frozen_episodes",
+    "damaged_ms",
+    "damaged_episodes",
+)
+_FELT = (
+    "payload_bps_mean",
+    "received",
+    "lost",
+    "late",
+    "strays",
+    "greetings",
+    "sessions",
+    "garbage",
+)
+#: Of a direction of the link: what the gateway knows that receives.
+_LINK_RECEIVED = ("frames_lost", "frames_dropped", "packets", "packets_dropped")
+
+
+class JoinedEnd(NamedTuple):
+    """The report of an end, and its trace."""
+
+    report: SessionReport
+    trace: EndTrace
+
+
+@dataclass
+class _Timed:
+    """Rows of a process in the order of their instants on the ground's clock."""
+
+    process: str
+    kind: type[Row]
+    stream: str
+    rows: NDArray[np.int64]
+    instants_ns: NDArray[np.int64]
+    taken: int = 0
+
+    def take(self, until_ns: int) -> Series[Any] | None:
+        """The next rows, those before `until_ns`."""
+        end = int(np.searchsorted(self.instants_ns, until_ns))
+        if end == self.taken:
+            return None
+        rows = self.rows[self.taken : end]
+        self.taken = end
+        values = array("q", np.ascontiguousarray(rows).tobytes())
+        return Series(self.kind, self.stream, values)
+
+
+def join_reports(
+    first: SessionReport, second: SessionReport, *, read_setup: Callable[[str], Setup]
+) -> SessionReport:
+    """Return the report of the whole session; the order of the two does not matter.
+
+    read_setup: makes a setup of its TOML text (`pipelines.setup.setup_file`).
+    Raises ConfigError if they are not the two ends of one session, and ProtocolError for a trace
+    that no session wrote.
+    """
+    ends = _ends(first, second)
+    ground, space = ends[Segment.GROUND], ends[Segment.SPACE]
+    setup = read_setup(ground.trace.setup)
+    topology = topology_of(setup)
+    _check_alike(setup, read_setup(space.trace.setup))
+    collector = Collector(topology)
+    error_ns = _collect(collector, ground.trace, space.trace)
+    reports = {segment: end.report for segment, end in ends.items()}
+    link = {name: _direction(topology, name, reports) for name in ("uplink", "downlink")}
+    began_ns, ended_ns = _both_ran(ground.trace, space.trace, collector)
+    return msgspec.structs.replace(
+        ground.report,
+        end=None,
+        trace=None,
+        seconds=round((ended_ns - began_ns) / NS_PER_S, 3),
+        streams={
+            stream.name: _stream(stream.name, reports, collector, error_ns, began_ns, ended_ns)
+            for stream in setup.streams
+        },
+        haptic={
+            row.key: _haptic(row.key, reports, collector, began_ns, ended_ns)
+            for row in topology.haptics
+        },
+        joystick=space.report.joystick,
+        link=link,
+        gateways=ground.report.gateways | space.report.gateways,
+        skew_ms=skew_reports(collector),
+        video_lead=video_lead(
+            setup,
+            collector.streams[setup.uplink_video.name].way,
+            link["uplink"],
+            force_ns=collector.haptics["up"].latency.mean,
+            epoch_ns=began_ns,
+        ),
+        sync=sync_section(setup, collector.sync, media=True),
+        lip_sync=collector.lip_sync.summary() if collector.lip_sync.counted_ns else None,
+        cpu=_cpu(ground.report.cpu, space.report.cpu),
+        processes=ground.report.processes | space.report.processes,
+        failures=[*ground.report.failures, *space.report.failures],
+        warnings=[*ground.report.warnings, *space.report.warnings],
+        exercises=_exercises(ends),
+        recorder=_recorder(ground.report.recorder, space.report.recorder),
+        rtc=ground.report.rtc,
+    )
+
+
+def _ends(first: SessionReport, second: SessionReport) -> dict[Segment, JoinedEnd]:
+    ends: dict[Segment, JoinedEnd] = {}
+    for report in (first, second):
+        if report.end is None or report.trace is None:
+            raise ConfigError(f"a report of a whole session, not of an end: {_NEEDS}")
+        try:
+            segment = Segment(report.end)
+        except ValueError:
+            raise ConfigError(f"a report of the end {report.end!r}: {_NEEDS}") from None
+        if segment in ends:
+            raise ConfigError(f"both reports are of the end {report.end}: {_NEEDS}")
+        ends[segment] = JoinedEnd(report, report.trace)
+    one, other = (end.trace for end in ends.values())
+    met = set(one.lives) & set(other.peers) | set(other.lives) & set(one.peers)
+    if not met:
+        raise ConfigError(f"the two ends never met: the reports are of two sessions; {_NEEDS}")
+    return ends
+
+
+def _check_alike(ground: Setup, space: Setup) -> None:
+    for name in ("streams", "uplink", "downlink", "deadband", "hand"):
+        if getattr(ground, name) != getattr(space, name):
+            raise ConfigError(f"the ends had setups with different {name}; give both the same")
+
+
+def _collect(collector: Collector, ground: EndTrace, space: EndTrace) -> int:
+    """Give the rows of both ends to the collector; return the largest error of an instant (ns)."""
+    history, shift_ns = _clock(ground, space)
+    timed, errors_ns = [], [0]
+    for trace in (ground, space):
+        for series in trace.series:
+            found, error_ns = _timed(
+                series, collector.topology, None if trace is ground else (history, shift_ns)
+            )
+            if found is not None:
+                timed.append(found)
+                errors_ns.append(error_ns)
+    _replay(collector, timed)
+    return max(errors_ns)
+
+
+def _clock(ground: EndTrace, space: EndTrace) -> tuple[ClockHistory, int]:
+    """Where the clock of the ground was, by instants of space; what else to add (ns).
+
+    The offsets are between wall times.
+    """
+    shift_ns = space.wall_offset_ns - ground.wall_offset_ns
+    own = _history(space.series)
+    if own.known:
+        return own, shift_ns
+    other = _history(ground.series)
+    if not other.known:
+        raise ConfigError("neither end knew the other's clock; let the session run for longer")
+    # Instants of the wall time of space, brought to the clock of its rows.
+    reversed_ = ClockHistory()
+    for instant_ns, offset_ns, error_ns in other.estimates():
+        at_ns = instant_ns + ground.wall_offset_ns + offset_ns - space.wall_offset_ns
+        reversed_.add(at_ns, -offset_ns, error_ns)
+    return reversed_, shift_ns
+
+
+def _history(every: Iterable[TraceSeries]) -> ClockHistory:
+    history = ClockHistory()
+    for series in every:
+        if TRACED.get(series.kind) is ClockRow:
+            for instant_ns, offset_ns, error_ns in rows_of(series).tolist():
+                history.add(instant_ns, offset_ns, error_ns)
+    return history
+
+
+def _timed(
+    series: TraceSeries, topology: Topology, clock: tuple[ClockHistory, int] | None
+) -> tuple[_Timed | None, int]:
+    """The rows on the clock of the ground, and the largest error of their instants (ns).
+
+    clock: of rows of space. None for rows that no collector takes.
+    """
+    rows = rows_of(series)
+    kind = TRACED[series.kind]
+    known = series.process in {row.name for row in topology.processes}
+    of_stream = not series.stream or series.stream in {row.name for row in topology.media_streams}
+    if kind is ClockRow or not len(rows) or not (known and of_stream):
+        return None, 0
+    columns = [kind._fields.index(column) for column in INSTANTS[kind]]
+    error_ns = 0
+    if clock is not None:
+        history, shift_ns = clock
+        rows = rows.copy()
+        for column in columns:
+            offsets_ns, errors_ns = history.at(rows[:, column])
+            rows[:, column] += offsets_ns + shift_ns
+            error_ns = max(error_ns, int(errors_ns.max()))
+    instants_ns = rows[:, columns].max(axis=1)
+    order = np.argsort(instants_ns, kind="stable")
+    return _Timed(series.process, kind, series.stream, rows[order], instants_ns[order]), error_ns
+
+
+def _replay(collector: Collector, timed: list[_Timed]) -> None:
+    """Tell the collector the rows in the order in which a session would have told them."""
+    if not timed:
+        return
+    now_ns = min(int(one.instants_ns[0]) for one in timed)
+    end_ns = max(int(one.instants_ns[-1]) for one in timed)
+    if end_ns - now_ns > _LONGEST_NS:
+        raise ProtocolError(f"the rows span {(end_ns - now_ns) / NS_PER_S:.0f} s")
+    while now_ns <= end_ns:
+        now_ns += FLUSH_NS
+        for one in timed:
+            series = one.take(now_ns)
+            if series is not None:
+                collector.handle_message(one.process, Message(series=[series]), now_ns)
+    # What waits is complete.
+    collector.sync.handle_time(now_ns + 2 * NS_PER_S, collector.haptics["up"].sent_ns_at)
+    collector.handle_end()
+
+
+def _both_ran(ground: EndTrace, space: EndTrace, collector: Collector) -> tuple[int, int]:
+    """From when to when both ends ran, on the clock of the ground."""
+    history, shift_ns = _clock(ground, space)
+    instants_ns = np.array([space.began_ns, space.ended_ns], np.int64)
+    began_ns, ended_ns = (instants_ns + history.at(instants_ns).offsets_ns + shift_ns).tolist()
+    began_ns, ended_ns = max(began_ns, ground.began_ns), min(ended_ns, ground.ended_ns)
+    if ended_ns <= began_ns:
+        raise ConfigError(f"the two ends did not run at the same time; {_NEEDS}")
+    return began_ns, ended_ns
+
+
+def _picked(report: msgspec.Struct, names: Iterable[str]) -> Mapping[str, Any]:
+    return {name: getattr(report, name) for name in names}
+
+
+def _pauses_s(pauses_ns: Iterable[tuple[int, int]], began_ns: int) -> list[tuple[float, float]]:
+    return [
+        (round((begin - began_ns) / NS_PER_S, 3), round((end - began_ns) / NS_PER_S, 3))
+        for begin, end in pauses_ns
+    ]
+
+
+def _stream(
+    name: str,
+    reports: Mapping[Segment, SessionReport],
+    collector: Collector,
+    error_ns: int,
+    began_ns: int,
+    ended_ns: int,
+) -> StreamReport:
+    direction = collector.topology.media(name).direction
+    sent = reports[direction.sender].streams[name]
+    received = reports[direction.receiver].streams[name]
+    figures = collector.streams[name]
+    return msgspec.structs.replace(
+        sent,
+        side=None,
+        **_picked(received, _RECEIVED),
+        latency_ms=stream_latency_ms(figures),
+        latency_error_ms=round(error_ns / NS_PER_MS, 3),
+        pauses_s=_pauses_s(figures.pauses.within(began_ns, ended_ns), began_ns),
+        capture_stamp_error_us=round(figures.stamp_error.max / 1000, 1),
+    )
+
+
+def _haptic(
+    key: str,
+    reports: Mapping[Segment, SessionReport],
+    collector: Collector,
+    began_ns: int,
+    ended_ns: int,
+) -> HapticReport:
+    direction = collector.topology.haptic(key).direction
+    sent = reports[direction.sender].haptic[key]
+    received = reports[direction.receiver].haptic[key]
+    figures = collector.haptics[key]
+    return msgspec.structs.replace(
+        sent,
+        side=None,
+        **_picked(received, _FELT),
+        latency_ms=spread_ms(figures.latency),
+        pauses_s=_pauses_s(figures.pauses.within(began_ns, ended_ns), began_ns),
+    )
+
+
+def _direction(
+    topology: Topology, name: str, reports: Mapping[Segment, SessionReport]
+) -> DirectionReport:
+    (link,) = (row for row in topology.links if row.direction.value == name)
+    received = reports[link.direction.receiver].link[name]
+    return msgspec.structs.replace(
+        reports[link.direction.sender].link[name], **_picked(received, _LINK_RECEIVED)
+    )
+
+
+def _cpu(ground: CpuReport, space: CpuReport) -> CpuReport:
+    return CpuReport(
+        total_s=round(ground.total_s + space.total_s, 2),
+        launcher_s=round(ground.launcher_s + space.launcher_s, 2),
+        cores_used=round(ground.cores_used + space.cores_used, 3),
+    )
+
+
+def _exercises(ends: Mapping[Segment, JoinedEnd]) -> list[ExerciseReport] | None:
+    found = [one for end in ends.values() for one in end.report.exercises or ()]
+    return sorted(found, key=lambda one: one.at_s) or None
+
+
+def _recorder(ground: RecorderReport | None, space: RecorderReport | None) -> RecorderReport | None:
+    """Both recorders; the files of the two are named one after the other."""
+    if ground is None or space is None:
+        return ground or space
+    files = [one.file for one in (ground, space) if one.file is not None]
+    return RecorderReport(
+        file="; ".join(files) or None,
+        parts=ground.parts + space.parts,
+        octets=ground.octets + space.octets,
+        disk_faults=ground.disk_faults + space.disk_faults,
+        fault=ground.fault or space.fault,
+        channels=dict(_named(ground, "ground")) | dict(_named(space, "space")),
+    )
+
+
+def _named(recorder: RecorderReport, end: str) -> Iterator[tuple[str, Any]]:
+    for name, channel in recorder.channels.items():
+        yield f"{end}: {name}", channel

@@ -1,0 +1,34 @@
+"""Whether a session has tasks."""
+
+from argparse import ArgumentParser
+from dataclasses import replace
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.commands.task_options import add_task_arguments, task_wish
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.setup.segments import Segment
+
+SETUP = BUILT_IN["spacejustin"]
+
+
+def wish(setup, *words):
+    parser = ArgumentParser()
+    parser.add_argument("--joystick", default="page")
+    add_task_arguments(parser)
+    return task_wish(parser.parse_args(words), setup, tuple(Segment))
+
+
+def test_a_setup_may_wish_tasks_as_the_option_does():
+    assert wish(SETUP) is None
+    with_tasks = replace(SETUP, tasks=True)
+    assert wish(with_tasks) == wish(SETUP, "--tasks") == wish(with_tasks, "--tasks") is not None
+    assert wish(with_tasks, "--leds", "panel:5000").leds == ("panel", 5000)
+
+
+def test_a_partner_who_drives_the_robot_does_no_tasks():
+    with pytest.raises(ConfigError, match="tasks are the cosmonaut's"):
+        wish(replace(SETUP, partner_arm="shared"), "--tasks")
+    with pytest.raises(ConfigError, match="tasks are the cosmonaut's"):
+        replace(SETUP, partner_arm="shared", tasks=True)

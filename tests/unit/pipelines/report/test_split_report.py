@@ -1,0 +1,111 @@
+"""One end of a session alone: its report has what it knows, and blames nobody for the rest."""
+
+import pytest
+from rich.console import Console
+from told import message
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.cores.figures import (
+    CaptureCounters,
+    DisplayCounters,
+    HapticCounters,
+    PeerGauges,
+    SendingCounters,
+)
+from pipelines.cores.rows import ShownRow
+from pipelines.report.collector import Collector
+from pipelines.report.event_log import EventLog
+from pipelines.report.model import SessionReport, from_json, to_json
+from pipelines.report.session_report import build_report
+from pipelines.report.summary import first_line, streams_table
+from pipelines.report.warnings import find_path_warnings
+from pipelines.setup.built_in import BUILT_IN
+from pipelines.topology import Segment, topology_of
+from telepresence.link.peer.open import OpenPath
+
+SETUP = BUILT_IN["spacejustin"]
+SECONDS = 60
+
+
+def alone(segment):
+    """The collector of one end whose processes have reported for a minute, and its report."""
+    topology = topology_of(SETUP, segments=(segment,))
+    collector = Collector(topology)
+    # Of the gateways nothing is known, so nothing excuses what is missing.
+    now_ns, figures = SECONDS * NS_PER_S, {}
+    for row in topology.media_streams:
+        if topology.runs(row.sender):
+            figures[row.sender] = [SendingCounters(frames_captured=1800, frames_sent=1800)]
+            for name in row.inputs:
+                figures[topology.input(name).process] = [CaptureCounters(captured=1800)]
+    for row in topology.haptics:
+        if topology.runs(row.sender):
+            figures[row.sender] = [HapticCounters(sent=60_000)]
+    for process, told in figures.items():
+        assert topology.runs(process)
+        collector.handle_message(process, message(*told), now_ns)
+    return collector
+
+
+def report_of(collector):
+    names = [row.name for row in collector.topology.processes_here]
+    report = build_report(
+        SETUP,
+        collector,
+        seconds=SECONDS,
+        cpu_s=dict.fromkeys(names, 1.0),
+        restarts=dict.fromkeys(names, 0),
+        launcher_cpu_s=0.0,
+    )
+    return from_json(to_json(report), SessionReport)
+
+
+@pytest.mark.parametrize("segment", Segment, ids=lambda segment: segment.value)
+def test_it_names_its_end_and_no_failure_of_the_other(segment):
+    report = report_of(alone(segment))
+    assert report.end == segment.value
+    assert list(report.gateways) == [segment.value]
+    assert report.failures == []
+    assert report.warnings == []
+    sent = {name for name, stream in report.streams.items() if stream.side == "sender"}
+    prefix = "uplink" if segment is Segment.GROUND else "downlink"
+    assert sent == {name for name in report.streams if name.startswith(prefix)}
+    assert len(sent) == 2
+    assert {stream.side for stream in report.streams.values()} == {"sender", "receiver"}
+    assert report.sync is None
+    assert f"the {segment.value} end alone" in first_line(report, 118)
+
+
+def test_latencies_between_two_clocks_are_left_out_of_report_and_table():
+    collector = alone(Segment.SPACE)
+    # The other machine's clock is an hour ahead, so what is shown seems to come from the future.
+    rows = [ShownRow(n, 3600 * NS_PER_S, n * 33 * NS_PER_MS) for n in range(1, 100)]
+    told = message(DisplayCounters(frames_displayed=99), rows=rows, stream="uplink_video")
+    collector.handle_message("space_display", told, SECONDS * NS_PER_S)
+    report = report_of(collector)
+    assert report.failures == []
+    video = report.streams["uplink_video"]
+    assert (video.frames_displayed, video.latency_ms.count) == (99, 0)
+    console = Console(width=118)
+    with console.capture() as capture:
+        console.print(streams_table(report, 118))
+    (line,) = [line for line in capture.get().splitlines() if " uplink_video " in line]
+    cells = [cell.strip() for cell in line.strip("│").split("│")]
+    # Its rates are known to the other end, what is shown to this one.
+    assert cells[2:5] == ["–", "–", "–"]
+    assert cells[5] == f"{99 / SECONDS:.1f}"
+    assert cells[7:] == ["–", "–", "–", "–"]
+
+
+def test_a_path_without_protection_is_warned_of_and_stands_in_the_event_log():
+    collector = alone(Segment.GROUND)
+    path = OpenPath(SETUP.downlink, address=("192.0.2.1", 27000), now_ns=5)
+    told = message(PeerGauges(peer=path.report(NS_PER_S)))
+    collector.handle_message("ground_gateway", told, NS_PER_S)
+    (warning,) = find_path_warnings(collector, Segment)
+    assert (warning.what, warning.where) == ("not_protected", "ground_gateway")
+    assert report_of(collector).gateways["ground"].peer.protected is False
+    log = EventLog(SETUP, collector)
+    assert [text for _, _, text in log._peers()] == ["ground: the path is NOT PROTECTED"]
+    # Each event is told once.
+    assert list(log._peers()) == []
