@@ -436,8 +436,8 @@ def test_ground_control_records(ground, session):
         return records is (on == "true")
 
     ground.wait(LIVE)
-    eventually(lambda: pressed("true"), "a recording")
-    ground.wait("document.querySelector('.recorded').textContent.endsWith('MB')")
+    said = "return document.querySelector('.recorded').textContent"
+    eventually(lambda: pressed("true") and ground.run(said).endswith("MB"), "a recording")
     eventually(lambda: pressed("false"), "the end of the recording")
     (path,) = session.directory.glob("*.mcap")
     assert path.stat().st_size > 10_000

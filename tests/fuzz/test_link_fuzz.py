@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow, voice_flow
 from telepresence.link.frame import MAX_PACKET_OCTETS, FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.receiver import LinkReceiver, PacketReceived
+from telepresence.link.received import PacketReceived
+from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import LinkSender
 
 MS = 1_000_000
@@ -85,7 +86,7 @@ def test_mutated_frames(profile):
         handled += 1
         while receiver.next_event():
             events += 1
-        held = sum(len(partial.body) for partial in receiver._partials if partial)
+        held = sum(len(partial.body) for partial in receiver.packets._partials if partial)
         assert held <= len(Level) * (MAX_PACKET_OCTETS + 16)
     report = receiver.report()
     assert report.frames + sum(report.frames_dropped.values()) == handled
@@ -135,7 +136,7 @@ def test_any_octets_after_a_valid_header_with_a_valid_checksum(profile, data):
         assert receiver.handle_frame(frame, count * MS)
         while receiver.next_event():
             pass
-        held = sum(len(partial.body) for partial in receiver._partials if partial)
+        held = sum(len(partial.body) for partial in receiver.packets._partials if partial)
         assert held <= len(Level) * (MAX_PACKET_OCTETS + 16)
     assert receiver.frames_received == len(frames)
 

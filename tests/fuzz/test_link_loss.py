@@ -16,12 +16,8 @@ from hypothesis import strategies as st
 
 from telepresence.link.flows import Level, packet_flow, video_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
-from telepresence.link.receiver import (
-    HapticReceived,
-    LinkReceiver,
-    PacketReceived,
-    SupervisionReceived,
-)
+from telepresence.link.received import HapticReceived, PacketReceived, SupervisionReceived
+from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import LinkSender
 
 MS = 1_000_000
@@ -198,9 +194,9 @@ def test_what_comes_out_was_put_in(profile, arrivals, disturbances, sampled, sup
     dropped = sum(sum(queue.drops.values()) for queue in ends.values())
     refused = sum(queue.drops["full"] for queue in ends.values())
     if not radio.ways and not refused:
-        received = sum(receiver.packets_received)
-        in_part = receiver.packets_dropped.get("incomplete", 0)
-        no_context = receiver.packets_dropped.get("no_context", 0)
+        received = sum(receiver.packets.received)
+        in_part = receiver.packets.dropped.get("incomplete", 0)
+        no_context = receiver.packets.dropped.get("no_context", 0)
         assert accepted - dropped == received + no_context
         assert in_part <= dropped
 
@@ -229,7 +225,7 @@ def test_a_gap_of_ten_seconds_leaves_no_trace():
             receiver.handle_frame(frame, slot * MS)
         while event := receiver.next_event():
             got.append((slot, event.data))
-    assert receiver.packets_dropped.keys() <= {"incomplete"}
+    assert receiver.packets.dropped.keys() <= {"incomplete"}
     known = set(put)
     assert all(data in known for _, data in got)
     assert min(slot for slot, _ in got if slot >= 19_990) < 19_990 + 25

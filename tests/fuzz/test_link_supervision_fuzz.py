@@ -11,6 +11,7 @@ from random import Random
 from hypothesis import given
 from hypothesis import strategies as st
 
+from telepresence.link.clock.exchange import ClockExchange
 from telepresence.link.flows import tmtc_flow, video_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.supervision.supervisor import (
@@ -138,3 +139,19 @@ def test_whatever_strangers_say_a_live_connection_stays():
     counts = victim.report(0).counts
     assert counts["messages_malformed"] > 0 < counts["messages_mismatched"]
     assert counts["signals_lost"] == counts["peer_restarts"] == 0
+
+
+@given(st.lists(st.tuples(st.binary(min_size=8, max_size=8), st.integers(0, 10**9)), max_size=60))
+def test_any_clocks_of_the_peer_are_taken_or_begun_anew(told):
+    exchange = ClockExchange(version=2, master=True, life=1, told_offset_ns=0, now_ns=0)
+    exchange.handle_peer(7, 0)
+    now_ns = 0
+    for rest, later_ns in told:
+        now_ns += later_ns
+        exchange.poll_transmit(now_ns, now_ns)
+        assert exchange.handle_message(bytes.fromhex("25000007") + rest, now_ns, heard=True)
+        found = exchange.estimate(now_ns)
+        assert found is None or found.error_ns > 0
+    figures = exchange.report(now_ns)
+    assert figures.messages_received == len(told)
+    assert figures.restarts <= len(told) + 1

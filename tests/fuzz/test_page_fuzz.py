@@ -15,21 +15,31 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.page.access import Role
+from pipelines.cores.seat_roles import Role
 from pipelines.page.client_queue import MOST_UNITS
 from pipelines.page.plan import seat_plan
 from pipelines.page.seat import HandMoved, Seat
 from pipelines.setup.built_in import BUILT_IN
 from pipelines.topology import Segment, topology_of
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 PLANS = [
-    seat_plan(topology_of(BUILT_IN["spacejustin"], pages=True), segment, "x") for segment in Segment
+    seat_plan(topology_of(BUILT_IN["spacejustin"], pages=True), segment, "x", built_in_dictionary())
+    for segment in Segment
 ]
 #: More than all depths of a queue together, without a replay.
-MOST_WAITING = 64 + 32 + 1 + 8 + 2 * 25 + 4 + 2 * 15 + 2 * MOST_UNITS
+MOST_WAITING = 64 + 32 + 1 + 8 + 8 + 2 * 25 + 4 + 2 * 15 + 2 * MOST_UNITS
 
 WORDS = st.sampled_from(
     [
+        *(
+            "command",
+            "chat",
+            "call",
+            "report",
+            "tasks",
+            "robot",
+        ),
         *("select", "joystick", "hand", "session", "input", "take", "give", "ask", "refuse", "on"),
         *(
             "record",
@@ -52,6 +62,10 @@ REQUESTS = st.fixed_dictionaries(
         "event": WORDS,
         "action": WORDS,
         "name": WORDS,
+        "application": WORDS,
+        "verb": WORDS,
+        "text": WORDS,
+        "arguments": st.lists(st.integers() | WORDS, max_size=5),
         "on": st.booleans() | WORDS,
     },
 ).map(json.dumps)

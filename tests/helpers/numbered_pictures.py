@@ -45,25 +45,25 @@ def number_on(page, selector="#picture"):
     return number_of(page.pixels(selector))
 
 
-def write_pictures(path, count):
-    """Write a YUV4MPEG2 file of pictures with the numbers from 1 to count."""
+def write_pictures(path, count, first=1):
+    """Write a YUV4MPEG2 file of `count` pictures with the numbers from `first` on."""
     with path.open("wb") as file:
         file.write(_HEADER)
-        for number in range(1, count + 1):
+        for number in range(first, first + count):
             file.write(_FRAME + numbered_picture(number).tobytes())
 
 
 class NumberedPictures:
     """Writes numbered pictures into a FIFO until its exit.
 
-    newest: the number of the picture that was written last; 0 before the first.
+    newest: the number of the picture that was written last; `before` in the beginning.
     bright: whether pictures are bright. A change is a cut.
     """
 
-    def __init__(self, fifo):
+    def __init__(self, fifo, before=0):
         os.mkfifo(fifo)
         self.path = fifo
-        self.newest = 0
+        self.newest = before
         self.bright = False
         self._ended, self._flows = threading.Event(), threading.Event()
         self._flows.set()

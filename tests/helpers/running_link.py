@@ -74,6 +74,7 @@ class RunningLink:
     """
 
     def __init__(self, *options, directory, name="link", prefix=(), base_port=None):
+        self.name = name
         self.base_port = base_port or free_base_port()
         self.topology = topology_of(replace(BUILT_IN["spacejustin"], base_port=self.base_port))
         self.report_path = Path(directory) / f"{name}.json"

@@ -18,7 +18,7 @@ import pytest
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import shared_memory
 from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import PORTS
+from pipelines.setup.table import PORTS, RtcLeg
 from pipelines.topology import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
@@ -76,11 +76,19 @@ class RunningSession:
     Without `--page` among its options it serves no pages.
     """
 
+    #: The words before the command.
+    prefix = ()
+
     def __init__(self, setup, *options, directory):
         pages = "--page" in options
-        self.setup = load_setup(setup)
+        changes = {"rtc": RtcLeg()} if "--rtc" in options else {}
+        self.setup = load_setup(setup, changes=changes)
         topology = topology_of(
-            self.setup, snapshots="--snapshots" in options, pages=pages, recorder=True
+            self.setup,
+            snapshots="--snapshots" in options,
+            pages=pages,
+            recorder=True,
+            tasks=bool({"--plan", "--tasks"} & {*options}),
         )
         words = ["stream", "--setup", setup, *options, *([] if pages else ["--no-page"])]
         self._begin(topology.processes, words, directory)
@@ -94,7 +102,7 @@ class RunningSession:
         self.base_port = free_base_port()
         self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
         self.names = [row.name for row in processes]
-        command = [*COMMAND, *words, "--report", str(self.report_path)]
+        command = [*self.prefix, *COMMAND, *words, "--report", str(self.report_path)]
         command += ["--base-port", str(self.base_port)]
         self._out = (self.directory / "out.txt").open("w+")
         self._error = (self.directory / "error.txt").open("w+")
@@ -190,7 +198,11 @@ class RunningSession:
         )
 
     def select(self, camera):
-        command = [*COMMAND, "select", camera]
+        return self.ask("select", camera)
+
+    def ask(self, *words):
+        """Run a command from another terminal."""
+        command = [*COMMAND, *words]
         return subprocess.run(
             command, capture_output=True, text=True, timeout=PATIENCE_S, env=self.environment
         )

@@ -17,7 +17,6 @@ from places import ROOT
 from running_link import RunningLink, assert_books_are_right, came, eventually
 
 from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import Segment
 
 pytestmark = pytest.mark.interop
 
@@ -172,15 +171,15 @@ def socket_in(namespace):
     return made[0]
 
 
-def test_two_gateways_in_two_network_namespaces(namespaces, tmp_path):
-    (ground_name, ground_host), (space_name, space_host) = namespaces.items()
+def test_two_gateways_without_protection_in_two_network_namespaces(namespaces, tmp_path):
+    (ground_name, ground_host), (space_name, _) = namespaces.items()
     base = 27_000
     with contextlib.ExitStack() as stack:
 
-        def start(end, name, bind, peer):
+        def start(end, name, *where):
             return stack.enter_context(
                 RunningLink(
-                    *("--setup", "spacejustin", "--end", end, "--bind", bind, "--peer", peer),
+                    *("--setup", "spacejustin", "--end", end, *where, "--insecure"),
                     directory=tmp_path,
                     name=end,
                     prefix=("ip", "netns", "exec", name),
@@ -188,8 +187,8 @@ def test_two_gateways_in_two_network_namespaces(namespaces, tmp_path):
                 )
             )
 
-        ground = start("ground", ground_name, ground_host, f"{space_host}:{base + 1}")
-        space = start("space", space_name, space_host, f"{ground_host}:{base}")
+        ground = start("ground", ground_name, "--listen", f"{ground_host}:{base}")
+        space = start("space", space_name, "--peer", f"{ground_host}:{base}")
         session = ground.topology
         on_ground = [stack.enter_context(socket_in(ground_name)) for _ in range(3)]
         in_space = [stack.enter_context(socket_in(space_name)) for _ in range(3)]
@@ -199,6 +198,8 @@ def test_two_gateways_in_two_network_namespaces(namespaces, tmp_path):
         in_space[2].bind(("127.0.0.1", session.exit_port("uplink_haptic")))
 
         def through(sender, port, receiver, data):
+            for link in (ground, space):
+                assert link.process.poll() is None, link.output()
             sender.sendto(data, ("127.0.0.1", port))
             return data in came(receiver)
 
@@ -220,13 +221,17 @@ def test_two_gateways_in_two_network_namespaces(namespaces, tmp_path):
         )
         for way in ways:
             eventually(lambda way=way: through(*way), f"{way[3]!r}")
-        # From the peer's machine, but not from its radio port.
-        on_ground[0].sendto(bytes(32), (space_host, session.radio_port(Segment.SPACE)))
-        eventually(lambda: "1 strangers" in space.output(), "the stranger")
+        # From the peer's machine, but not from its port.
+        in_space[0].sendto(bytes(32), (ground_host, base))
+        eventually(lambda: through(*ways[1]), "a packet behind the stranger")
+        reports = {}
         for link in (ground, space):
+            link.wait_for_line("NOT PROTECTED")
             code, report = link.interrupt()
+            reports[link.name] = report
             assert code == 0, link.output()
             assert report["failures"] == []
+            assert "not_protected" in [warning["what"] for warning in report["warnings"]]
             assert_books_are_right(report, BUILT_IN["spacejustin"])
-        assert report["gateways"]["space"]["strangers"] == {"radio": 1}
+        assert reports["ground"]["gateways"]["ground"]["peer"]["dropped"] == {"stranger": 1}
         assert report["link"]["uplink"]["packets"]["uplink_maintenance"] > 0

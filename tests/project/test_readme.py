@@ -9,7 +9,7 @@ from dataclasses import fields
 import pytest
 from places import ROOT
 
-from pipelines.cli import _parser
+from pipelines.cli import make_parser
 from pipelines.report.collector import Collector
 from pipelines.report.model import to_builtins
 from pipelines.report.session_report import build_report
@@ -27,20 +27,23 @@ def blocks(text: str, language: str = "sh") -> list[str]:
 
 def commands_in(text: str) -> list[list[str]]:
     """Every call of kontur-av in the code blocks of a document, as its arguments."""
-    found = []
+    found: list[list[str]] = []
     for block in blocks(text):
         for line in block.replace("\\\n", " ").replace("&&\n", "&& ").splitlines():
-            words = shlex.split(line, comments=True)
-            for index, word in enumerate(words):
-                if word.rpartition("/")[2] == "kontur-av":
-                    rest = words[index + 1 :]
-                    ends = [i for i, word in enumerate(rest) if word in ("&", "&&", "|", ";")]
-                    found.append(rest[: min(ends, default=len(rest))])
+            call: list[str] | None = None
+            for word in shlex.split(line, comments=True):
+                if word in ("&", "&&", "|", ";"):
+                    call = None
+                elif call is not None:
+                    call.append(word)
+                elif word.rpartition("/")[2] == "kontur-av":
+                    call = []
+                    found.append(call)
     return found
 
 
 def subcommands() -> dict[str, argparse.ArgumentParser]:
-    parser = _parser()
+    parser = make_parser()
     (action,) = (
         action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
     )
@@ -50,21 +53,14 @@ def subcommands() -> dict[str, argparse.ArgumentParser]:
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_the_cli_accepts_every_documented_command(document):
     for arguments in commands_in(document.read_text(encoding="utf-8")):
-        _parser().parse_args(arguments)
+        make_parser().parse_args(arguments)
 
 
-def test_the_table_of_commands_has_each_command_with_its_options():
-    rows = dict(re.findall(r"^\| `kontur-av (\w+)` \| (.*) \|$", README, re.MULTILINE))
-    known = subcommands()
-    assert set(rows) == set(known)
-    for name in ("stream", "link", "simulate", "send", "receive"):
-        options = {
-            option
-            for action in known[name]._actions
-            for option in action.option_strings[:1]
-            if option != "-h"
-        }
-        assert set(re.findall(r"`(--?[a-z-]+)`", rows[name])) == options, name
+def test_the_table_of_commands_has_each_command():
+    table = README[README.index("## Commands") : README.index("docs/commands.md")]
+    first = [row.split("|")[1] for row in table.splitlines() if row.startswith("| `")]
+    named = [word.rpartition(" ")[2] for cell in first for word in re.findall(r"`(.*?)`", cell)]
+    assert sorted(named) == sorted(subcommands())
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+from pathlib import Path
 
 import pytest
 from running_link import (
@@ -14,7 +15,9 @@ from running_link import (
     listening,
 )
 
+from pipelines.runtime.key_files import make_key, trust
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.setup.table import PORTS
 from pipelines.topology import Segment, topology_of
 
 pytestmark = pytest.mark.realtime
@@ -37,6 +40,15 @@ def program():
     """program(port, host): a socket of a program, which is closed after the test."""
     with contextlib.ExitStack() as stack:
         yield lambda port, host="127.0.0.1": stack.enter_context(listening(port, host))
+
+
+@pytest.fixture
+def keys(tmp_path):
+    """keys(end): the file of the key of "ground" or "space"; each trusts the other."""
+    made = {name: make_key(tmp_path / f"{name}.pem") for name in ("ground", "space")}
+    trust(tmp_path / "ground.pem", made["space"].identity)
+    trust(tmp_path / "space.pem", made["ground"].identity)
+    return lambda name: str(tmp_path / f"{name}.pem")
 
 
 def until_through(sender, to, receiver, data):
@@ -119,48 +131,51 @@ def test_programs_talk_through_it_and_strangers_do_not(start, program):
     assert report["link"]["uplink"]["octets"]["haptic"] > 0
 
 
-def test_two_ends_on_two_addresses_hear_each_other_alone(start, program):
-    hosts = "127.0.0.1", "127.0.0.2"
-    base = free_base_port(hosts)
+def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(start, program, keys):
+    bases = [free_base_port(), None]
+    bases[1] = bases[0] + PORTS
+    where = f"127.0.0.2:{bases[0]}"
     options = ("--setup", "taskboard", "--radio", "clean", "--seed", "5")
-    ground = start(
-        *options,
-        *("--end", "ground", "--bind", hosts[0], "--peer", f"{hosts[1]}:{base + 1}"),
-        base_port=base,
-        name="ground",
-    )
+    # The end that calls may start first.
     space = start(
-        *options,
-        *("--end", "space", "--bind", hosts[1], "--peer", f"{hosts[0]}:{base}"),
-        *("--apps", "127.0.0.3", "--apps-bind", hosts[1]),
-        base_port=base,
+        *(*options, "--end", "space", "--peer", where, "--key", keys("space")),
+        *("--apps", "127.0.0.3", "--apps-bind", "127.0.0.2"),
+        base_port=bases[1],
         name="space",
     )
-    session = ground.topology
-    assert eventually(lambda: "radio of the ground end: 127.0.0.1" in ground.output(), "the table")
+    ground = start(
+        *(*options, "--end", "ground", "--listen", where, "--key", keys("ground")),
+        base_port=bases[0],
+        name="ground",
+    )
     here, there, stranger = program(0), program(0, "127.0.0.3"), program(0, "127.0.0.4")
-    up = program(session.exit_port("uplink_maintenance"), "127.0.0.3")
-    down = program(session.exit_port("downlink_maintenance"))
-    until_through(here, (hosts[0], session.entry_port("uplink_maintenance")), up, b"up")
-    entry = hosts[1], session.entry_port("downlink_maintenance")
+    up = program(space.topology.exit_port("uplink_maintenance"), "127.0.0.3")
+    down = program(ground.topology.exit_port("downlink_maintenance"))
+    until_through(here, ("127.0.0.1", ground.topology.entry_port("uplink_maintenance")), up, b"up")
+    entry = "127.0.0.2", space.topology.entry_port("downlink_maintenance")
     for _ in range(3):
         stranger.sendto(b"not from the programs", entry)
-        stranger.sendto(b"twelve octet", (hosts[1], session.entry_port("downlink_haptic")))
-        # From the right host, but not from its radio port.
-        here.sendto(bytes(500), (hosts[1], session.radio_port(Segment.SPACE)))
+        # A whole frame, but not in a record.
+        here.sendto(bytes(500), ("127.0.0.2", bases[0]))
     until_through(there, entry, down, b"down")
     code, report = ground.interrupt()
     assert code == 0, ground.output()
     assert report["ends"] == ["ground"]
-    assert report["radio"] == {"profile": "clean", "seed": 5}
-    assert report["link"]["uplink"]["frames"] > 0
     assert report["link"]["downlink"]["packets"]["downlink_maintenance"] > 0
     assert_books_are_right(report, BUILT_IN["taskboard"])
+    path = report["gateways"]["ground"]["peer"]
+    assert path["protected"]
+    assert path["session_ns"] is not None
+    assert path["dropped"]["malformed"] == 3
     code, report = space.interrupt()
     assert code == 0, space.output()
-    strangers = report["gateways"]["space"]["strangers"]
-    assert strangers == {"radio": 3, "downlink_maintenance": 3, "haptic": 3}
+    assert report["gateways"]["space"]["strangers"] == {"downlink_maintenance": 3}
+    assert report["gateways"]["space"]["peer"]["address"] == where
     assert set(came(down)) <= {b"down"}
+    # No report, line or file of an end has its private key.
+    for end in (ground, space):
+        secret = Path(keys(end.name)).read_text().splitlines()[1]
+        assert secret not in end.output() + end.report_path.read_text()
 
 
 def test_a_killed_gateway_is_restarted_and_reported(start, program):

@@ -11,12 +11,16 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from running_session import COMMAND, PATIENCE_S, assert_sound, eventually
+from xtce_decoder import decoded
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from pipelines.cli import main
 from pipelines.recording.facts import FACTS, RecordingFacts
-from pipelines.recording.messages import RecordedEvent, unpack, unpack_haptics
+from pipelines.recording.messages import RecordedEvent, RecordedPacket, unpack, unpack_haptics
 from pipelines.recording.scan import FoundMessage, Scan
+from telepresence.haptics.device.states import JoystickState
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.head import is_packet, is_telecommand
 
 pytestmark = pytest.mark.realtime
 
@@ -85,6 +89,21 @@ def test_the_file_has_what_the_report_says(start, tmp_path):
         if each.channel.topic == "/events"
     ]
     assert any("head" in text for text in texts), texts
+    # The telemetry that came down is read by a decoder of others.
+    packets = [
+        unpack(RecordedPacket, each.message.data).data
+        for each in scanned(path)[1]
+        if each.channel.topic == "/telecommand/received"
+    ]
+    telemetry = [packet for packet in packets if is_packet(packet) and not is_telecommand(packet)]
+    states = [
+        packet
+        for packet in decoded(built_in_dictionary(), b"".join(telemetry), tmp_path)
+        if "joystick_state" in packet and packet["SERVICE"] == 3
+    ]
+    assert states and {one["joystick_state"] for one in states} <= {
+        one.words for one in JoystickState
+    }
     # The plain count: each sample of the hand has a number, and none is missing.
     numbers = np.concatenate(
         [

@@ -104,6 +104,17 @@ def test_every_stream_flows_through_one_link(start, tmp_path):
     assert unknown.returncode == 2
     assert len(unknown.stderr.splitlines()) == 1
     assert "stereo, static, head" in unknown.stderr
+    halted = session.ask("tc", "joystick", "halt")
+    assert halted.returncode == 0, halted.stderr
+    stages = [line.split()[1] for line in halted.stdout.splitlines()]
+    # A busy machine may need longer than until the first repetition.
+    stages = [stage for stage in stages if stage != "unacknowledged"]
+    assert stages == ["taken", "accepted", "started", "completed"]
+    refused = session.ask("tc", "joystick", "acknowledge")
+    assert refused.returncode == 1
+    assert "acknowledge: not in the state" in refused.stderr
+    robot = session.ask("tc", "robot", "report", "state")
+    assert "robot state: x " in robot.stdout
     session.wait_for_flow()
     session.wait_for_snapshot("shots/ground-stereo", more_than=0)
     code, report = session.interrupt()
@@ -118,6 +129,8 @@ def test_every_stream_flows_through_one_link(start, tmp_path):
     assert report["seconds"] > 1  # there was a snapshot
     assert report["processes"]["selector"]["selected"] == "head"
     assert report["link"]["downlink"]["packets"]["telecommand"] >= 2
+    counts = report["processes"]["console"]["counts"]
+    assert (counts["pus_executed"], counts["pus_failed"], counts["pus_garbage"]) == (1, 1, 0)
     assert_snapshots(shots)
 
 

@@ -26,6 +26,7 @@ class Run:
     shown: int = 0
     captured: int = 0
     refused: int = 0
+    sizes: list[tuple[int, int]] = field(default_factory=list)
 
     @property
     def shown_hz(self):
@@ -41,7 +42,7 @@ class Run:
 
 def send(pictures, cap_bps, channel_bps=None):
     """Encode each picture at once that could start on the channel within its period."""
-    encoder = H264Encoder(width=SIZE[0], height=SIZE[1], fps=FPS, cap_bps=cap_bps)
+    encoder = H264Encoder(width=SIZE[0], height=SIZE[1], fps=FPS, cap_bps=cap_bps, refresh_s=20.0)
     pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps)
     sender = RtpSender(
         payload_type=96,
@@ -69,6 +70,8 @@ def send(pictures, cap_bps, channel_bps=None):
         run.captured += 1
         if pacer.start_ns(now_ns) - now_ns <= NS_PER_S // FPS:
             unit = encoder.encode(VideoFrame(picture, CaptureStamp(now_ns, i, "test")))
+            if run.sizes[-1:] != [encoder.unit_size]:
+                run.sizes.append(encoder.unit_size)
             packets, _, octets = sender.video_packets(unit)
             pacer.handle_access_unit(packets, octets, now_ns)
             last_of[packets[-1]] = (now_ns, unit.data)
@@ -119,6 +122,15 @@ def test_no_content_exceeds_the_cap(content, cap_bps):
     run = send(HARD[content](), cap_bps)
     assert_caps_kept(run, cap_bps)
     assert run.shown > 0
+
+
+def test_a_change_of_the_coded_size_keeps_the_cap():
+    (still,) = flat(128)
+    still[60:420:60, 40:600] = 30
+    still[40:440, 100:600:100] = 220
+    run = send([still] * 7 * FPS + noise(2 * FPS) + [still] * FPS, 85_000)
+    assert run.sizes[:3] == [(384, 288), (640, 480), (384, 288)]
+    assert_caps_kept(run, 85_000)
 
 
 def test_a_fast_channel_does_not_raise_the_cap():

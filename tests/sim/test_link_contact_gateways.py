@@ -7,7 +7,7 @@ import pytest
 
 from telepresence.link.flows import Level, packet_flow, tmtc_flow, video_flow, voice_flow
 from telepresence.link.radio import RadioPath
-from telepresence.link.receiver import HapticReceived
+from telepresence.link.received import HapticReceived
 from telepresence.link.virtual import VirtualLink
 from telepresence.tmtc.exchange import (
     SelectDone,

@@ -14,7 +14,7 @@ from telepresence.link.frame import FrameCodec, Pointers
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
-from telepresence.link.receiver import HapticReceived
+from telepresence.link.received import HapticReceived
 from telepresence.link.virtual import VirtualLink
 
 MS = 1_000_000

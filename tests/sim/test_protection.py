@@ -20,7 +20,7 @@ from telepresence.link.protection.channel import (
     SessionBegun,
 )
 from telepresence.link.protection.identity import MachineKey
-from telepresence.link.protection.record import RECORD
+from telepresence.link.protection.record import HANDSHAKE, RECORD
 from telepresence.link.protection.segment import KNOCK, SEGMENT_OVERHEAD_OCTETS, SegmentCodec
 
 STRANGER_KEY = MachineKey.from_seed(bytes([2] * 32))
@@ -296,3 +296,47 @@ def test_the_old_keys_are_forgotten_after_the_overlap():
     pair.inject(late, SPACE_ADDRESS, GROUND_ADDRESS)
     pair.run(0.1)
     assert pair.ground.dropped == {"unknown_key": 1}
+
+
+def test_late_datagrams_of_a_peer_that_restarted_do_not_disturb_its_new_attempt():
+    pair = ProtectedPair()
+    # Nothing of ground's flight arrives, so the first attempt stays open.
+    pair.blocks = lambda end, datagram: end is pair.ground and len(datagram) > 600
+    pair.start().run(0.5)
+    late = [each for end, each in pair.recorded if end is pair.space and each[0] == HANDSHAKE]
+    assert late
+    pair.space.start(pair.now_ns)
+    pair.run(0.5)
+    for datagram in late:
+        pair.inject(datagram, SPACE_ADDRESS, GROUND_ADDRESS)
+    pair.run(0.1)
+    assert pair.ground.dropped["stale"] >= len(late)
+    assert [event.why for event in pair.ground.of(HandshakeFailed)] == ["the peer began anew"]
+    pair.blocks = lambda end, datagram: False
+    pair.run(2)
+    assert [len(end.of(SessionBegun)) for end in pair.ends] == [1, 1]
+
+
+def test_a_handshake_is_silent_when_both_ends_know_that_it_is_complete():
+    pair = ProtectedPair()
+    # No record may tell an end that the other one has the keys.
+    pair.blocks = lambda end, datagram: is_record(datagram)
+    pair.start()
+    while not all(end.of(SessionBegun) for end in pair.ends):
+        pair.step()
+    pair.run(0.1)
+    before = len(pair.recorded)
+    pair.run(1.0)
+    assert all(is_record(datagram) for _, datagram in pair.recorded[before:])
+
+
+def test_a_peer_that_returns_with_its_keys_needs_no_new_ones():
+    pair = connected()
+    pair.blocks = lambda end, datagram: True
+    pair.run(3)
+    # Records come before the next knock.
+    pair.blocks = lambda end, datagram: not is_record(datagram)
+    pair.run(0.1)
+    pair.blocks = lambda end, datagram: False
+    pair.run(3)
+    assert [len(end.of(SessionBegun)) for end in pair.ends] == [1, 1]

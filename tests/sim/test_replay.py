@@ -70,20 +70,33 @@ def test_a_replay_repeats_exactly(replayed, same):
     assert replayed() == same
 
 
-def test_losses_and_delay_of_another_link_show(replayed, same, tmp_path):
-    radio = tmp_path / "bad.toml"
-    radio.write_text("delay_ms = 250\nframe_loss = 0.01\n")
-    here, there = parsed(same), parsed(replayed("--radio", radio, "--seed", 3))
-    now, then = (report.replay.streams["uplink_video"] for report in (there, here))
-    assert now.units_recorded == then.units_recorded
-    assert now.units_received < then.units_received
-    assert now.psnr_db_mean < then.psnr_db_mean
-    assert there.simulation.radio == "bad"
+def test_delay_of_another_link_shows_and_nothing_else(replayed, same, tmp_path):
+    radio = tmp_path / "far.toml"
+    radio.write_text("delay_ms = 250\n")
+    here, there = parsed(same), parsed(replayed("--radio", radio))
+    assert there.simulation.radio == "far"
     slower_ms = (
         there.streams["uplink_video"].latency_ms.p50 - here.streams["uplink_video"].latency_ms.p50
     )
-    assert 249 < slower_ms < 300
-    assert there.haptic["up"].lost > 0
+    # As fine as a histogram keeps it.
+    assert 247 < slower_ms < 257
+    assert there.haptic["up"].latency_ms.max - here.haptic["up"].latency_ms.max == 250
+    assert there.replay.streams["uplink_video"] == here.replay.streams["uplink_video"]
+
+
+def test_losses_of_another_link_show(replayed, same, tmp_path):
+    radio = tmp_path / "bad.toml"
+    # Behind the last key picture, for longer than between two pictures. Random losses may hit the
+    # key picture, and then nothing is shown: that depends on its size, so on the encoder.
+    radio.write_text('[[blackouts]]\nstart_s = 1.8\nseconds = 0.15\ndirection = "uplink"\n')
+    here, there = parsed(same), parsed(replayed("--radio", radio))
+    now, then = (report.replay.streams["uplink_video"] for report in (there, here))
+    assert now.units_recorded == then.units_recorded
+    assert then.units_received - 5 <= now.units_received < then.units_received
+    assert now.pictures_same < then.pictures_same
+    assert now.psnr_db_mean < then.psnr_db_mean
+    assert there.replay.streams["downlink_video"] == here.replay.streams["downlink_video"]
+    assert (there.haptic["up"].lost, there.haptic["down"].lost) == (150, 0)
 
 
 def test_pictures_coded_anew_fit_under_a_lower_cap(replayed, same, recording):

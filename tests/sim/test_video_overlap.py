@@ -35,7 +35,7 @@ class Studio:
         )
 
     def submit(self, job):
-        number, coding = job
+        number, coding, _ = job
         self.encoded.append(number)
         frame = VideoFrame(self.pictures[number], CaptureStamp(0, number, "test"))
         unit = self.encoder.encode(frame, coding)

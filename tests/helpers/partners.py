@@ -1,0 +1,79 @@
+"""Partners of a session across the Internet, as connections in the test's own event loop."""
+
+import asyncio
+import contextlib
+
+from kontur_av.clock import MonotonicClock
+from kontur_av.media import AccessUnit, CaptureStamp
+from pipelines.rtc.ice_servers import IceServers
+from pipelines.rtc.keeper import Keeper
+from pipelines.rtc.media import PictureCame, SoundCame
+from pipelines.rtc.peer import RtcPeer
+
+SENDS = {"video": 1_500_000, "audio": 32_000}
+#: An Opus packet of 20 ms of silence.
+OPUS = b"\xf8\xff\xfe"
+CLOCK = MonotonicClock()
+
+
+def receiving(events):
+    """Return what makes a partner that watches; it appends to `events`."""
+
+    def make(servers):
+        return RtcPeer(
+            clock=CLOCK,
+            sends={},
+            receives=("video", "audio"),
+            handle=events.append,
+            servers=servers,
+            wall_offset_ns=CLOCK.wall_offset_ns,
+        )
+
+    return make
+
+
+def sending(servers):
+    """Make a partner that sends."""
+    return RtcPeer(clock=CLOCK, sends=SENDS, servers=servers, wall_offset_ns=CLOCK.wall_offset_ns)
+
+
+@contextlib.asynccontextmanager
+async def kept(url, make_peer, token, servers=IceServers):
+    """A connection to `url`, once it stands."""
+    keeper = Keeper(url, token=token, make_peer=make_peer, servers=servers, clock=CLOCK)
+    running = asyncio.create_task(keeper.run())
+    await until(lambda: running.done() or (keeper.peer is not None and keeper.peer.connected))
+    try:
+        yield keeper
+    finally:
+        keeper.stop()
+        await running
+
+
+async def until(true, patience_s=20):
+    async with asyncio.timeout(patience_s):
+        while not true():
+            await asyncio.sleep(0.01)
+
+
+async def send(units, send_unit, send_opus):
+    """Send at 50 pictures a second."""
+    for number, (data, key) in enumerate(units):
+        now_ns = CLOCK.now_ns()
+        send_unit(AccessUnit(data, CaptureStamp(now_ns, number, "camera"), key))
+        send_opus(OPUS, CaptureStamp(now_ns, number, "voice"))
+        await asyncio.sleep(1 / 50)
+
+
+def pictures(events):
+    """The access units of what came."""
+    return [event.unit for event in events if isinstance(event, PictureCame)]
+
+
+def sounds(events):
+    """The blocks of sound of what came that were not concealed."""
+    return [
+        event.block
+        for event in events
+        if isinstance(event, SoundCame) and event.block.payload is not None
+    ]

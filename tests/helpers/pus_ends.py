@@ -1,0 +1,108 @@
+"""Two ends of PUS for tests: a small dictionary, an application, and its user."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from telepresence.tmtc.pus.application import PusApplication
+from telepresence.tmtc.pus.dictionary import Dictionary
+from telepresence.tmtc.pus.dictionary_file import dictionary_from_table
+from telepresence.tmtc.pus.node import PusNode
+from telepresence.tmtc.pus.user import PusUser
+
+MS = 1_000_000
+S = 1_000 * MS
+
+
+def oven_table() -> dict[str, Any]:
+    """What the TOML file of a small dictionary holds, anew for each call."""
+    return {
+        "oven": {
+            "apid": 0x200,
+            "parameter": {
+                "temperature": {"number": 1, "type": "f32", "unit": "degC", "high": 200.0},
+                "door": {"number": 2, "type": "choice", "choices": ["open", "closed"]},
+                "target": {"number": 3, "type": "u16", "scale": 0.5, "writable": True, "high": 250},
+                "lit": {"number": 4, "type": "bool"},
+                "depth": {"number": 5, "type": "i32"},
+            },
+            "structure": {
+                "state": {"number": 1, "parameters": ["temperature", "door"], "interval_s": 1.0},
+                "light": {"number": 2, "parameters": ["lit"], "on": False},
+            },
+            "event": {
+                "too_hot": {"number": 1, "severity": "high", "arguments": ["temperature"]},
+                "cooled": {"number": 2, "severity": "info"},
+            },
+            "function": {
+                "heat": {"number": 1, "arguments": ["target"]},
+                "off": {"number": 2},
+            },
+            "monitor": {
+                "heat": {
+                    "number": 1,
+                    "parameter": "temperature",
+                    "high": 220.0,
+                    "high_clear": 180.0,
+                    "above": "too_hot",
+                    "back": "cooled",
+                    "repeat": 2,
+                }
+            },
+            "action": [{"event": "too_hot", "function": "off"}],
+        }
+    }
+
+
+def oven() -> Dictionary:
+    """The small dictionary."""
+    return dictionary_from_table(oven_table())
+
+
+class Ends:
+    """An oven in space, its user on the ground, and the flow between them.
+
+    up, down: whether packets arrive. Time goes on with `run`.
+    """
+
+    def __init__(self, *, rate_bps: int = 1_000_000, first_count: int = 100) -> None:
+        dictionary = oven()
+        self.oven = PusApplication(dictionary.application("oven"), now_ns=0)
+        self.user = PusUser(dictionary, source=7, first_count=first_count)
+        self.space = PusNode(applications=[self.oven], rate_bps=rate_bps)
+        self.ground = PusNode(user=self.user, rate_bps=rate_bps)
+        self.up = self.down = True
+        self.now_ns = 0
+        self.telemetry: list[bytes] = []
+        self.calls: list[tuple[str, tuple[Any, ...]]] = []
+        self.refusal = ""
+
+    def step(self) -> None:
+        """Exchange what there is now, and carry out what is asked for."""
+        for _ in range(3):
+            while (octets := self.ground.poll_transmit(self.now_ns)) is not None:
+                if self.up:
+                    self.space.handle_packet(octets, self.now_ns)
+            while (event := self.oven.next_event()) is not None:
+                self.calls.append((type(event).__name__, tuple(event)[-2:]))
+                if hasattr(event, "token"):
+                    self.oven.handle_result(event.token, self.refusal, self.now_ns)
+            while (octets := self.space.poll_transmit(self.now_ns)) is not None:
+                self.telemetry.append(octets)
+                if self.down:
+                    self.ground.handle_packet(octets, self.now_ns)
+
+    def run(self, until_ns: int) -> None:
+        """Go on until `until_ns`, from one timeout to the next."""
+        while True:
+            self.step()
+            due = [end.poll_timeout(self.now_ns) for end in (self.space, self.ground)]
+            next_ns = min((one for one in due if one is not None), default=until_ns)
+            if next_ns >= until_ns:
+                self.now_ns = until_ns
+                self.step()
+                return
+            self.now_ns = max(next_ns, self.now_ns + 1)
+
+    def events(self) -> Sequence[Any]:
+        """What the user has to say."""
+        return list(iter(self.user.next_event, None))

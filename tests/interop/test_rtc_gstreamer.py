@@ -1,0 +1,87 @@
+"""GStreamer's webrtcbin as a partner: it sees and hears us, and is seen and heard."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from running_session import PATIENCE_S, eventually
+
+pytestmark = pytest.mark.interop
+
+PEER = Path(__file__).parents[1] / "helpers" / "webrtcbin_peer.py"
+PYTHON = "/usr/bin/python3"
+NEEDS = (
+    "import gi; gi.require_version('GstWebRTC', '1.0'); from gi.repository import Gst, GstWebRTC; "
+    "Gst.init(None); assert Gst.ElementFactory.find('nicesink') and "
+    "Gst.ElementFactory.find('webrtcbin')"
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def bindings():
+    try:
+        subprocess.run([PYTHON, "-c", NEEDS], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("apt-get install python3-gi gir1.2-gst-plugins-bad-1.0 gstreamer1.0-nice")
+
+
+@pytest.fixture
+def start(tmp_path):
+    """start(name, *words): a program until the end of the test; its output is in `name`.txt."""
+    begun = []
+
+    def begin(name, *words):
+        with (tmp_path / f"{name}.txt").open("w") as out:
+            begun.append(subprocess.Popen(words, stdout=out, stderr=out, cwd=tmp_path))
+        return begun[-1]
+
+    yield begin
+    for process in begun:
+        process.kill()
+        process.wait()
+
+
+def test_it_watches_publishes_and_stalls_alone(start, tmp_path):
+    token = "word-of-the-partner"
+    serve = start(
+        "serve",
+        *(sys.executable, "-m", "pipelines.cli", "rtc", "serve", "--http", "18940"),
+        *("--token", token, "--video", "scene:left", "--size", "320x240", "--fps", "15"),
+        *("--audio", "scene:ground_voice"),
+        *("--report", "report.json", "--save", "seen.mkv", "--save-voice", "heard.mka"),
+    )
+    told = tmp_path / "serve.txt"
+    found = eventually(lambda: re.search(r"whep (\S+)/whep/(\S+)", told.read_text()), "the server")
+    base, name = found[1], found[2]
+    watch = (PYTHON, PEER, "watch", f"{base}/whep/{name}", token)
+    stalls = start("watch", *watch)
+    start("other", *watch)
+    start("publish", PYTHON, PEER, "publish", f"{base}/whip", token)
+
+    def count(what, viewer="watch"):
+        counts = re.findall(rf"{what} (\d+)", (tmp_path / f"{viewer}.txt").read_text())
+        return int(counts[-1]) if counts else 0
+
+    eventually(lambda: count("pictures") >= 30, "30 of our pictures in GStreamer")
+    eventually(lambda: count("sounds") >= 30, "our voice in GStreamer")
+    # A viewer that stalls holds up nobody, and sees the present when it goes on.
+    stalls.send_signal(signal.SIGSTOP)
+    seen, others = count("pictures"), count("pictures", "other")
+    eventually(lambda: count("pictures", "other") > others + 20, "the other's pictures")
+    assert count("pictures") == seen
+    stalls.send_signal(signal.SIGCONT)
+    eventually(lambda: count("pictures") > seen + 10, "pictures after the stall")
+    seen = tmp_path / "seen.mkv"
+    eventually(lambda: seen.exists() and seen.stat().st_size > 5000, "GStreamer's picture")
+    serve.send_signal(signal.SIGINT)
+    assert serve.wait(PATIENCE_S) == 0
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["pictures"]["decoded"] > 0
+    assert report["voice"]["decoded"] > 0
+    assert report["failed"] == []
+    # Sound waits in the file's buffer until the end.
+    assert (tmp_path / "heard.mka").stat().st_size > 1000

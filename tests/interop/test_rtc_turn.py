@@ -1,0 +1,94 @@
+"""A partner behind a NAT and we behind another, through coturn only; then its address changes."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+from running_session import PATIENCE_S, eventually
+from two_hosts import GROUND_PUBLIC, OUTSIDE, PORT, TwoHosts
+
+from pipelines.runtime.page_certificate import make_certificate
+
+pytestmark = pytest.mark.interop
+
+SECRET, TOKEN = "shared-with-coturn", "word-of-the-partner"
+
+
+@pytest.fixture
+def hosts():
+    if shutil.which("turnserver") is None:
+        pytest.skip("turnserver: apt-get install coturn")
+    with TwoHosts() as hosts:
+        yield hosts
+
+
+@contextlib.contextmanager
+def running(hosts, host, path, *words, end=signal.SIGINT, **environment):
+    """A command on a host, its output in `path`; the signal `end` ends it."""
+    with path.open("w") as out:
+        process = subprocess.Popen(
+            [*hosts.prefix(host), *map(str, words)],
+            stdout=out,
+            stderr=out,
+            cwd=path.parent,
+            env={**os.environ, **environment},
+        )
+        try:
+            yield process
+        finally:
+            process.send_signal(end)
+            try:
+                process.wait(PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def test_both_ends_meet_at_the_relay_and_go_on_from_a_new_address(hosts, tmp_path):
+    secret, token, certificate = (tmp_path / name for name in ("secret", "token", "cert.pem"))
+    secret.write_text(SECRET)
+    token.write_text(TOKEN)
+    make_certificate(certificate, [GROUND_PUBLIC])
+    command = (sys.executable, "-m", "pipelines.cli")
+    turn = ("turnserver", "-n", "--no-cli", "--no-tls", "--no-dtls", "--use-auth-secret")
+    turn += (f"--static-auth-secret={SECRET}", "--realm=kontur-av", f"--listening-ip={OUTSIDE}")
+    turn += (f"--relay-ip={OUTSIDE}", f"--pidfile={tmp_path}/turn.pid", "--log-file=stdout")
+    report = tmp_path / "watch.json"
+    told, saved = tmp_path / "watch.txt", tmp_path / "watch.mkv"
+    with (
+        running(hosts, "outside", tmp_path / "turn.txt", *turn, end=signal.SIGTERM),
+        running(
+            hosts,
+            "ground",
+            tmp_path / "serve.txt",
+            *(*command, "rtc", "serve", "--http", f"0.0.0.0:{PORT}", "--cert", certificate),
+            *("--token-file", token, "--video", "scene:left", "--ice-relay-only"),
+            *("--ice-server", f"turn:{OUTSIDE}", "--turn-secret-file", secret),
+            *("--report", tmp_path / "serve.json"),
+        ),
+    ):
+        eventually(lambda: "page" in (tmp_path / "serve.txt").read_text(), "the server")
+        with running(
+            hosts,
+            "space",
+            told,
+            *(*command, "watch", "--whep", f"https://{GROUND_PUBLIC}:{PORT}/whep/main"),
+            *("--token-file", token, "--ice-relay-only", "--report", report, "--save", saved),
+            # The server's certificate is its own; its credentials for TURN come by its answer.
+            SSL_CERT_FILE=str(certificate),
+        ):
+            eventually(lambda: "connected by relay to relay" in told.read_text(), "the relayed way")
+            eventually(lambda: saved.exists() and saved.stat().st_size > 100_000, "pictures")
+            hosts.move_space()
+            eventually(lambda: "ICE begins anew" in told.read_text(), "the restart of ICE")
+            size = saved.stat().st_size
+            eventually(lambda: saved.stat().st_size > size + 100_000, "further pictures")
+    watched = json.loads(report.read_text())
+    assert watched["last"]["route"] == "relay to relay"
+    assert watched["pictures"]["decoded"] > 0
+    assert watched["connections"] == 1 and watched["ice_restarts"] >= 1

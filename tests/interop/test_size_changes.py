@@ -1,0 +1,128 @@
+"""A stream whose coded size grows and shrinks, received by plain GStreamer and FFmpeg."""
+
+import shutil
+import socket
+import subprocess
+import time
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, VideoFrame
+from kontur_av.rtp.sdp import StreamDescription, write_sdp
+from kontur_av.rtp.sender import RtpSender
+
+pytestmark = pytest.mark.interop
+
+WIDTH, HEIGHT, FPS = 640, 480, 30
+#: The film stands until the first number, moves until the second, and stands again.
+STANDS, MOVES, ALL = 240, 300, 330
+#: A receiver ends after so many pictures; so a few may be lost before it is ready.
+RECEIVED = ALL - 15
+SMALL, LARGE = (384, 288), (640, 480)
+
+
+def scene(number: int) -> np.ndarray:
+    """Return waves that move and stand: shape (720, 640), I420."""
+    shift = 6 * min(max(number - STANDS, 0), MOVES - STANDS)
+    picture = np.full((HEIGHT * 3 // 2, WIDTH), 128, np.uint8)
+    across, down = np.arange(WIDTH) + shift, np.arange(HEIGHT)[:, None] + shift
+    picture[:HEIGHT] = 120 + 50 * np.sin(across / 23) + 40 * np.sin(down / 17)
+    return picture
+
+
+def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
+    error = np.mean((one[:HEIGHT].astype(float) - other[:HEIGHT].astype(float)) ** 2)
+    return float(10 * np.log10(255**2 / max(error, 1e-9)))
+
+
+@pytest.fixture(scope="module")
+def stream():
+    """The packets of each picture, and the size in which each was coded."""
+    encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=FPS, cap_bps=85_000, refresh_s=20.0)
+    sender = RtpSender(
+        payload_type=VIDEO_PAYLOAD_TYPE,
+        clock_rate_hz=VIDEO_CLOCK_HZ,
+        ssrc=1,
+        first_sequence=0,
+        timestamp_offset=0,
+        cname="test",
+    )
+    packets, sizes = [], []
+    for number in range(ALL):
+        stamp = CaptureStamp(number * 1_000_000_000 // FPS, number, "test")
+        unit = encoder.encode(VideoFrame(scene(number), stamp))
+        packets.append(sender.video_packets(unit).packets)
+        sizes.append(encoder.unit_size)
+    return packets, sizes
+
+
+def receiver(name: str, port: int, sdp, raw) -> list[object]:
+    """The command of a receiver that ends by itself, and writes I420 pictures of one size."""
+    if name == "ffmpeg":
+        return [
+            *("ffmpeg", "-v", "error", "-protocol_whitelist", "file,udp,rtp", "-i", sdp),
+            *("-frames:v", RECEIVED, "-fps_mode", "passthrough", "-vf", f"scale={WIDTH}:{HEIGHT}"),
+            *("-f", "rawvideo", "-pix_fmt", "yuv420p", raw),
+        ]
+    caps = "application/x-rtp,media=video,clock-rate=90000,encoding-name=H264,payload=96"
+    pipeline = (
+        f"udpsrc port={port} caps={caps} ! rtph264depay ! avdec_h264 ! videoscale ! videoconvert ! "
+        f"video/x-raw,format=I420,width={WIDTH},height={HEIGHT} ! identity eos-after={RECEIVED} ! "
+        f"filesink location={raw}"
+    )
+    return ["gst-launch-1.0", "-q", *pipeline.split()]
+
+
+def wait_until_bound(port: int, process: subprocess.Popen) -> None:
+    """Wait until something receives at the UDP port."""
+    deadline_s = time.monotonic() + 20
+    while f":{port:04X} " not in Path("/proc/net/udp").read_text():
+        assert process.poll() is None and time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("name", ["gst-launch-1.0", "ffmpeg"])
+def test_it_goes_on_through_each_size(name, stream, tmp_path):
+    if shutil.which(name) is None:
+        pytest.skip(f"{name} is missing: install it")
+    packets, sizes = stream
+    assert [size for size, _ in groupby(sizes)] == [SMALL, LARGE, SMALL]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    sdp, raw = tmp_path / "x.sdp", tmp_path / "x.yuv"
+    description = StreamDescription(
+        kind="video", host="127.0.0.1", port=port, payload_type=VIDEO_PAYLOAD_TYPE
+    )
+    sdp.write_text(write_sdp(description))
+    command = [str(word) for word in receiver(name, port, sdp, raw)]
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process,
+    ):
+        wait_until_bound(port, process)
+        for picture in packets:
+            for packet in picture:
+                sender.sendto(packet, ("127.0.0.1", port))
+            # Faster than real time, but no faster than a decoder.
+            time.sleep(0.008)
+        try:
+            output, _ = process.communicate(timeout=30)
+        finally:
+            process.kill()
+    assert process.returncode == 0, output
+    pictures = np.fromfile(raw, np.uint8).reshape(-1, HEIGHT * 3 // 2, WIDTH)
+    # GStreamer leaves out the picture at which it ends.
+    assert RECEIVED - 1 <= len(pictures) <= RECEIVED
+    # Pictures that were lost before it was ready are the first ones.
+    lost = max(
+        range(ALL - RECEIVED + 1), key=lambda lost: psnr_db(pictures[270], scene(270 + lost))
+    )
+    quality = [psnr_db(picture, scene(number + lost)) for number, picture in enumerate(pictures)]
+    # A key picture in the larger size is coarse.
+    assert min(quality) > 30
+    assert np.mean(quality) > 42

@@ -1,0 +1,167 @@
+"""Campaigns on a cluster of Dask: a scheduler and two workers, one of which is killed."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from pipelines.campaign import cluster as cluster_module
+from pipelines.campaign import here
+from pipelines.campaign.cluster import Cluster
+from pipelines.cli import main
+
+pytest.importorskip("distributed", reason="needs Dask: the extra cluster")
+
+SWEEP = """
+seconds = 3
+seeds = 1
+media = false
+[[grid]]
+radio = ["iss-overhead", "geo"]
+"""
+
+
+class Processes:
+    """A scheduler and its workers, each a process of its own."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.started = []
+        found = folder / "scheduler.json"
+        self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", found)
+        eventually(lambda: found.exists() and found.read_text().rstrip().endswith("}"))
+        self.address = json.loads(found.read_text())["address"]
+
+    def worker(self, *options):
+        folder = self.folder / f"worker{len(self.started)}"
+        words = [self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard"]
+        started = self._start("worker", *words, "--local-directory", folder, *options)
+        eventually(lambda: b"Registered to" in self.log.read_bytes())
+        return started
+
+    def _start(self, what, *words):
+        self.log = self.folder / f"{what}{len(self.started)}.log"
+        command = [sys.executable, "-m", "dask", what, *map(str, words)]
+        with self.log.open("wb") as log:
+            self.started.append(subprocess.Popen(command, stdout=log, stderr=log))
+        return self.started[-1]
+
+    def end(self):
+        for process in reversed(self.started):
+            process.send_signal(signal.SIGINT)
+        for process in self.started:
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def eventually(found, patience_s=60.0):
+    until_s = time.monotonic() + patience_s
+    while not (value := found()):
+        assert time.monotonic() < until_s
+        time.sleep(0.02)
+    return value
+
+
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory):
+    with ExitStack() as stack:
+        running = Processes(tmp_path_factory.mktemp("dask"))
+        stack.callback(running.end)
+        running.worker()  # With its nanny, a daemon, which multiprocessing would forbid children.
+        yield running
+
+
+def sessions_of(pid):
+    """The numbers of the processes in which the worker `pid` runs sessions."""
+    listed = [task / "children" for task in Path(f"/proc/{pid}/task").iterdir()]
+    children = [child for children in listed for child in children.read_text().split()]
+    return [
+        int(child)
+        for child in children
+        if b"pipelines.campaign.session" in Path(f"/proc/{child}/cmdline").read_bytes()
+    ]
+
+
+def test_a_sweep_is_the_same_octet_by_octet_though_a_worker_is_killed(processes, tmp_path, capfd):
+    (tmp_path / "mine.toml").write_text(SWEEP)
+    alone, there = tmp_path / "here.json", tmp_path / "there.json"
+    command = ["sweep", str(tmp_path / "mine.toml"), "--report"]
+    assert main([*command, str(alone)]) == 0
+    doomed = processes.worker("--no-nanny")
+    orphans = []
+
+    def kill():
+        orphans.extend(eventually(lambda: sessions_of(doomed.pid)))
+        os.kill(doomed.pid, signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    assert main([*command, str(there), "--cluster", processes.address]) == 0
+    killer.join()
+    assert doomed.wait() == -signal.SIGKILL
+    assert there.read_bytes() == alone.read_bytes()
+    assert "2 of 2 runs" in capfd.readouterr().err
+    # No session outlives the worker that started it.
+    eventually(lambda: not any(Path(f"/proc/{pid}").exists() for pid in orphans))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["bench", "passes", "--sessions", "2", "--seconds", "4", "--radio", "clean", "--no-media"],
+        ["bench", "haptics", "--seconds", "4", "--cell", "delay=20", "--cell", "loss=30,burst=10"],
+    ],
+    ids=lambda command: command[1],
+)
+def test_a_bench_is_the_same_octet_by_octet(processes, tmp_path, command, capfd):
+    alone, there = tmp_path / "here.json", tmp_path / "there.json"
+    assert main([*command, "--report", str(alone)]) == 0
+    assert main([*command, "--report", str(there), "--cluster", processes.address]) == 0
+    assert there.read_bytes() == alone.read_bytes()
+
+
+def refused(address, capfd, tmp_path):
+    """The one line with which a sweep on this cluster is refused."""
+    (tmp_path / "mine.toml").write_text(SWEEP)
+    capfd.readouterr()
+    assert main(["sweep", str(tmp_path / "mine.toml"), "--cluster", address]) == 2
+    *progress, error = capfd.readouterr().err.splitlines()
+    assert all(line.endswith(" runs") for line in progress)
+    return error
+
+
+def test_a_worker_of_another_version_is_refused(processes, tmp_path, capfd, monkeypatch):
+    newer = {**here.facts(), "kontur-av": "newer"}
+    monkeypatch.setattr(here, "facts", lambda: newer)
+    told = ", and this machine newer: install the same"
+    assert told in refused(processes.address, capfd, tmp_path)
+    # One that comes after the first look refuses its first run.
+    monkeypatch.setattr(Cluster, "_check_workers", lambda _: None)
+    assert told in refused(processes.address, capfd, tmp_path)
+
+
+def test_a_scheduler_of_another_version_is_refused(processes, tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(cluster_module, "version", lambda name: "1.0")
+    error = refused(processes.address, capfd, tmp_path)
+    assert "the scheduler has distributed " in error
+    assert "and this machine 1.0: install the same" in error
+
+
+def test_what_is_no_scheduler_is_refused(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(cluster_module, "_CONNECT_S", 1)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        assert "no scheduler of Dask" in refused(address, capfd, tmp_path)
+    assert "no scheduler of Dask" in refused(address, capfd, tmp_path)
+    assert "write tcp://HOST:PORT" in refused("127.0.0.1:8786", capfd, tmp_path)

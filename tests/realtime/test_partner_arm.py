@@ -1,0 +1,138 @@
+"""A partner drives the robot in place of the ISS, or an arm of its own: real sockets and loops."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import pytest
+from janus_room import free_port
+from running_session import COMMAND, PATIENCE_S, alive, eventually
+
+pytestmark = pytest.mark.realtime
+
+_SHORT = 'cameras = ["head"]\npartner_arm = "{arm}"\n[uplink_video]\ncap_kbps = 85\n'
+
+
+@pytest.fixture
+def start_lab(start, tmp_path):
+    def begin(arm, *options):
+        path = tmp_path / "lab.toml"
+        path.write_text(_SHORT.format(arm=arm))
+        return start(str(path), *options)
+
+    return begin
+
+
+def owner(session, *words):
+    command = [*COMMAND, "owner", *words]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=PATIENCE_S, env=session.environment
+    )
+
+
+def hand_over(session, to):
+    done = owner(session, to)
+    assert done.returncode == 0, done
+    assert f"{to} drives" in done.stdout
+
+
+class Partner:
+    """`kontur-av joystick drive`, beside a session without options. Its exit ends it."""
+
+    def __init__(self, session, path, *options):
+        self._path = path
+        options = options or ("--base-port", str(session.base_port))
+        with path.open("w") as out:
+            self.process = subprocess.Popen(
+                [*COMMAND, "joystick", "drive", *options],
+                stdout=out,
+                stderr=out,
+                env=session.environment,
+            )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+
+    def wait_for(self, words):
+        eventually(lambda: self._path.read_text().rstrip().endswith(words), words)
+
+    def end(self):
+        """Press Ctrl-C; return the exit code and the samples that it got."""
+        self.process.send_signal(signal.SIGINT)
+        code = self.process.wait(PATIENCE_S)
+        return code, int(re.search(r"(\d+) from it", self._path.read_text())[1])
+
+
+def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start_lab, tmp_path):
+    session = start_lab("shared")
+    pids = session.pids()
+    session.wait_for_flow()
+    assert owner(session).stdout == "iss drives\n"
+    with Partner(session, tmp_path / "partner.txt") as partner:
+        hand_over(session, "partner")
+        partner.wait_for("answers")
+        # The desk and the robot come back with the owner that was ordered.
+        for name in ("owner_desk", "robot"):
+            os.kill(pids[name], signal.SIGKILL)
+            eventually(lambda pid=pids[name]: not alive(pid), f"the end of {name}")
+            eventually(lambda: len(session.children()) == len(pids), f"the restart of {name}")
+        eventually(lambda: owner(session).stdout.startswith("partner drives"), "the partner again")
+        assert owner(session, "bob").returncode == 2
+        hand_over(session, "iss")
+        partner.wait_for("silent")
+        code, got = partner.end()
+    assert code == 0 and got > 0
+    session.wait_for_flow()
+    _, report = session.interrupt()
+    arm = report["arm"]
+    assert arm["owner"] == arm["wanted"] == "iss"
+    assert arm["refused"]["partner"] > 0 and arm["refused"]["iss"] > 0
+    restarted = {name for name, entry in report["processes"].items() if entry["restarts"]}
+    assert restarted == {"owner_desk", "robot"}
+
+
+def test_a_second_arm_is_the_partners_own_across_the_internet(start_lab, tmp_path):
+    token, port = tmp_path / "token", free_port()
+    token.write_text("word-of-the-partner")
+    session = start_lab("second", "--rtc", str(port), "--rtc-token-file", str(token))
+    pids = session.pids()
+    session.wait_for_flow()
+    url = f"http://127.0.0.1:{port}"
+    with Partner(session, tmp_path / "stranger.txt", "--rtc", url, "--token", "guess") as stranger:
+        stranger.wait_for("the token is not taken (401)")
+    words = ("--rtc", url, "--token-file", str(token))
+    with Partner(session, tmp_path / "partner.txt", *words) as partner:
+        partner.wait_for("answers")
+        request = Request(
+            f"{url}/haptics", b"v=0", {"Authorization": f"Bearer {token.read_text()}"}
+        )
+        request.add_header("Content-Type", "application/sdp")
+        with pytest.raises(HTTPError, match="400"):
+            urlopen(request)
+        os.kill(pids["rtc"], signal.SIGKILL)
+        partner.wait_for("silent")
+        partner.wait_for("answers")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            for size in range(32):
+                stranger.sendto(bytes(size), ("127.0.0.1", session.base_port + 7))
+        assert owner(session).returncode == 2
+        session.wait_for_flow()
+        assert partner.end()[1] > 0
+    code, report = session.interrupt()
+    assert code == 0, report["failures"]
+    second = report["second_arm"]
+    assert second["received"] > 0 and second["sessions"] >= 1
+    samples = report["rtc"]["samples"]
+    assert samples["taken"] >= second["received"] - 100 and samples["given"] > 0
+    # A greeting of 12 zeros is a sample of an unknown session, not garbage.
+    assert second["garbage"] + second["strays"] >= 31
+    assert report["haptic"]["up"]["received"] > 0

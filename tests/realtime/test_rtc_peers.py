@@ -1,0 +1,191 @@
+"""Partners over real sockets on this machine: WHIP and WHEP, restart of ICE, strangers."""
+
+import asyncio
+import contextlib
+import socket
+
+import aiohttp
+import pytest
+from partners import SENDS, kept, pictures, receiving, send, sending, sounds, until
+
+from kontur_av.clock import MonotonicClock
+from kontur_av.errors import ConfigError
+from kontur_av.rtp.payload_h264 import split_annex_b
+from pipelines.bench.page.footage import coded
+from pipelines.rtc.ice_servers import IceServers
+from pipelines.rtc.keeper import Keeper
+from pipelines.rtc.programme import Programme
+from pipelines.rtc.server import RtcServer
+from pipelines.rtc.whip import WhipClient
+from pipelines.runtime.page_listener import PageListener
+
+pytestmark = pytest.mark.realtime
+
+TOKEN = "word-of-the-partner"
+
+
+@contextlib.asynccontextmanager
+async def serving(handle=None):
+    """A server with one programme; yields it, the programme and the base of its addresses."""
+    clock = MonotonicClock()
+    with socket.create_server(("127.0.0.1", 0)) as bound:
+        bound.setblocking(False)
+        port = bound.getsockname()[1]
+        listener = PageListener(
+            socket=bound,
+            scheme="http",
+            host="127.0.0.1",
+            port=port,
+            names=("127.0.0.1",),
+            operator_token=TOKEN,
+            viewer_token="other",
+        )
+        keys = []
+        programme = Programme("main", sends=SENDS, want_key=keys.append)
+        server = RtcServer(
+            listener,
+            [programme],
+            clock=clock,
+            handle=handle,
+            wall_offset_ns=clock.wall_offset_ns,
+        )
+        await server.start()
+        try:
+            yield server, programme, f"http://127.0.0.1:{port}"
+        finally:
+            await server.close()
+
+
+def same_units(events, units):
+    return [split_annex_b(unit.data) for unit in pictures(events)] == [
+        split_annex_b(data) for data, _ in units
+    ]
+
+
+def test_a_partner_watches_and_is_seen_with_the_same_octets():
+    units = coded(100)
+    watched, taken = [], []
+
+    async def run():
+        async with serving(taken.append) as (server, programme, base):
+            async with (
+                kept(f"{base}/whep/main", receiving(watched), TOKEN) as viewer,
+                kept(f"{base}/whip", sending, TOKEN) as sender,
+            ):
+                await until(lambda: all(peer.connected for peer in server.peers))
+                await send(units, programme.send_unit, programme.send_opus)
+                await until(lambda: len(pictures(watched)) == 100)
+                await send(units, sender.peer.send_unit, sender.peer.send_opus)
+                await until(lambda: len(pictures(taken)) == 100)
+                assert viewer.peer.route.local == "host"
+            await until(lambda: not server.peers)
+            assert server.made == 2
+            assert server.garbage == 0
+
+    asyncio.run(run())
+    for events in (watched, taken):
+        assert same_units(events, units)
+        assert len(sounds(events)) > 60
+
+
+def test_ice_begins_anew_in_the_middle_and_the_media_go_on():
+    units = coded(60)
+    watched = []
+
+    async def run():
+        async with (
+            serving() as (server, programme, base),
+            WhipClient(f"{base}/whep/main", token=TOKEN) as client,
+        ):
+            viewer = receiving(watched)(IceServers())
+            await viewer.accept(await client.post(await viewer.offer()))
+            running = asyncio.create_task(viewer.run())
+            await until(lambda: viewer.connected and server.peers[0].connected)
+            half = len(units) // 2
+            await send(units[:half], programme.send_unit, programme.send_opus)
+            port = viewer.route.remote_port
+            local = await viewer.restart()
+            await viewer.finish_restart(await client.restart(local))
+            await until(lambda: server.peers[0].restarts == 1)
+            assert viewer.route.remote_port != port
+            await send(units[half:], programme.send_unit, programme.send_opus)
+            await until(lambda: len(pictures(watched)) == 60)
+            await viewer.close()
+            await running
+
+    asyncio.run(run())
+    assert same_units(watched, units)
+
+
+def test_strangers_and_nonsense_are_answered_and_the_partner_still_comes():
+    units, watched = coded(20), []
+
+    async def run():
+        async with serving() as (server, programme, base):
+            own = {"Authorization": f"Bearer {TOKEN}"}
+            sdp = {"Content-Type": "application/sdp"}
+            async with aiohttp.ClientSession() as session:
+
+                async def status(method, path, body=b"", **headers):
+                    async with session.request(
+                        method, base + path, data=body, headers=headers
+                    ) as answer:
+                        return answer.status
+
+                assert await status("POST", "/whep/main", b"v=0", **sdp) == 401
+                assert await status("GET", "/rtc") == 403
+                assert await status("POST", "/whep/main", b"v=0", **own) == 415
+                assert await status("POST", "/whep/main", b"nonsense", **own, **sdp) == 400
+                assert await status("POST", "/whep/main", b"v" * 100_000, **own, **sdp) == 413
+                assert await status("POST", "/whep/other", b"v=0", **own, **sdp) == 404
+                # Nothing is taken here.
+                assert await status("POST", "/whip", b"v=0", **own, **sdp) == 404
+                assert await status("DELETE", "/session/none", **own) == 404
+            with pytest.raises(ConfigError, match="token"):
+                await Keeper(
+                    f"{base}/whep/main",
+                    token="guess",
+                    make_peer=receiving([]),
+                    servers=IceServers,
+                    clock=MonotonicClock(),
+                ).run()
+            async with kept(f"{base}/whep/main", receiving(watched), TOKEN):
+                await until(lambda: server.peers and server.peers[0].connected)
+                await send(units, programme.send_unit, programme.send_opus)
+                await until(lambda: len(pictures(watched)) == 20)
+
+    asyncio.run(run())
+
+
+def test_a_server_that_answers_nonsense_is_tried_again():
+    asked = []
+
+    async def answer(reader, writer):
+        asked.append(await reader.readuntil(b"\r\n\r\n"))
+        body = b"v=0\r\nnonsense" * len(asked)
+        writer.write(
+            b"HTTP/1.1 201 Created\r\nContent-Type: application/sdp\r\nLocation: /s\r\n"
+            b"Connection: close\r\nContent-Length: %d\r\n\r\n" % len(body) + body
+        )
+        await writer.drain()
+        writer.close()
+
+    async def run():
+        server = await asyncio.start_server(answer, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        keeper = Keeper(
+            f"http://127.0.0.1:{port}/whip",
+            token="",
+            make_peer=sending,
+            servers=IceServers,
+            clock=MonotonicClock(),
+        )
+        running = asyncio.create_task(keeper.run())
+        await until(lambda: keeper.attempts.begun == 2)
+        keeper.stop()
+        await running
+        server.close()
+        assert keeper.attempts.stood == 0
+        assert "media sections" in keeper.fault
+
+    asyncio.run(run())

@@ -1,0 +1,140 @@
+"""Tasks in a live session: a simulated cosmonaut does them, whatever is killed meanwhile."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from running_session import alive, eventually
+
+from pipelines.cores.haptic_trace import DEAD_MAN
+from pipelines.cores.mission_messages import ExperimentShown, RobotStatus, unpack
+from pipelines.recording.messages import unpack_haptics
+from pipelines.topology import MISSION_GROUND_TOPIC, ROBOT_STATUS_TOPIC
+
+pytestmark = pytest.mark.realtime
+
+#: Rows in which what was led before may still settle.
+_SETTLE_ROWS = 200
+PLAN = """
+skill = 1.0
+files = ["roam.xml"]
+[[task]]
+name = "aiming"
+repeat = 2
+[[task]]
+name = "roam"
+"""
+#: A task that does not end by itself during the test.
+ROAM = """<Tasks>
+  <Wait name="roamFreely" seconds="300"/>
+  <Operation name="execRoam">
+    <Operation ref="beginTelepresence"/>
+    <Elemop ref="roamFreely"/>
+    <Operation ref="endTelepresence"/>
+  </Operation>
+  <Task name="roam" start="startFree" exec="execRoam" start_x_mm="-45" start_y_mm="0" text="Roam."/>
+</Tasks>
+"""
+
+
+class Watched:
+    """What the topics of a session say."""
+
+    def __init__(self, bus):
+        self._readers = {
+            ExperimentShown: bus.reader(MISSION_GROUND_TOPIC),
+            RobotStatus: bus.reader(ROBOT_STATUS_TOPIC),
+        }
+        self._newest = {}
+
+    def see(self, kind):
+        lease = self._readers[kind].latest()
+        if lease is not None:
+            with lease:
+                self._newest[kind] = unpack(kind, lease.octets())
+        return self._newest.get(kind)
+
+    def wait_for_telepresence(self, run):
+        def there():
+            experiment, robot = self.see(ExperimentShown), self.see(RobotStatus)
+            driven = robot and robot.powered and robot.mode == "telepresence"
+            return experiment and experiment.run == run and experiment.phase == "running" and driven
+
+        eventually(there, f"telepresence in run {run}")
+
+    def wait_for_result(self, run):
+        def over():
+            shown = self.see(ExperimentShown)
+            rows = {row.run: row for row in shown.runs} if shown else {}
+            return rows.get(run)
+
+        return eventually(over, f"the end of run {run}")
+
+
+def kill(session, pids, name):
+    os.kill(pids[name], signal.SIGKILL)
+    eventually(lambda: not alive(pids[name]), f"the end of {name}")
+    eventually(lambda: len(session.children()) == len(pids), f"the restart of {name}")
+
+
+def led_without_dead_man_m(path):
+    """How far the tip went after the dead-man button had been let go for a while (m)."""
+    with path.open("rb") as file:
+        found = make_reader(file).iter_messages(["/haptic/up/sent"])
+        rows = np.concatenate([unpack_haptics(message.data) for _, _, message in found])
+    free = np.convolve(rows["flags"] & DEAD_MAN, np.ones(_SETTLE_ROWS))[: len(rows)] == 0
+    free[:_SETTLE_ROWS] = False
+    steps = np.hypot(np.diff(rows["x_m"]), np.diff(rows["y_m"]))
+    return steps[free[1:] & free[:-1]].sum()
+
+
+def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypatch):
+    plan, runs = tmp_path / "plan.toml", tmp_path / "runs"
+    plan.write_text(PLAN)
+    (tmp_path / "roam.xml").write_text(ROAM)
+    session = start("spacejustin", "--radio", "clean", "--plan", str(plan), "--runs", str(runs))
+    pids = session.pids()
+    with session.bus(monkeypatch) as bus:
+        watched = Watched(bus)
+        # The LED panel comes back with what it is told ten times a second.
+        watched.wait_for_telepresence(1)
+        kill(session, pids, "leds")
+        row = watched.wait_for_result(1)
+        assert row.result == "finished", row
+        # A panel that has forgotten its task is told it again.
+        eventually(lambda: watched.see(ExperimentShown).panel == "hold", "a held handle")
+        assert watched.see(ExperimentShown).run == 2
+        kill(session, pids, "panel")
+        watched.wait_for_telepresence(2)
+        # The controller goes on without the kernel, whose next life switches the robot off.
+        life = watched.see(RobotStatus).life
+        kill(session, pids, "tasks")
+        row = watched.wait_for_result(2)
+        assert (row.result, row.reason) == ("aborted", "the task's process was restarted")
+        eventually(lambda: not watched.see(RobotStatus).powered, "the robot without power")
+        assert watched.see(RobotStatus).life == life
+        listed = session.ask("task", "list").stdout
+        assert "run 2 aiming: aborted: the task's process was restarted" in listed
+        eventually(lambda: watched.see(ExperimentShown).run == 3, "run 3")
+        assert session.ask("task", "select", "line").returncode == 1
+        assert session.ask("task", "abort").returncode == 0
+        assert watched.wait_for_result(3).reason == "a telecommand"
+    code, report = session.interrupt()
+    assert code == 0, report["failures"]
+    rows = report["tasks"]
+    assert [row["run"] for row in rows] == [1, 2, 3]
+    assert [row["result"] for row in rows] == ["finished", "aborted", "aborted"]
+    restarted = {name for name, entry in report["processes"].items() if entry["restarts"]}
+    assert restarted == {"leds", "panel", "tasks"}
+    # Each run has its own file, also the one after the run that a killed process left open.
+    files = sorted(runs.iterdir())
+    assert [path.name for path in files] == [
+        "run-001-aiming.mcap",
+        "run-002-aiming.mcap",
+        "run-003-roam.mcap",
+    ]
+    assert report["processes"]["tasks"]["counts"]["unrecorded"] == 0
+    for path in files:
+        assert led_without_dead_man_m(path) < 1e-6, path.name

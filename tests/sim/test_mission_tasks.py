@@ -1,0 +1,208 @@
+"""Fig. 14 from selection to end: every task of the catalogue, and what ends one early."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mission import Mission
+
+from telepresence.haptics.sample import MODE_OFF
+from telepresence.tasks.experiment import Experiment, Phase, Step, TaskRun
+from telepresence.tasks.kernel import PowerRobot, View
+from telepresence.tasks.task_files import built_in_tasks
+from telepresence.tmtc.k2aci import (
+    PanelMode,
+    PanelState,
+    StartTask,
+    TaskFinished,
+    TaskResult,
+)
+
+TASKS = ("aiming", "pursuit", "contour", "line", "spring", "free")
+
+
+def steps(mission, run):
+    return [one.step for one in mission.log if one.run == run]
+
+
+def assert_at_rest(mission):
+    assert mission.robot.robot.mode == MODE_OFF
+    assert not mission.recording
+    assert mission.experiment.status.phase is Phase.IDLE
+    # Nothing led the tip without the dead-man button.
+    assert mission.led_m < 1e-6
+
+
+@pytest.mark.parametrize(("skill", "tasks"), [(0.0, ("line", "spring")), (1.0, TASKS)])
+def test_every_task_is_done_and_each_step_is_logged_once_in_order(skill, tasks):
+    mission = Mission(skill=skill)
+    for number, name in enumerate(tasks, 1):
+        run = mission.do(name)
+        assert (run.task, run.run, run.result) == (name, number, TaskResult.FINISHED), run.reason
+        assert steps(mission, number) == list(Step)
+        assert_at_rest(mission)
+        assert len(mission.records) == 2 * number
+    assert mission.panel.mode is PanelMode.WAIT_TASK
+
+
+def test_a_trained_cosmonaut_is_faster_and_nearer():
+    def do(skill):
+        mission = Mission(skill=skill)
+        line = mission.do("line")
+        assert line.result is TaskResult.FINISHED
+        return mission.keeper.report().error_mean, line.ended_ns - line.started_ns
+
+    (error, took_ns), (less, sooner_ns) = do(0.0), do(1.0)
+    assert less < error and sooner_ns < took_ns
+
+
+def reached(mission, phase, panel=None):
+    status = mission.experiment.status
+    return status.phase is phase and (panel is None or mission.panel.mode is panel)
+
+
+MOMENTS = {
+    "while the robot is prepared": (Phase.PREPARING, None),
+    "while the panel describes it": (Phase.OFFERED, PanelMode.TASK_INFO),
+    "while the handle is held": (Phase.OFFERED, PanelMode.HOLD),
+    "in the task": (Phase.RUNNING, PanelMode.RUNNING),
+}
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize("trouble", ["signal", "halt", "fault", "abort"])
+def test_whatever_happens_ends_the_run_and_the_next_one_is_done(moment, trouble):
+    phase, panel = MOMENTS[moment]
+    mission = Mission()
+    assert mission.experiment.select("aiming", mission.now_ns) == ""
+    assert mission.run(60, until=lambda: reached(mission, phase, panel))
+    if trouble == "signal":
+        mission.signal = False
+    elif trouble == "halt":
+        mission.halted = "The joystick is halted."
+    elif trouble == "fault":
+        mission.control.handle_fault("too hot")
+    else:
+        mission.experiment.abort("the experimenter", mission.now_ns)
+    assert mission.run(12, until=lambda: mission.runs)
+    (run,) = mission.runs
+    expected = TaskResult.LOST_SIGNAL if trouble == "signal" else TaskResult.ABORTED
+    assert run.result is expected, run
+    assert_at_rest(mission)
+    mission.signal, mission.halted = True, ""
+    mission.control.reset()
+    mission.run(5)
+    assert mission.panel.mode in (PanelMode.WAIT_TASK, PanelMode.ERROR)
+    assert mission.do("aiming").result is TaskResult.FINISHED
+    assert_at_rest(mission)
+
+
+def test_a_task_that_takes_too_long_times_out():
+    mission = Mission()
+    assert mission.experiment.select("aiming", 0) == ""
+    assert mission.run(60, until=lambda: reached(mission, Phase.RUNNING))
+    # The cosmonaut falls asleep, with the button pressed.
+    mission.cosmonaut.look = lambda *_: None
+    assert mission.run(80, until=lambda: mission.runs)
+    assert (mission.runs[0].result, mission.runs[0].reason) == (
+        TaskResult.TIMED_OUT,
+        "checkPos7 took too long",
+    )
+    assert_at_rest(mission)
+
+
+def test_a_cosmonaut_who_never_starts_is_not_waited_for_for_ever():
+    mission = Mission(patience_ns=8 * 10**9)
+    mission.cosmonaut.look = lambda *_: None
+    assert mission.experiment.select("line", 0) == ""
+    assert mission.run(30, until=lambda: mission.runs)
+    assert mission.runs[0].result is TaskResult.TIMED_OUT and mission.runs[0].started_ns is None
+    assert_at_rest(mission)
+
+
+def test_a_dead_man_button_that_is_let_go_stops_the_tip_and_not_the_task():
+    mission = Mission()
+    assert mission.experiment.select("pursuit", 0) == ""
+    assert mission.run(60, until=lambda: reached(mission, Phase.RUNNING, PanelMode.RUNNING))
+    mission.run(3)
+    look = mission.cosmonaut.look
+    mission.cosmonaut.look = lambda *_: None
+    mission.cosmonaut.dead_man = False
+    mission.run(0.5)
+    mission.led_m = 0.0
+    mission.run(2)
+    # What was led before it was let go may still settle.
+    assert mission.led_m < 1e-3
+    mission.cosmonaut.look = look
+    assert mission.run(60, until=lambda: mission.runs)
+    assert mission.runs[0].result is TaskResult.FINISHED
+
+
+EVENTS = st.sampled_from(
+    [
+        ("select", "aiming"),
+        ("select", "line"),
+        ("abort", ""),
+        ("start", ""),
+        ("stray", ""),
+        ("panel", PanelMode.ERROR),
+        ("panel", PanelMode.RUNNING),
+        ("signal", False),
+        ("signal", True),
+        ("fault", "hot"),
+        ("fault", ""),
+        ("halt", True),
+        ("halt", False),
+        ("wait", 1),
+        ("wait", 30),
+        ("wait", 700),
+    ]
+)
+
+
+@settings(max_examples=60)
+@given(st.lists(EVENTS, max_size=30))
+def test_in_any_order_of_events_every_run_ends_once_with_the_robot_off(events):
+    experiment = Experiment(built_in_tasks())
+    selected, ended, powered, now_ns = 0, [], False, 0
+    view = {"signal": True, "fault": "", "halted": False}
+
+    def settle():
+        nonlocal powered
+        while (order := experiment.poll_transmit(now_ns)) is not None:
+            powered = order.on if isinstance(order, PowerRobot) else powered
+        while (message := experiment.poll_message()) is not None:
+            assert not isinstance(message, StartTask | PanelState)
+        while (event := experiment.next_event()) is not None:
+            if isinstance(event, TaskRun):
+                ended.append(event.run)
+
+    def tick(count):
+        nonlocal now_ns
+        for _ in range(count):
+            now_ns += 100_000_000
+            experiment.handle_view(View(powered=powered, **view), now_ns)
+            settle()
+
+    for what, value in [*events, ("signal", True), ("wait", 7_000)]:
+        run = experiment.status.run
+        if what == "select":
+            selected += experiment.select(value, now_ns) == ""
+        elif what == "abort":
+            experiment.abort("asked", now_ns)
+        elif what == "start":
+            task = experiment.status.task or "none"
+            experiment.handle_message(StartTask(task=task, run=run), now_ns)
+        elif what == "stray":
+            experiment.handle_message(StartTask(task="line", run=run + 7), now_ns)
+            finished = TaskFinished(task="line", run=run, result=TaskResult.ABORTED)
+            experiment.handle_message(finished, now_ns)
+        elif what == "panel":
+            experiment.handle_message(PanelState(mode=value, task="line", run=run), now_ns)
+        elif what == "wait":
+            tick(value)
+        else:
+            view[{"signal": "signal", "fault": "fault", "halt": "halted"}[what]] = value
+        settle()
+    assert experiment.status.phase is Phase.IDLE
+    assert ended == list(range(1, selected + 1))
+    assert not powered

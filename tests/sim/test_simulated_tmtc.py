@@ -1,0 +1,165 @@
+"""Telecommands and telemetry of a whole session on virtual time."""
+
+import json
+
+from tmtc_session import Session
+
+from pipelines.cores.seat_roles import Role
+from pipelines.cores.tmtc import PUS_RATE_BPS
+from pipelines.cores.tmtc_messages import CommandUpdate, K2aciArrived, K2aciUpdate, Reported
+from pipelines.page.mission_desk import MissionDesk
+from pipelines.page.texts import CommandRequest
+from pipelines.setup.segments import Segment
+from telepresence.link.radio import Blackout, RadioProfile
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+
+
+def dead(direction, seconds=60.0):
+    """A radio that loses everything in one direction from second 2 on."""
+    return RadioProfile(
+        name="half", blackouts=(Blackout(start_s=2.0, seconds=seconds, direction=direction),)
+    )
+
+
+def test_telecommands_and_chat_go_both_ways_and_are_verified():
+    session = Session()
+    session.run(1)
+    session.command(Segment.GROUND, 1, "joystick", "call", "halt")
+    session.command(Segment.SPACE, 1, "robot", "call", "power_off")
+    session.command(Segment.SPACE, 2, "joystick", "call", "halt")
+    session.command(Segment.GROUND, 2, "joystick", "call", "jump")
+    session.say(Segment.SPACE, 3, "ready")
+    session.run(3)
+    assert session.asked == [
+        ("joystick", "halt"),
+        ("robot", "power_off"),
+        ("joystick", "halt"),
+    ]
+    done = [one for one in session.of(Segment.GROUND, CommandUpdate) if one.done]
+    assert [(one.id, one.ok, one.stage) for one in done] == [
+        (2, False, "refused"),
+        (1, True, "completed"),
+    ]
+    assert "no function 'jump'" in done[0].reason
+    done = [one for one in session.of(Segment.SPACE, CommandUpdate) if one.done]
+    assert sorted((one.id, one.ok) for one in done) == [(1, True), (2, True)]
+    (chat,) = session.of(Segment.GROUND, K2aciArrived)
+    assert chat.fields == {"sender": "cosmonaut", "text": "ready"}
+    assert [one.state for one in session.of(Segment.SPACE, K2aciUpdate)] == ["waiting", "delivered"]
+
+
+def test_a_request_that_is_repeated_is_carried_out_once():
+    session = Session()
+    session.run(1)
+    for _ in range(3):
+        session.command(Segment.GROUND, 1, "joystick", "call", "halt")
+        session.say(Segment.SPACE, 1, "ready")
+        session.run(1)
+    assert len(session.asked) == 1
+    assert len(session.of(Segment.GROUND, K2aciArrived)) == 1
+    assert session.of(Segment.GROUND, CommandUpdate)[-1].done
+
+
+def test_housekeeping_of_all_applications_reaches_the_other_end():
+    session = Session()
+    session.run(11)
+    heard = {(one.application, one.name) for one in session.of(Segment.GROUND, Reported)}
+    assert heard >= {("joystick", "state"), ("space_gateway", "link"), ("robot", "state")}
+    heard = {(one.application, one.name) for one in session.of(Segment.SPACE, Reported)}
+    assert heard >= {("ground_gateway", "link"), ("robot", "state")}
+    (link,) = [
+        one for one in session.of(Segment.SPACE, Reported) if one.application == "ground_gateway"
+    ]
+    assert (link.values["state"], link.values["signal"]) == ("connected", True)
+
+
+def test_with_one_direction_dead_telecommands_go_through_without_verification():
+    session = Session(radio=dead("downlink"))
+    session.run(4)
+    session.command(Segment.GROUND, 1, "joystick", "call", "halt")
+    session.run(40)
+    assert session.asked == [("joystick", "halt")]
+    (done,) = [one for one in session.of(Segment.GROUND, CommandUpdate) if one.done]
+    assert (done.ok, done.verified, done.reason) == (False, False, "no verification came")
+    assert done.tries > 5
+    ends = session.tmtc.ends
+    assert ends[Segment.SPACE].applications["joystick"].duplicates == done.tries - 1
+
+
+def test_a_page_says_that_a_telecommand_is_unacknowledged_until_the_direction_is_back():
+    session = Session(radio=dead("downlink", seconds=10.0))
+    ground = Segment.GROUND
+    desk = MissionDesk(ground, built_in_dictionary(), client="page.1")
+
+    def heard(news, now_ns):
+        desk.handle_news(news, now_ns)
+        if isinstance(news, Reported) and news.application == "ground_gateway":
+            desk.handle_signal(news.name != "signal_lost")
+
+    def told():
+        """The telecommand's line, and what the page says of the radio."""
+        desk.poll_texts()
+        (line,) = json.loads(desk.texts["commands"])["commands"]
+        return line, json.loads(desk.texts["radio"])["words"]
+
+    session.tmtc.subscribe(ground, heard)
+    session.run(5)
+    asked = CommandRequest(request=7, application="joystick", name="halt")
+    assert desk.handle_command(3, Role.SUPERVISOR, asked, session.now_ns) is None
+    session.tmtc.handle_request(ground, desk.poll_transmit(session.now_ns), session.now_ns)
+    session.run(4)
+    # Carried out, which nobody on the ground knows.
+    assert session.asked == [("joystick", "halt")]
+    line, radio = told()
+    assert (line["stage"], line.get("done", False)) == ("unacknowledged", False)
+    assert line["tries"] > 2
+    assert "Nothing arrives from space: telecommands go out unacknowledged." in radio
+    assert desk.next_event() is None
+    session.run(5)
+    assert session.asked == [("joystick", "halt")]
+    line, radio = told()
+    assert (line["stage"], line["ok"], line["verified"]) == ("completed", True, True)
+    assert radio == "Both directions carry."
+    assert desk.next_event()[:3] == (3, 7, "")
+    assert session.tmtc.ends[Segment.SPACE].applications["joystick"].executed == 1
+
+
+def test_what_waits_during_a_loss_of_signal_goes_through_once_afterwards():
+    session = Session(radio=dead("both", seconds=20.0))
+    session.run(5)
+    session.command(Segment.GROUND, 1, "joystick", "call", "halt")
+    session.say(Segment.SPACE, 1, "can you hear me?")
+    session.run(16)
+    assert (session.asked, session.of(Segment.GROUND, K2aciArrived)) == ([], [])
+    session.run(3)
+    assert session.asked == [("joystick", "halt")]
+    assert session.of(Segment.GROUND, CommandUpdate)[-1].ok
+    assert len(session.of(Segment.GROUND, K2aciArrived)) == 1
+    events = [one.name for one in session.of(Segment.GROUND, Reported) if one.kind == "event"]
+    assert "signal_acquired" in events
+
+
+def test_the_worst_load_of_tmtc_takes_from_video_what_the_bucket_allows_and_nothing_from_haptics():
+    """Chat floods and housekeeping asked for ten times a second, both ways, from second 2 to 6."""
+    session = Session(media=True)
+    session.run(2)
+    for number in range(0, 160, 4):
+        for segment, application, more in (
+            (Segment.GROUND, "joystick", "handle"),
+            (Segment.SPACE, "robot", "controller"),
+        ):
+            session.command(segment, number, application, "report", "state")
+            session.command(segment, number + 1, application, "report", more)
+            session.say(segment, number, "x" * 200)
+        session.run(0.1)
+    report = session.simulation.report()
+    for way in ("up", "down"):
+        assert report.haptic[way].latency_ms.max == 1.0
+        assert report.haptic[way].lost == 0
+    carried = report.link["uplink"].octets["tmtc"]
+    before, allowed = 200, 512 + 4 * PUS_RATE_BPS / 8
+    assert 0.9 * allowed < carried < allowed + before
+    video = report.streams["uplink_video"]
+    assert video.rtp_lost == video.stale_episodes == video.frozen_episodes == 0
+    # Whatever was sent is shown; the newest pictures are still on their way.
+    assert video.frames_sent - video.frames_displayed <= 2
