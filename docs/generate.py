@@ -1,23 +1,26 @@
 """Write what documents take from the code.
 
     python docs/generate.py            docs/python.md, from the docstrings of what is exported, and
-                                       the tables of processes, topics and ports
+                                       the tables of commands, processes, topics and ports
     python docs/generate.py --run      the README's table, too: a session of 20 s on virtual time
 
 Tests check that all but the README's table is up to date. griffe reads source text, so the page is
 the same under every Python version.
 """
 
+import argparse
 import json
 import re
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import griffe
 
 from pipelines.bench.result import Headline
+from pipelines.cli import make_parser
 from pipelines.recording.channels import channels_table, fields_table
 from pipelines.report.keys import counters_table, keys_tables
 from pipelines.report.model import LinkReport, SessionReport
@@ -210,6 +213,42 @@ def run_table() -> str:
     return "\n".join(rows) + "\n"
 
 
+def commands_text() -> str:
+    """Every command with its arguments and options, from the parsers."""
+    return "\n".join(_command_texts(make_parser(), "kontur-av")).strip() + "\n"
+
+
+def _command_texts(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for word, inner in action.choices.items():
+                heading = "#" * (1 + len(name.split()))
+                yield f"{heading} `{name} {word}`\n\n{_sentence(inner.description)}\n"
+                yield from _options_table(inner)
+                yield from _command_texts(inner, f"{name} {word}")
+
+
+def _options_table(parser: argparse.ArgumentParser) -> Iterator[str]:
+    rows = []
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction | argparse._HelpAction):
+            continue
+        value = action.metavar or ("|".join(map(str, action.choices)) if action.choices else "")
+        if isinstance(value, tuple):
+            value = " ".join(value)
+        words = ", ".join(action.option_strings) or str(value)
+        shown = f"{words} {value}".strip() if action.option_strings else words
+        told = " ".join((action.help or "").split()).replace("%%", "%").replace("|", "\\|")
+        rows.append("| `" + shown.replace("|", "\\|") + f"` | {told} |")
+    if rows:
+        yield "| | |\n|---|---|\n" + "\n".join(rows) + "\n"
+
+
+def _sentence(text: str | None) -> str:
+    told = (text or "").strip()
+    return f"{told[:1].upper()}{told[1:]}" + ("" if told.endswith(".") else ".")
+
+
 def topology_blocks() -> dict[str, str]:
     """By name: what stands between `<!-- generated: NAME -->` and `<!-- /generated -->`."""
     session = topology_of(load_setup("spacejustin"), snapshots=True, pages=True, recorder=True)
@@ -219,6 +258,7 @@ def topology_blocks() -> dict[str, str]:
     topics = tables.topics_table(session)
     channels = tables.channels_table(session, topology_of(load_setup("taskboard")))
     return {
+        "commands": commands_text(),
         "processes": tables.in_code(processes, "process").markdown(),
         "topics": tables.in_code(topics, "topic", "writer", "readers").markdown(),
         "ports": tables.ports_table(session).markdown(),

@@ -1,11 +1,12 @@
-"""Take the pictures of both seats that the documents show.
+"""Take the pictures of the pages that the documents show.
 
-    python docs/screenshots.py [space] [ground]
+    python docs/screenshots.py [space] [ground] [mission]
 
 For each seat a session with the ISS overhead runs in real time, with the page in Chromium. In space
 a hand at the page presses against the wall of the task board; for the ground it is the simulated
-one. It needs what tests/browser needs, and Pillow, which matplotlib brings. The machine should have
-nothing else to do. Look at each picture before you keep it.
+one. For the mission's pages a task is selected, and its cosmonaut is to go to the start. It needs
+what tests/browser needs, and Pillow, which matplotlib brings. The machine should have nothing else
+to do. Look at each picture before you keep it.
 """
 
 import io
@@ -42,17 +43,34 @@ _FELT = (
     "document.querySelector('hand-panel').dataset.steers === 'true'"
     " && parseFloat(document.querySelector('.force-words strong').textContent) > 1"
 )
+#: Pages of the mission in the order in which they act, what they write, and what comes of it.
+DEEDS = (
+    ("k2cp", "Ready for the first task.", ""),
+    ("top", "Aiming is next. Hold the start position, please.", "select"),
+    ("panel", "", "take"),
+    ("k2sv", "Loss of signal in eight minutes.", "take"),
+    ("top", "", "take"),
+    ("k2cp", "", "take"),
+)
+_MODE = "document.querySelector('panel-status').dataset.mode === '{}'"
+#: Writes a line into the chat.
+_SAY = """
+    document.querySelector("chat-panel input").value = arguments[0];
+    document.querySelector("chat-panel form").requestSubmit();
+"""
 #: Pixels of the map: from the middle to the wall, and into it.
 ACROSS, INTO = 75, 20
 
 
 def main() -> None:
-    """Take all four, or those of the seats that are named."""
-    seats = sys.argv[1:] or ["space", "ground"]
+    """Take all, or those of the seats that are named."""
+    seats = sys.argv[1:] or ["space", "ground", "mission"]
     if "space" in seats:
         _sit("space", "--joystick", "page")
     if "ground" in seats:
         _sit("ground")
+    if "mission" in seats:
+        _do_a_task()
 
 
 def _sit(seat: str, *options: str) -> None:
@@ -72,6 +90,35 @@ def _sit(seat: str, *options: str) -> None:
         page.run("return new Promise((done) => setTimeout(done, 12_000))")
         for theme in ("dark", "light"):
             _take(page, f"seat-{seat}-{theme}", theme)
+        browser.assert_no_errors()
+
+
+def _do_a_task() -> None:
+    options = ("--tasks", "--joystick", "page", "--radio", "iss-overhead", "--page", PORT)
+    with (
+        tempfile.TemporaryDirectory() as directory,
+        RunningSession("spacejustin", *options, directory=directory) as session,
+        Browser(size=SIZE, scale=1) as browser,
+    ):
+        # One page at a time: each takes half a core.
+        for name, words, after in DEEDS:
+            page = _open(browser, session.pages()[name])
+            if words:
+                page.run(_SAY, words)
+            if name == "panel":
+                page.wait(_MODE.format("task_info"))
+                page.find("#panel-button").click()
+                page.wait(_MODE.format("move_to_start"))
+            elif after == "select":
+                page.wait("document.querySelector('experiment-panel').dataset.phase === 'idle'")
+                page.find("[data-task=aiming]").click()
+                page.wait("document.querySelectorAll('[data-done]').length > 2")
+            if after == "take":
+                # Telemetry of the gateways comes every ten seconds.
+                page.run("return new Promise((done) => setTimeout(done, 4_000))")
+                for theme in ("dark", "light"):
+                    _take(page, f"{name}-{theme}", theme, feel=False)
+            page.close()
         browser.assert_no_errors()
 
 
@@ -102,12 +149,12 @@ def _feel(page: Page) -> None:
             return
 
 
-def _take(page: Page, name: str, theme: str) -> None:
+def _take(page: Page, name: str, theme: str, *, feel: bool = True) -> None:
     driver = page.browser.driver
     scheme = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", scheme)
     page.run("return new Promise((done) => setTimeout(done, 800))")
-    if page.run("return document.querySelector('hand-panel') !== null"):
+    if feel and page.run("return document.querySelector('hand-panel') !== null"):
         _feel(page)
     page.wait(_LIVE)
     picture = Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
