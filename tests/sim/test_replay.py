@@ -104,8 +104,9 @@ def test_pictures_coded_anew_fit_under_a_lower_cap(replayed, same, recording):
     stream = report.replay.streams["uplink_video"]
     assert report.streams["uplink_video"].payload_bps_max_1s <= 40_000
     assert stream.units_received == 0
-    # Held against the picture of the same instant, not just any.
-    assert stream.psnr_db_p5 > 30
+    # Held against the picture of the same instant: against its neighbour they reach 23 dB.
+    assert stream.psnr_db_p5 > 26
+    assert stream.psnr_db_mean > 33
     assert (
         report.streams["uplink_video"].frames_displayed > len(recording.units["uplink_video"]) / 2
     )

@@ -64,7 +64,7 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
     "quick": {
         "latency": "--seconds 10 --live-seconds 10",
         "cpu": "--runs 1 --seconds 10",
-        "video": f"--fetch --seconds 8 --lead-s 4 {_VIDEO}",
+        "video": f"--fetch --seconds 12 {_VIDEO}",
         "voice": "--seconds 10",
         "link": "--seconds 5 --blackouts 20",
         "protection": "--protected --runs 1 --seconds 10",
