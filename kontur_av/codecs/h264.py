@@ -179,12 +179,14 @@ class H264Encoder:
             restless = self._cuts.handle_picture(small, key=force_keyframe)
             index = self._choice.handle_picture(small, anew=self._cuts.anew)
             self._settle(restless, self._sizes[index])
-        pixels = self._soft_pixels(force_keyframe)
+        pixels, loss = self._soft_pixels(force_keyframe), None
         if self._small is not None or pixels:
-            from kontur_av.codecs.scaling import shrink, soften
+            from kontur_av.codecs.scaling import scaling_loss, shrink, soften
 
             if self._small is not None:
                 shrink(data, self._small)
+                if self._choice.wants_scaling_loss and not pixels:
+                    loss = scaling_loss(data, self._small)
                 data = self._small
             else:
                 data = data.copy()
@@ -197,7 +199,11 @@ class H264Encoder:
             force_keyframe = True
         packet = self._give(data, region, force_keyframe=force_keyframe)
         if self._cuts is not None and not self._cuts.restless:
-            self._choice.handle_unit(_quantiser(packet), packet.size / self._share_octets)
+            quantiser, squares = _quantiser_and_error(packet)
+            width, height = self.unit_size
+            self._choice.handle_unit(
+                quantiser, packet.size / self._share_octets, squares / (width * height), loss
+            )
         self.encoded += 1
         unit = without_user_data(bytes(packet)) if packet.is_keyframe else bytes(packet)
         # x264 also flags the first picture of a refresh wave, at which not every decoder can start.
@@ -326,6 +332,7 @@ def _open_encoder(settings: H264Settings) -> VideoCodecContext:
     codec.framerate, codec.time_base = settings.rate, Fraction(1, VIDEO_CLOCK_HZ)
     codec.gop_size = settings.refresh_pictures
     codec.thread_count = 1
+    codec.flags |= Flags.psnr  # for `_quantiser_and_error`
     codec.options = settings.options()
     try:
         codec.open()
@@ -337,10 +344,10 @@ def _open_encoder(settings: H264Settings) -> VideoCodecContext:
     return codec
 
 
-def _quantiser(packet: Any) -> float:
-    """Return the mean quantiser with which x264 coded this picture."""
-    (quality,) = unpack_from("=I", packet.get_sidedata("quality_stats"))
-    return float(quality / _LAMBDA)
+def _quantiser_and_error(packet: Any) -> tuple[float, int]:
+    """Return the mean quantiser of this picture, and the sum of its luma's squared errors."""
+    quality, squares = unpack_from("=I4xQ", packet.get_sidedata("quality_stats"))
+    return quality / _LAMBDA, squares
 
 
 def without_user_data(access_unit: bytes) -> bytes:

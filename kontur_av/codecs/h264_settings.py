@@ -5,6 +5,7 @@ docs/experiments/video.md lists what was tried, and the gain of each.
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from math import ceil
 from typing import Literal, get_args
 
 from kontur_av.media import check_size
@@ -37,7 +38,7 @@ _BLOCKS = "partitions=p8x8,i8x8,i4x4"
 class _Effort:
     """x264's quality target and its buffer model (VBV).
 
-    crf: the constant quality where bits suffice.
+    crf: the constant quality where bits suffice; None: a constant bit rate.
     rate_over_cap: the fill rate of the model over the cap. From 0.97 to 1.02, pictures gain 0.3 dB
         and are 1.7 ms later at the median. The model must gain at least 1/1.1 of its size each
         picture. With less, below 0.97 at 85 kbit/s, x264 plans over several pictures: 2 dB worse.
@@ -50,7 +51,7 @@ class _Effort:
     The pacer keeps the cap.
     """
 
-    crf: int
+    crf: int | None
     rate_over_cap: Fraction
     buffer_over_share: Fraction
     coarsest: int
@@ -61,8 +62,8 @@ class _Effort:
 #: here. The limit of the quantiser gains 1 dB on the worst twentieth of the pictures. x264 rounds
 #: the buffer to whole kbit: 3 at 85 kbit/s.
 _THIN = _Effort(
-    crf=10,
-    rate_over_cap=Fraction(108, 100),
+    crf=None,
+    rate_over_cap=Fraction(135, 100),
     buffer_over_share=Fraction(106, 100),
     coarsest=48,
     parameters=f"{_ALWAYS}:{_BLOCKS}:me=dia:subme=6:trellis=1:qpstep=8",
@@ -73,10 +74,10 @@ _WIDE = _Effort(
     rate_over_cap=Fraction(102, 100),
     buffer_over_share=Fraction(1),
     coarsest=51,
-    parameters=f"{_ALWAYS}:{_BLOCKS}:me=hex:subme=2:trellis=0",
+    parameters=f"{_ALWAYS}:{_BLOCKS}:me=hex:subme=2:trellis=0:qpstep=8",
 )
 #: Twice the time, and 0.8 to 1.4 dB more at 512 kbit/s, where pictures have 36 to 46 dB.
-_WIDE_THOROUGH = replace(_WIDE, parameters=f"{_ALWAYS}:{_BLOCKS}:me=hex:subme=6:trellis=1")
+_WIDE_THOROUGH = replace(_WIDE, parameters=f"{_ALWAYS}:{_BLOCKS}:me=hex:subme=6:trellis=1:qpstep=8")
 #: The fill rate of the model over the cap is at most this.
 _MOST_OVER_CAP = Fraction(102, 100)
 #: The largest quantiser where no picture may be late, and the fill rate over the cap: larger sizes
@@ -166,15 +167,23 @@ class H264Settings:
         buffer = max(int(self.cap_bps * effort.buffer_over_share / self.rate), 1000)
         while (least := self._least_fill_bps(buffer)) > most and buffer >= 2000:
             buffer -= 1000
+        fill = str(min(max(rate, min(least, most)), max(self._most_fill_bps(buffer), 1000)))
         return {
             "preset": self.preset,
             "tune": "zerolatency",
             "intra-refresh": "1",
-            "crf": str(effort.crf),
-            "maxrate": str(max(rate, min(least, most))),
+            **({"b": fill} if effort.crf is None else {"crf": str(effort.crf)}),
+            "maxrate": fill,
             "bufsize": str(buffer),
             "x264-params": f"{effort.parameters}:qpmax={coarsest}{_REGIONS * self.regions}",
         }
+
+    def _most_fill_bps(self, buffer: int) -> int:
+        """Return the fill rate up to which x264 keeps to a buffer of these bits.
+
+        It makes the buffer as large as a picture's share of the rate, in whole kbit.
+        """
+        return (ceil((buffer // 1000 + 1) * self.rate) - 1) * 1000
 
     def _least_fill_bps(self, buffer: int) -> int:
         """Return the fill rate from which on x264 holds each picture to a buffer of these bits.

@@ -38,6 +38,21 @@ def shrink(picture: I420, into: I420) -> None:
         cv2.resize(full, small.shape[::-1], dst=small, interpolation=method)
 
 
+def scaling_loss(picture: I420, small: I420) -> float:
+    """Return the mean squared error of the luma if `small` is scaled to the size of `picture`.
+
+    picture, small: I420, shapes (h * 3 // 2, w). Scaled as by `DecodedPicture.scale_into`.
+    """
+    luma = planes(picture)[0]
+    height, width = luma.shape
+    source = av.VideoFrame.from_numpy_buffer(planes(small)[0], "gray")
+    scaled: Any = _SCALER.reformat(source, width, height, interpolation="LANCZOS", threads=1)
+    (plane,) = scaled.planes
+    rows = np.frombuffer(plane, np.uint8)[: plane.line_size * height]
+    large = rows.reshape(height, plane.line_size)[:, :width]
+    return float(cv2.norm(luma, large, cv2.NORM_L2SQR)) / luma.size
+
+
 def reduce(picture: I420, into: I420) -> None:
     """Scale `picture` to the size of `into` by means of pixels, and write it there.
 

@@ -1,9 +1,8 @@
 """The coded size that the content needs: large while the picture stands, small while it moves.
 
-x264 keeps each picture to its octets by its quantiser. So the quantiser tells whether the size
-fits: a small one means that the picture could be larger, a large one that it should be smaller.
-Where much moves, a smaller quantiser is worth more than a larger size. docs/experiments/sizing.md
-has the figures.
+A small size loses detail by scaling, a large one by coding. While the picture stands, the loss by
+coding falls. Once it is below the loss by scaling, a larger size is better. Where much moves, a
+smaller quantiser is worth more than a larger size. docs/experiments/sizing.md has the figures.
 
 A change of size costs a key picture, which is coarse for about half a second. So the size grows
 only after the picture stood for some time. After each growth that was in vain, this time doubles.
@@ -20,7 +19,7 @@ _STEPS_AN_OCTAVE = 5.3
 #: Take the largest size in which the mean quantiser should be at most this.
 _FITS = 37.5
 #: A size above the usual one is too large from this mean quantiser on.
-_TOO_COARSE = 41.0
+_TOO_COARSE = 46.0
 #: The usual size is too large from this one on, if the picture moves.
 _COARSE_IN_MOTION = 35.5
 #: A cell of the thumbnail moves if its luma changes by more than this.
@@ -40,11 +39,16 @@ _SETTLING_S = 3.0
 #: summed over the pictures that follow; the better size brings 1 to 4 dB a picture.
 _PATIENCE_S = 4.5
 _LONGEST_S = 60.0
+#: The size grows above the usual one if scaling loses this many times as much as coding.
+_SCALING_LOSES = 1.5
 #: Soon after the first picture, and after a cut, nothing sharp is lost by a key picture. So between
-#: these times the size grows without patience, if the picture stands and the largest size fits.
-_EARLY_S, _EARLY_UNTIL_S = 0.6, 1.5
-#: The quantiser of a picture that stands falls by at least this much from then on.
+#: these times the size grows without patience, and this is enough.
+_EARLY_S, _EARLY_UNTIL_S = 0.6, 2.0
+_LOSES_EARLY = 1.2
+#: The quantiser of a picture that stands falls by at least this much after its size grew.
 _FALLS = 6.0
+#: How often the loss by scaling is asked for, in pictures.
+_LOSS_EVERY = 5
 #: Smaller again within this time after it grew: growth was in vain.
 _VAIN_S = 10.0
 #: A picture of more than this many shares is late.
@@ -73,6 +77,8 @@ class SizeChoice:
         self._last: NDArray[np.int16] | None = None
         self._motion = self._motion_now = 0.0
         self._quantiser = self._quantiser_now = 0.0
+        #: Mean squared errors of the luma. Nothing is known of scaling after a change.
+        self._coding_loss = self._scaling_loss = 0.0
         #: Pictures since the last key picture; since another size is better.
         self._pictures = self._waited = 0
         #: Pictures since the first one or the last cut, and the sum of the motion in them.
@@ -116,10 +122,30 @@ class SizeChoice:
             self._change(self._better())
         return self.index
 
-    def handle_unit(self, quantiser: float, shares: float) -> None:
-        """A picture is coded. quantiser: x264's mean. shares: its size, in shares of the cap."""
+    @property
+    def wants_scaling_loss(self) -> bool:
+        """Whether `handle_unit` needs the loss by scaling of the next picture, which takes time."""
+        return (
+            self.index == self._usual < self._last_index
+            and self._motion < _STILL
+            and self._pictures % _LOSS_EVERY == _LOSS_EVERY - 1
+        )
+
+    def handle_unit(
+        self, quantiser: float, shares: float, coding_loss: float, scaling_loss: float | None
+    ) -> None:
+        """A picture is coded.
+
+        quantiser: x264's mean. shares: its size, in shares of the cap. coding_loss, scaling_loss:
+        mean squared errors of the luma, by coding in the present size, and by scaling to it and
+        back; None: not known.
+        """
         if self._pictures == 0:
             self._quantiser = self._quantiser_now = quantiser
+            self._coding_loss, self._scaling_loss = coding_loss, 0.0
+        self._coding_loss += (coding_loss - self._coding_loss) / _FEW
+        if scaling_loss is not None:
+            self._scaling_loss = scaling_loss
         self._quantiser_now += (quantiser - self._quantiser_now) / _FEW
         self._quantiser += (quantiser - self._quantiser) / _MEAN_OF
         self._late = shares > _LATE_SHARES and self._pictures > 0
@@ -138,7 +164,9 @@ class SizeChoice:
             return max(self.index - 1, 0) if coarse else self.index
         if self.index > self._usual and settled and self._quantiser > _TOO_COARSE:
             return self.index - 1
-        return self._largest(self._quantiser, None if self._motion < _STILL else self._usual)
+        if self.index < self._usual:
+            return self._largest(self._quantiser, self._usual)
+        return self._grown_index(_SCALING_LOSES) if self._motion < _STILL else self.index
 
     def _stands_early(self) -> bool:
         """Return whether the picture has stood since a cut or the begin, and has its octets."""
@@ -147,16 +175,25 @@ class SizeChoice:
             and self.index == self._usual
             and self._patience_s == _PATIENCE_S
             and self._moved < _STILL * self._age
-            and self._largest(self._quantiser_now - _FALLS) == self._last_index > self._usual
+            and self._grown_index(_LOSES_EARLY) == self._last_index > self._usual
         )
 
-    def _largest(self, quantiser: float, last: int | None = None) -> int:
+    def _grown_index(self, times: float) -> int:
+        """Return the index of the size that a picture that stands should have.
+
+        times: how much more scaling must lose than coding.
+        """
+        if self._scaling_loss <= times * self._coding_loss:
+            return self.index
+        return self._largest(self._quantiser_now - _FALLS, self._last_index)
+
+    def _largest(self, quantiser: float, last: int) -> int:
         """Return the largest size, up to the index `last`, for which `quantiser` is small enough.
 
         quantiser: in the present size.
         """
         area = self._areas[self.index]
-        for index in range(self._last_index if last is None else last, self.index, -1):
+        for index in range(last, self.index, -1):
             octaves = math.log2(self._areas[index] / area)
             if quantiser + _STEPS_AN_OCTAVE * octaves <= _FITS:
                 return index

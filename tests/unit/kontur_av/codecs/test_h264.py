@@ -301,7 +301,9 @@ def test_every_picture_fits_the_buffer_under_any_cap(cap_bps, fps):
     # smallest buffer may be too large for it. A buffer of 0 would hold nothing.
     assert rate_kbps * 11 > buffer_kbit * fps * 10 or buffer_kbit == 1
     assert 1 <= buffer_kbit <= max(1.06 * cap_bps / fps / 1000, 1)
-    assert int(options["maxrate"]) <= 1.08 * cap_bps
+    # x264 makes a buffer larger that is smaller than a picture's share of the rate.
+    assert rate_kbps // fps <= buffer_kbit
+    assert int(options["maxrate"]) <= 1.35 * cap_bps
 
 
 def test_pictures_stay_small_under_a_cap_of_less_than_a_kilobit_a_picture():
