@@ -26,11 +26,13 @@ SMALL, LARGE = (384, 288), (640, 480)
 
 
 def scene(number: int) -> np.ndarray:
-    """Return waves that move and stand: shape (720, 640), I420."""
+    """Return waves and thin lines that move and stand: shape (720, 640), I420."""
     shift = 6 * min(max(number - STANDS, 0), MOVES - STANDS)
     picture = np.full((HEIGHT * 3 // 2, WIDTH), 128, np.uint8)
     across, down = np.arange(WIDTH) + shift, np.arange(HEIGHT)[:, None] + shift
-    picture[:HEIGHT] = 120 + 50 * np.sin(across / 23) + 40 * np.sin(down / 17)
+    waves = 120 + 50 * np.sin(across / 23) + 40 * np.sin(down / 17)
+    lines = (across % 32 == 0) | (down % 32 == 0)
+    picture[:HEIGHT] = waves + 25 * lines
     return picture
 
 
@@ -124,5 +126,5 @@ def test_it_goes_on_through_each_size(name, stream, tmp_path):
     )
     quality = [psnr_db(picture, scene(number + lost)) for number, picture in enumerate(pictures)]
     # A key picture in the larger size is coarse.
-    assert min(quality) > 30
-    assert np.mean(quality) > 42
+    assert min(quality) > 27
+    assert np.mean(quality) > 36
