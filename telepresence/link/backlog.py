@@ -19,7 +19,7 @@ BACKLOG_OCTETS = _LAYOUT.size
 class Backlog(NamedTuple):
     """The state of a gateway's way out, for the sender of video.
 
-    waiting_octets: video that waits for a slot.
+    waiting_octets: video that waits for a slot, and what is left of packets that are being sent.
     contacts: how often the peer was found, or found again (`Gateway.contacts`).
     peer_heard: whether the peer is heard now.
     freed_bps: capacity left by slots without a haptic sample (`Gateway.freed_bps`).
@@ -56,7 +56,7 @@ class BacklogReporter:
         if now_ns < self._due_ns:
             return None
         gateway = self._gateway
-        waiting_octets = self._video.octets
+        waiting_octets = self._video.octets + gateway.sender.begun_octets(Level.VIDEO)
         seen = waiting_octets, gateway.contacts, self._supervisor.signal, gateway.free_slots
         if seen == self._seen:
             return None

@@ -144,6 +144,15 @@ class LinkSender:
         """Octets of the level's packets of which nothing was sent yet, as the queue counts them."""
         return self._queues[level].octets
 
+    def begun_octets(self, level: Level) -> int:
+        """Octets that are left of packets partly sent, of this level and those above it."""
+        packets = [*self._waiting[: level + 1], self._on_air]
+        return sum(
+            len(packet.body) - packet.offset
+            for packet in packets
+            if packet is not None and packet.level <= level
+        )
+
     def flush(self, now_ns: int) -> None:
         """The signal is lost: drop all packets that wait or are partly sent.
 

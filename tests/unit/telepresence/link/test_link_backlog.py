@@ -14,7 +14,7 @@ SLOTS = 4000
 def truth(gateway):
     """Return the exact present state."""
     return Backlog(
-        gateway.sender.waiting_octets(Level.VIDEO),
+        gateway.sender.waiting_octets(Level.VIDEO) + gateway.sender.begun_octets(Level.VIDEO),
         gateway.contacts,
         gateway.supervisor.signal,
         gateway.freed_bps,
@@ -99,3 +99,30 @@ def test_nothing_is_reported_without_a_change():
 def test_the_first_slot_reports_the_state():
     _, true, message = session()[0]
     assert message == rounded(true)
+
+
+def test_a_picture_that_a_telecommand_interrupts_counts_until_it_has_left():
+    link = VirtualLink(
+        uplink_flows=[packet_flow("picture", Level.VIDEO), packet_flow("command", Level.TMTC)],
+        downlink_flows=[packet_flow("state", Level.TMTC)],
+    )
+    reporter = BacklogReporter(link.ground)
+    waiting = []
+    for slot in range(80):
+        if slot == 5:
+            link.ground.handle_datagram("picture", bytes(360), link.now_ns)
+        if slot == 15:
+            link.ground.handle_datagram("command", bytes(120), link.now_ns)
+        link.ground.handle_haptic(bytes(12), link.now_ns)
+        now_ns = link.now_ns
+        for _ in link.step():
+            pass
+        report = reporter.poll_transmit(now_ns)
+        if report is not None:
+            waiting.append((slot, report.waiting_octets))
+    # 360 octets take 30 slots of 12, and the telecommand 10 of them.
+    last = next(slot for slot, octets in waiting if slot > 10 and octets == 0)
+    assert 44 <= last <= 50
+    after = [(slot, octets) for slot, octets in waiting if 16 < slot < last]
+    assert len(after) > 5
+    assert all(abs(octets - 12 * (last - slot)) < 60 for slot, octets in after)
