@@ -57,13 +57,6 @@ def record(session, *words):
     )
 
 
-def assert_recorded(done):
-    """The command recorded; 1 only where it says that a machine's stall lost messages."""
-    assert done.stderr == ""
-    assert done.returncode == int(" lost: " in done.stdout), done.stdout
-    assert " messages" in done.stdout
-
-
 def test_the_file_has_what_the_report_says(start, tmp_path):
     path = tmp_path / "run.mcap"
     session = start("spacejustin", "--record", str(path), "--link-frames")
@@ -166,11 +159,12 @@ def test_a_terminal_joins_a_session_and_leaves_it_again(start, tmp_path):
     session.wait_for_flow()
     first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
     done = record(session, first, "--seconds", "1.5")
-    assert_recorded(done)
+    assert (done.returncode, done.stderr) == (0, ""), done.stdout
     assert scanned(first)[0].figures.sound
     again = record(session, first, "--seconds", "1")
     assert again.returncode == 2 and "--overwrite" in again.stderr
-    assert_recorded(record(session, first, "--seconds", "1", "--overwrite"))
+    replaced = record(session, first, "--seconds", "1", "--overwrite")
+    assert replaced.returncode == 0, replaced.stdout + replaced.stderr
     nowhere = record(session, tmp_path / "none" / "c.mcap")
     assert nowhere.returncode == 2 and nowhere.stderr.count("\n") == 1
     # A terminal that is killed does not end the session, but its recording.
