@@ -26,12 +26,7 @@ def shrink(picture: I420, into: I420) -> None:
     Bicubic has no low-pass filter, and loses 0.3 dB when coded at 85 kbit/s.
     """
     luma, *chroma = zip(planes(picture), planes(into), strict=True)
-    height, width = luma[1].shape
-    source = av.VideoFrame.from_numpy_buffer(luma[0], "gray")
-    scaled: Any = _SCALER.reformat(source, width, height, interpolation="LANCZOS", threads=1)
-    (plane,) = scaled.planes
-    rows = np.frombuffer(plane, np.uint8)[: plane.line_size * height]
-    luma[1][:] = rows.reshape(height, plane.line_size)[:, :width]
+    luma[1][:] = _lanczos(luma[0], luma[1].shape)
     for full, small in chroma:
         much = small.shape[1] < _BILINEAR_SHARE * full.shape[1]
         method = cv2.INTER_AREA if much else cv2.INTER_LINEAR
@@ -44,13 +39,18 @@ def scaling_loss(picture: I420, small: I420) -> float:
     picture, small: I420, shapes (h * 3 // 2, w). Scaled as by `DecodedPicture.scale_into`.
     """
     luma = planes(picture)[0]
-    height, width = luma.shape
-    source = av.VideoFrame.from_numpy_buffer(planes(small)[0], "gray")
-    scaled: Any = _SCALER.reformat(source, width, height, interpolation="LANCZOS", threads=1)
-    (plane,) = scaled.planes
-    rows = np.frombuffer(plane, np.uint8)[: plane.line_size * height]
-    large = rows.reshape(height, plane.line_size)[:, :width]
+    large = _lanczos(planes(small)[0], luma.shape)
     return float(cv2.norm(luma, large, cv2.NORM_L2SQR)) / luma.size
+
+
+def _lanczos(plane: NDArray[np.uint8], shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return `plane` scaled to `shape` by swscale's Lanczos filter."""
+    height, width = shape
+    source = av.VideoFrame.from_numpy_buffer(plane, "gray")
+    scaled: Any = _SCALER.reformat(source, width, height, interpolation="LANCZOS", threads=1)
+    (target,) = scaled.planes
+    rows = np.frombuffer(target, np.uint8)[: target.line_size * height]
+    return rows.reshape(height, target.line_size)[:, :width]
 
 
 def reduce(picture: I420, into: I420) -> None:
