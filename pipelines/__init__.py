@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from pipelines.setup.setup_file import load_setup, setup_from_table
-    from pipelines.setup.table import Setup, VideoStream, VoiceStream
-    from pipelines.topology import Topology, topology_of
+    from pipelines.session.setup.setup_file import load_setup, setup_from_table
+    from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+    from pipelines.session.topology import Topology, topology_of
 
 __all__ = [
     "Setup",

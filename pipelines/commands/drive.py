@@ -16,11 +16,11 @@ from pipelines.commands.rtc_options import (
     ice_servers_of,
     token_of,
 )
-from pipelines.cores.haptics import CYCLE_NS
-from pipelines.runtime.datagrams import Outlet, listen, outlet, receive
-from pipelines.runtime.process import LOOPBACK
-from pipelines.setup.table import Setup
-from pipelines.topology.partner import PARTNER_GIVEN, PARTNER_TAKEN
+from pipelines.hand.haptics import CYCLE_NS
+from pipelines.session.datagrams import Outlet, listen, outlet, receive
+from pipelines.session.process import LOOPBACK
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology.partner import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle

@@ -16,12 +16,12 @@ from urllib.parse import urlsplit
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.commands.rtc_running import say
-from pipelines.rtc.attempts import Attempts
-from pipelines.rtc.ice_servers import IceServers
-from pipelines.rtc.samples import SamplePeer
-from pipelines.rtc.whip import WhipClient
-from pipelines.runtime.datagrams import Outlet, listen, newest_sample, outlet
-from pipelines.runtime.process import LOOPBACK
+from pipelines.partner.attempts import Attempts
+from pipelines.partner.ice_servers import IceServers
+from pipelines.partner.samples import SamplePeer
+from pipelines.partner.whip import WhipClient
+from pipelines.session.datagrams import Outlet, listen, newest_sample, outlet
+from pipelines.session.process import LOOPBACK
 
 _LOOK_S, _END_S = 0.1, 3.0
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import parse_address
-from pipelines.runtime.datagrams import Address, obstacle
-from pipelines.runtime.key_files import default_key_path, pinned_peer, read_key
-from pipelines.runtime.launcher import hold_port
-from pipelines.runtime.peer_socket import PeerPlan, Protection
-from pipelines.topology import Segment, Topology
+from pipelines.link.key_files import default_key_path, pinned_peer, read_key
+from pipelines.link.peer_socket import PeerPlan, Protection
+from pipelines.session.datagrams import Address, obstacle
+from pipelines.session.launcher import hold_port
+from pipelines.session.topology import Segment, Topology
 
 _ANY = "0.0.0.0"
 #: What stays visible as long as an end runs with `--insecure`.

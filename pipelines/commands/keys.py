@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pipelines.commands.common import output_that_may_fail
-from pipelines.runtime.key_files import (
+from pipelines.link.key_files import (
     default_key_path,
     forget,
     make_key,

@@ -25,15 +25,15 @@ from pipelines.commands.session_options import (
     port_changes,
     radio_changes,
 )
+from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.report_file import check_writable, write_report
-from pipelines.runtime.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
-from pipelines.runtime.launcher import Launcher, hold_port, launcher_cpu_s
-from pipelines.runtime.peer_socket import PeerPlan
-from pipelines.runtime.process import LOOPBACK
-from pipelines.setup.setup_file import load_setup
-from pipelines.topology import ProcessRow, Segment, Topology, topology_of
+from pipelines.session.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
+from pipelines.session.launcher import Launcher, hold_port, launcher_cpu_s
+from pipelines.session.process import LOOPBACK
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.topology import ProcessRow, Segment, Topology, topology_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipelines.runtime.datagrams import EndAddresses
-from pipelines.topology import Segment, Topology
-from pipelines.topology.tables import travels
+from pipelines.session.datagrams import EndAddresses
+from pipelines.session.topology import Segment, Topology
+from pipelines.session.topology.tables import travels
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,9 +16,9 @@ from pipelines.report.model import EndTrace, ReplayReport
 from pipelines.report.report_file import write_report
 from pipelines.report.session_report import build_report
 from pipelines.report.summary import print_summary
-from pipelines.runtime.launcher import Launcher, launcher_cpu_s
-from pipelines.setup.setup_text import setup_toml
-from pipelines.setup.table import Setup
+from pipelines.session.launcher import Launcher, launcher_cpu_s
+from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.setup.table import Setup
 
 
 @contextmanager

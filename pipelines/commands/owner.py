@@ -5,14 +5,14 @@ import sys
 import time
 
 from kontur_av.errors import ConfigError
-from pipelines.cores.arm_owner import (
+from pipelines.hand.arm_owner import (
     OWNERS,
     OwnerAnswer,
     OwnerRequest,
     pack_line,
     parse_owner_answer,
 )
-from pipelines.runtime.asking import ask_desk
+from pipelines.session.asking import ask_desk
 
 _DESK = "arm"
 #: How long a hand-over may take: the robot comes to rest first.

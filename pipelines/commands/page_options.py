@@ -16,11 +16,11 @@ from socket import socket
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.commands.common import output_that_may_fail, resolve
-from pipelines.cores.seat_roles import Role
-from pipelines.runtime.page_certificate import check_certificate, fingerprint, make_certificate
-from pipelines.runtime.page_listener import PageListener
-from pipelines.runtime.page_sockets import PageHost, bind_pages, listeners
-from pipelines.topology import PAGES, Segment
+from pipelines.session.page_certificate import check_certificate, fingerprint, make_certificate
+from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageHost, bind_pages, listeners
+from pipelines.session.seat_roles import Role
+from pipelines.session.topology import PAGES, Segment
 
 _PORT = 8270
 #: The ground's page takes a later port than the operator's.

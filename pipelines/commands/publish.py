@@ -16,9 +16,9 @@ from pipelines.commands.rtc_options import (
 from pipelines.commands.rtc_reports import RtcReport, connection_report
 from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
-from pipelines.rtc.ice_servers import IceServers
-from pipelines.rtc.keeper import Keeper
-from pipelines.rtc.peer import RtcPeer
+from pipelines.partner.ice_servers import IceServers
+from pipelines.partner.keeper import Keeper
+from pipelines.partner.peer import RtcPeer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

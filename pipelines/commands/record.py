@@ -10,9 +10,9 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import stopped_by_signals
 from pipelines.commands.record_options import add_recording_arguments, wish_of
-from pipelines.recording.control import RecorderLink, find_session
 from pipelines.recording.part_files import check_recordable
-from pipelines.recording.requests import (
+from pipelines.session.recorder_control import RecorderLink, find_session
+from pipelines.session.recorder_requests import (
     START,
     STATE,
     STOP,

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.recording.requests import RecordingWish
+from pipelines.session.recorder_requests import RecordingWish
 
 #: Shorter or smaller parts than these make no sense.
 _LEAST_S, _LEAST_MB = 1.0, 0.1

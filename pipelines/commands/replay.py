@@ -16,23 +16,23 @@ from pipelines.commands.replay_options import (
 )
 from pipelines.commands.session_options import add_radio_arguments, add_setup_argument
 from pipelines.commands.stream import check_room
-from pipelines.parts.replaying import ReplayStart
 from pipelines.recording.messages import SAMPLE
+from pipelines.recording.process_replaying import ReplayStart
 from pipelines.recording.recorded_session import RecordedSession
 from pipelines.report.collector import Collector
 from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
-from pipelines.runtime.launcher import Launcher, hold_ports, load_libraries
-from pipelines.runtime.sessions import clear_dead_sessions, hold_session
-from pipelines.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.topology import TELECOMMAND, TELEMETRY, Topology, topology_of
-from pipelines.topology.replaying import Script, replay_topology
+from pipelines.session.launcher import Launcher, hold_ports, load_libraries
+from pipelines.session.sessions import clear_dead_sessions, hold_session
+from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.session.topology import TELECOMMAND, TELEMETRY, Topology, topology_of
+from pipelines.session.topology.replaying import Script, replay_topology
 
 #: All processes run, and the link is connected, this and two round trips after the start.
 _LEAD_NS = 2 * NS_PER_S
 #: From the last instant until what was sent then is shown, without the radio's delay.
 _TAIL_NS = 200 * NS_PER_MS
-_PARTS = "pipelines.parts.replaying"
+_PARTS = "pipelines.recording.process_replaying"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

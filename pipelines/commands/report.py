@@ -10,7 +10,7 @@ from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.commands.common import output_that_may_fail
 from pipelines.report.join import join_reports
 from pipelines.report.model import SessionReport, from_json, to_json
-from pipelines.setup.setup_file import setup_from_text
+from pipelines.session.setup.setup_file import setup_from_text
 
 #: A day's report has 600 MB.
 _MOST_OCTETS = 1 << 30

@@ -23,11 +23,11 @@ from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_reports import RtcReport, connection_report
 from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
-from pipelines.rtc.programme import Programme
-from pipelines.rtc.server import RtcServer
-from pipelines.runtime.page_certificate import check_certificate, fingerprint, make_certificate
-from pipelines.runtime.page_listener import PageListener
-from pipelines.runtime.page_sockets import bind_pages, listeners
+from pipelines.partner.programme import Programme
+from pipelines.partner.server import RtcServer
+from pipelines.session.page_certificate import check_certificate, fingerprint, make_certificate
+from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import bind_pages, listeners
 
 #: The only programme of this command.
 _NAME = "main"

@@ -13,12 +13,12 @@ from kontur_av.topics.session_files import session_root
 from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.page_options import parse_page
 from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of, read_secret
-from pipelines.rtc.ice_servers import IceServers
-from pipelines.runtime.page_certificate import fingerprint, make_certificate
-from pipelines.runtime.page_listener import PageListener
-from pipelines.runtime.page_sockets import PageHost, bind_pages, listeners
-from pipelines.setup.table import RtcLeg, Setup
-from pipelines.topology import RTC, ProcessRow, Segment
+from pipelines.partner.ice_servers import IceServers
+from pipelines.session.page_certificate import fingerprint, make_certificate
+from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageHost, bind_pages, listeners
+from pipelines.session.setup.table import RtcLeg, Setup
+from pipelines.session.topology import RTC, ProcessRow, Segment
 
 _PORT = "8290"
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.rtc.ice_servers import IceServer, IceServers, timed_credentials
+from pipelines.partner.ice_servers import IceServer, IceServers, timed_credentials
 
 _MOST_SECRET_OCTETS = 4096
 #: What an HTTP header can carry (RFC 6750 section 2.1).

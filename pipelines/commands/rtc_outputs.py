@@ -12,7 +12,7 @@ from pipelines.commands.media_reports import latency_ms
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.remux import MatroskaWriter
 from pipelines.commands.rtc_reports import ReceivedKind
-from pipelines.rtc.media import PictureCame, SoundCame
+from pipelines.partner.media import PictureCame, SoundCame
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:

@@ -2,9 +2,9 @@
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.commands.media_reports import Latency
+from pipelines.partner.media import MediaFigures
+from pipelines.partner.peer import RtcPeer
 from pipelines.report.model import Report
-from pipelines.rtc.media import MediaFigures
-from pipelines.rtc.peer import RtcPeer
 
 
 class ReceivedKind(Report, frozen=True, kw_only=True):

@@ -4,8 +4,8 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.cores.requests import Request
-from pipelines.runtime.control import ask
+from pipelines.session.control import ask
+from pipelines.session.requests import Request
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

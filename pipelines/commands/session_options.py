@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from kontur_av.errors import ConfigError
-from pipelines.setup.table import DEADBANDS, HAND_MODES, NO_RADIO
+from pipelines.session.setup.table import DEADBANDS, HAND_MODES, NO_RADIO
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile_file import load_radio
 

@@ -29,13 +29,13 @@ from pipelines.recording.recorded_session import RecordedSession
 from pipelines.report.model import SessionReport
 from pipelines.report.report_file import check_writable, write_report
 from pipelines.report.summary import print_summary
-from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import Setup
-from pipelines.simulation.costs import CodingCosts
-from pipelines.simulation.inputs import check_sources as check_virtual_sources
-from pipelines.simulation.replay import Replay
-from pipelines.simulation.session import Selection, Simulation
-from pipelines.simulation.workers import Workers
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.table import Setup
+from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.inputs import check_sources as check_virtual_sources
+from pipelines.virtual.replay import Replay
+from pipelines.virtual.session import Selection, Simulation
+from pipelines.virtual.workers import Workers
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.spec import is_simulated, open_device
 from telepresence.haptics.hand import Hand

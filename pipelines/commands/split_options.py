@@ -3,8 +3,8 @@
 import argparse
 
 from kontur_av.errors import ConfigError
-from pipelines.setup.table import Setup
-from pipelines.topology import Segment, Topology
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import Segment, Topology
 from telepresence.haptics.device.spec import SIMULATED
 
 

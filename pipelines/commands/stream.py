@@ -40,17 +40,17 @@ from pipelines.commands.session_options import (
 )
 from pipelines.commands.split_options import check_own_options, inputs_here
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_wish, with_tasks
-from pipelines.recording.control import write_wish
+from pipelines.link.peer_socket import PeerPlan
 from pipelines.recording.part_files import check_recordable, clear_parts
 from pipelines.report.collector import Collector
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
-from pipelines.runtime.launcher import Launcher, hold_ports, load_libraries
-from pipelines.runtime.peer_socket import PeerPlan
-from pipelines.runtime.sessions import clear_dead_sessions, hold_session
-from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import STEREO, Setup, VideoStream
-from pipelines.topology import ProcessRow, Segment, Topology, topology_of
+from pipelines.session.launcher import Launcher, hold_ports, load_libraries
+from pipelines.session.recorder_control import write_wish
+from pipelines.session.sessions import clear_dead_sessions, hold_session
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.table import STEREO, Setup, VideoStream
+from pipelines.session.topology import ProcessRow, Segment, Topology, topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.world import audio_scenes, video_scenes
 

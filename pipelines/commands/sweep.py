@@ -18,18 +18,18 @@ from pipelines.bench.charts import check_plot, save
 from pipelines.bench.children import ended_alike
 from pipelines.bench.console import open_console
 from pipelines.bench.result import as_json
-from pipelines.campaign.chart import chart
-from pipelines.campaign.figures import RunFigures, crashed, run_figures
-from pipelines.campaign.here import code_digest
-from pipelines.campaign.options import add_place_arguments, cluster_of, jobs_of
-from pipelines.campaign.progress import Progress
-from pipelines.campaign.sessions import session_results
-from pipelines.campaign.sweep import Sweep, case_figures, csv_rows, headings, rows, task_key
-from pipelines.campaign.sweep_file import load_sweep
-from pipelines.campaign.tasks import Crash, Result, SessionTask
 from pipelines.commands.stream import check_sources
 from pipelines.report.report_file import check_writable, write_report, write_text
-from pipelines.simulation.inputs import check_sources as check_virtual_sources
+from pipelines.virtual.campaign.chart import chart
+from pipelines.virtual.campaign.figures import RunFigures, crashed, run_figures
+from pipelines.virtual.campaign.here import code_digest
+from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
+from pipelines.virtual.campaign.progress import Progress
+from pipelines.virtual.campaign.sessions import session_results
+from pipelines.virtual.campaign.sweep import Sweep, case_figures, csv_rows, headings, rows, task_key
+from pipelines.virtual.campaign.sweep_file import load_sweep
+from pipelines.virtual.campaign.tasks import Crash, Result, SessionTask
+from pipelines.virtual.inputs import check_sources as check_virtual_sources
 
 #: The runs that are over are kept this often.
 _KEEP_EVERY_S = 5.0

@@ -10,12 +10,12 @@ from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import choose_session
 from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.telecommand import Sending
-from pipelines.cores.mission_messages import ExperimentShown, unpack
-from pipelines.cores.tmtc_messages import SendCommand
-from pipelines.runtime.control import running_sessions
-from pipelines.runtime.tmtc_socket import tmtc_socket_name
-from pipelines.setup.segments import Segment
-from pipelines.topology import MISSION_GROUND_TOPIC, TASKS, TMTC_TOPICS
+from pipelines.mission.tmtc_messages import SendCommand
+from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.control import running_sessions
+from pipelines.session.mission_messages import ExperimentShown, unpack
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology import MISSION_GROUND_TOPIC, TASKS, TMTC_TOPICS
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 _CLIENT = "kontur-av task"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.live_session import made_directory
-from pipelines.setup.segments import Segment
-from pipelines.setup.table import Setup
-from pipelines.topology import PAGES, TASKS, ProcessRow
+from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import PAGES, TASKS, ProcessRow
 from telepresence.haptics.device.spec import is_simulated
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan

@@ -7,14 +7,14 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import choose_session
 from pipelines.commands.telecommand import Sending
-from pipelines.cores.tmtc_words import (
+from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.mission.tmtc_words import (
     SHORT_VERBS,
     command_from_words,
 )
-from pipelines.runtime.control import running_sessions
-from pipelines.runtime.tmtc_socket import tmtc_socket_name
-from pipelines.setup.segments import Segment
-from pipelines.topology import TMTC_TOPICS
+from pipelines.session.control import running_sessions
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology import TMTC_TOPICS
 from telepresence.tmtc.pus.dictionary import Application
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.xtce import dictionary_xtce

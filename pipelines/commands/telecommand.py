@@ -5,16 +5,16 @@ import time
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.topics.bus import Reader
-from pipelines.cores.tmtc_messages import (
+from pipelines.mission.tmtc_messages import (
     CommandUpdate,
     Reported,
     SendCommand,
     TmtcNews,
     unpack_news,
 )
-from pipelines.cores.tmtc_words import report_words, update_words
-from pipelines.runtime.tmtc_socket import send_to_tmtc
-from pipelines.setup.segments import Segment
+from pipelines.mission.tmtc_socket import send_to_tmtc
+from pipelines.mission.tmtc_words import report_words, update_words
+from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary import Application
 
 #: The end of a session says at once that it has the telecommand; else it is asked again.

@@ -4,8 +4,8 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.cores.training import CAMERA, END, JOYSTICK, LOS, TrainerRequest
-from pipelines.runtime.trainer_control import ask_trainer
+from pipelines.mission.trainer_control import ask_trainer
+from pipelines.session.training import CAMERA, END, JOYSTICK, LOS, TrainerRequest
 
 #: By exercise: what it does, and how long it lasts by default.
 _EXERCISES = {

@@ -26,7 +26,7 @@ from pipelines.recording.schemas import (
     MessageSchema,
     descriptor_set,
 )
-from pipelines.topology import (
+from pipelines.session.topology import (
     RTC_CAMERA,
     RTC_VIDEO,
     RTC_VOICE,
@@ -37,7 +37,7 @@ from pipelines.topology import (
     Topology,
     VideoRow,
 )
-from pipelines.topology.tables import Table
+from pipelines.session.topology.tables import Table
 
 PROTOBUF = "protobuf"
 EVENTS, LOG_LINES, RECORDER_LOSSES = "/events", "/log", "/recorder/losses"

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.cores.haptic_trace import CONTACT
+from pipelines.hand.haptic_trace import CONTACT
 
 #: A contact has ended when the tip was free for so long; shorter breaks are the tip's bounces.
 _FREE_NS = 50 * NS_PER_MS

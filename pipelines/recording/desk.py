@@ -4,7 +4,7 @@ from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
-from pipelines.recording.requests import (
+from pipelines.session.recorder_requests import (
     MAX_LINE_OCTETS,
     START,
     STATE,

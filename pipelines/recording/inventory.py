@@ -12,7 +12,7 @@ from pipelines.recording.facts import FACTS, MENDED, RecordingFacts
 from pipelines.recording.messages import RecorderLosses, unpack
 from pipelines.recording.recover import check_format
 from pipelines.recording.scan import FoundMessage, Scan, ScanFigures
-from pipelines.topology.tables import Table
+from pipelines.session.topology.tables import Table
 
 _UNITS = ((1_000_000_000, "GB"), (1_000_000, "MB"), (1000, "kB"))
 

@@ -19,7 +19,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.cores import haptic_trace
+from pipelines.hand import haptic_trace
 from pipelines.recording.schemas import (
     AUDIO,
     EVENT,

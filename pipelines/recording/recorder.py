@@ -16,9 +16,8 @@ import msgspec
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.cores.figures import RecorderCounters, RecorderGauges
-from pipelines.cores.frame_batch import unpack_frames
-from pipelines.cores.haptic_trace import rows_of
+from pipelines.hand.haptic_trace import rows_of
+from pipelines.link.frame_batch import unpack_frames
 from pipelines.recording.camera_coder import CameraCoder
 from pipelines.recording.channels import (
     EVENTS,
@@ -51,7 +50,8 @@ from pipelines.recording.messages import (
 )
 from pipelines.recording.sources import Content, Source
 from pipelines.recording.stream_start import StreamStart
-from pipelines.topology import Topology
+from pipelines.session.figures import RecorderCounters, RecorderGauges
+from pipelines.session.topology import Topology
 from telepresence.link.figures import GatewayFigures
 
 #: After a fault of the disk, a new part is tried this often.

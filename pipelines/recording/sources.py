@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from pipelines.recording.channels import RECEIVED, SENT
-from pipelines.topology import (
+from pipelines.session.topology import (
     JOYSTICK_TRACE_TOPIC,
     ROBOT_TRACE_TOPIC,
     RTC_CAMERA,

@@ -17,8 +17,8 @@ from kontur_av.codecs.h264 import H264Decoder
 from kontur_av.media import CaptureStamp, empty_picture
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.page.local_key import black_key, key_of
-from pipelines.page.unit_history import KeptUnit, UnitHistory
+from pipelines.media.local_key import black_key, key_of
+from pipelines.media.unit_history import KeptUnit, UnitHistory
 
 #: What is decoded at most for a key picture: about 0.2 s of work, at each new part.
 _MOST_PIXELS = 50_000_000

@@ -1,10 +1,10 @@
 """Who drove the robot, and a partner's own arm. A core."""
 
 from kontur_av.clock import NS_PER_S
-from pipelines.cores.figures import HapticCounters, OwnerGauges
 from pipelines.report.collector import Collector
 from pipelines.report.model import ArmEventReport, ArmReport, SecondArmReport
-from pipelines.topology import SECOND_ROBOT
+from pipelines.session.figures import HapticCounters, OwnerGauges
+from pipelines.session.topology import SECOND_ROBOT
 
 
 def arm_report(collector: Collector, epoch_ns: int) -> ArmReport | None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.collector import Collector
-from pipelines.topology import Segment
+from pipelines.session.topology import Segment
 from telepresence.link.figures import ClockFigures
 
 

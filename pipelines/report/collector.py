@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.meters import Histogram
-from pipelines.cores.figures import (
+from pipelines.report.journeys import HapticFigures, StreamFigures
+from pipelines.report.process_figures import ProcessFigures
+from pipelines.report.skew import LipSyncShare, Skew
+from pipelines.report.sync.figures import PERCEIVED, SyncFigures
+from pipelines.report.trace import Trace
+from pipelines.session.figures import (
     DisplayCounters,
 )
-from pipelines.cores.probe import Message, Series
-from pipelines.cores.rows import (
+from pipelines.session.probe import Message, Series
+from pipelines.session.rows import (
     ClickRow,
     ClockRow,
     LatenessRow,
@@ -23,12 +28,7 @@ from pipelines.cores.rows import (
     SendingRow,
     ShownRow,
 )
-from pipelines.report.journeys import HapticFigures, StreamFigures
-from pipelines.report.process_figures import ProcessFigures
-from pipelines.report.skew import LipSyncShare, Skew
-from pipelines.report.sync.figures import PERCEIVED, SyncFigures
-from pipelines.report.trace import Trace
-from pipelines.topology import RTC_CAMERA, RTC_DISPLAY, RTC_VOICE, SECOND_ROBOT, Topology
+from pipelines.session.topology import RTC_CAMERA, RTC_DISPLAY, RTC_VOICE, SECOND_ROBOT, Topology
 from telepresence.link.clock.history import ClockHistory
 
 #: Rows with stamps that travelled from the other end.

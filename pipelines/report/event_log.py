@@ -10,22 +10,22 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import (
+from pipelines.media.marking import age_words
+from pipelines.report.collector import Collector
+from pipelines.report.present import shown_now
+from pipelines.report.silence import silences
+from pipelines.session.figures import (
     JoystickGauges,
     OwnerGauges,
     PeerGauges,
     TaskGauges,
     TrainerGauges,
 )
-from pipelines.cores.marking import age_words
-from pipelines.cores.session_events import Event
-from pipelines.cores.session_switch import Activity, SessionSwitch
-from pipelines.cores.task_journal import KEPT, OPEN
-from pipelines.report.collector import Collector
-from pipelines.report.present import shown_now
-from pipelines.report.silence import silences
-from pipelines.setup.table import Setup
-from pipelines.topology import TASKS, TRAINER, Segment
+from pipelines.session.session_events import Event
+from pipelines.session.session_switch import Activity, SessionSwitch
+from pipelines.session.setup.table import Setup
+from pipelines.session.task_journal import KEPT, OPEN
+from pipelines.session.topology import TASKS, TRAINER, Segment
 from telepresence.link.figures import SupervisionFigures
 from telepresence.tasks.experiment import Step
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.cores.probe import FLUSH_NS, Message, Series
-from pipelines.cores.rows import INSTANTS, ClockRow, Row
 from pipelines.report.collector import Collector
 from pipelines.report.model import (
     CpuReport,
@@ -37,8 +35,10 @@ from pipelines.report.spread import spread_ms
 from pipelines.report.sync.section import sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.trace import TRACED, rows_of
-from pipelines.setup.table import Setup
-from pipelines.topology import Segment, Topology, topology_of
+from pipelines.session.probe import FLUSH_NS, Message, Series
+from pipelines.session.rows import INSTANTS, ClockRow, Row
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import Segment, Topology, topology_of
 from telepresence.link.clock.history import ClockHistory
 
 #: A session lasts no longer.
@@ -117,7 +117,7 @@ def join_reports(
 ) -> SessionReport:
     """Return the report of the whole session; the order of the two does not matter.
 
-    read_setup: makes a setup of its TOML text (`pipelines.setup.setup_file`).
+    read_setup: makes a setup of its TOML text (`pipelines.session.setup.setup_file`).
     Raises ConfigError if they are not the two ends of one session, and ProtocolError for a trace
     that no session wrote.
     """

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
-from pipelines.cores.rows import (
+from pipelines.report.skew import RECENT_DEPTH, Recent
+from pipelines.report.terms import LONGEST_GAP_NS, DelaySums
+from pipelines.session.rows import (
     CodingRow,
     DecodedRow,
     OutRow,
@@ -23,8 +25,6 @@ from pipelines.cores.rows import (
     ShownRow,
     TxRow,
 )
-from pipelines.report.skew import RECENT_DEPTH, Recent
-from pipelines.report.terms import LONGEST_GAP_NS, DelaySums
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.sample import SAMPLE_OCTETS
 

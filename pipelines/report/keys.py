@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 
 import msgspec
 
-from pipelines.cores import figures
+from pipelines.session import figures
 
 _UNITS = {
     "ns": "ns",

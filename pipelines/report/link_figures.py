@@ -5,7 +5,6 @@ from dataclasses import replace
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
-from pipelines.cores.figures import GatewayCounters, LoopCounters, PeerGauges
 from pipelines.report.collector import Collector
 from pipelines.report.model import (
     DirectionReport,
@@ -17,8 +16,9 @@ from pipelines.report.model import (
     Punctuality,
     RadioReport,
 )
-from pipelines.setup.table import Setup
-from pipelines.topology import Direction, Segment
+from pipelines.session.figures import GatewayCounters, LoopCounters, PeerGauges
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import Direction, Segment
 from telepresence.link.figures import PathFigures, QueueFigures
 from telepresence.link.peer.figures import PeerFigures
 from telepresence.link.profile import LinkProfile

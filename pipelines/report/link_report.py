@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from kontur_av.clock import NS_PER_S
-from pipelines.cores.figures import LoopCounters, PeerGauges
 from pipelines.report.clock import clock_words
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import fitted_line
@@ -23,8 +22,9 @@ from pipelines.report.model import (
 )
 from pipelines.report.session_report import cpu_report
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
-from pipelines.setup.table import Setup
-from pipelines.topology import Segment
+from pipelines.session.figures import LoopCounters, PeerGauges
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import Segment
 from telepresence.link.figures import SenderFigures, SupervisionFigures
 from telepresence.link.profile import LinkProfile
 

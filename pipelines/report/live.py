@@ -13,9 +13,7 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import HapticCounters, PeerGauges, ReceptionCounters
-from pipelines.cores.marking import age_words
-from pipelines.cores.session_switch import Activity
+from pipelines.media.marking import age_words
 from pipelines.report.clock import clock_lines
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import Column, fitted_line, fitted_table
@@ -27,9 +25,11 @@ from pipelines.report.rtc_figures import rtc_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import silences
 from pipelines.report.summary import NO_SAMPLE
-from pipelines.runtime.launcher import Launcher
-from pipelines.setup.table import VideoStream, VoiceStream
-from pipelines.topology import HapticRow
+from pipelines.session.figures import HapticCounters, PeerGauges, ReceptionCounters
+from pipelines.session.launcher import Launcher
+from pipelines.session.session_switch import Activity
+from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.session.topology import HapticRow
 
 #: The columns, with the rank by which they are left out on a narrow terminal.
 _COLUMNS = (

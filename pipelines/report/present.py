@@ -2,10 +2,10 @@
 
 from kontur_av.meters import RateMeter
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import DisplayGauges
-from pipelines.cores.probe import FLUSH_NS
 from pipelines.report.collector import Collector
-from pipelines.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.session.figures import DisplayGauges
+from pipelines.session.probe import FLUSH_NS
+from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 
 #: Figures are at most this old: a process reports twice a second, and may be late.
 _TOLD_AFTER_NS = 2 * FLUSH_NS

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from kontur_av.meters import Histogram
-from pipelines.cores.figures import (
+from pipelines.session.figures import (
     CaptureGauges,
     Counters,
     DisplayGauges,
@@ -15,7 +15,7 @@ from pipelines.cores.figures import (
     Gauges,
     SelectorGauges,
 )
-from pipelines.cores.probe import FLUSH_NS, Message
+from pipelines.session.probe import FLUSH_NS, Message
 from telepresence.link.figures import GatewayFigures
 
 #: An input reports twice a second. It has paused if its captures lie this far apart.

@@ -1,8 +1,8 @@
 """What the recorder reports, for the report and for the live view. A core."""
 
-from pipelines.cores.figures import RecorderCounters, RecorderGauges
 from pipelines.report.collector import Collector
 from pipelines.report.model import RecordedChannel, RecorderReport, Warning
+from pipelines.session.figures import RecorderCounters, RecorderGauges
 
 RECORDER = "recorder"
 _MEND = "give the recording a larger or a faster disk"

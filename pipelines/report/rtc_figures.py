@@ -1,11 +1,11 @@
 """What the leg to a partner reports, for the report and for the live view. A core."""
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.cores.figures import DisplayCounters, DisplayGauges, RtcCounters, RtcGauges
 from pipelines.report.collector import Collector
 from pipelines.report.model import RtcReport, RtcShownReport, RtcStreamReport
 from pipelines.report.spread import spread_ms
-from pipelines.topology import RTC, RTC_CAMERA, RTC_DISPLAY, RTC_VOICE
+from pipelines.session.figures import DisplayCounters, DisplayGauges, RtcCounters, RtcGauges
+from pipelines.session.topology import RTC, RTC_CAMERA, RTC_DISPLAY, RTC_VOICE
 
 
 def rtc_report(collector: Collector, seconds: float) -> RtcReport | None:

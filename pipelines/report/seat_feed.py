@@ -2,14 +2,14 @@
 
 import msgspec
 
-from pipelines.cores.figures import PageGauges, RecorderGauges
-from pipelines.cores.session_events import Event, SessionEvents
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
 from pipelines.report.seat_figures import SeatFigures
-from pipelines.runtime.launcher import Launcher, launcher_cpu_s
-from pipelines.setup.table import Setup
-from pipelines.topology import RECORDER
+from pipelines.session.figures import PageGauges, RecorderGauges
+from pipelines.session.launcher import Launcher, launcher_cpu_s
+from pipelines.session.session_events import Event, SessionEvents
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import RECORDER
 
 
 class SeatFeed:

@@ -23,9 +23,6 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import HOLDER, PageGauges, TmtcCounters
-from pipelines.cores.session_events import Event
-from pipelines.cores.session_switch import Activity, SessionSwitch
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog, ProcessNow
 from pipelines.report.link_figures import gateway_figures, link_figures
@@ -42,8 +39,11 @@ from pipelines.report.session_report import (
     stream_report,
 )
 from pipelines.report.sync.limits import LIMITS
-from pipelines.setup.table import Setup
-from pipelines.topology import PAGES, Segment
+from pipelines.session.figures import HOLDER, PageGauges, TmtcCounters
+from pipelines.session.session_events import Event
+from pipelines.session.session_switch import Activity, SessionSwitch
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import PAGES, Segment
 
 Figure = int | float | str | bool | None
 

@@ -3,20 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from pipelines.cores.figures import (
-    HapticCounters,
-    JoystickGauges,
-    LoopCounters,
-    PortGauges,
-    ProbeCounters,
-    ReceptionCounters,
-    ReceptionGauges,
-    SendingCounters,
-    TrainerGauges,
-    VideoReceptionCounters,
-    VideoSendingCounters,
-    VoiceReceptionCounters,
-)
 from pipelines.report.arm_figures import arm_report, second_arm_report
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import Pauses, StreamFigures
@@ -50,8 +36,22 @@ from pipelines.report.sync.section import sync_section
 from pipelines.report.task_figures import live_task_report, task_warnings
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
-from pipelines.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.topology import TRAINER, HapticRow
+from pipelines.session.figures import (
+    HapticCounters,
+    JoystickGauges,
+    LoopCounters,
+    PortGauges,
+    ProbeCounters,
+    ReceptionCounters,
+    ReceptionGauges,
+    SendingCounters,
+    TrainerGauges,
+    VideoReceptionCounters,
+    VideoSendingCounters,
+    VoiceReceptionCounters,
+)
+from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.session.topology import TRAINER, HapticRow
 from telepresence.haptics.figures import JoystickFigures
 from telepresence.link.profile import LinkProfile
 

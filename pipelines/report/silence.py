@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.sources.page import PAGE
-from pipelines.cores.figures import CaptureCounters
 from pipelines.report.collector import Collector
-from pipelines.setup.table import (
+from pipelines.session.figures import CaptureCounters
+from pipelines.session.setup.table import (
     VOICE_PACKETS_PER_S,
     Setup,
     VideoStream,
     VoiceStream,
 )
-from pipelines.topology import Segment
+from pipelines.session.topology import Segment
 
 #: A picture or a sound is missed if it does not come for this long and this many periods.
 MISSED_NS = 2 * NS_PER_S

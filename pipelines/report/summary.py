@@ -16,7 +16,7 @@ from pipelines.report.model import (
     SyncReport,
     TaskRunReport,
 )
-from pipelines.topology import Segment
+from pipelines.session.topology import Segment
 
 #: What stands where there is no sample.
 NO_SAMPLE = "–"

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 from kontur_av.clock import NS_PER_S
-from pipelines.cores.figures import TaskCounters, TaskGauges
-from pipelines.cores.task_journal import TaskRow
 from pipelines.report.collector import Collector
 from pipelines.report.model import TaskRunReport, TaskStepReport, Warning
-from pipelines.topology import TASKS
+from pipelines.session.figures import TaskCounters, TaskGauges
+from pipelines.session.task_journal import TaskRow
+from pipelines.session.topology import TASKS
 
 
 def task_report(rows: Sequence[TaskRow], epoch_ns: int) -> list[TaskRunReport]:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.model import DirectionReport, Terms, VideoLead
-from pipelines.setup.table import Setup
+from pipelines.session.setup.table import Setup
 from telepresence.link.profile import LinkProfile
 
 #: In the order in which they pass, with how each is obtained.

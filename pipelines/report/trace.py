@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.errors import ProtocolError
-from pipelines.cores.probe import Series
-from pipelines.cores.rows import (
+from pipelines.report.model import TraceBlock, TraceSeries
+from pipelines.session.probe import Series
+from pipelines.session.rows import (
     INSTANTS,
     ClickRow,
     ClockRow,
@@ -33,7 +34,6 @@ from pipelines.cores.rows import (
     StepRow,
     TxRow,
 )
-from pipelines.report.model import TraceBlock, TraceSeries
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 
 #: By name in a report.

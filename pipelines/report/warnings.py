@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.sources.page import PAGE
-from pipelines.cores.figures import CaptureCounters, LoopCounters, PeerGauges, SendingCounters
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
-from pipelines.setup.table import Setup, VideoStream
-from pipelines.topology import LOOP_PRIORITY, Segment
+from pipelines.session.figures import CaptureCounters, LoopCounters, PeerGauges, SendingCounters
+from pipelines.session.setup.table import Setup, VideoStream
+from pipelines.session.topology import LOOP_PRIORITY, Segment
 
 #: Of a loop's cycles at most this share may be left out.
 LEFT_OUT_SHARE = 0.01

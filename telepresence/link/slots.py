@@ -1,7 +1,7 @@
 """The slots of one end of the link: when to wake up, and the order of work in a slot.
 
-A shell that binds sockets repeats the following steps. `pipelines/parts/gateway.py` does, and the
-simulation does the same on virtual time:
+A shell that binds sockets repeats the following steps. `pipelines/link/process_gateway.py` does,
+and the simulation does the same on virtual time:
 
 1. Sleep until `poll_timeout()`, or until a frame arrives by radio. Pass a frame to
    `Gateway.handle_radio` at once, at any time.

@@ -24,9 +24,9 @@ from numbered_pictures import (
 from running_session import RunningSession
 from selenium.webdriver import ActionChains
 
-from pipelines.cores.hand_topics import unpack_status
-from pipelines.parts.robot_state import unpack_state
-from pipelines.topology import JOYSTICK_STATE_TOPIC, ROBOT_TOPIC
+from pipelines.hand.hand_topics import unpack_status
+from pipelines.session.robot_state import unpack_state
+from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_TOPIC
 
 #: Below what a local IDR picture reaches at once, far above a picture that began wrongly.
 ALIKE_DB = 45.0

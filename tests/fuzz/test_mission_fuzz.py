@@ -11,7 +11,8 @@ import pytest
 from mutated_octets import mutate
 
 from kontur_av.errors import ProtocolError
-from pipelines.cores.mission_messages import (
+from pipelines.hand.robot_desk import RobotDesk
+from pipelines.session.mission_messages import (
     MISSION_OCTETS,
     CameraWish,
     ExperimentShown,
@@ -26,7 +27,6 @@ from pipelines.cores.mission_messages import (
     pack,
     unpack,
 )
-from pipelines.cores.robot_desk import RobotDesk
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.loop import robot_link
 from telepresence.tasks.definitions import ControlMode, Pattern

@@ -15,12 +15,12 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.cores.seat_roles import Role
-from pipelines.page.client_queue import MOST_UNITS
-from pipelines.page.plan import seat_plan
-from pipelines.page.seat import HandMoved, Seat
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import Segment, topology_of
+from pipelines.seats.client_queue import MOST_UNITS
+from pipelines.seats.plan import seat_plan
+from pipelines.seats.seat import HandMoved, Seat
+from pipelines.session.seat_roles import Role
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import Segment, topology_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 PLANS = [

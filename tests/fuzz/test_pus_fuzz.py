@@ -12,8 +12,8 @@ from mutated_octets import K2ACI_BODIES, mutate
 from pus_ends import Ends
 
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.cores.tmtc import TmtcEnd
-from pipelines.cores.tmtc_messages import (
+from pipelines.mission.tmtc import TmtcEnd
+from pipelines.mission.tmtc_messages import (
     FunctionDone,
     RaiseEvent,
     SendCommand,
@@ -22,7 +22,7 @@ from pipelines.cores.tmtc_messages import (
     pack_request,
     unpack_request,
 )
-from pipelines.setup.segments import Segment
+from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet, parse_packet
 

@@ -19,8 +19,8 @@ from aiohttp import web
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.h264 import H264Decoder
-from pipelines.rtc.media import PictureCame
-from pipelines.rtc.peer import RtcPeer
+from pipelines.partner.media import PictureCame
+from pipelines.partner.peer import RtcPeer
 
 ROOM = 15
 CLOCK = MonotonicClock()

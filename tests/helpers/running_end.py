@@ -4,9 +4,9 @@ import re
 
 from running_session import RunningSession, eventually
 
-from pipelines.setup.segments import Segment
-from pipelines.setup.setup_file import load_setup
-from pipelines.topology import topology_of
+from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.topology import topology_of
 
 _SHOWN = re.compile(r"(\w+) (\d+) (?:shown|received)")
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.table import PORTS
-from pipelines.topology import topology_of
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.table import PORTS
+from pipelines.session.topology import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
 #: Protects against a hang; no test result depends on it.

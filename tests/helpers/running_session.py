@@ -17,9 +17,9 @@ import pytest
 
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import shared_memory
-from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import PORTS, RtcLeg
-from pipelines.topology import topology_of
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.table import PORTS, RtcLeg
+from pipelines.session.topology import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
 #: Protects against a hang; no test result depends on it.

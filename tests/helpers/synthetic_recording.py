@@ -17,7 +17,7 @@ from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, CaptureStamp, VideoFrame
 from pipelines.bench.video import marks
-from pipelines.cores.haptic_trace import flags_of
+from pipelines.hand.haptic_trace import flags_of
 from pipelines.recording.channels import channels_of
 from pipelines.recording.facts import FACTS, LIBRARY, RecordingFacts
 from pipelines.recording.mcap_stream import McapStream
@@ -42,8 +42,8 @@ from pipelines.recording.messages import (
     pack_haptics,
     packet_words,
 )
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import topology_of
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import topology_of
 from telepresence.tmtc.packets import Housekeeping, SelectAck, SelectCamera, pack_packet
 
 MS = 1_000_000

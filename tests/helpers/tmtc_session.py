@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-from pipelines.cores.tmtc_messages import FunctionAsked, FunctionDone, SendCommand, SendK2aci
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.segments import Segment
-from pipelines.simulation.session import Simulation
-from pipelines.simulation.workers import Workers
+from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SendCommand, SendK2aci
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.segments import Segment
+from pipelines.virtual.session import Simulation
+from pipelines.virtual.workers import Workers
 
 S = 1_000_000_000
 

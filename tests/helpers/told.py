@@ -1,7 +1,7 @@
 """Figures as a process reports them, for tests of their receivers."""
 
-from pipelines.cores.figures import Counters
-from pipelines.cores.probe import Message, Series
+from pipelines.session.figures import Counters
+from pipelines.session.probe import Message, Series
 
 
 def series(rows, stream=""):

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from unittest.mock import patch
 
-from pipelines.simulation.session import Simulation
+from pipelines.virtual.session import Simulation
 
 _DOORS = (
     (subprocess.Popen, "__init__"),

@@ -6,9 +6,9 @@ import subprocess
 
 import pytest
 
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import topology_of
-from pipelines.topology.graph import dot
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import topology_of
+from pipelines.session.topology.graph import dot
 
 pytestmark = [
     pytest.mark.interop,

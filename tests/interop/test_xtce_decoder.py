@@ -7,8 +7,8 @@ from pus_ends import MS, Ends, oven
 from tmtc_session import Session
 from xtce_decoder import decoded
 
-from pipelines.cores.tmtc_messages import Reported
-from pipelines.setup.segments import Segment
+from pipelines.mission.tmtc_messages import Reported
+from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.xtce import dictionary_xtce
 

@@ -57,7 +57,7 @@ ALLOWED = {
     "kontur_av/streams/encoding_thread.py": {"switch_threads_often"},
     "pipelines/bench/children.py": {"ended_alike"},
     # For the time of a connection, whose warnings are told in one line of ours.
-    "pipelines/campaign/cluster.py": {"_connected"},
+    "pipelines/virtual/campaign/cluster.py": {"_connected"},
     "pipelines/bench/fanout/run.py": {"_publish", "_read"},
     "pipelines/bench/page/alone.py": {"_serve"},
     "pipelines/bench/video/command.py": {"run"},
@@ -67,15 +67,15 @@ ALLOWED = {
     "pipelines/commands/common.py": {"stopped_by_signals"},
     "pipelines/commands/drive_far.py": {"_relay"},
     "pipelines/commands/simulate.py": {"_run"},
-    "pipelines/runtime/launcher.py": {
+    "pipelines/session/launcher.py": {
         "Launcher.run",
         "Launcher._start",
         "Launcher._become_child",
         "load_libraries",
         "keep_memory",
     },
-    "pipelines/runtime/process.py": {"become", "_take_realtime"},
-    "pipelines/simulation/workers.py": {"Worker.start", "_work"},
+    "pipelines/session/process.py": {"become", "_take_realtime"},
+    "pipelines/virtual/workers.py": {"Worker.start", "_work"},
 }
 #: Functions among them that others call by these names.
 CALLED = {"switch_threads_often", "load_libraries", "keep_memory", "become", "stopped_by_signals"}

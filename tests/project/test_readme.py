@@ -13,9 +13,9 @@ from pipelines.cli import make_parser
 from pipelines.report.collector import Collector
 from pipelines.report.model import to_builtins
 from pipelines.report.session_report import build_report
-from pipelines.setup.setup_file import load_setup, setup_from_table
-from pipelines.setup.table import Setup
-from pipelines.topology import topology_of
+from pipelines.session.setup.setup_file import load_setup, setup_from_table
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import topology_of
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])

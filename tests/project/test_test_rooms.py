@@ -10,7 +10,7 @@ from places import ROOT
 from unit_room import closed_doors
 
 from pipelines.commands.simulate import simulate
-from pipelines.setup.built_in import BUILT_IN
+from pipelines.session.setup.built_in import BUILT_IN
 
 
 @pytest.mark.parametrize(

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.campaign import cluster as cluster_module
-from pipelines.campaign import here
-from pipelines.campaign.cluster import Cluster
 from pipelines.cli import main
+from pipelines.virtual.campaign import cluster as cluster_module
+from pipelines.virtual.campaign import here
+from pipelines.virtual.campaign.cluster import Cluster
 
 pytest.importorskip("distributed", reason="needs Dask: the extra cluster")
 
@@ -89,7 +89,7 @@ def sessions_of(pid):
     return [
         int(child)
         for child in children
-        if b"pipelines.campaign.session" in Path(f"/proc/{child}/cmdline").read_bytes()
+        if b"pipelines.virtual.campaign.session" in Path(f"/proc/{child}/cmdline").read_bytes()
     ]
 
 

@@ -10,10 +10,10 @@ import pytest
 PROGRAM = """
 import json, os, signal, sys
 from kontur_av.clock import MonotonicClock
-from pipelines.runtime.launcher import Launcher
+from pipelines.session.launcher import Launcher
 from pipelines.report.collector import Collector
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import ProcessRow, Segment, Stage, topology_of
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import ProcessRow, Segment, Stage, topology_of
 
 def good(context):
     while not context.stopping:

@@ -8,12 +8,12 @@ PROGRAM = """
 import json, os, socket, sys
 from pathlib import Path
 from kontur_av.clock import MonotonicClock
-from pipelines.cores.session_switch import Order
-from pipelines.runtime.launcher import Launcher
-from pipelines.runtime.page_listener import PageListener
+from pipelines.session.session_switch import Order
+from pipelines.session.launcher import Launcher
+from pipelines.session.page_listener import PageListener
 from pipelines.report.collector import Collector
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import ProcessRow, Segment, Stage, topology_of
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import ProcessRow, Segment, Stage, topology_of
 
 def lives(context):
     with open(sys.argv[2], "a") as log:

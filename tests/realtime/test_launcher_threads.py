@@ -7,7 +7,7 @@ PROGRAM = """
 import pathlib
 from pipelines.cli import main
 main(["stream", "--setup", "there-is-none"])  # loads all that a session loads before it forks
-from pipelines.runtime.launcher import load_libraries
+from pipelines.session.launcher import load_libraries
 load_libraries()
 print(len(list(pathlib.Path("/proc/self/task").iterdir())))
 """

@@ -15,10 +15,10 @@ from running_link import (
     listening,
 )
 
-from pipelines.runtime.key_files import make_key, trust
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.table import PORTS
-from pipelines.topology import Segment, topology_of
+from pipelines.link.key_files import make_key, trust
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.table import PORTS
+from pipelines.session.topology import Segment, topology_of
 
 pytestmark = pytest.mark.realtime
 

@@ -29,7 +29,12 @@ from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.staleness import State
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
-from pipelines.cores.figures import (
+from pipelines.media.process_capture import run_microphone
+from pipelines.media.process_display import run_display
+from pipelines.media.process_video_receive import run_video_receive
+from pipelines.media.process_video_send import run_video_send
+from pipelines.media.process_voice_receive import run_voice_receive
+from pipelines.session.figures import (
     CaptureCounters,
     CaptureGauges,
     DisplayCounters,
@@ -38,14 +43,9 @@ from pipelines.cores.figures import (
     VideoReceptionCounters,
     VoiceReceptionCounters,
 )
-from pipelines.cores.rows import ShownRow
-from pipelines.parts.capture import run_microphone
-from pipelines.parts.display import run_display
-from pipelines.parts.video_receive import run_video_receive
-from pipelines.parts.video_send import run_video_send
-from pipelines.parts.voice_receive import run_voice_receive
-from pipelines.runtime.process import LOOPBACK, Context
-from pipelines.topology import SELECTED_TOPIC, topology_of
+from pipelines.session.process import LOOPBACK, Context
+from pipelines.session.rows import ShownRow
+from pipelines.session.topology import SELECTED_TOPIC, topology_of
 from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
 
 SOUND = np.zeros(960, np.int16)

@@ -9,7 +9,7 @@ from running_session import PATIENCE_S, eventually
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.media import CaptureStamp
-from pipelines.cores.hand_topics import (
+from pipelines.hand.hand_topics import (
     INPUT_OCTETS,
     REQUEST_OCTETS,
     HandRequest,
@@ -17,9 +17,9 @@ from pipelines.cores.hand_topics import (
     pack_request,
     unpack_status,
 )
-from pipelines.cores.haptic_trace import BLOCK_ROWS, DEAD_MAN, rows_of
-from pipelines.parts.robot_state import unpack_state
-from pipelines.topology import (
+from pipelines.hand.haptic_trace import BLOCK_ROWS, DEAD_MAN, rows_of
+from pipelines.session.robot_state import unpack_state
+from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
     JOYSTICK_STATE_TOPIC,

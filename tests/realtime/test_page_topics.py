@@ -20,12 +20,12 @@ from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame, empty_picture
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
-from pipelines.cores.figures import CaptureCounters, CaptureGauges
-from pipelines.parts.capture import run_camera, run_microphone
-from pipelines.parts.video_receive import run_video_receive
-from pipelines.parts.video_send import run_video_send
-from pipelines.runtime.process import LOOPBACK
-from pipelines.topology import topology_of
+from pipelines.media.process_capture import run_camera, run_microphone
+from pipelines.media.process_video_receive import run_video_receive
+from pipelines.media.process_video_send import run_video_send
+from pipelines.session.figures import CaptureCounters, CaptureGauges
+from pipelines.session.process import LOOPBACK
+from pipelines.session.topology import topology_of
 
 STREAM = SETUP.downlink_video
 INPUT, PAGE, PREVIEW = "input/iss_camera", "page/iss_camera", "preview/iss_camera"

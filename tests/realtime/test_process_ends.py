@@ -5,10 +5,10 @@ import socket
 import pytest
 
 from kontur_av.clock import MonotonicClock
-from pipelines.cores.figures import LoopCounters, PortGauges, ProbeCounters
-from pipelines.cores.probe import FLUSH_NS, Message
-from pipelines.cores.rows import LatenessRow, RxRow
-from pipelines.runtime.process import LOOPBACK, Context
+from pipelines.session.figures import LoopCounters, PortGauges, ProbeCounters
+from pipelines.session.probe import FLUSH_NS, Message
+from pipelines.session.process import LOOPBACK, Context
+from pipelines.session.rows import LatenessRow, RxRow
 
 
 @pytest.fixture

@@ -12,12 +12,12 @@ from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.rtp.payload_h264 import split_annex_b
 from pipelines.bench.page.footage import coded
-from pipelines.rtc.ice_servers import IceServers
-from pipelines.rtc.keeper import Keeper
-from pipelines.rtc.programme import Programme
-from pipelines.rtc.server import RtcServer
-from pipelines.rtc.whip import WhipClient
-from pipelines.runtime.page_listener import PageListener
+from pipelines.partner.ice_servers import IceServers
+from pipelines.partner.keeper import Keeper
+from pipelines.partner.programme import Programme
+from pipelines.partner.server import RtcServer
+from pipelines.partner.whip import WhipClient
+from pipelines.session.page_listener import PageListener
 
 pytestmark = pytest.mark.realtime
 

@@ -11,7 +11,7 @@ import time
 import pytest
 from running_session import assert_sound, eventually
 
-from pipelines.setup.table import PORTS
+from pipelines.session.setup.table import PORTS
 
 pytestmark = pytest.mark.realtime
 

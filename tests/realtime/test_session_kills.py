@@ -10,7 +10,7 @@ import pytest
 from running_session import alive, assert_sound, eventually
 
 from kontur_av.clock import MonotonicClock
-from pipelines.topology import ROBOT_TOPIC, SELECTED_TOPIC
+from pipelines.session.topology import ROBOT_TOPIC, SELECTED_TOPIC
 
 pytestmark = pytest.mark.realtime
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kontur_av.topics.session_files import remove_session, session_root, shared_memory
-from pipelines.runtime.sessions import clear_dead_sessions, hold_session, new_session_name
+from pipelines.session.sessions import clear_dead_sessions, hold_session, new_session_name
 
 
 def leave_behind(session):
@@ -92,7 +92,7 @@ def test_a_session_lives_as_long_as_one_of_its_processes(monkeypatch):
     os.read(ready[0], 1)
     # As if the launcher had been killed: its descriptors are closed, and nothing is removed.
     with monkeypatch.context() as killed:
-        killed.setattr("pipelines.runtime.sessions.remove_session", lambda session: 0)
+        killed.setattr("pipelines.session.sessions.remove_session", lambda session: 0)
         held.__exit__(None, None, None)
     assert session not in clear_dead_sessions()
     os.close(wait[1])

@@ -8,10 +8,10 @@ import pytest
 from mcap.reader import make_reader
 from running_session import alive, eventually
 
-from pipelines.cores.haptic_trace import DEAD_MAN
-from pipelines.cores.mission_messages import ExperimentShown, RobotStatus, unpack
+from pipelines.hand.haptic_trace import DEAD_MAN
 from pipelines.recording.messages import unpack_haptics
-from pipelines.topology import MISSION_GROUND_TOPIC, ROBOT_STATUS_TOPIC
+from pipelines.session.mission_messages import ExperimentShown, RobotStatus, unpack
+from pipelines.session.topology import MISSION_GROUND_TOPIC, ROBOT_STATUS_TOPIC
 
 pytestmark = pytest.mark.realtime
 

@@ -12,7 +12,7 @@ from running_end import RunningEnd
 from running_link import RunningLink, eventually
 from two_hosts import GROUND_PUBLIC, OUTSIDE, PORT, TwoHosts
 
-from pipelines.runtime.key_files import make_key, trust
+from pipelines.link.key_files import make_key, trust
 
 #: Datagrams of each kind of attack, each way.
 ATTACKS = int(os.environ.get("KONTUR_ATTACKS", "200"))

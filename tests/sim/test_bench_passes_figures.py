@@ -10,7 +10,7 @@ from pipelines.bench.passes.figures import (
 )
 from pipelines.bench.result import JsonReader, as_json
 from pipelines.commands.simulate import simulate
-from pipelines.setup.built_in import BUILT_IN
+from pipelines.session.setup.built_in import BUILT_IN
 from telepresence.haptics.loop import HapticLink
 
 S = 1_000_000_000

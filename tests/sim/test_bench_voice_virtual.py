@@ -11,7 +11,7 @@ from pipelines.bench.voice.network import Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
 from pipelines.bench.voice.virtual import listen, speak
 from pipelines.cli import main
-from pipelines.setup.built_in import BUILT_IN
+from pipelines.session.setup.built_in import BUILT_IN
 
 SETUP = BUILT_IN["spacejustin"]
 

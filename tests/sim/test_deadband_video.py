@@ -11,14 +11,14 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from pipelines.commands.simulate import simulate
-from pipelines.cores.gain import STEADY_NS, gain_of
-from pipelines.cores.probe import Probe
-from pipelines.cores.rows import OutRow
-from pipelines.cores.session_streams import video_sender
-from pipelines.cores.stream_figures import Outgoing
-from pipelines.cores.video_sending import LinkedVideoSender
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import Direction, topology_of
+from pipelines.media.gain import STEADY_NS, gain_of
+from pipelines.media.session_streams import video_sender
+from pipelines.media.stream_figures import Outgoing
+from pipelines.media.video_sending import LinkedVideoSender
+from pipelines.session.probe import Probe
+from pipelines.session.rows import OutRow
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import Direction, topology_of
 from telepresence.link.flows import Level
 from telepresence.link.gateway import Gateway
 

@@ -11,15 +11,15 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.cli import main
 from pipelines.commands.simulate import simulate
-from pipelines.cores.probe import Message, Series
-from pipelines.cores.rows import INSTANTS, ClockRow
 from pipelines.report import join
 from pipelines.report.collector import Collector
 from pipelines.report.model import EndTrace, SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report
-from pipelines.setup.setup_file import load_setup, setup_from_text
-from pipelines.setup.setup_text import setup_toml
-from pipelines.topology import Segment, topology_of
+from pipelines.session.probe import Message, Series
+from pipelines.session.rows import INSTANTS, ClockRow
+from pipelines.session.setup.setup_file import load_setup, setup_from_text
+from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.topology import Segment, topology_of
 
 SECONDS = 8
 #: The clock of space runs ahead by this, and its instants count from another start.
@@ -106,7 +106,7 @@ def session():
         return made[0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipelines.simulation.session.Collector", collect)
+        patch.setattr("pipelines.virtual.session.Collector", collect)
         report = simulate(load_setup("spacejustin"), seconds=SECONDS, seed=1)
     return made[0], report
 

@@ -15,9 +15,9 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
 from pipelines.commands.simulate import simulate
-from pipelines.setup.setup_file import load_setup
-from pipelines.simulation.costs import CodingCosts
-from pipelines.simulation.session import Selection
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.session import Selection
 from telepresence.link.radio import load_radio
 
 SECONDS = 4.0

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from pipelines.commands.simulate import simulate
-from pipelines.setup.setup_file import load_setup
-from pipelines.simulation.costs import CodingCosts
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.virtual.costs import CodingCosts
 from telepresence.link.radio import load_radio
 
 DELAY_MS = 2.0

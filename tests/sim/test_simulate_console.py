@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_S
-from pipelines.cores.requests import parse_answer
-from pipelines.setup.setup_file import load_setup
-from pipelines.simulation.session import Selection, Simulation
-from pipelines.simulation.workers import Workers
+from pipelines.session.requests import parse_answer
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.virtual.session import Selection, Simulation
+from pipelines.virtual.workers import Workers
 from telepresence.link.radio import load_radio
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.commands.simulate import simulate
-from pipelines.cores.screen import REDRAW_NS, Drawing, Screen
-from pipelines.setup.setup_file import load_setup
+from pipelines.media.screen import REDRAW_NS, Drawing, Screen
+from pipelines.session.setup.setup_file import load_setup
 from telepresence.link.radio import load_radio
 
 DARK_S = 1.2

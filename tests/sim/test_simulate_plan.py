@@ -5,9 +5,9 @@ import pytest
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
 from pipelines.commands.simulate import simulate
-from pipelines.cores.task_journal import STEPS
 from pipelines.report.model import SessionReport, from_json, to_json
-from pipelines.setup.setup_file import load_setup
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.task_journal import STEPS
 from telepresence.tasks.plan import PlanFollower
 from telepresence.tasks.plan_file import load_plan
 

@@ -9,9 +9,9 @@ from itertools import count
 
 from kontur_av.clock import NS_PER_S
 from pipelines.commands.simulate import simulate
-from pipelines.setup.setup_file import load_setup
-from pipelines.simulation.session import Simulation
-from pipelines.simulation.workers import Workers
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.virtual.session import Simulation
+from pipelines.virtual.workers import Workers
 
 
 def test_a_simulation_that_is_stopped_reports_the_time_until_then():

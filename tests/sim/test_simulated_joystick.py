@@ -3,8 +3,8 @@
 import pytest
 from tmtc_session import Session
 
-from pipelines.cores.tmtc_messages import CommandUpdate, Reported
-from pipelines.setup.segments import Segment
+from pipelines.mission.tmtc_messages import CommandUpdate, Reported
+from pipelines.session.setup.segments import Segment
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import Hand

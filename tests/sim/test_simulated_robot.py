@@ -4,8 +4,8 @@ from math import hypot
 
 from tmtc_session import Session
 
-from pipelines.cores.tmtc_messages import CommandUpdate, Reported
-from pipelines.setup.segments import Segment
+from pipelines.mission.tmtc_messages import CommandUpdate, Reported
+from pipelines.session.setup.segments import Segment
 
 SPACE = Segment.SPACE
 

@@ -4,12 +4,12 @@ import json
 
 from tmtc_session import Session
 
-from pipelines.cores.seat_roles import Role
-from pipelines.cores.tmtc import PUS_RATE_BPS
-from pipelines.cores.tmtc_messages import CommandUpdate, K2aciArrived, K2aciUpdate, Reported
-from pipelines.page.mission_desk import MissionDesk
-from pipelines.page.texts import CommandRequest
-from pipelines.setup.segments import Segment
+from pipelines.mission.tmtc import PUS_RATE_BPS
+from pipelines.mission.tmtc_messages import CommandUpdate, K2aciArrived, K2aciUpdate, Reported
+from pipelines.seats.mission_desk import MissionDesk
+from pipelines.seats.texts import CommandRequest
+from pipelines.session.seat_roles import Role
+from pipelines.session.setup.segments import Segment
 from telepresence.link.radio import Blackout, RadioProfile
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 

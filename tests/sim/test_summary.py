@@ -9,7 +9,7 @@ from rich.console import Console
 from pipelines.commands.simulate import simulate
 from pipelines.report.summary import first_line, print_summary, stages_line, streams_table
 from pipelines.report.warnings import restart_warning
-from pipelines.setup.built_in import BUILT_IN
+from pipelines.session.setup.built_in import BUILT_IN
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from kontur_av.streams import voice_sender
 from kontur_av.streams.video_receiver import VideoReceiver
 from pipelines.commands.simulate import simulate
 from pipelines.report.model import Ranks
-from pipelines.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from telepresence.haptics.loop import HapticLink
 from telepresence.link.radio import load_radio
 

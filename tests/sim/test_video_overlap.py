@@ -10,12 +10,12 @@ from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.video_sender import VideoSender
-from pipelines.cores.probe import Probe
-from pipelines.setup.table import VIDEO_PAYLOAD_OCTETS, VideoStream
-from pipelines.simulation.agenda import Agenda
-from pipelines.simulation.costs import CodingCosts
-from pipelines.simulation.senders import VideoSendProcess
-from pipelines.simulation.workers import Job
+from pipelines.session.probe import Probe
+from pipelines.session.setup.table import VIDEO_PAYLOAD_OCTETS, VideoStream
+from pipelines.virtual.agenda import Agenda
+from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.senders import VideoSendProcess
+from pipelines.virtual.workers import Job
 
 STREAM = VideoStream(name="video", cap_bps=512_000)
 CHANNEL_BPS = 530_000

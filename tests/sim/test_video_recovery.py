@@ -10,10 +10,10 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import Quality
 from pipelines.commands.simulate import simulate
-from pipelines.cores.following import CameraFollower
-from pipelines.cores.showing import Showing
-from pipelines.setup.setup_file import load_setup
-from pipelines.simulation.session import Selection
+from pipelines.media.following import CameraFollower
+from pipelines.media.showing import Showing
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.virtual.session import Selection
 from telepresence.link.radio import load_radio
 
 DELAY_MS = 2.0

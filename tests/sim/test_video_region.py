@@ -14,16 +14,16 @@ from kontur_av.codecs.h264 import H264Decoder
 from kontur_av.media import CaptureStamp, empty_picture, planes
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.stereo import merge
-from pipelines.cores.following import CameraFollower, Choice
-from pipelines.cores.probe import Probe
-from pipelines.cores.session_streams import video_sender
-from pipelines.cores.tip_region import tip_region
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.simulation.agenda import Agenda
-from pipelines.simulation.costs import CodingCosts
-from pipelines.simulation.senders import VideoSendProcess
-from pipelines.simulation.studio import Shot, VideoStudio
-from pipelines.simulation.workers import Job
+from pipelines.media.following import CameraFollower, Choice
+from pipelines.media.session_streams import video_sender
+from pipelines.media.tip_region import tip_region
+from pipelines.session.probe import Probe
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.virtual.agenda import Agenda
+from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.senders import VideoSendProcess
+from pipelines.virtual.studio import Shot, VideoStudio
+from pipelines.virtual.workers import Job
 from telepresence.world import render, scripted_state
 from telepresence.world.ground_views import camera_of
 

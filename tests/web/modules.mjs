@@ -9,7 +9,7 @@ import { join } from "node:path";
 import { fileURLToPath, pathToFileURL } from "node:url";
 import { after } from "node:test";
 
-const STATIC = fileURLToPath(new URL("../../pipelines/page/static", import.meta.url));
+const STATIC = fileURLToPath(new URL("../../pipelines/seats/static", import.meta.url));
 const folder = await mkdtemp(join(tmpdir(), "pages-"));
 await cp(STATIC, folder, { recursive: true });
 await writeFile(join(folder, "package.json"), '{"type": "module"}');

@@ -1,4 +1,4 @@
-/** Messages octet by octet, as pipelines/page packs and parses them. */
+/** Messages octet by octet, as pipelines/seats packs and parses them. */
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./modules.mjs";

@@ -22,9 +22,9 @@ from pipelines.bench.haptics.plan import plan
 from pipelines.bench.haptics.run import run_cell
 from pipelines.bench.result import Headline, Json, as_json
 from pipelines.bench.result_file import write_result
-from pipelines.campaign.options import add_place_arguments, cluster_of, jobs_of
-from pipelines.campaign.progress import Progress
 from pipelines.report.report_file import check_writable
+from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
+from pipelines.virtual.campaign.progress import Progress
 
 _GRIDS = {"small": small_grid, "full": full_grid}
 #: The courses that are drawn for a grid: a contact that the delay alone makes unstable, and the

@@ -9,8 +9,8 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.haptics.cell import Cell
 from pipelines.bench.haptics.figures import CellFigures
 from pipelines.bench.haptics.run import run_cell
-from pipelines.campaign.cluster import Cluster
-from pipelines.campaign.tasks import Crash
+from pipelines.virtual.campaign.cluster import Cluster
+from pipelines.virtual.campaign.tasks import Crash
 
 _Pair = tuple[CellFigures, CellFigures]
 

@@ -35,10 +35,10 @@ from pipelines.commands.stream import check_sources
 from pipelines.report.report_file import check_writable
 from pipelines.report.sync.limits import LIMITS
 from pipelines.report.terms import TERMS
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import Setup
-from pipelines.simulation.inputs import check_sources as check_virtual_sources
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.table import Setup
+from pipelines.virtual.inputs import check_sources as check_virtual_sources
 
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
 #: A longer lead of the force over its picture is noticeable.

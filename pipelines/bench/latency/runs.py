@@ -7,7 +7,7 @@ from itertools import pairwise
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from pipelines.bench.result import JsonReader, as_json
 from pipelines.commands.simulate import simulate
-from pipelines.setup.table import Setup
+from pipelines.session.setup.table import Setup
 
 _READINGS = 2000
 

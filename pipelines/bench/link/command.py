@@ -31,7 +31,7 @@ from pipelines.bench.link.virtual import (
 from pipelines.bench.result import Headline, Json, Percentiles, as_json, spread
 from pipelines.bench.result_file import write_result
 from pipelines.report.report_file import check_writable
-from pipelines.setup.setup_file import load_setup
+from pipelines.session.setup.setup_file import load_setup
 from telepresence.link.profile import DOWNLINK, UPLINK
 
 #: Kinds of packets that saturate the link, and the octets of their payloads: voice and video of

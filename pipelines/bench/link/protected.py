@@ -18,10 +18,10 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.bench.children import end_all, ended_alike
 from pipelines.bench.link.paired import PLAIN, REKEYED, EndFigures, PairedRun, delays_us
 from pipelines.bench.result import JsonReader
-from pipelines.runtime.key_files import make_key, trust
-from pipelines.runtime.process import LOOPBACK
-from pipelines.setup.setup_file import load_setup
-from pipelines.topology import Segment, Topology, topology_of
+from pipelines.link.key_files import make_key, trust
+from pipelines.session.process import LOOPBACK
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.topology import Segment, Topology, topology_of
 
 #: How often the keys are new in the runs of `REKEYED`: one handshake a second is allowed.
 REKEY_S = 2.0

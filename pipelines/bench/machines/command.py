@@ -25,7 +25,7 @@ from pipelines.bench.result_file import write_result
 from pipelines.bench.session import live_report
 from pipelines.commands.session_options import add_setup_argument
 from pipelines.report.report_file import check_writable
-from pipelines.setup.setup_file import load_setup
+from pipelines.session.setup.setup_file import load_setup
 
 _COLUMNS = ("one machine", "two machines", "difference")
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from pipelines.setup.segments import Segment
-from pipelines.setup.table import PORTS
+from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.table import PORTS
 
 #: Of the network for benchmarks (RFC 2544).
 _ADDRESSES = {Segment.GROUND: "198.18.0.1", Segment.SPACE: "198.18.0.2"}

@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 from pipelines.bench.children import end_all, ended_alike
 from pipelines.bench.machines.hosts import Hosts
 from pipelines.bench.result import JsonReader
-from pipelines.runtime.key_files import make_key, trust
-from pipelines.setup.segments import Segment
+from pipelines.link.key_files import make_key, trust
+from pipelines.session.setup.segments import Segment
 
 _PORT = 27_900
 #: How much longer than the session both commands may take to start and to end.

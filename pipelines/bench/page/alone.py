@@ -14,13 +14,13 @@ from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.topics.bus import TopicBus
 from pipelines.bench.page.footage import FPS, HEIGHT, WIDTH
-from pipelines.parts.page import run_page
-from pipelines.runtime.page_listener import PageListener
-from pipelines.runtime.page_sockets import PageHost, bind_pages, listeners
-from pipelines.runtime.process import Context
-from pipelines.runtime.sessions import hold_session
-from pipelines.setup.setup_file import load_setup
-from pipelines.topology import PAGES, Segment, Topology, topology_of
+from pipelines.seats.process_page import run_page
+from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageHost, bind_pages, listeners
+from pipelines.session.process import Context
+from pipelines.session.sessions import hold_session
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.topology import PAGES, Segment, Topology, topology_of
 
 #: The seat's main picture: the stream of 640x480 that ground control receives.
 STREAM = "downlink_video"

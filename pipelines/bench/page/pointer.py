@@ -14,8 +14,8 @@ from pipelines.bench.page.browser import Browser
 from pipelines.bench.page.screen import VirtualScreen
 from pipelines.bench.page.session import PATIENCE_S, live_session
 from pipelines.bench.page.views import numbers
-from pipelines.cores.hand_topics import unpack_input
-from pipelines.topology import HAND_INPUT_TOPIC, Segment
+from pipelines.hand.hand_topics import unpack_input
+from pipelines.session.topology import HAND_INPUT_TOPIC, Segment
 from telepresence.haptics.device.page import PageInput
 
 _STEP_S = 0.025

@@ -18,7 +18,7 @@ from pipelines.bench.page.screen import Spot, VirtualScreen, watch
 from pipelines.bench.page.webrtc import serve_webrtc
 from pipelines.bench.result import spread
 from pipelines.bench.video.marks import NUMBERS
-from pipelines.topology import Segment
+from pipelines.session.topology import Segment
 
 _WIDTH, _HEIGHT = 820, 1000
 #: Until a window has a picture.

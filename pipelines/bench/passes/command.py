@@ -27,17 +27,17 @@ from pipelines.bench.passes.figures import (
 )
 from pipelines.bench.passes.plan import SessionPlan
 from pipelines.bench.result_file import write_result
-from pipelines.campaign.options import add_place_arguments, cluster_of, jobs_of
-from pipelines.campaign.sessions import session_results
-from pipelines.campaign.tasks import Crash, Result
 from pipelines.commands.session_options import (
     add_radio_argument,
     add_setup_argument,
     radio_change,
 )
 from pipelines.report.report_file import check_writable
-from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import Setup
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.table import Setup
+from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
+from pipelines.virtual.campaign.sessions import session_results
+from pipelines.virtual.campaign.tasks import Crash, Result
 
 #: As many as Kontur-2 flew in 2015 and 2016.
 _SESSIONS = 23

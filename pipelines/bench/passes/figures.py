@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
 from pipelines.bench.result import Headline, JsonReader
-from pipelines.campaign.tasks import Crash
+from pipelines.virtual.campaign.tasks import Crash
 
 #: The least share of the usable time that the orbit predicts.
 USABLE_SHARE = 0.99

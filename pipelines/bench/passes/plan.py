@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from pipelines.campaign.tasks import SessionTask
-from pipelines.setup.table import Setup
+from pipelines.session.setup.table import Setup
+from pipelines.virtual.campaign.tasks import SessionTask
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,8 +22,8 @@ from pipelines.commands.session_options import add_setup_argument, radio_change
 from pipelines.commands.simulate import replay
 from pipelines.recording.recorded_session import RecordedSession
 from pipelines.report.report_file import check_writable
-from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import Setup
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.table import Setup
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from pipelines.bench.result import Headline
 from pipelines.report.model import SessionReport, Spread
-from pipelines.setup.table import NO_RADIO
+from pipelines.session.setup.table import NO_RADIO
 
 #: The case whose pictures must be those of the recording.
 SAME = "as recorded"

@@ -14,10 +14,10 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.media import AccessUnit, CaptureStamp
 from pipelines.bench.page.footage import FPS
-from pipelines.rtc.description import Kind
-from pipelines.rtc.ice_servers import IceServers
-from pipelines.rtc.keeper import Keeper
-from pipelines.rtc.peer import RtcPeer
+from pipelines.partner.description import Kind
+from pipelines.partner.ice_servers import IceServers
+from pipelines.partner.keeper import Keeper
+from pipelines.partner.peer import RtcPeer
 
 _HEAD = struct.Struct("<I?")
 _RATES: dict[Kind, int] = {"video": 1_500_000, "audio": 32_000}

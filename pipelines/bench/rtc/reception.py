@@ -26,13 +26,13 @@ from pipelines.bench.page.views import numbers
 from pipelines.bench.result import spread
 from pipelines.bench.rtc.figures import OURS, ReceptionRun
 from pipelines.bench.video.marks import MARK_ROWS, levels, read_number
-from pipelines.rtc.description import Kind
-from pipelines.rtc.media import PictureCame, SoundCame
-from pipelines.rtc.peer import RtcPeer
-from pipelines.rtc.programme import Programme
-from pipelines.rtc.server import RtcServer
-from pipelines.rtc.whip import WhipClient
-from pipelines.runtime.page_listener import PageListener
+from pipelines.partner.description import Kind
+from pipelines.partner.media import PictureCame, SoundCame
+from pipelines.partner.peer import RtcPeer
+from pipelines.partner.programme import Programme
+from pipelines.partner.server import RtcServer
+from pipelines.partner.whip import WhipClient
+from pipelines.session.page_listener import PageListener
 
 _TOKEN = "bench"
 _RATES: dict[Kind, int] = {"video": 1_500_000, "audio": 32_000}

@@ -27,8 +27,8 @@ from pipelines.commands.stream import check_sources
 from pipelines.report.report_file import check_writable
 from pipelines.report.sync.figures import PAIRS, SENSES, Event, skew_summary, skews_ns
 from pipelines.report.sync.matching import Found
-from pipelines.setup.setup_file import load_setup
-from pipelines.simulation.inputs import check_sources as check_virtual_sources
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.virtual.inputs import check_sources as check_virtual_sources
 
 _WORDS = {
     "video_haptic": "video after force",

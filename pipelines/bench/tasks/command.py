@@ -21,16 +21,16 @@ from pipelines.bench.tasks.figures import (
     table_rows,
     task_pass,
 )
-from pipelines.campaign.options import add_place_arguments, cluster_of, jobs_of
-from pipelines.campaign.sessions import session_results
-from pipelines.campaign.tasks import Crash, SessionTask
 from pipelines.commands.session_options import (
     add_radio_argument,
     add_setup_argument,
     radio_change,
 )
 from pipelines.report.report_file import check_writable
-from pipelines.setup.setup_file import load_setup
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
+from pipelines.virtual.campaign.sessions import session_results
+from pipelines.virtual.campaign.tasks import Crash, SessionTask
 from telepresence.tasks.plan import PlannedTask, SessionPlan
 from telepresence.tasks.plan_file import load_plan
 from telepresence.tasks.task_files import built_in_tasks

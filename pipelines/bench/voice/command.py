@@ -21,8 +21,8 @@ from pipelines.bench.voice.network import BURST_PACKETS, Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track, pesq_is_there, quality, speech_track
 from pipelines.bench.voice.virtual import Heard, listen, speak
 from pipelines.report.report_file import check_writable
-from pipelines.setup.setup_file import load_setup
-from pipelines.setup.table import VoiceStream
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.table import VoiceStream
 
 _OURS = "kontur-av"
 _LOSSES = (0.0, 0.02, 0.05, 0.10)

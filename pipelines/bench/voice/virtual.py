@@ -13,10 +13,10 @@ from kontur_av.streams.voice_player import VoicePlayer
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.bench.voice.network import Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track
-from pipelines.cores.session_streams import voice_receiver, voice_sender
-from pipelines.setup.table import Setup, VoiceStream
-from pipelines.simulation.costs import CodingCosts
-from pipelines.topology import topology_of
+from pipelines.media.session_streams import voice_receiver, voice_sender
+from pipelines.session.setup.table import Setup, VoiceStream
+from pipelines.session.topology import topology_of
+from pipelines.virtual.costs import CodingCosts
 
 
 @dataclass

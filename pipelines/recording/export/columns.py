@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
-from pipelines.cores.haptic_trace import ACTED, CONTACT, DEAD_MAN
+from pipelines.hand.haptic_trace import ACTED, CONTACT, DEAD_MAN
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import (
     SAMPLE,

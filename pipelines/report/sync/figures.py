@@ -7,13 +7,13 @@ from math import ceil
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.probe import Series
-from pipelines.cores.rows import ClickRow, ContactRow, LightRow, StepRow
-from pipelines.cores.watching import WATCHED
+from pipelines.media.watching import WATCHED
 from pipelines.report.model import ContentSkew, ListedContact, Ranks, SenseReport, SyncReport
 from pipelines.report.sync.limits import LIMITS
 from pipelines.report.sync.matching import Found, match
 from pipelines.report.sync.verdict import judge
+from pipelines.session.probe import Series
+from pipelines.session.rows import ClickRow, ContactRow, LightRow, StepRow
 
 #: The senses, and what carries them to the operator.
 SENSES = {**WATCHED, "force": "haptic_up"}

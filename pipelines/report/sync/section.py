@@ -3,7 +3,7 @@
 from kontur_av.clock import NS_PER_MS
 from pipelines.report.model import SyncReport
 from pipelines.report.sync.figures import SENSES, SyncFigures
-from pipelines.setup.table import GROUND_MIC, Setup
+from pipelines.session.setup.table import GROUND_MIC, Setup
 from telepresence.world import CONTACT_SCENES
 
 

@@ -8,11 +8,11 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp, Quality, empty_picture, planes
 from kontur_av.streams.staleness import Staleness, State
-from pipelines.cores.figures import DisplayCounters, DisplayGauges
-from pipelines.cores.marking import age_words, mark_stale
-from pipelines.cores.probe import Probe
-from pipelines.cores.showing import Showing
-from pipelines.setup.built_in import BUILT_IN
+from pipelines.media.marking import age_words, mark_stale
+from pipelines.media.showing import Showing
+from pipelines.session.figures import DisplayCounters, DisplayGauges
+from pipelines.session.probe import Probe
+from pipelines.session.setup.built_in import BUILT_IN
 
 MS = NS_PER_MS
 

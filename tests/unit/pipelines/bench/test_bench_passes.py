@@ -14,8 +14,8 @@ from pipelines.bench.passes.figures import (
     usable_window,
 )
 from pipelines.bench.result import JsonReader
-from pipelines.campaign.tasks import Crash
 from pipelines.cli import main
+from pipelines.virtual.campaign.tasks import Crash
 
 S = 1_000_000_000
 

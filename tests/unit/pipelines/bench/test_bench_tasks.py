@@ -12,8 +12,8 @@ from pipelines.bench.tasks.figures import (
     table_rows,
     task_pass,
 )
-from pipelines.campaign.tasks import Crash
-from pipelines.cores.task_journal import STEPS
+from pipelines.session.task_journal import STEPS
+from pipelines.virtual.campaign.tasks import Crash
 
 
 def run(name="aiming", result="finished", seconds=20.0, steps=STEPS):

@@ -7,7 +7,7 @@ from pipelines.bench.voice.gstreamer import laid_out
 from pipelines.bench.voice.network import BURST_PACKETS, Network
 from pipelines.bench.voice.speech import lags, speech_track
 from pipelines.cli import main
-from pipelines.setup.built_in import BUILT_IN
+from pipelines.session.setup.built_in import BUILT_IN
 
 SETUP = BUILT_IN["spacejustin"]
 

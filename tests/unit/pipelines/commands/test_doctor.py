@@ -14,7 +14,7 @@ from pipelines.commands.doctor import (
     check_topics,
     doctor,
 )
-from pipelines.topology import LOOP_PRIORITY
+from pipelines.session.topology import LOOP_PRIORITY
 
 
 def test_something_missing_gives_1_and_advice_does_not() -> None:

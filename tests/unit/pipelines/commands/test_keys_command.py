@@ -7,7 +7,7 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
-from pipelines.runtime.key_files import (
+from pipelines.link.key_files import (
     default_key_path,
     make_key,
     pinned_peer,

@@ -6,9 +6,9 @@ from places import ROOT
 from pipelines.cli import main
 from pipelines.commands import link
 from pipelines.commands.link_ports import channels, port_table
-from pipelines.runtime.datagrams import EndAddresses
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import Segment, topology_of
+from pipelines.session.datagrams import EndAddresses
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import Segment, topology_of
 from telepresence.link.protection.identity import MachineKey
 
 TASKBOARD, SPACEJUSTIN = BUILT_IN["taskboard"], BUILT_IN["spacejustin"]

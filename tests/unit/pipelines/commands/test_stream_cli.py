@@ -10,7 +10,7 @@ from kontur_av.clock import MonotonicClock
 from pipelines.cli import main, make_parser
 from pipelines.commands import stream
 from pipelines.commands.session_options import radio_changes
-from pipelines.setup.setup_file import load_setup
+from pipelines.session.setup.setup_file import load_setup
 
 TOML = """
 cameras = ["stereo", "static"]

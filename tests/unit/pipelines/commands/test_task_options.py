@@ -7,8 +7,8 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.task_options import add_task_arguments, task_wish
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.segments import Segment
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.segments import Segment
 
 SETUP = BUILT_IN["spacejustin"]
 

@@ -2,7 +2,7 @@
 
 from kontur_av.clock import NS_PER_S
 from pipelines.recording.desk import HOLD_NS, Ask, RecorderDesk, Reply, Start, Stop
-from pipelines.recording.requests import (
+from pipelines.session.recorder_requests import (
     MAX_LINE_OCTETS,
     RecordAnswer,
     RecordingWish,

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.cores.haptic_trace import ROW
+from pipelines.hand.haptic_trace import ROW
 from pipelines.recording import messages
 from pipelines.recording.messages import (
     NO_SAMPLE,

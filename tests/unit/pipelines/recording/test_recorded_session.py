@@ -10,8 +10,8 @@ from pipelines.recording.channels import channels_of
 from pipelines.recording.joined import JoinedRecording, read_part
 from pipelines.recording.messages import NO_SAMPLE, RecordedPicture, UnitFacts, pack, unpack
 from pipelines.recording.recorded_session import read_session
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import topology_of
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import topology_of
 
 ROWS = channels_of(topology_of(BUILT_IN["spacejustin"]))
 

@@ -13,9 +13,9 @@ from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.cores.ends import make_gateway
-from pipelines.cores.frame_batch import pack_frames
-from pipelines.cores.haptic_trace import CONTACT, ROW
+from pipelines.hand.haptic_trace import CONTACT, ROW
+from pipelines.link.ends import make_gateway
+from pipelines.link.frame_batch import pack_frames
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.messages import (
     LinkReceived,
@@ -34,9 +34,9 @@ from pipelines.recording.recorder import RETRY_NS, PartLimits, Recorder
 from pipelines.recording.records import MAGIC
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.recording.sources import Content, sources_of
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.setup.setup_text import setup_toml
-from pipelines.topology import Segment, topology_of
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.topology import Segment, topology_of
 
 SETUP = BUILT_IN["spacejustin"]
 TOPOLOGY = topology_of(SETUP, recorder=True)

@@ -10,15 +10,18 @@ from hypothesis import strategies as st
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.figures import (
+from pipelines.report.collector import Collector
+from pipelines.report.journeys import STAGES
+from pipelines.report.skew import Skew
+from pipelines.session.figures import (
     CaptureGauges,
     GatewayCounters,
     GatewayGauges,
     HapticCounters,
     LoopCounters,
 )
-from pipelines.cores.probe import Message
-from pipelines.cores.rows import (
+from pipelines.session.probe import Message
+from pipelines.session.rows import (
     OutRow,
     RxRow,
     SampleReceivedRow,
@@ -26,11 +29,8 @@ from pipelines.cores.rows import (
     ShownRow,
     TxRow,
 )
-from pipelines.report.collector import Collector
-from pipelines.report.journeys import STAGES
-from pipelines.report.skew import Skew
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import topology_of
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import topology_of
 
 SESSION = topology_of(BUILT_IN["spacejustin"])
 START_NS = 1_000 * NS_PER_S

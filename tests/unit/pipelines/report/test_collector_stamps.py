@@ -7,10 +7,10 @@ import pytest
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.figures import CaptureGauges, SelectorGauges
-from pipelines.cores.rows import OutRow, RxRow, ShownRow, TxRow
 from pipelines.report.journeys import HapticFigures, Pauses, StreamFigures
 from pipelines.report.process_figures import ProcessFigures
+from pipelines.session.figures import CaptureGauges, SelectorGauges
+from pipelines.session.rows import OutRow, RxRow, ShownRow, TxRow
 
 START_NS = 1_000 * NS_PER_S
 

@@ -7,7 +7,9 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import (
+from pipelines.report.collector import Collector
+from pipelines.report.event_log import DEPTH, EventLog, ProcessNow
+from pipelines.session.figures import (
     CaptureGauges,
     DisplayCounters,
     DisplayGauges,
@@ -16,12 +18,10 @@ from pipelines.cores.figures import (
     SelectorGauges,
     TaskGauges,
 )
-from pipelines.cores.session_switch import Order, SessionSwitch
-from pipelines.cores.task_journal import TaskRow, TaskStep
-from pipelines.report.collector import Collector
-from pipelines.report.event_log import DEPTH, EventLog, ProcessNow
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import topology_of
+from pipelines.session.session_switch import Order, SessionSwitch
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.task_journal import TaskRow, TaskStep
+from pipelines.session.topology import topology_of
 from telepresence.link.figures import ContactFigures, ContactWindows
 from telepresence.tasks.experiment import Step
 

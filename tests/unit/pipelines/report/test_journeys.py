@@ -6,7 +6,8 @@ import pytest
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.rows import (
+from pipelines.report.collector import Collector
+from pipelines.session.rows import (
     CodingRow,
     DecodedRow,
     RxRow,
@@ -14,9 +15,8 @@ from pipelines.cores.rows import (
     ShownRow,
     TxRow,
 )
-from pipelines.report.collector import Collector
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import topology_of
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import topology_of
 
 SESSION = topology_of(BUILT_IN["spacejustin"])
 PERIOD_MS = 40

@@ -5,12 +5,12 @@ import re
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.figures import GatewayCounters, GatewayGauges, LoopCounters
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.model import GatewayReport, LinkReport, from_json, to_json
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import Direction, Segment, topology_of
+from pipelines.session.figures import GatewayCounters, GatewayGauges, LoopCounters
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import Direction, Segment, topology_of
 from telepresence.link.gateway import Gateway
 
 SETUP = BUILT_IN["taskboard"]

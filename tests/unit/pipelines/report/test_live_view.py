@@ -8,13 +8,13 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import CaptureGauges, DisplayCounters, DisplayGauges
-from pipelines.cores.rows import OutRow, SampleReceivedRow
-from pipelines.cores.session_switch import Order, SessionSwitch
 from pipelines.report.collector import Collector
 from pipelines.report.live import _age, _inputs, _line, first_line, streams_table
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import topology_of
+from pipelines.session.figures import CaptureGauges, DisplayCounters, DisplayGauges
+from pipelines.session.rows import OutRow, SampleReceivedRow
+from pipelines.session.session_switch import Order, SessionSwitch
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import topology_of
 
 SETUP = BUILT_IN["taskboard"]
 

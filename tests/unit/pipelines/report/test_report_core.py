@@ -8,7 +8,12 @@ from hypothesis import strategies as st
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.figures import (
+from pipelines.report.collector import Collector
+from pipelines.report.link_figures import ledger_percent, link_figures
+from pipelines.report.model import SessionReport, from_json, to_json
+from pipelines.report.session_report import build_report, failures
+from pipelines.report.silence import silences
+from pipelines.session.figures import (
     CaptureCounters,
     CaptureGauges,
     DisplayCounters,
@@ -21,14 +26,9 @@ from pipelines.cores.figures import (
     SelectorGauges,
     SendingCounters,
 )
-from pipelines.cores.rows import OutRow, ShownRow
-from pipelines.report.collector import Collector
-from pipelines.report.link_figures import ledger_percent, link_figures
-from pipelines.report.model import SessionReport, from_json, to_json
-from pipelines.report.session_report import build_report, failures
-from pipelines.report.silence import silences
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import Direction, topology_of
+from pipelines.session.rows import OutRow, ShownRow
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import Direction, topology_of
 from telepresence.link.figures import ContactFigures
 from telepresence.link.gateway import Gateway
 

@@ -10,7 +10,13 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.staleness import State
-from pipelines.cores.figures import (
+from pipelines.report.collector import Collector
+from pipelines.report.event_log import ProcessNow
+from pipelines.report.model import to_builtins
+from pipelines.report.seat_feed import SeatFeed
+from pipelines.report.seat_figures import SeatFigures, SeatMessage
+from pipelines.report.session_report import build_report
+from pipelines.session.figures import (
     DisplayCounters,
     DisplayGauges,
     HapticCounters,
@@ -18,16 +24,10 @@ from pipelines.cores.figures import (
     ReceptionCounters,
     SelectorGauges,
 )
-from pipelines.cores.rows import OutRow, SampleReceivedRow, SampleSentRow
-from pipelines.cores.session_switch import Order, SessionSwitch
-from pipelines.report.collector import Collector
-from pipelines.report.event_log import ProcessNow
-from pipelines.report.model import to_builtins
-from pipelines.report.seat_feed import SeatFeed
-from pipelines.report.seat_figures import SeatFigures, SeatMessage
-from pipelines.report.session_report import build_report
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import topology_of
+from pipelines.session.rows import OutRow, SampleReceivedRow, SampleSentRow
+from pipelines.session.session_switch import Order, SessionSwitch
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import topology_of
 
 SETUP = BUILT_IN["spacejustin"]
 TOPOLOGY = topology_of(SETUP, pages=True)

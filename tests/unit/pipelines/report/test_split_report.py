@@ -5,22 +5,22 @@ from rich.console import Console
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.figures import (
-    CaptureCounters,
-    DisplayCounters,
-    HapticCounters,
-    PeerGauges,
-    SendingCounters,
-)
-from pipelines.cores.rows import ShownRow
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report
 from pipelines.report.summary import first_line, streams_table
 from pipelines.report.warnings import find_path_warnings
-from pipelines.setup.built_in import BUILT_IN
-from pipelines.topology import Segment, topology_of
+from pipelines.session.figures import (
+    CaptureCounters,
+    DisplayCounters,
+    HapticCounters,
+    PeerGauges,
+    SendingCounters,
+)
+from pipelines.session.rows import ShownRow
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import Segment, topology_of
 from telepresence.link.peer.open import OpenPath
 
 SETUP = BUILT_IN["spacejustin"]

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.cores.rows import ClickRow, ContactRow, LightRow, StepRow
 from pipelines.report.sync.figures import SyncFigures, disagreements, rank, skew_summary
 from pipelines.report.sync.limits import LIMITS
 from pipelines.report.sync.matching import Found, match
 from pipelines.report.sync.section import sync_section
-from pipelines.setup.built_in import BUILT_IN
+from pipelines.session.rows import ClickRow, ContactRow, LightRow, StepRow
+from pipelines.session.setup.built_in import BUILT_IN
 
 MS = NS_PER_MS
 

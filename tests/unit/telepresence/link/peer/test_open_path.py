@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.setup.built_in import BUILT_IN
+from pipelines.session.setup.built_in import BUILT_IN
 from telepresence.link.frame import FrameCodec
 from telepresence.link.peer.open import SILENCE_NS, OpenPath
 

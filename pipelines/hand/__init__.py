@@ -1,0 +1,1 @@
+"""The 1 kHz loops of robot and joystick, and who owns the arm."""

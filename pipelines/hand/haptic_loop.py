@@ -1,0 +1,123 @@
+"""The 1 kHz loop of an end of haptics, and its ports."""
+
+import secrets
+import select
+from collections.abc import Callable, Sequence
+
+from pipelines.hand.haptic_trace import BLOCK_ROWS
+from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
+from pipelines.hand.replaying import ReplayedEnd
+from pipelines.session.figures import LoopCounters
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.rows import LatenessRow
+from pipelines.session.topology import Topology
+from telepresence.haptics.sample import SAMPLE_OCTETS
+from telepresence.haptics.schedule import PeriodicSchedule
+from telepresence.haptics.session import LIVES
+from telepresence.world import WorldState
+
+#: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
+_PHASE = 0.5
+#: In so many cycles a loop looks once for what is rare; two of them are a block of a trace.
+_SELDOM = BLOCK_ROWS // 2
+
+#: What a loop calls, with the instant of the cycle.
+Cycle = Callable[[int], None]
+#: Sends one datagram.
+Send = Callable[[bytes], None]
+
+
+def session_ports(topology: Topology, process: str) -> tuple[int, int]:
+    """The port of an end's samples, and the gateway's for those that it sends."""
+    (taken,) = (row for row in topology.haptics if row.receiver == process)
+    (given,) = (row for row in topology.haptics if row.sender == process)
+    return taken.exit_port, given.entry_port
+
+
+def new_life() -> int:
+    """The number of a new life of an end."""
+    return 1 + secrets.randbelow(LIVES - 1)
+
+
+def run_loop(
+    context: Context,
+    end: RobotEnd | JoystickEnd | ReplayedEnd,
+    ports: tuple[int, int],
+    publish: Callable[[WorldState], None] | None = None,
+    *,
+    before: Cycle | None = None,
+    after: Cycle | None = None,
+    seldom: Sequence[Cycle] = (),
+    route: Callable[[Send], Send] | None = None,
+) -> None:
+    """Run an end at 1 kHz.
+
+    ports: the one of its samples, and the peer's. route: where samples go to more than one peer.
+    before, after: called in each cycle. seldom: called every `_SELDOM` cycles.
+    """
+    clock, probe = context.clock, context.probe
+    udp = context.listen(ports[0])
+    more = select.poll()
+    more.register(udp, select.POLLIN)
+    send = context.sender(ports[1])
+    if route is not None:
+        send = route(send)
+    schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(CYCLE_NS, _PHASE))
+    # Looked up once: what follows runs a thousand times a second.
+    take, receive = udp.recv, context.receive
+    clock_ns, sleep_until_ns = clock.now_ns, clock.sleep_until_ns
+    handle_wakeup, handle_datagram, handle_cycle = (
+        schedule.handle_wakeup,
+        end.handle_datagram,
+        end.handle_cycle,
+    )
+    poll_transmit, next_event, ask = end.poll_transmit, end.next_event, more.poll
+    # A list, because an array checks the type of each number.
+    lateness: list[int] = []
+    lateness_rows, add_lateness = probe.series(LatenessRow), lateness.append
+
+    def fill() -> None:
+        end.tell()
+        lateness_rows.extend_column(lateness)
+        lateness.clear()
+        probe.count(LoopCounters(slips=schedule.slips, cycles=schedule.cycles))
+
+    context.on_flush(fill)
+    tick_ns = 0
+    wait = _SELDOM
+    while not context.stopping:
+        sleep_until_ns(schedule.next_deadline_ns)
+        now_ns = clock_ns()
+        lateness_ns = handle_wakeup(now_ns)
+        if lateness_ns < 0:
+            continue
+        add_lateness(lateness_ns)
+        try:
+            datagram: bytes | None = take(SAMPLE_OCTETS + 1)
+        except OSError:
+            # There is no datagram, or this is an ICMP error of an earlier one.
+            datagram = receive(udp, SAMPLE_OCTETS + 1)
+        # Most cycles have exactly one sample. poll(2) costs a third of reading an empty socket.
+        while datagram is not None:
+            handle_datagram(datagram, now_ns)
+            datagram = receive(udp, SAMPLE_OCTETS + 1) if ask(0) else None
+        if before is not None:
+            before(now_ns)
+        handle_cycle(now_ns, schedule.advance_ns)
+        sample = poll_transmit(now_ns)
+        if sample is not None:
+            send(sample)
+        if publish is not None:
+            state = next_event()
+            if state is not None:
+                publish(state)
+        if after is not None:
+            after(now_ns)
+        wait -= 1
+        if not wait:
+            wait = _SELDOM
+            for look in seldom:
+                look(now_ns)
+        if now_ns >= tick_ns:
+            tick_ns = now_ns + PATIENCE_NS
+            context.tick(now_ns)

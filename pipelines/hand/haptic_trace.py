@@ -1,0 +1,124 @@
+"""The haptic samples of one end as they were, 1000 a second, for whoever draws or keeps them.
+
+The 1 kHz loop appends a row in each cycle, but only while the topic has a reader. A block of rows
+is packed at once, because packing row by row would cost several times as much.
+"""
+
+import struct
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipelines.session.watched_topic import WatchedTopic
+from telepresence.haptics.sample import SEQUENCE_MODULUS
+
+#: One cycle. time_ns: its instant. x_m, y_m: place of the handle, or of the tip. fx_n, fy_n: the
+#: force that the handle displays, or that of the board on the tip. energy_uj: credit of the port.
+#: flags: see `flags_of`. sent: number of the sample that this end sent in the cycle. received:
+#: number of the newest sample that it acted on for the first time. `NO_SAMPLE`: there was none.
+ROW: Final = np.dtype(
+    [
+        ("time_ns", "<i8"),
+        ("x_m", "<f4"),
+        ("y_m", "<f4"),
+        ("fx_n", "<f4"),
+        ("fy_n", "<f4"),
+        ("energy_uj", "<f4"),
+        ("flags", "<u4"),
+        ("sent", "<i4"),
+        ("received", "<i4"),
+    ]
+)
+NO_SAMPLE: Final = -1
+#: Rows of a block.
+BLOCK_ROWS: Final = 20
+BLOCK_OCTETS: Final = BLOCK_ROWS * ROW.itemsize
+
+CONTACT, DEAD_MAN, ACTED = 1, 2, 4
+_STATE_BIT, _LIT_BIT = 8, 16
+_PACK = struct.Struct("<" + "q5fI2i" * BLOCK_ROWS).pack
+
+#: The fields of `ROW` up to `flags`; then, of this end of the link: samples sent before this cycle,
+#: samples received, number of the newest of these.
+Row = tuple[int, float, float, float, float, float, int, int, int, int]
+
+
+def flags_of(*, contact: bool, dead_man: bool, acted: bool, state: int, lit: int | None) -> int:
+    """Return the flags of a row.
+
+    Bit 0: the tip touches something. Bit 1: the dead-man button is pressed. Bit 2: the passivity
+    controller acted. Bits 8 to 11: number of the joystick's state. Bits 16 to 23: the lit LED,
+    from 1; 0 for none.
+    """
+    # Called a thousand times a second, so it is one expression.
+    return (
+        (CONTACT if contact else 0)
+        | (DEAD_MAN if dead_man else 0)
+        | (ACTED if acted else 0)
+        | (state << _STATE_BIT)
+        | (0 if lit is None else (lit + 1) << _LIT_BIT)
+    )
+
+
+def state_of(flags: int) -> int:
+    """Return the number of the joystick's state in a row's flags."""
+    return flags >> _STATE_BIT & 0xF
+
+
+def lit_of(flags: int) -> int | None:
+    """Return the index of the lit LED in a row's flags, or None."""
+    lit = flags >> _LIT_BIT & 0xFF
+    return lit - 1 if lit else None
+
+
+def rows_of(block: bytes) -> NDArray[np.void]:
+    """Return a block as rows: (rows,), dtype `ROW`, read-only."""
+    return np.frombuffer(block, ROW)
+
+
+class HapticTrace(WatchedTopic):
+    """Collects rows while somebody reads them.
+
+    rows: those that wait, at most 21; None while there is no reader. In each cycle, call `add`
+    while it is not None. Call `poll_block` at least once in 20 cycles. A block comes one cycle
+    later, because only then is known whether its last cycle sent a sample.
+
+    Nothing is dropped but the rows of a block that was begun when the last reader left.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rows: list[Row] | None = None
+        #: Samples received until the row before; None: there was none.
+        self._received: int | None = None
+
+    def handle_watched(self, watched: bool) -> None:
+        """The topic has readers, or it has none."""
+        if watched != self.watched:
+            self.rows = [] if watched else None
+            self._received = None
+        super().handle_watched(watched)
+
+    def add(self, row: Row) -> None:
+        """Append a row; nothing without a reader."""
+        if self.rows is not None:
+            self.rows.append(row)
+
+    def poll_block(self) -> bytes | None:
+        """Return 20 rows as octets, or None while there are fewer."""
+        rows = self.rows
+        if rows is None or len(rows) <= BLOCK_ROWS:
+            return None
+        values: list[float] = []
+        before = self._received
+        for row, following in pairwise(rows[: BLOCK_ROWS + 1]):
+            sent, received, newest = row[7:]
+            values += row[:7]
+            values.append(NO_SAMPLE if following[7] == sent else sent % SEQUENCE_MODULUS)
+            values.append(NO_SAMPLE if before in (None, received) else newest)
+            before = received
+        self._received = before
+        del rows[:BLOCK_ROWS]
+        return _PACK(*values)

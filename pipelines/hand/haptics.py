@@ -1,0 +1,268 @@
+"""The two haptic endpoints, one cycle at a time: robot on the ground, joystick in space."""
+
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+from kontur_av.clock import NS_PER_MS
+from pipelines.hand.haptic_trace import HapticTrace, flags_of
+from pipelines.session.figures import (
+    HapticCounters,
+    JoystickGauges,
+    OwnerGauges,
+    PortGauges,
+    WallCounters,
+)
+from pipelines.session.probe import Probe
+from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
+from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.figures import HapticLinkFigures
+from telepresence.haptics.loop import joystick_link, robot_link
+from telepresence.haptics.mediated.controller import MediatedController
+from telepresence.haptics.ownership import HapticOwnership, Owner
+from telepresence.haptics.sample import Feedback
+from telepresence.haptics.step_detector import StepDetector
+from telepresence.world import WorldState
+
+Side = TypeVar("Side", bound=JoystickSide | RobotSide)
+
+#: Scenes are drawn at 30 pictures a second, for which a state every 10 ms suffices.
+_PUBLISH_EVERY = 10
+#: Once a millisecond.
+CYCLE_NS = NS_PER_MS
+
+
+def sample_counters(samples: HapticLinkFigures) -> HapticCounters:
+    """Return the counters of an end's samples, without those of its controller."""
+    return HapticCounters(
+        sent=samples.sent,
+        received=samples.received,
+        lost=samples.lost,
+        late=samples.late,
+        repeated=samples.repeated,
+        strays=samples.strays,
+        greetings=samples.greetings,
+        garbage=samples.garbage,
+        sessions=samples.sessions,
+        restarts=samples.restarts,
+    )
+
+
+class _End(Generic[Side]):
+    """Each cycle: call `handle_datagram` for each datagram, `handle_cycle` and `poll_transmit`.
+
+    trace: the rows of the cycles, while somebody reads them.
+    """
+
+    def __init__(self, side: Side, probe: Probe) -> None:
+        self.side = side
+        self.trace = HapticTrace()
+        self._probe = probe
+        self._link = side.link
+        # Looked up once: they are called a thousand times a second.
+        self.handle_datagram = side.handle_datagram
+        self.poll_transmit = side.poll_transmit
+        self._cycle = side.handle_cycle
+        self._acted = 0
+        self._sent = probe.series(SampleSentRow)
+        self._received = probe.series(SampleReceivedRow)
+
+    def _has_acted(self) -> bool:
+        """Whether the passivity controller has acted since the last row of the trace."""
+        before, self._acted = self._acted, self.side.controller.acted
+        return before != self._acted
+
+    def _numbers(self) -> tuple[int, int, int]:
+        """Samples sent and received so far, and the number of the newest received."""
+        link = self._link
+        return link.sent, link.received, link.newest_sequence
+
+    def tell(self) -> None:
+        """Put the counters and stamps into the probe."""
+        link = self._link
+        samples, port = link.report(), self.side.report()
+        self._probe.count(
+            replace(
+                sample_counters(samples),
+                left_out=samples.left_out,
+                energy_in_uj=port.energy_in_uj,
+                energy_out_uj=port.energy_out_uj,
+                passivity_acted=port.passivity_acted,
+                totals_refused=port.totals_refused,
+            )
+        )
+        self._probe.gauge(PortGauges(credit_uj=port.credit_uj, least_uj=port.least_uj))
+        self._sent.extend_plain(link.take_sent_stamps())
+        self._received.extend_plain(link.take_received_stamps())
+        while link.next_event() is not None:
+            pass
+
+
+class RobotEnd(_End[RobotSide]):
+    """Follows the commands, measures the force, and returns the state of the robot.
+
+    `next_event` returns a state every 10 cycles, and at once when a contact begins or ends. Each
+    beginning is a `ContactRow`. With `mediated`, send as telemetry what `poll_wall` returns in a
+    cycle.
+
+    life: 1 to 2^24-1; no earlier life of this end had it.
+    ownership: where a partner may drive, too. Then `handle_datagram` is for datagrams of the
+    joystick in space, and `handle_partner` for the partner's; send to the owner alone.
+    """
+
+    def __init__(
+        self,
+        probe: Probe,
+        *,
+        life: int,
+        deadband: bool = False,
+        mediated: bool = False,
+        ownership: HapticOwnership | None = None,
+    ) -> None:
+        link = robot_link(life=life, deadband=deadband)
+        super().__init__(RobotSide(link=link, mediated=mediated, ownership=ownership), probe)
+        self._ownership = ownership
+        if ownership is not None:
+            self.handle_datagram = self._handle_iss
+        self.poll_wall = self.side.poll_wall
+        self._latest = self.side.link.latest
+        self._contact_since_ns: int | None = None
+        self._touched_ns: int | None = None
+        self._contacts = probe.series(ContactRow)
+        self._cycles = 0
+        self._state: WorldState | None = None
+
+    def _handle_iss(self, data: bytes, now_ns: int) -> None:
+        assert self._ownership is not None
+        if self._ownership.takes(Owner.ISS):
+            self.side.handle_datagram(data, now_ns)
+
+    def handle_partner(self, data: bytes, now_ns: int) -> None:
+        """A datagram of the partner's joystick arrived."""
+        if self._ownership is not None and self._ownership.takes(Owner.PARTNER):
+            self.side.handle_datagram(data, now_ns)
+
+    def tell(self) -> None:
+        """Put the counters and stamps into the probe."""
+        super().tell()
+        if self._ownership is not None:
+            self._probe.gauge(OwnerGauges(arm=self._ownership.report()))
+
+    def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
+        """One cycle, which moves the robot on by `advance_ns`."""
+        self._cycle(now_ns, advance_ns)
+        robot = self.side.robot
+        changed = robot.contact != (self._contact_since_ns is not None)
+        if changed:
+            self._contact_since_ns = now_ns if robot.contact else None
+            if robot.contact:
+                self._touched_ns = now_ns
+        self._cycles += 1
+        if changed or self._cycles % _PUBLISH_EVERY == 0:
+            self._state = state = WorldState(
+                now_ns,
+                robot.x_m,
+                robot.y_m,
+                robot.force_n,
+                robot.contact,
+                self._contact_since_ns,
+                self._touched_ns,
+            )
+            if changed and robot.contact:
+                lit = state.lit
+                self._contacts.add(ContactRow(now_ns, -1 if lit is None else lit))
+        if self.trace.rows is not None:
+            self._add_row(now_ns)
+
+    def next_event(self) -> WorldState | None:
+        """Return the state to publish, or None."""
+        state = self._state
+        if state is not None:
+            self._state = None
+        return state
+
+    def _add_row(self, now_ns: int) -> None:
+        side, robot, command = self.side, self.side.robot, self._latest(now_ns)
+        flags = flags_of(
+            contact=robot.contact,
+            dead_man=command is not None and command.dead_man,
+            acted=self._has_acted(),
+            state=0 if command is None else command.state,
+            lit=side.lit,
+        )
+        push_x, push_y, credit_uj = robot.push_x_n, robot.push_y_n, side.controller.credit_uj
+        cycle = (now_ns, robot.x_m, robot.y_m, push_x, push_y, credit_uj, flags)
+        self.trace.add((*cycle, *self._numbers()))
+
+
+class JoystickEnd(_End[JoystickSide]):
+    """Reads the position of the handle, and applies the robot's force to it.
+
+    handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
+        is reported in `JoystickGauges`.
+    life: as in `RobotEnd`.
+    mediated: the hand feels the wall that `handle_wall` takes.
+    """
+
+    def __init__(
+        self,
+        probe: Probe,
+        *,
+        life: int,
+        deadband: bool = False,
+        mediated: bool = False,
+        handle: Handle | OperatedHandle | None = None,
+    ) -> None:
+        link = joystick_link(life=life, deadband=deadband)
+        super().__init__(JoystickSide(link=link, handle=handle, mediated=mediated), probe)
+        self.handle_wall = self.side.handle_wall
+        self._operated = handle if isinstance(handle, OperatedHandle) else None
+        self._latest = self.side.link.latest
+        self._steps = StepDetector()
+        self._feel, self._felt = self._steps.handle_sample, probe.series(StepRow)
+
+    def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
+        """One cycle, which moves the joystick on by `advance_ns`."""
+        feedback = self._latest(now_ns)
+        if feedback is not None:
+            self._feel(now_ns, feedback.fx_n, feedback.fy_n, feedback.contact)
+            if self._operated is not None:
+                self._operated.handle_feedback(feedback)
+        self._cycle(now_ns, advance_ns)
+        if self.trace.rows is not None:
+            self._add_row(now_ns, feedback)
+
+    def tell(self) -> None:
+        """Put the counters and stamps into the probe, and the instants of the force's steps."""
+        super().tell()
+        controller = self.side.controller
+        if isinstance(controller, MediatedController):
+            renderer = controller.renderer
+            self._probe.count(
+                WallCounters(
+                    walls=renderer.used,
+                    walls_stale=renderer.stale,
+                    walls_garbage=controller.garbage,
+                )
+            )
+        if self._operated is not None:
+            self._probe.gauge(JoystickGauges(joystick=self._operated.report()))
+        while (step := self._steps.next_event()) is not None:
+            self._felt.add(StepRow(step.instant_ns))
+
+    def next_event(self) -> WorldState | None:
+        """The joystick has nothing to show: always None."""
+        return None
+
+    def _add_row(self, now_ns: int, feedback: Feedback | None) -> None:
+        side, handle = self.side, self.side.handle
+        flags = flags_of(
+            contact=feedback is not None and feedback.contact,
+            dead_man=handle.dead_man,
+            acted=self._has_acted(),
+            state=handle.state,
+            lit=None if feedback is None else feedback.lit,
+        )
+        force_x, force_y, credit_uj = side.force_x_n, side.force_y_n, side.controller.credit_uj
+        cycle = (now_ns, handle.x_m, handle.y_m, force_x, force_y, credit_uj, flags)
+        self.trace.add((*cycle, *self._numbers()))

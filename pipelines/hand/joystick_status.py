@@ -1,0 +1,83 @@
+"""The joystick's process and its operator: commands that come in, and the state that is told."""
+
+from kontur_av.clock import NS_PER_MS
+from pipelines.hand.hand_topics import (
+    MOST_CHARACTERS,
+    JoystickStatus,
+    pack_status,
+    unpack_request,
+)
+from pipelines.session.watched_topic import WatchedTopic
+from telepresence.haptics.device.handle import OperatedHandle
+
+#: An unchanged state is told at this interval.
+_ANEW_NS = 100 * NS_PER_MS
+
+
+class JoystickStatusTeller(WatchedTopic):
+    """Call `handle_request` for each request and `poll_status` every few cycles.
+
+    The state is told only while it has readers: at each change, and every 100 ms.
+    """
+
+    def __init__(self, handle: OperatedHandle) -> None:
+        super().__init__()
+        self._handle = handle
+        self._told: tuple[object, ...] | None = None
+        self._anew_ns = 0
+        self._answered: int | None = None
+        self._refusal = ""
+        self._commanded: int | None = None
+        self._command_refusal = ""
+
+    def handle_request(self, data: bytes) -> None:
+        """Carry out the command in `data`; octets that are none change nothing."""
+        request = unpack_request(data)
+        if request is not None:
+            self._refusal = self._handle.handle_command(request.event)[:MOST_CHARACTERS]
+            self._answered = request.number
+
+    def handle_telecommand(self, data: bytes) -> None:
+        """The same for a telecommand, which has numbers of its own."""
+        request = unpack_request(data)
+        if request is not None:
+            self._command_refusal = self._handle.handle_command(request.event)[:MOST_CHARACTERS]
+            self._commanded = request.number
+
+    def poll_status(self, now_ns: int) -> bytes | None:
+        """Return the state as octets if it is due, or None."""
+        if not self.watched:
+            return None
+        handle = self._handle
+        operation = handle.operation
+        reason = operation.prompt or operation.reason or operation.supervisor.reason
+        test = operation.test
+        numbers = (self._answered, self._commanded)
+        present = (operation.state, handle.dead_man, handle.pressed, reason, test, *numbers)
+        if present == self._told and now_ns < self._anew_ns:
+            return None
+        self._told, self._anew_ns = present, now_ns + _ANEW_NS
+        facts, calibration = operation.facts, operation.calibration
+        found = facts if calibration is None else calibration
+        status = JoystickStatus(
+            state=operation.state,
+            reason=reason[:MOST_CHARACTERS],
+            dead_man=handle.dead_man,
+            force_limit_n=handle.force_limit_n,
+            device=facts.name[:MOST_CHARACTERS],
+            half_width_m=found.half_width_m,
+            half_height_m=found.half_height_m,
+            answered=self._answered,
+            refusal=self._refusal,
+            commanded=self._commanded,
+            command_refusal=self._command_refusal,
+            temperature_c=operation.reading.temperature_c,
+            x_m=handle.x_m,
+            y_m=handle.y_m,
+            pressed=handle.pressed,
+            test=test.outcome.value,
+            test_part=test.part.value,
+            test_reason=test.reason[:MOST_CHARACTERS],
+            test_number=test.number,
+        )
+        return pack_status(status)

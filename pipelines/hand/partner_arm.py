@@ -1,0 +1,96 @@
+"""What lets a partner's joystick drive the robot, or an arm of its own."""
+
+from collections.abc import Callable
+from itertools import count
+
+from kontur_av.media import CaptureStamp
+from kontur_av.topics.bus import TopicBus
+from pipelines.hand.arm_owner import STATE_OCTETS as ARM_STATE_OCTETS
+from pipelines.hand.arm_owner import ArmState
+from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
+from pipelines.hand.haptics import JoystickEnd, RobotEnd
+from pipelines.session.process import Context
+from pipelines.session.robot_state import STATE_OCTETS, pack_state
+from pipelines.session.topology import (
+    ARM_ORDER_TOPIC,
+    ARM_STATE_TOPIC,
+    SECOND_ROBOT,
+    SECOND_ROBOT_TOPIC,
+    partner_ports,
+)
+from telepresence.haptics.device.simulated import SimulatedDevice
+from telepresence.haptics.ownership import HapticOwnership, Owner
+from telepresence.haptics.sample import SAMPLE_OCTETS
+from telepresence.world import WorldState
+
+
+def run_second_robot(context: Context) -> None:
+    """An arm of its own, which only a partner's joystick drives."""
+    with context.open_bus() as bus:
+        writer = bus.writer(SECOND_ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
+        numbers = count()
+
+        def publish(state: WorldState) -> None:
+            stamp = CaptureStamp(state.time_ns, next(numbers), SECOND_ROBOT)
+            writer.publish_octets(pack_state(state), stamp)
+
+        end = RobotEnd(context.probe, life=new_life())
+        run_loop(context, end, partner_ports(context.setup), publish)
+
+
+def follow_owner(bus: TopicBus, ownership: HapticOwnership) -> Cycle:
+    """Return what takes the orders of the gateway application's desk, and tells who drives."""
+    reader = bus.reader(ARM_ORDER_TOPIC)
+    writer = bus.writer(ARM_STATE_TOPIC, max_octets=ARM_STATE_OCTETS, wake=False)
+    numbers, told = count(), b""
+
+    def follow(now_ns: int) -> None:
+        nonlocal told
+        lease = reader.latest()
+        if lease is not None:
+            with lease:
+                ownership.handle_order(Owner(lease.octets().decode("ascii")), now_ns)
+        state = ArmState.of(ownership.report()).pack()
+        if state != told:
+            told = state
+            writer.publish_octets(state, CaptureStamp(now_ns, next(numbers), "robot"))
+
+    return follow
+
+
+def open_partner(context: Context, end: RobotEnd) -> tuple[Cycle, Send]:
+    """Return what takes a partner's samples, and what sends samples to it."""
+    taken, given = partner_ports(context.setup)
+    udp, receive = context.listen(taken), context.receive
+
+    def take(now_ns: int) -> None:
+        while (datagram := receive(udp, SAMPLE_OCTETS + 1)) is not None:
+            end.handle_partner(datagram, now_ns)
+
+    return take, context.sender(given)
+
+
+def route_to_owner(ownership: HapticOwnership, to_partner: Send) -> Callable[[Send], Send]:
+    """Return what makes, of a function that sends to the gateway, one that sends to the owner."""
+
+    def routed(to_gateway: Send) -> Send:
+        def send(sample: bytes) -> None:
+            owner = ownership.owner
+            if owner is Owner.ISS:
+                to_gateway(sample)
+            elif owner is Owner.PARTNER:
+                to_partner(sample)
+
+        return send
+
+    return routed
+
+
+def letting_go(device: SimulatedDevice, end: JoystickEnd) -> Cycle:
+    """Return what tells the simulated hand whether it feels the robot."""
+    link = end.side.link
+
+    def tell(now_ns: int) -> None:
+        device.handle_robot(link.hearing, now_ns)
+
+    return tell

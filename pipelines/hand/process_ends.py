@@ -1,0 +1,221 @@
+"""The processes of robot (ground) and joystick (space), each a 1 kHz loop."""
+
+from collections.abc import Sequence
+from itertools import count
+
+from kontur_av.media import CaptureStamp
+from kontur_av.topics.bus import TopicBus
+from pipelines.hand.hand_topics import STATUS_OCTETS, unpack_input
+from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
+from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
+from pipelines.hand.haptics import JoystickEnd, RobotEnd
+from pipelines.hand.joystick_status import JoystickStatusTeller
+from pipelines.hand.mission_ends import both, looking, serve_robot
+from pipelines.hand.partner_arm import follow_owner, letting_go, open_partner, route_to_owner
+from pipelines.hand.robot_desk import RobotDesk
+from pipelines.session.exercises import new_exercises
+from pipelines.session.process import Context
+from pipelines.session.robot_state import STATE_OCTETS, pack_state
+from pipelines.session.topology import (
+    HAND_INPUT_TOPIC,
+    HAND_REQUEST_TOPIC,
+    JOYSTICK_COMMAND_TOPIC,
+    JOYSTICK_STATE_TOPIC,
+    JOYSTICK_TRACE_TOPIC,
+    ROBOT_TOPIC,
+    ROBOT_TRACE_TOPIC,
+    TELEMETRY,
+    WALL_TOPIC,
+)
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.page import PageDevice
+from telepresence.haptics.device.simulated import SimulatedDevice
+from telepresence.haptics.device.spec import SIMULATED, open_device
+from telepresence.haptics.hand import Hand
+from telepresence.haptics.ownership import HapticOwnership
+from telepresence.tasks.cosmonaut import Cosmonaut, Skill
+from telepresence.world import WorldState
+
+#: Commands of a person that can wait; all that the topic can hold.
+_REQUESTS = 8
+
+
+def run_robot(context: Context, *, tasks: bool = False) -> None:
+    """Follow the commands, measure the force, and publish the state of the robot.
+
+    tasks: the robot is off until the kernel or a person switches it on.
+    """
+    with context.open_bus() as bus:
+        writer = bus.writer(ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
+        numbers = count()
+
+        def publish(state: WorldState) -> None:
+            stamp = CaptureStamp(state.time_ns, next(numbers), "robot")
+            writer.publish_octets(pack_state(state), stamp)
+
+        setup, topology = context.setup, context.topology
+        mediated = setup.hand == "mediated"
+        # Nobody drives until the desk has told who is to.
+        ownership = HapticOwnership(None) if setup.partner_arm == "shared" else None
+        life = new_life()
+        end = RobotEnd(
+            context.probe,
+            life=life,
+            deadband=setup.deadband != "off",
+            mediated=mediated,
+            ownership=ownership,
+        )
+        to_gateway = context.sender(topology.entry_port(TELEMETRY)) if mediated else None
+
+        def tell_wall(now_ns: int) -> None:
+            wall = end.poll_wall(now_ns)
+            if wall is not None and to_gateway is not None:
+                to_gateway(wall)
+
+        desk = RobotDesk(end.side, life=life, tasks=tasks, now_ns=context.clock.now_ns())
+        seldom = [_trace(bus, ROBOT_TRACE_TOPIC, end.trace), serve_robot(bus, desk, tasks=tasks)]
+        before: Cycle = desk.step
+        route = None
+        if ownership is not None:
+            seldom.append(follow_owner(bus, ownership))
+            take_partner, to_partner = open_partner(context, end)
+            before = both(take_partner, desk.step)
+            route = route_to_owner(ownership, to_partner)
+        run_loop(
+            context,
+            end,
+            session_ports(topology, "robot"),
+            publish,
+            before=before,
+            after=tell_wall if mediated else None,
+            seldom=seldom,
+            route=route,
+        )
+
+
+def run_joystick(
+    context: Context,
+    spec: str = SIMULATED,
+    *,
+    trainer: bool = False,
+    skill: float | None = None,
+) -> None:
+    """Operate the joystick that `spec` names, and put the robot's force on it.
+
+    trainer: have the faults of a trainer's exercises. skill: of a simulated cosmonaut, who does
+    tasks with a simulated joystick; None: the hand that taps the targets.
+    """
+    hand = Hand() if skill is None else Cosmonaut(Skill(level=skill), seed=context.seed)
+    device = open_device(spec, hand=hand)
+    try:
+        handle = OperatedHandle(device)
+        setup = context.setup
+        end = JoystickEnd(
+            context.probe,
+            life=new_life(),
+            deadband=setup.deadband != "off",
+            mediated=setup.hand == "mediated",
+            handle=handle,
+        )
+        with context.open_bus() as bus:
+            reads = context.topology.process("joystick").reads
+            seldom = [_trace(bus, JOYSTICK_TRACE_TOPIC, end.trace), _status(bus, handle, reads)]
+            if WALL_TOPIC in reads:
+                seldom.append(_walls(bus, end))
+            if trainer:
+                seldom.append(_exercises(bus, handle))
+            if isinstance(hand, Cosmonaut):
+                seldom.append(looking(bus, hand, handle))
+            before = None
+            if isinstance(device, PageDevice) and HAND_INPUT_TOPIC in reads:
+                before = _hand(bus, device)
+            if setup.partner_arm == "shared" and isinstance(device, SimulatedDevice):
+                seldom.append(letting_go(device, end))
+            ports = session_ports(context.topology, "joystick")
+            run_loop(context, end, ports, before=before, seldom=seldom)
+    finally:
+        device.close()
+
+
+def _trace(bus: TopicBus, topic: str, trace: HapticTrace) -> Cycle:
+    """Return what publishes the rows of an end while they have readers."""
+    writer = bus.writer(topic, max_octets=BLOCK_OCTETS)
+    numbers = count()
+
+    def tell(now_ns: int) -> None:
+        block = trace.poll_block()
+        if block is not None:
+            writer.publish_octets(block, CaptureStamp(now_ns, next(numbers), topic))
+        if trace.asks(now_ns):
+            trace.handle_watched(writer.has_readers())
+
+    return tell
+
+
+def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycle:
+    """Return what takes persons' commands and telecommands, and publishes the joystick's state."""
+    teller = JoystickStatusTeller(handle)
+    writer = bus.writer(JOYSTICK_STATE_TOPIC, max_octets=STATUS_OCTETS)
+    requests = None
+    # A restarted joystick reads the newest command once more, so a person's halt outlives it.
+    if HAND_REQUEST_TOPIC in reads:
+        requests = bus.reader(HAND_REQUEST_TOPIC, depth=_REQUESTS)
+    commands = bus.reader(JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)
+    numbers = count()
+
+    def tell(now_ns: int) -> None:
+        # One at a time, so that each has its own answer.
+        if requests is not None and (lease := requests.next()) is not None:
+            with lease:
+                teller.handle_request(lease.octets())
+        if (lease := commands.next()) is not None:
+            with lease:
+                teller.handle_telecommand(lease.octets())
+        status = teller.poll_status(now_ns)
+        if status is not None:
+            writer.publish_octets(status, CaptureStamp(now_ns, next(numbers), "joystick"))
+        if teller.asks(now_ns):
+            teller.handle_watched(writer.has_readers())
+
+    return tell
+
+
+def _walls(bus: TopicBus, end: JoystickEnd) -> Cycle:
+    """Return what takes the newest wall; there are at most ten a second."""
+    reader = bus.reader(WALL_TOPIC)
+
+    def take(_now_ns: int) -> None:
+        lease = reader.latest()
+        if lease is not None:
+            with lease:
+                end.handle_wall(lease.octets())
+
+    return take
+
+
+def _exercises(bus: TopicBus, handle: OperatedHandle) -> Cycle:
+    """Return what takes a trainer's exercises."""
+    take = new_exercises(bus)
+
+    def follow(now_ns: int) -> None:
+        exercises = take()
+        if exercises is not None:
+            handle.handle_exercise(exercises.joystick_ns - now_ns)
+
+    return follow
+
+
+def _hand(bus: TopicBus, device: PageDevice) -> Cycle:
+    """Return what takes the newest input of the page that holds the handle."""
+    latest = bus.reader(HAND_INPUT_TOPIC).latest
+
+    def take(now_ns: int) -> None:
+        lease = latest()
+        if lease is None:
+            return
+        with lease:
+            hand = unpack_input(lease.octets())
+        if hand is not None:
+            device.handle_input(hand, now_ns - hand.received_ns)
+
+    return take

@@ -1,0 +1,47 @@
+"""The process of the gateway application's desk. `OwnerDesk` decides.
+
+The last order is kept in a file, so that a desk or a robot that was killed goes on with it.
+"""
+
+from itertools import count
+
+from kontur_av.media import CaptureStamp
+from kontur_av.topics.session_files import make_session_root, session_root
+from pipelines.hand.arm_owner import ORDER_OCTETS, ArmState, OwnerDesk
+from pipelines.session.asking import desk_path
+from pipelines.session.process import Context
+from pipelines.session.reception import replace_file
+from pipelines.session.terminal_desk import serve_terminals
+from pipelines.session.topology import ARM_ORDER_TOPIC, ARM_STATE_TOPIC
+from telepresence.haptics.ownership import Owner
+
+#: The name of its Unix socket.
+DESK = "arm"
+
+
+def run_owner_desk(context: Context) -> None:
+    """Take an operator's orders, and publish who is to drive."""
+    make_session_root(context.session)
+    remembered = session_root(context.session) / "owner"
+    known = remembered.read_text("ascii") if remembered.exists() else Owner.ISS.value
+    desk = OwnerDesk(Owner(known))
+    numbers = count()
+    with context.open_bus() as bus:
+        writer = bus.writer(ARM_ORDER_TOPIC, max_octets=ORDER_OCTETS, wake=False)
+        reader = bus.reader(ARM_STATE_TOPIC)
+
+        def follow(now_ns: int) -> None:
+            nonlocal known
+            lease = reader.latest()
+            if lease is not None:
+                with lease:
+                    desk.handle_state(ArmState.unpack(lease.octets()))
+            order = desk.order.value
+            if order != known:
+                known = order
+                replace_file(remembered, order.encode("ascii"))
+            # Published repeatedly, for a robot that has started since.
+            stamp = CaptureStamp(now_ns, next(numbers), DESK)
+            writer.publish_octets(order.encode("ascii"), stamp)
+
+        serve_terminals(context, desk_path(context.session, DESK), desk, follow)

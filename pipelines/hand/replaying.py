@@ -1,0 +1,155 @@
+"""What sends again what was sent in a recorded session, at the same instants. Cores."""
+
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipelines.hand.haptic_trace import CONTACT, DEAD_MAN, lit_of, state_of
+from pipelines.hand.haptics import CYCLE_NS, sample_counters
+from pipelines.session.probe import Probe
+from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
+from telepresence.haptics.loop import joystick_link, robot_link
+from telepresence.haptics.sample import STATE_HALTED, Command, Feedback
+from telepresence.haptics.step_detector import StepDetector
+from telepresence.world import WorldState
+
+#: Rows that are turned into numbers of Python at once.
+_AT_ONCE = 1000
+
+
+class ReplayTime:
+    """Turns instants of a recorded session into those of its replay.
+
+    recorded_ns, replayed_ns: the same instant on both clocks. speed: seconds of the recording a
+    second of the replay.
+    """
+
+    def __init__(self, *, recorded_ns: int, replayed_ns: int, speed: float = 1.0) -> None:
+        self._recorded_ns, self._replayed_ns, self._speed = recorded_ns, replayed_ns, speed
+
+    def at(self, recorded_ns: int) -> int:
+        """Return the instant in the replay."""
+        since_ns = recorded_ns - self._recorded_ns
+        if self._speed != 1.0:
+            since_ns = round(since_ns / self._speed)
+        return self._replayed_ns + since_ns
+
+
+class ReplayScript:
+    """When a process sends its recorded items again. A core.
+
+    Call `poll_due` at `poll_timeout` until it returns None.
+
+    recorded_ns: instants of capture of the items, in order, on the recorded clock.
+    cost_ns: an item is due this long after its capture.
+    now_ns: items that are due before it are left out, so a restarted process repeats nothing.
+    """
+
+    def __init__(
+        self, recorded_ns: Sequence[int], time: ReplayTime, *, cost_ns: int, now_ns: int
+    ) -> None:
+        self._recorded_ns, self._time, self._cost_ns = recorded_ns, time, cost_ns
+        self._next = bisect_left(recorded_ns, now_ns, key=self._due_ns)
+
+    def poll_timeout(self) -> int | None:
+        """When the next item is due; None after the last."""
+        if self._next == len(self._recorded_ns):
+            return None
+        return self._due_ns(self._recorded_ns[self._next])
+
+    def poll_due(self, now_ns: int) -> tuple[int, int] | None:
+        """Return the number of an item that is due, and its instant of capture in the replay."""
+        due_ns = self.poll_timeout()
+        if due_ns is None or due_ns > now_ns:
+            return None
+        self._next += 1
+        return self._next - 1, due_ns - self._cost_ns
+
+    def _due_ns(self, recorded_ns: int) -> int:
+        return self._time.at(recorded_ns) + self._cost_ns
+
+
+class ReplayedEnd:
+    """Robot or joystick of a recorded session: each cycle, the sample that was sent then.
+
+    What arrives is counted and dated, but nothing answers it: forces and positions are those of the
+    recording. A sample gets a number and a session of its own, because both belong to the exchange.
+    Energies are 0, because there is no port that could grant any. Call it as the ends of
+    `pipelines.hand.haptics`.
+
+    rows: (n,), with the fields of `haptic_trace.ROW`, in order. robot: they are the robot's cycles,
+    else the joystick's. life: as in `RobotEnd`.
+
+    Where two rows belong to one cycle, the newer one is sent; `superseded` counts the others.
+    """
+
+    def __init__(
+        self, rows: NDArray[np.void], time: ReplayTime, probe: Probe, *, robot: bool, life: int
+    ) -> None:
+        self._robot = robot
+        self._link = robot_link(life=life) if robot else joystick_link(life=life)
+        self._coming = _rows(rows, time)
+        self._next = next(self._coming, None)
+        self._probe = probe
+        self._sent, self._received = probe.series(SampleSentRow), probe.series(SampleReceivedRow)
+        self._contacts, self._felt = probe.series(ContactRow), probe.series(StepRow)
+        self._touching = False
+        self._steps = StepDetector()
+        self.superseded = 0
+        self.handle_datagram = self._link.handle_datagram
+        self.poll_transmit = self._link.poll_transmit
+
+    def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
+        """One cycle; the row of this cycle may be up to half a cycle late."""
+        heard = self._link.latest(now_ns)
+        if isinstance(heard, Feedback):
+            self._steps.handle_sample(now_ns, heard.fx_n, heard.fy_n, heard.contact)
+        row = None
+        while self._next is not None and self._next[0] < now_ns + CYCLE_NS // 2:
+            self.superseded += row is not None
+            row, self._next = self._next, next(self._coming, None)
+        if row is not None:
+            self._send(row, now_ns)
+
+    def _send(self, row: tuple[int, float, float, float, float, int], now_ns: int) -> None:
+        _, x_m, y_m, fx_n, fy_n, flags = row
+        touching = bool(flags & CONTACT)
+        if self._robot:
+            lit = lit_of(flags)
+            if touching and not self._touching:
+                self._contacts.add(ContactRow(now_ns, -1 if lit is None else lit))
+            self._touching = touching
+            self._link.handle_local(Feedback(fx_n, fy_n, 0, touching, lit=lit), now_ns)  # type: ignore[arg-type]
+        else:
+            state = state_of(flags)
+            command = Command(
+                x_m, y_m, 0, bool(flags & DEAD_MAN), state, halted=state >= STATE_HALTED
+            )
+            self._link.handle_local(command, now_ns)  # type: ignore[arg-type]
+
+    def next_event(self) -> WorldState | None:
+        """A replayed robot shows no state: always None."""
+        return None
+
+    def tell(self) -> None:
+        """Put the counters and stamps into the probe."""
+        link = self._link
+        self._probe.count(sample_counters(link.report()))
+        self._sent.extend_plain(link.take_sent_stamps())
+        self._received.extend_plain(link.take_received_stamps())
+        while (step := self._steps.next_event()) is not None:
+            self._felt.add(StepRow(step.instant_ns))
+        while link.next_event() is not None:
+            pass
+
+
+def _rows(
+    rows: NDArray[np.void], time: ReplayTime
+) -> Iterator[tuple[int, float, float, float, float, int]]:
+    """Instant in the replay, place, force and flags of each row."""
+    names = ["time_ns", "x_m", "y_m", "fx_n", "fy_n", "flags"]
+    for first in range(0, len(rows), _AT_ONCE):
+        for at_ns, *others in rows[names][first : first + _AT_ONCE].tolist():
+            yield (time.at(at_ns), *others)

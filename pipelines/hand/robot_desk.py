@@ -1,0 +1,107 @@
+"""The robot controller's orders, telecommands and status, for its process. A core."""
+
+from math import hypot
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
+from telepresence.haptics.bilateral import RobotSide
+from telepresence.haptics.sample import STATE_HALTED
+from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.robot_control import RobotControl
+
+#: An unchanged status is told at this interval.
+STATUS_NS = 50 * NS_PER_MS
+_RATE_NS = NS_PER_S
+
+
+class RobotDesk:
+    """Call `step` before each of the robot's cycles, and `poll_status` every few cycles.
+
+    tasks: the robot is off at first, so that a killed controller is not on again by itself.
+    Otherwise it is on, and in telepresence. What was sent before `now_ns` is ignored: it was for an
+    earlier life.
+    """
+
+    def __init__(self, side: RobotSide, *, life: int, tasks: bool, now_ns: int) -> None:
+        mode = ControlMode.POSITION if tasks else ControlMode.TELEPRESENCE
+        self.control = RobotControl(side.robot, powered=not tasks, mode=mode)
+        # Looked up once, because it is called a thousand times a second.
+        self.step = self.control.step
+        self._link = side.link
+        self._life = life
+        self._began_ns = now_ns
+        self._handled = 0
+        self._commanded: int | None = None
+        self._refusal = ""
+        self._told: tuple[object, ...] | None = None
+        self._due_ns = now_ns
+        self._steps, self._counted_ns, self._step_hz = 0, now_ns, 0.0
+
+    def handle_order(self, order: RobotOrder, sent_ns: int, now_ns: int) -> None:
+        """An order of the kernel. The controller counts those that it refuses."""
+        if sent_ns < self._began_ns:
+            return
+        self._handled = order.number
+        control = self.control
+        if order.kind == "power":
+            control.set_power(order.on)
+        elif order.kind == "mode":
+            control.set_mode(order.mode)
+        elif order.kind == "move":
+            control.move_to(order.x_m, order.y_m, now_ns)
+        else:
+            control.reset()
+
+    def handle_command(self, command: RobotCommand, sent_ns: int) -> None:
+        """A telecommand. The status answers it."""
+        if sent_ns < self._began_ns:
+            return
+        self._commanded, self._refusal = command.number, self._carry_out(command)
+
+    def poll_status(self, now_ns: int) -> RobotStatus | None:
+        """Return the status if it is due: after what others asked for, at faults, every 50 ms."""
+        control = self.control
+        present = (control.powered, control.mode, control.fault, self._handled, self._commanded)
+        if now_ns < self._due_ns and present == self._told:
+            return None
+        self._due_ns, self._told = now_ns + STATUS_NS, present
+        return self.status(now_ns)
+
+    def status(self, now_ns: int) -> RobotStatus:
+        """Return what the controller does now."""
+        if now_ns - self._counted_ns >= _RATE_NS:
+            steps = self.control.steps
+            self._step_hz = (steps - self._steps) / ((now_ns - self._counted_ns) / NS_PER_S)
+            self._steps, self._counted_ns = steps, now_ns
+        control, robot, command = self.control, self.control.robot, self._link.latest(now_ns)
+        return RobotStatus(
+            life=self._life,
+            powered=control.powered,
+            mode=control.mode,
+            x_m=robot.x_m,
+            y_m=robot.y_m,
+            push_n=hypot(robot.push_x_n, robot.push_y_n),
+            goal_m=control.reached_m,
+            fault=control.fault,
+            faults=control.faults,
+            refused=control.refused,
+            handled=self._handled,
+            halted=command is not None and command.state >= STATE_HALTED,
+            error=control.kind.value,
+            commanded=self._commanded,
+            command_refusal=self._refusal,
+            step_hz=self._step_hz,
+        )
+
+    def _carry_out(self, command: RobotCommand) -> str:
+        control = self.control
+        match command.function:
+            case "power_on":
+                return control.set_power(True)
+            case "power_off":
+                return control.set_power(False)
+            case "reset_error":
+                return control.reset()
+            case "set_mode":
+                return control.set_mode(command.mode)
+        return f"the robot has no function {command.function}"

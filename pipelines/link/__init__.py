@@ -1,0 +1,1 @@
+"""The gateways of the radio link, and the way to another machine."""

@@ -1,0 +1,110 @@
+"""The UDP ports of one end of the link, and the datagrams that wait in them."""
+
+import select
+import socket
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+
+from pipelines.link.peer_socket import PeerSocket
+from pipelines.session.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
+from pipelines.session.process import LOOPBACK
+from pipelines.session.topology import Segment, Topology
+from telepresence.link.frame import MAX_PACKET_OCTETS
+from telepresence.link.gateway import Gateway
+
+
+class GatewayPorts:
+    """The sockets of one end, with counts of strangers' datagrams.
+
+    peer: the socket to the other end on another machine; None: it is on this one.
+    radio: becomes readable when a frame may have come.
+    frame: returns the next frame of the peer, or None.
+    to_peer: sends a frame.
+    """
+
+    def __init__(
+        self,
+        topology: Topology,
+        segment: Segment,
+        gateway: Gateway,
+        addresses: EndAddresses,
+        peer: PeerSocket | None,
+    ) -> None:
+        (haptic_out,) = (row for row in topology.haptics if row.direction is segment.transmits)
+        (haptic_in,) = (row for row in topology.haptics if row is not haptic_out)
+
+        def entry(port: int) -> Inlet:
+            return Inlet((addresses.apps_bind, port), addresses.apps)
+
+        def exit_to(port: int) -> Outlet:
+            return outlet(addresses.apps_bind, (addresses.apps, port))
+
+        self.radio: socket.socket
+        self.frame: Callable[[], bytes | None]
+        self.to_peer: Outlet | PeerSocket
+        self._not_peer: socket.socket | None = None
+        if peer is None:
+            here, there = topology.radio_port(segment), topology.radio_port(segment.peer)
+            self.radio, self._not_peer = open_peer((LOOPBACK, here), (LOOPBACK, there))
+            frame_octets = gateway.receiver.profile.frame_octets
+            self.frame = partial(receive, self.radio, frame_octets + 1)
+            self.to_peer = Outlet(self.radio)
+        else:
+            self.radio, self.frame, self.to_peer = peer.udp, peer.frame, peer
+        self._haptic_octets = gateway.sender.profile.insert_octets + 1
+        self._haptic = entry(haptic_out.entry_port)
+        self._fetch_haptic = self._haptic.receive
+        more_haptic = select.epoll()
+        more_haptic.register(self._haptic.udp.fileno(), select.EPOLLIN)
+        self._more_haptic = more_haptic.poll
+        self.to_haptic_end = exit_to(haptic_in.exit_port)
+        self._entries = {
+            flow.name: entry(topology.entry_port(flow.name)) for flow in gateway.sender.flows
+        }
+        self.exits = {
+            flow.name: exit_to(topology.exit_port(flow.name)) for flow in gateway.receiver.flows
+        }
+        self._radio_strangers = 0
+        self._flow_by_fd = {inlet.udp.fileno(): name for name, inlet in self._entries.items()}
+        flow_ports = select.epoll()
+        for fd in self._flow_by_fd:
+            flow_ports.register(fd, select.EPOLLIN)
+        if self._not_peer is not None:
+            flow_ports.register(self._not_peer.fileno(), select.EPOLLIN)
+        #: Returns the flows' ports with datagrams. One epoll(7) costs less than a read of each
+        #: empty socket.
+        self.poll_flows = flow_ports.poll
+
+    def datagrams(self, ready: list[tuple[int, int]]) -> Iterator[tuple[str, bytes | None]]:
+        """Yield (flow, datagram) of the flows' ports, one of each port in turn.
+
+        ready: from `poll_flows`. A stranger's datagram is None.
+        """
+        flow_by_fd, entries = self._flow_by_fd, self._entries
+        while ready:
+            for fd, _events in ready:
+                flow = flow_by_fd.get(fd)
+                if flow is not None:
+                    yield flow, entries[flow].receive(MAX_PACKET_OCTETS + 1)
+                elif self._not_peer is not None:
+                    self._radio_strangers += receive(self._not_peer, 1) is not None
+                    yield "radio", None
+            ready = self.poll_flows(0)
+
+    def samples(self) -> Iterable[bytes | None]:
+        """Return the datagrams of the haptic port; a stranger's is None."""
+        sample = self._fetch_haptic(self._haptic_octets)
+        # Most slots have exactly one.
+        if sample is None:
+            return ()
+        return self._all_samples(sample) if self._more_haptic(0) else (sample,)
+
+    def _all_samples(self, first: bytes) -> Iterator[bytes | None]:
+        yield first
+        while self._more_haptic(0):
+            yield self._fetch_haptic(self._haptic_octets)
+
+    def strangers(self) -> dict[str, int]:
+        """Return the number of strangers' datagrams by port."""
+        counts = {"radio": self._radio_strangers, "haptic": self._haptic.strangers}
+        return counts | {name: inlet.strangers for name, inlet in self._entries.items()}

@@ -1,0 +1,134 @@
+"""The socket between two gateways on two machines, around the core of its path."""
+
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from pipelines.session.datagrams import Address, listen
+from telepresence.link.peer.figures import PeerFigures
+from telepresence.link.profile import LinkProfile
+
+if TYPE_CHECKING:
+    from telepresence.link.protection.identity import MachineIdentity, MachineKey
+
+_SECRET_OCTETS = 32
+#: The largest datagram is one of 1200 octets of a handshake; one octet more tells longer ones.
+_MOST_OCTETS = 1201
+
+
+class PeerPath(Protocol):
+    """What both kinds of path have in common: `telepresence.link.peer`."""
+
+    def handle_datagram(self, datagram: bytes, source: Address, now_ns: int) -> bytes | None:
+        """Return the frame in a datagram, if it has one that is to be taken."""
+
+    def seal(self, frame: bytes, now_ns: int) -> tuple[bytes, Address] | None:
+        """Return the datagram of a frame and where it goes."""
+
+    def handle_rest(self, now_ns: int, until_ns: int) -> bool:
+        """Take one step of what waits for the rest of a slot; whether there was one."""
+
+    def poll_transmit(self) -> tuple[bytes, Address] | None:
+        """Return a datagram that is no frame, and where it goes."""
+
+    def report(self, now_ns: int) -> PeerFigures:
+        """What is known of the path."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protection:
+    """The own key pair, the one identity that is believed, and when keys are renewed.
+
+    rekey_ns: None for the channel's own interval.
+    """
+
+    key: "MachineKey"
+    peer: "MachineIdentity"
+    rekey_ns: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeerPlan:
+    """How one end reaches the other: it listens at `bind`, or calls `peer`.
+
+    bind: local address; port 0 for any. peer: None for an end that waits to be called.
+    protection: None for a path in the clear.
+    """
+
+    bind: Address
+    peer: Address | None
+    protection: Protection | None
+
+
+def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> PeerPath:
+    """Return the core of the path. receive: the profile of the way in."""
+    protection = plan.protection
+    if protection is None:
+        from telepresence.link.peer.open import OpenPath
+
+        return OpenPath(receive, address=plan.peer, now_ns=now_ns)
+    from telepresence.link.peer.protected import ProtectedPath
+    from telepresence.link.protection.channel import REKEY_NS
+
+    return ProtectedPath(
+        protection.key,
+        protection.peer,
+        secret=secrets.token_bytes(_SECRET_OCTETS),
+        address=plan.peer,
+        now_ns=now_ns,
+        rekey_ns=protection.rekey_ns or REKEY_NS,
+    )
+
+
+class PeerSocket:
+    """One unconnected UDP socket, because the peer's address may change.
+
+    failed: datagrams that the system refused.
+    """
+
+    def __init__(self, path: PeerPath, bind: Address, clock_ns: Callable[[], int]) -> None:
+        self.udp = listen(bind)
+        self.failed = 0
+        self._path = path
+        self._clock_ns = clock_ns
+        self._take = path.handle_datagram
+        self._seal = path.seal
+        self._receive_from, self._send_to = self.udp.recvfrom, self.udp.sendto
+
+    def frame(self) -> bytes | None:
+        """Take one datagram; return the peer's frame, if it has one."""
+        try:
+            datagram, source = self._receive_from(_MOST_OCTETS)
+        except OSError:
+            return None
+        return self._take(datagram, source, self._clock_ns())
+
+    def send(self, frame: bytes) -> None:
+        """Send a frame to wherever the peer is."""
+        sealed = self._seal(frame, self._clock_ns())
+        if sealed is None:
+            return
+        try:
+            self._send_to(*sealed)
+        except OSError:
+            self.failed += 1
+
+    def work(self, until_ns: int) -> bool:
+        """Do what waited for the rest of a slot, which ends at `until_ns`; whether there was any.
+
+        Call it right after the slot's frame has been sent.
+        """
+        path, worked = self._path, False
+        while path.handle_rest(self._clock_ns(), until_ns):
+            worked = True
+        while (found := path.poll_transmit()) is not None:
+            try:
+                self._send_to(*found)
+            except OSError:
+                self.failed += 1
+        return worked
+
+    def report(self) -> PeerFigures:
+        """What is known of the path."""
+        return self._path.report(self._clock_ns())

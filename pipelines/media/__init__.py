@@ -1,0 +1,1 @@
+"""Cameras, stereo merge, senders, receivers, displays and snapshots of a session."""

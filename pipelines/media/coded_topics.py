@@ -1,0 +1,86 @@
+"""The topics for readers that decode a stream themselves. They cost nothing while nobody reads."""
+
+from itertools import count
+
+from kontur_av.codecs.h264 import DecodedPicture
+from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.rtp.payload_h264 import ReceivedUnit, parameter_sets
+from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
+from kontur_av.topics.bus import TopicBus, Writer
+from pipelines.media.coded_units import received_unit, sent_unit
+from pipelines.session.setup.table import VideoStream
+
+#: Room for most units; the topic makes more for a larger one.
+_USUAL_OCTETS = 16 << 10
+
+
+class ReceivedTopics:
+    """What a stream's receiver got and decoded: the topics `coded` and `decoded`."""
+
+    def __init__(self, bus: TopicBus, stream: VideoStream, *, coded: str, decoded: str) -> None:
+        self._source = stream.name
+        self._numbers = count()
+        self._coded = bus.writer(coded, max_octets=_USUAL_OCTETS)
+        self._decoded = bus.writer(decoded, max_octets=stream.width * stream.height * 3 // 2)
+        self._sets = b""
+        self._size: tuple[int, int] | None = None
+        self._shown: CaptureStamp | None = None
+
+    def handle_picture(self, picture: DecodedPicture, shown: CaptureStamp | None) -> None:
+        """The decoder returned a picture. shown: its stamp; None: it is not shown."""
+        self._size, self._shown = (picture.width, picture.height), shown
+        if shown is not None and self._decoded.has_readers():
+            loan = self._decoded.loan_picture(picture.width, picture.height)
+            picture.copy_to(loan.picture)
+            loan.publish(shown)
+
+    def handle_unit(self, unit: ReceivedUnit, capture_ns: int | None) -> None:
+        """The decoder has taken a unit, and `handle_picture` was called for its picture.
+
+        capture_ns: when it was captured; None: not known yet.
+        """
+        number, size, shown = next(self._numbers), self._size, self._shown
+        self._size = self._shown = None
+        # Also without a reader, because one that comes later needs them.
+        self._sets = parameter_sets(unit.data) or self._sets
+        if self._coded.has_readers():
+            coded, stamp = received_unit(
+                unit,
+                size=size,
+                shown=shown,
+                capture_ns=capture_ns,
+                sequence=number,
+                source=self._source,
+                parameter_sets=self._sets,
+            )
+            _publish(self._coded, coded, stamp)
+
+
+class SentTopic:
+    """The access units that the sender of the stream `name` made."""
+
+    def __init__(self, bus: TopicBus, name: str, topic: str) -> None:
+        self._source = name
+        self._numbers = count()
+        self._writer = bus.writer(topic, max_octets=_USUAL_OCTETS)
+        self._sets = b""
+
+    def handle_unit(self, unit: AccessUnit, size: tuple[int, int]) -> None:
+        """A unit was encoded in `size`, and its packets leave."""
+        number = next(self._numbers)
+        # Also without a reader, because one that comes later needs them.
+        self._sets = parameter_sets(unit.data) or self._sets
+        if self._writer.has_readers():
+            coded, stamp = sent_unit(
+                unit,
+                size=size,
+                sequence=number,
+                source=self._source,
+                parameter_sets=self._sets,
+            )
+            _publish(self._writer, coded, stamp)
+
+
+def _publish(writer: Writer, coded: CodedUnit, stamp: CaptureStamp) -> None:
+    if len(coded.data) <= MOST_UNIT_OCTETS:
+        writer.publish_octets(coded.pack(), stamp)

@@ -1,0 +1,131 @@
+"""The cap of a video stream rises while slots leave haptic samples out, in steps.
+
+A new cap costs a key picture, so the cap rises late and in steps. It falls at once, because the
+room is no longer there. docs/experiments/deadband.md has the measured gain.
+"""
+
+from fractions import Fraction
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.codecs.coding import SLOW_REFRESH_S
+from kontur_av.codecs.h264_settings import H264Settings
+from pipelines.session.setup.table import Setup, VideoStream
+
+#: The cap rises after the room for a step was there for this time without a break.
+STEADY_NS = 2 * NS_PER_S
+#: That time doubles after each step that did not last, up to this.
+MOST_STEADY_NS = 32 * NS_PER_S
+#: A step must last this long to gain more than its change costs (docs/experiments/deadband.md).
+LASTED_NS = 10 * NS_PER_S
+#: Free rate that is left unused: it may fall by 96 bits a millisecond, and is reported every 4 ms.
+RESERVE_BPS = 2_000
+#: The resolution of the search for steps.
+_GRAIN_BPS = 100
+#: x264 rounds its buffer to this many bits.
+_KILOBIT = 1000
+
+
+class CapGain:
+    """By how much the cap of `stream` may exceed the setup's. A core.
+
+    Call `handle_freed` every few milliseconds.
+
+    bps: the present gain. changes: how often it changed.
+    steps: pairs of a gain and the free rate that it needs, in bit/s; the first is (0, 0). It is the
+        only one if the deadband serves latency: then the channel is faster at the same cap.
+    """
+
+    def __init__(self, setup: Setup, stream: VideoStream) -> None:
+        self.steps = [(0, 0)]
+        for gain_bps in _worthwhile_bps(setup, stream) if setup.deadband == "picture" else ():
+            freed_bps = setup.freed_need_bps(stream, gain_bps) + RESERVE_BPS
+            self.steps.append((gain_bps, freed_bps))
+        self._step = 0
+        self.bps = 0
+        self._earned = 0
+        self.changes = 0
+        #: The lowest step that there was since then, above the present one; and since when there
+        #: was any.
+        self._higher: int | None = None
+        self._higher_since_ns = self._above_since_ns = 0
+        self._patience_ns = STEADY_NS
+        self._raised_ns = 0
+        self._told_ns: int | None = None
+
+    def handle_freed(self, freed_bps: int, now_ns: int, *, at_once: bool = False) -> bool:
+        """Handle the rate that was free in the last second. Return whether `bps` has changed.
+
+        at_once: a key picture is due anyway, so `STEADY_NS` suffices for a rise.
+        """
+        if self._told_ns is not None and now_ns > self._told_ns:
+            self._earned += self.bps * (now_ns - self._told_ns)
+        self._told_ns = now_ns
+        step = max(i for i, (_, wanted_bps) in enumerate(self.steps) if wanted_bps <= freed_bps)
+        if step <= self._step:
+            self._higher = None
+            if step < self._step:
+                lasted = now_ns - self._raised_ns >= LASTED_NS
+                longer_ns = min(2 * self._patience_ns, MOST_STEADY_NS)
+                self._patience_ns = STEADY_NS if lasted else longer_ns
+                self._take(step)
+                return True
+            return False
+        if self._higher is None:
+            self._above_since_ns = now_ns
+        # The free rate is a mean over a second, so it may still rise for that long.
+        rising = now_ns - self._above_since_ns < NS_PER_S
+        if self._higher is None or (rising and step > self._higher):
+            self._higher, self._higher_since_ns = step, now_ns
+        self._higher = min(self._higher, step)
+        if now_ns - self._higher_since_ns < (STEADY_NS if at_once else self._patience_ns):
+            return False
+        self._raised_ns = now_ns
+        self._take(self._higher)
+        return True
+
+    @property
+    def gained_bits(self) -> int:
+        """The gain summed over time, in bits."""
+        return self._earned // NS_PER_S
+
+    def _take(self, step: int) -> None:
+        self._higher = None
+        self._step = step
+        self.bps = self.steps[step][0]
+        self.changes += 1
+
+
+def gain_of(setup: Setup, stream: VideoStream) -> CapGain | None:
+    """Return the gain of a stream, or None.
+
+    Only the uplink video has one, in a setup with a deadband: the channel alone bounds its cap.
+    """
+    if setup.deadband == "off" or stream != setup.uplink_video:
+        return None
+    return CapGain(setup, stream)
+
+
+def _worthwhile_bps(setup: Setup, stream: VideoStream) -> list[int]:
+    """Return the gains in order: each gives a picture one kilobit more, the unit of x264."""
+    profile = setup.profile_of(stream)
+    most_bps = profile.insert_octets * 8 * NS_PER_S // profile.slot_ns
+    gains = []
+    kilobits = _kilobits(stream, 0)
+    for gain_bps in range(0, most_bps, _GRAIN_BPS):
+        if _kilobits(stream, gain_bps) > kilobits:
+            kilobits = _kilobits(stream, gain_bps)
+            gains.append(gain_bps)
+    return gains
+
+
+def _kilobits(stream: VideoStream, gain_bps: int) -> int:
+    width, height = stream.coded_size
+    settings = H264Settings(
+        width=width,
+        height=height,
+        rate=Fraction(stream.fps),
+        cap_bps=stream.cap_bps + gain_bps,
+        refresh_s=SLOW_REFRESH_S,
+        preset="superfast",
+    )
+    return int(settings.options()["bufsize"]) // _KILOBIT

@@ -1,0 +1,277 @@
+"""The process of an input: from its source, or from a browser page, into its topic."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import I420, CaptureStamp
+from kontur_av.sources import SceneVideo, open_audio, open_video
+from kontur_av.sources.page import PageAudio, PageVideo
+from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES
+from kontur_av.topics.bus import Reader, TopicBus
+from pipelines.media.capturing import Capturing
+from pipelines.media.previewing import Previewing, preview_size
+from pipelines.media.taking_over import Takeover
+from pipelines.session.exercises import new_exercises
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.robot_state import newest_state
+from pipelines.session.setup.table import VideoStream
+from pipelines.session.training import Exercises
+from telepresence.world import audio_scenes, video_scenes
+
+#: How long to wait for the input's own source while a page has the input. It is read on, so that it
+#: neither stalls nor gives a burst of old pictures afterwards.
+_ASIDE_NS = NS_PER_MS
+#: Unread blocks of a page; the oldest are dropped.
+_BLOCKS = 8
+_BLOCK_OCTETS = 2 * BLOCK_SAMPLES
+
+
+def run_camera(
+    context: Context,
+    *,
+    name: str,
+    stream: VideoStream,
+    page: str | None = None,
+    trainer: bool = False,
+    leds: bool = False,
+) -> None:
+    """Capture the pictures of the input `name` in the size and rate of `stream`.
+
+    A built-in scene always counts its pictures, and draws them only while somebody looks.
+
+    page: the topic with pictures of browser pages, which are taken in place of the source's.
+    trainer: give no pictures while a trainer's exercise says so.
+    leds: a scene has what the LED panel shows, too.
+    """
+    with context.open_bus() as bus:
+        camera = _Camera(context, bus, name, stream, page, leds=leds)
+        if trainer:
+            camera.follow(new_exercises(bus))
+        while not context.stopping:
+            camera.handle_next()
+            context.tick(context.clock.now_ns())
+        camera.close()
+
+
+def run_microphone(context: Context, *, name: str, page: str | None = None) -> None:
+    """Capture the sound of the input `name`, 20 ms a sample of the topic.
+
+    page: the topic with sound of browser pages, which is taken in place of the source's.
+    """
+    with context.open_bus() as bus:
+        microphone = _Microphone(context, bus, name, page)
+        while not context.stopping:
+            microphone.handle_next()
+            context.tick(context.clock.now_ns())
+        microphone.close()
+
+
+class _Camera:
+    """A camera: its source, a page in place of it, and what it writes."""
+
+    def __init__(
+        self,
+        context: Context,
+        bus: TopicBus,
+        name: str,
+        stream: VideoStream,
+        page: str | None,
+        *,
+        leds: bool,
+    ) -> None:
+        self._clock = context.clock
+        row = context.topology.input(name)
+        self._size = stream.width, stream.height
+        self._period_ns = NS_PER_S // stream.fps
+        self._writer = bus.writer(row.topic, max_octets=_octets(*self._size))
+        self._source = open_video(
+            context.setup.source(name),
+            name=name,
+            width=stream.width,
+            height=stream.height,
+            fps=stream.fps,
+            clock=context.clock,
+            scenes=video_scenes(newest_state(bus, leds=leds)),
+        )
+        # Drawing is most of a scene's work, and needless without a reader.
+        self._scene = self._source if isinstance(self._source, SceneVideo) else None
+        self._small = preview_size(*self._size)
+        self._preview = bus.writer(row.preview_topic, max_octets=_octets(*self._small))
+        self._previewing = Previewing()
+        self._page = None if page is None else bus.reader(page)
+        self._takeover = Takeover.of_pictures(name)
+        self._capturing = Capturing(context.probe)
+        context.on_flush(self._tell)
+        self._name = name
+        self._exercises: Callable[[], Exercises | None] | None = None
+        self._lost_until_ns = 0
+        self._loan = self._writer.loan_picture(*self._size)
+
+    def follow(self, take: Callable[[], Exercises | None]) -> None:
+        """Heed a trainer's exercises. take: returns them after a change."""
+        self._exercises = take
+
+    def handle_next(self) -> None:
+        """Capture the next picture, or wait for it at most `PATIENCE_NS`."""
+        exercises = None if self._exercises is None else self._exercises()
+        if exercises is not None:
+            self._lost_until_ns = exercises.cameras_ns.get(self._name, 0)
+        page, now_ns = self._page, self._clock.now_ns()
+        if page is not None and _waits_for_page(self._source, self._takeover, now_ns):
+            page.wait(_patience_ns(self._takeover, now_ns, self._period_ns))
+            self._take_from(page)
+            self._read_aside()
+            return
+        if page is not None and page.has_new():
+            self._take_from(page)
+            return
+        if self._scene is not None and not self._wanted():
+            self._capture(self._scene.skip(PATIENCE_NS, self._wanted), drawn=False)
+        else:
+            self._capture(self._source.read(self._loan.picture, PATIENCE_NS), drawn=True)
+
+    def close(self) -> None:
+        self._loan.give_back()
+        self._source.close()
+
+    def _take_from(self, page: Reader) -> None:
+        lease = page.latest()
+        if lease is None:
+            return
+        with lease:
+            if (lease.width, lease.height) != self._size:
+                self._takeover.handle_unfit()
+                return
+            stamp = self._takeover.handle_page(lease.stamp, self._clock.now_ns())
+            drawn = stamp is not None and self._wanted()
+            if drawn:
+                np.copyto(self._loan.picture, lease.video().data)
+        if stamp is not None:
+            self._publish(stamp, drawn=drawn)
+
+    def _read_aside(self) -> None:
+        if self._scene is not None:
+            self._scene.skip(0, lambda: False)
+        elif not isinstance(self._source, PageVideo):
+            self._source.read(self._loan.picture, _ASIDE_NS)
+
+    def _capture(self, stamp: CaptureStamp | None, *, drawn: bool) -> None:
+        """The own source gave a picture. drawn: it is in the loan."""
+        if stamp is not None:
+            stamp = self._takeover.handle_own(stamp, self._clock.now_ns())
+        if stamp is not None:
+            self._publish(stamp, drawn=drawn)
+
+    def _publish(self, stamp: CaptureStamp, *, drawn: bool) -> None:
+        if stamp.capture_ns < self._lost_until_ns:
+            return
+        if drawn:
+            # Before the loan is gone.
+            self._publish_preview(self._loan.picture, stamp)
+            self._loan.publish(stamp)
+            self._loan = self._writer.loan_picture(*self._size)
+        self._capturing.handle_captured(stamp)
+
+    def _publish_preview(self, picture: I420, stamp: CaptureStamp) -> None:
+        now_ns = self._clock.now_ns()
+        if not (self._previewing.due(now_ns) and self._preview.has_readers()):
+            return
+        from kontur_av.codecs.scaling import reduce
+
+        self._previewing.handle_preview(now_ns)
+        loan = self._preview.loan_picture(*self._small)
+        reduce(picture, loan.picture)
+        loan.publish(stamp)
+
+    def _wanted(self) -> bool:
+        """Whether anybody looks at the next picture."""
+        return self._writer.has_readers() or (
+            self._preview.has_readers() and self._previewing.due(self._clock.now_ns())
+        )
+
+    def _tell(self) -> None:
+        source = self._source
+        takeover = None if self._page is None else self._takeover
+        self._capturing.tell(source.faults, source.last_fault, takeover)
+
+
+class _Microphone:
+    """A microphone: its source, a page in place of it, and what it writes."""
+
+    def __init__(self, context: Context, bus: TopicBus, name: str, page: str | None) -> None:
+        self._clock = context.clock
+        self._writer = bus.writer(context.topology.input(name).topic, max_octets=_BLOCK_OCTETS)
+        self._source = open_audio(
+            context.setup.source(name),
+            name=name,
+            clock=context.clock,
+            scenes=audio_scenes(newest_state(bus)),
+        )
+        self._page = None if page is None else bus.reader(page, depth=_BLOCKS)
+        self._takeover = Takeover.of_sound(name)
+        self._capturing = Capturing(context.probe)
+        context.on_flush(self._tell)
+
+    def handle_next(self) -> None:
+        """Capture the next block, or wait for it at most `PATIENCE_NS`."""
+        page, now_ns = self._page, self._clock.now_ns()
+        if page is not None and _waits_for_page(self._source, self._takeover, now_ns):
+            page.wait(_patience_ns(self._takeover, now_ns, BLOCK_NS))
+            self._take_from(page)
+            self._read_aside()
+            return
+        frame = self._source.read(PATIENCE_NS)
+        if frame is not None:
+            stamp = self._takeover.handle_own(frame.stamp, self._clock.now_ns())
+            if stamp is not None:
+                self._publish(frame.samples.tobytes(), stamp)
+        if page is not None and page.has_new():
+            self._take_from(page)
+
+    def close(self) -> None:
+        self._source.close()
+
+    def _take_from(self, page: Reader) -> None:
+        while (lease := page.next()) is not None:
+            with lease:
+                stamp, samples = lease.stamp, lease.octets()
+            if len(samples) != _BLOCK_OCTETS:
+                self._takeover.handle_unfit()
+                continue
+            taken = self._takeover.handle_page(stamp, self._clock.now_ns())
+            if taken is not None:
+                self._publish(samples, taken)
+
+    def _read_aside(self) -> None:
+        if not isinstance(self._source, PageAudio):
+            while self._source.read(0) is not None:
+                pass
+
+    def _publish(self, samples: bytes, stamp: CaptureStamp) -> None:
+        self._writer.publish_octets(samples, stamp)
+        self._capturing.handle_captured(stamp)
+
+    def _tell(self) -> None:
+        source = self._source
+        takeover = None if self._page is None else self._takeover
+        self._capturing.tell(source.faults, source.last_fault, takeover)
+
+
+def _waits_for_page(source: object, takeover: Takeover, now_ns: int) -> bool:
+    """Whether the next picture or block is to come from a page."""
+    return takeover.live(now_ns) or isinstance(source, PageVideo | PageAudio)
+
+
+def _patience_ns(takeover: Takeover, now_ns: int, period_ns: int) -> int:
+    """How long to wait for a page.
+
+    While one is live, one period: the own source must be read aside as often as it captures.
+    """
+    until_ns = takeover.poll_timeout()
+    return PATIENCE_NS if until_ns is None else max(0, min(period_ns, until_ns - now_ns))
+
+
+def _octets(width: int, height: int) -> int:
+    return width * height * 3 // 2

@@ -1,0 +1,109 @@
+"""A segment's display and loudspeaker, where pictures and sounds end.
+
+There is no screen and no sound card: the instant of reading from shared memory counts as the
+instant of display. The picture that a screen would show, with a mark if it is stale, is published
+as a topic. `Showing` decides what is drawn when.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from kontur_av.streams.lipsync import LAG
+from kontur_av.topics.bus import Lease, TopicBus
+from pipelines.media.marking import mark_stale
+from pipelines.media.showing import Showing
+from pipelines.media.watching import OPERATORS, Watching
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.session.topology import displayed_topic, received_topic
+
+
+class _Picture:
+    """The displayed picture of one video stream, published as a topic while there is a reader."""
+
+    def __init__(self, bus: TopicBus, stream: VideoStream, lag_topic: str | None) -> None:
+        octets = stream.width * stream.height * 3 // 2
+        self._writer = bus.writer(displayed_topic(stream.name), max_octets=octets)
+        # The voice receiver polls it for lip-sync.
+        self._lag = None
+        if lag_topic is not None:
+            self._lag = bus.writer(lag_topic, max_octets=LAG.size, wake=False)
+        self._lease: Lease | None = None
+
+    def handle_picture(self, lease: Lease, now_ns: int) -> None:
+        """The newest picture; it is kept until the next one comes."""
+        stamp = lease.stamp
+        if self._lag is not None:
+            self._lag.publish_octets(LAG.pack(now_ns, now_ns - stamp.capture_ns), stamp)
+        if self._lease is not None:
+            self._lease.release()
+        self._lease = lease
+
+    def draw(self, stale_ns: int | None) -> None:
+        """Publish the picture; stale_ns: the age for the mark of a stale one, else None."""
+        assert self._lease is not None
+        if not self._writer.has_readers():
+            return
+        frame = self._lease.video()
+        loan = self._writer.loan_picture(frame.width, frame.height)
+        np.copyto(loan.picture, frame.data)
+        if stale_ns is not None:
+            mark_stale(loan.picture, stale_ns)
+        loan.publish(frame.stamp)
+
+
+def run_display(
+    context: Context,
+    *,
+    streams: Sequence[VideoStream | VoiceStream],
+    for_lip_sync: bool = True,
+) -> None:
+    """Show the newest picture and every block of sound of `streams`.
+
+    for_lip_sync: tell the voices' receivers how late the pictures are shown.
+    """
+    clock = context.clock
+    showing = Showing(context.setup, streams, context.probe)
+    watching, watched = Watching(context.probe), {stream.name for stream in streams} & OPERATORS
+    context.on_flush(lambda: showing.tell(clock.now_ns()))
+    with context.open_bus() as bus:
+        readers = [
+            bus.reader(
+                received_topic(stream.name),
+                depth=1 if isinstance(stream, VideoStream) else 8,
+            )
+            for stream in streams
+        ]
+        pictures = {
+            stream.name: _Picture(
+                bus,
+                stream,
+                context.topology.video(stream.name).lag_topic if for_lip_sync else None,
+            )
+            for stream in streams
+            if isinstance(stream, VideoStream)
+        }
+        waiter = bus.waiter(readers)
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            due_ns = showing.poll_timeout()
+            wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns)
+            waiter.wait(max(0, wait_ns))
+            for stream, reader in zip(streams, readers, strict=True):
+                picture = pictures.get(stream.name)
+                take = reader.next if picture is None else reader.latest
+                while (lease := take()) is not None:
+                    now_ns = clock.now_ns()
+                    showing.handle_shown(stream.name, lease.stamp, now_ns)
+                    if stream.name in watched:
+                        watching.handle_sample(stream.name, lease, now_ns)
+                    if picture is None:
+                        lease.release()
+                    else:
+                        picture.handle_picture(lease, now_ns)
+            showing.handle_time(clock.now_ns())
+            while (drawing := showing.next_event()) is not None:
+                pictures[drawing.stream].draw(drawing.stale_ns)
+        del waiter

@@ -1,0 +1,63 @@
+"""The process that merges the pictures of the robot's two cameras into one."""
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.sources.stereo import StereoPairer, merge
+from kontur_av.topics.bus import Lease
+from pipelines.session.figures import StereoCounters
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.setup.table import STEREO, STEREO_INPUTS
+
+
+def run_stereo(context: Context) -> None:
+    """Publish the left part of the left camera and the right part of the right one as one picture.
+
+    Pairs are always counted, and merged only while the topic has a reader.
+    """
+    clock, video, topology = context.clock, context.setup.uplink_video, context.topology
+    pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
+
+    def fill() -> None:
+        context.probe.count(StereoCounters(paired=pairer.paired, single=pairer.single))
+
+    context.on_flush(fill)
+    with context.open_bus() as bus:
+        writer = bus.writer(
+            topology.camera(STEREO).topic, max_octets=video.width * video.height * 3 // 2
+        )
+        readers = [bus.reader(topology.input(name).topic) for name in STEREO_INPUTS]
+        # The pairer may use a camera's last picture again, so its lease is kept until the next.
+        leases: list[Lease | None] = [None, None]
+
+        def publish_pairs() -> None:
+            while (pair := pairer.next_event()) is not None:
+                if not writer.has_readers():
+                    continue
+                loan = writer.loan_picture(video.width, video.height)
+                left, right = pair.left, pair.right
+                merge(
+                    None if left is None else left.data,
+                    None if right is None else right.data,
+                    loan.picture,
+                )
+                loan.publish(pair.stamp)
+
+        waiter = bus.waiter(readers)
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            due_ns = pairer.poll_timeout()
+            waiter.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
+            for side, reader in enumerate(readers):
+                lease = reader.latest()
+                if lease is None:
+                    continue
+                handle = pairer.handle_right if side else pairer.handle_left
+                handle(lease.video(), clock.now_ns())
+                # Publish before the release of the previous picture, which a pair may still use.
+                publish_pairs()
+                previous, leases[side] = leases[side], lease
+                if previous is not None:
+                    previous.release()
+            pairer.handle_timeout(clock.now_ns())
+            publish_pairs()
+        del waiter

@@ -1,0 +1,61 @@
+"""A video stream's receiving process: RTP from the gateway -> decoder -> topic."""
+
+import secrets
+
+from kontur_av.codecs.h264 import H264Decoder
+from pipelines.media.coded_topics import ReceivedTopics
+from pipelines.media.session_streams import video_receiver
+from pipelines.media.stream_figures import note_unit, tell_video_receiver
+from pipelines.session.process import Context
+from pipelines.session.reception import Incoming
+from pipelines.session.rows import DecodedRow
+from pipelines.session.setup.table import VideoStream
+
+
+def run_video_receive(context: Context, *, stream: VideoStream) -> None:
+    """Decode every access unit, and publish its picture with the sender's capture time."""
+    row = context.topology.video(stream.name)
+    clock, probe = context.clock, context.probe
+    receiver = video_receiver(
+        stream, ssrc=secrets.randbits(32), wall_offset_ns=clock.wall_offset_ns
+    )
+    decoder = H264Decoder()
+    # Made before the receiver's series, so that the decoding of a picture is reported first.
+    decoded = probe.series(DecodedRow)
+
+    def tell() -> None:
+        counts = decoder.decoded, decoder.corrupt_units, decoder.restarts
+        tell_video_receiver(probe, receiver, *counts)
+
+    context.on_flush(tell)
+    with context.open_bus() as bus:
+        incoming = Incoming(context, stream, receiver)
+        to_sender = context.sender(context.topology.entry_port(row.feedback))
+        largest_octets = stream.width * stream.height * 3 // 2
+        writer = bus.writer(row.received_topic, max_octets=largest_octets)
+        topics = ReceivedTopics(bus, stream, coded=row.coded_topic, decoded=row.decoded_topic)
+        while not context.stopping:
+            context.tick(clock.now_ns())
+            incoming.wait(receiver.poll_timeout())
+            receiver.handle_timeout(clock.now_ns())
+            while (unit := receiver.next_event()) is not None:
+                note_unit(probe, unit)
+                for picture in decoder.decode(unit.data, unit.timestamp):
+                    stamp = receiver.handle_picture(
+                        picture.timestamp,
+                        picture.width,
+                        picture.height,
+                        receiver.capture_ns(picture.timestamp),
+                        corrupt=picture.corrupt,
+                    )
+                    if stamp is not None:
+                        loan = writer.loan_picture(stream.width, stream.height)
+                        picture.scale_into(loan.picture)
+                        # Noted before publishing, because the display may be faster.
+                        decoded.add(DecodedRow(picture.timestamp, clock.now_ns()))
+                        loan.publish(stamp)
+                    topics.handle_picture(picture, stamp)
+                topics.handle_unit(unit, receiver.capture_ns(unit.timestamp))
+            feedback = receiver.poll_feedback(clock.now_ns())
+            if feedback is not None:
+                to_sender(feedback)

@@ -1,0 +1,100 @@
+"""A segment's display and loudspeaker: what was shown, and how old it was."""
+
+from collections.abc import Sequence
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.media import BLOCK_NS, CaptureStamp, Quality
+from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
+from pipelines.media.screen import Drawing, Screen
+from pipelines.session.figures import DisplayCounters, DisplayGauges
+from pipelines.session.probe import Probe
+from pipelines.session.rows import ShownRow
+from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+
+
+class Showing:
+    """Counts what is shown of `streams`, follows its age, and says what to draw. A core.
+
+    After each input draw what `next_event` returns, until None. Call `handle_time` at
+    `poll_timeout`.
+    """
+
+    def __init__(
+        self, setup: Setup, streams: Sequence[VideoStream | VoiceStream], probe: Probe
+    ) -> None:
+        #: The probe for the figures.
+        self.probe = self._probe = probe
+        self._shown = {stream.name: 0 for stream in streams}
+        #: By stream.
+        self.staleness = {stream.name: _staleness(setup, stream) for stream in streams}
+        self._screens = {
+            stream.name: Screen(stream.name, self.staleness[stream.name])
+            for stream in streams
+            if isinstance(stream, VideoStream)
+        }
+
+    def handle_shown(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
+        """A picture, or a block of sound, is shown at `now_ns`.
+
+        Concealed sound does not count, and does not lower the age.
+        """
+        self._count(stream, stamp, now_ns)
+        screen = self._screens.get(stream)
+        if screen is not None:
+            screen.handle_picture(stamp.capture_ns, now_ns)
+
+    def poll_timeout(self) -> int | None:
+        """Return when the next mark on a stale picture is due; None while there is no picture."""
+        due = [screen.poll_timeout() for screen in self._screens.values()]
+        return min((due_ns for due_ns in due if due_ns is not None), default=None)
+
+    def handle_time(self, now_ns: int) -> None:
+        """Draw the marks that are due."""
+        for screen in self._screens.values():
+            screen.handle_time(now_ns)
+
+    def next_event(self) -> Drawing | None:
+        """Return what to draw now, or None."""
+        for screen in self._screens.values():
+            drawing = screen.next_event()
+            if drawing is not None:
+                return drawing
+        return None
+
+    def _count(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
+        if stamp.quality is Quality.CONCEALED or stamp.rtp_timestamp is None:
+            return
+        self._shown[stream] += 1
+        damaged = stamp.quality is Quality.DAMAGED
+        self.staleness[stream].handle_shown(stamp.capture_ns, now_ns, damaged=damaged)
+        row = ShownRow(stamp.rtp_timestamp, stamp.capture_ns, now_ns)
+        self._probe.series(ShownRow, stream).add(row)
+
+    def tell(self, now_ns: int) -> None:
+        """Put the counters into the probe. `handle_shown` was called for all up to `now_ns`."""
+        probe = self._probe
+        for stream, staleness in self.staleness.items():
+            staleness.handle_time(now_ns)
+            stale, frozen, damaged = staleness.stale, staleness.frozen, staleness.damaged
+            counters = DisplayCounters(
+                frames_displayed=self._shown[stream],
+                stale_ns=stale.total_ns,
+                stale_episodes=stale.episodes,
+                frozen_ns=frozen.total_ns,
+                frozen_episodes=frozen.episodes,
+                damaged_ns=damaged.total_ns,
+                damaged_episodes=damaged.episodes,
+            )
+            probe.count(counters, stream)
+            age_ns = staleness.age_ns(now_ns)
+            if age_ns is not None:
+                state = staleness.state(now_ns)
+                probe.gauge(DisplayGauges(age_ns=age_ns, state=state), stream)
+
+
+def _staleness(setup: Setup, stream: VideoStream | VoiceStream) -> Staleness:
+    stale_after_ns = setup.stale_after_ns(stream)
+    if isinstance(stream, VideoStream):
+        frozen_after_ns = FROZEN_PERIODS * NS_PER_S // stream.fps
+        return Staleness(stale_after_ns=stale_after_ns, frozen_after_ns=frozen_after_ns)
+    return Staleness(stale_after_ns=stale_after_ns, span_ns=BLOCK_NS)

@@ -1,0 +1,106 @@
+"""The operator's eye and ear: detectors of lights and clicks in what is shown and played."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from kontur_av.detect import Click, ClickDetector, Light, LightDetector
+from kontur_av.media import BLOCK_NS, I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
+from pipelines.session.probe import Probe
+from pipelines.session.rows import ClickRow, LightRow
+
+#: The stream in which to look for lights, and the one in which to listen for clicks.
+WATCHED = {"light": "uplink_video", "click": "uplink_voice"}
+OPERATORS = frozenset(WATCHED.values())
+
+
+class Sample(Protocol):
+    """A sample in shared memory: a picture or a block of sound."""
+
+    @property
+    def stamp(self) -> CaptureStamp: ...
+
+    def video(self) -> VideoFrame: ...
+
+    def audio(self) -> AudioFrame: ...
+
+
+class Watching:
+    """Looks for lights and clicks. Pass it every picture and every block of sound of a display."""
+
+    def __init__(self, probe: Probe) -> None:
+        self._probe = probe
+        self._eyes: dict[str, LightDetector] = {}
+        self._ears: dict[str, ClickDetector] = {}
+
+    def handle_sample(self, stream: str, sample: Sample, now_ns: int) -> None:
+        """A picture or a block of sound of `stream` is shown or heard from `now_ns` on."""
+        if stream == WATCHED["light"]:
+            self.handle_picture(stream, sample.video().data, sample.stamp, now_ns)
+        else:
+            self.handle_sound(stream, sample.audio().samples, sample.stamp, now_ns)
+
+    def handle_picture(self, stream: str, picture: I420, stamp: CaptureStamp, now_ns: int) -> None:
+        """A picture of `stream`, shape (height * 3 // 2, width), is shown at `now_ns`."""
+        eye = self._eyes.get(stream)
+        if eye is None:
+            eye = self._eyes[stream] = LightDetector()
+        eye.handle_picture(picture, now_ns, stamp.capture_ns)
+        while (light := eye.next_event()) is not None:
+            tell_light(self._probe, stream, light, _ITSELF)
+
+    def handle_sound(self, stream: str, samples: Pcm, stamp: CaptureStamp, now_ns: int) -> None:
+        """A block of sound of `stream` is heard from `now_ns` on."""
+        ear = self._ears.get(stream)
+        if ear is None:
+            ear = self._ears[stream] = ClickDetector()
+        ear.handle_block(samples, now_ns, stamp.capture_ns)
+        while (click := ear.next_event()) is not None:
+            tell_click(self._probe, stream, click, _ITSELF)
+
+
+class _Itself(dict[int, int]):
+    """Tags that are capture instants already."""
+
+    def __missing__(self, tag: int) -> int:
+        return tag
+
+
+_ITSELF = _Itself()
+
+
+def tell_light(probe: Probe, stream: str, light: Light, captured_ns: Mapping[int, int]) -> None:
+    """Put a light into the probe. captured_ns: when the pictures were captured, by their tags."""
+    try:
+        capture_ns = captured_ns[light.tag]
+        slack_ns = max(0, capture_ns - captured_ns[light.previous_tag])
+    except KeyError:
+        # A picture without a capture time was not shown.
+        return
+    row = LightRow(light.instant_ns, capture_ns, slack_ns, round(light.strength))
+    probe.series(LightRow, stream).add(row)
+
+
+def tell_click(probe: Probe, stream: str, click: Click, captured_ns: Mapping[int, int]) -> None:
+    """Put a click into the probe. captured_ns: when the blocks were captured, by their tags."""
+    try:
+        capture_ns = captured_ns[click.tag]
+    except KeyError:
+        return
+    # Scaled to the captured block, because the playout stretches and shortens blocks.
+    capture_ns += click.offset_ns * BLOCK_NS // click.length_ns
+    row = ClickRow(click.instant_ns, capture_ns, 0, round(click.strength))
+    probe.series(ClickRow, stream).add(row)
+
+
+class Recall:
+    """When the newest pictures or blocks were captured, by their RTP timestamps."""
+
+    def __init__(self, depth: int = 64) -> None:
+        self._depth = depth
+        self.captured_ns: dict[int, int] = {}
+
+    def add(self, timestamp: int, capture_ns: int) -> None:
+        """Add one; the oldest is dropped."""
+        self.captured_ns[timestamp] = capture_ns
+        if len(self.captured_ns) > self._depth:
+            del self.captured_ns[next(iter(self.captured_ns))]

@@ -1,0 +1,1 @@
+"""Telecommands and telemetry, tasks, panel, LEDs and trainer."""

@@ -1,0 +1,252 @@
+"""A mission's ground side: experiment, LED panel, plan, and the rows of the report. A core."""
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import msgspec
+
+from pipelines.session.mission_messages import (
+    ExperimentShown,
+    RobotOrder,
+    RobotStatus,
+    RunShown,
+    StepShown,
+    TaskListed,
+)
+from pipelines.session.task_journal import LinkMeanwhile, TaskJournal, TaskRow
+from telepresence.tasks.definitions import Catalogue
+from telepresence.tasks.experiment import Experiment, Logged, Phase, TaskRun
+from telepresence.tasks.kernel import (
+    ChooseCamera,
+    ControlRobot,
+    MoveRobot,
+    Order,
+    PowerRobot,
+    Record,
+    ShowPicture,
+    View,
+)
+from telepresence.tasks.panel_picture import DARK, PanelSender
+from telepresence.tasks.plan import PlanFollower, SessionPlan
+from telepresence.tmtc.k2aci import K2aciMessage, TaskFinished, TaskResult
+
+_MOST_STEPS, _MOST_RUNS = 40, 20
+_KILLED = "the task's process was restarted"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Seen:
+    """What the ground sees at a tick. camera: the selected one. link: for the report."""
+
+    robot: RobotStatus
+    camera: str
+    recording: bool
+    signal: bool
+    link: LinkMeanwhile
+
+
+class MissionMemory(msgspec.Struct, frozen=True, kw_only=True):
+    """What outlives the process: number of the next run, the run that is not over, all rows.
+
+    Instants are those of the session's clock.
+    """
+
+    next_run: int = 1
+    task: str = ""
+    run: int = 0
+    selected_ns: int = 0
+    started_ns: int | None = None
+    planned: int = 0
+    rows: tuple[TaskRow, ...] = ()
+
+
+class MissionGround:
+    """Call `handle_tick` ten times a second.
+
+    After each input carry out `poll_order`'s orders, send `poll_message`'s messages, and keep
+    `memory`. A new life that is given the memory of a run ends it as aborted.
+
+    plan: what is selected, and when; None: people do that.
+    first_number: of the LED panel's datagrams, as of `PanelSender`.
+    """
+
+    def __init__(
+        self,
+        catalogue: Catalogue,
+        plan: SessionPlan | None,
+        *,
+        now_ns: int,
+        memory: MissionMemory | None = None,
+        first_number: int = 0,
+    ) -> None:
+        memory = memory or MissionMemory()
+        self.experiment = Experiment(catalogue, first_run=memory.next_run)
+        self.leds = PanelSender(first_number=first_number)
+        self.journal = TaskJournal(memory.rows)
+        self._names = tuple(catalogue.tasks)
+        self._listed = tuple(TaskListed(one.name, one.text) for one in catalogue.tasks.values())
+        self._follower = None if plan is None else PlanFollower(plan, skip=memory.planned)
+        self._planned = memory.planned
+        self._next_run = memory.next_run
+        self._run: Logged | None = None
+        self._started_ns: int | None = None
+        self._link = LinkMeanwhile(0, 0, 0)
+        self._orders: deque[Order] = deque()
+        self._messages: deque[K2aciMessage] = deque()
+        self._steps: deque[StepShown] = deque(maxlen=_MOST_STEPS)
+        self._runs: deque[RunShown] = deque(maxlen=_MOST_RUNS)
+        if memory.run:
+            self._end_earlier(memory, now_ns)
+
+    @property
+    def memory(self) -> MissionMemory:
+        """What a next life needs."""
+        run = self._run
+        return MissionMemory(
+            next_run=self._next_run,
+            task="" if run is None else run.task,
+            run=0 if run is None else run.run,
+            selected_ns=0 if run is None else run.now_ns,
+            started_ns=self._started_ns,
+            planned=self._planned,
+            rows=self.journal.closed,
+        )
+
+    @property
+    def shown(self) -> ExperimentShown:
+        """What the seats see."""
+        status = self.experiment.status
+        return ExperimentShown(
+            phase=status.phase.value,
+            task=status.task,
+            run=status.run,
+            elemop=status.elemop,
+            panel="" if status.panel is None else status.panel.value,
+            tasks=self._listed,
+            steps=tuple(self._steps),
+            runs=tuple(self._runs),
+            planned=self._follower is not None,
+        )
+
+    def handle_function(self, name: str, arguments: Iterable[object], now_ns: int) -> str:
+        """A telecommand: "select" with an index, "start" or "abort"; why it is refused, or ""."""
+        if name == "select":
+            (index,) = arguments
+            if not isinstance(index, int) or not 0 <= index < len(self._names):
+                return f"no task {index}: there are 0 to {len(self._names) - 1}"
+            return self._select(self._names[index], now_ns)
+        if name == "start":
+            refusal = self.experiment.start(now_ns)
+        elif self.experiment.status.phase is Phase.IDLE:
+            refusal = "no task is being done"
+        else:
+            refusal = ""
+            self.experiment.abort("a telecommand", now_ns)
+        self._settle(now_ns)
+        return refusal
+
+    def handle_message(self, message: K2aciMessage, now_ns: int) -> None:
+        """A message of the panel."""
+        self.experiment.handle_message(message, now_ns)
+        self._settle(now_ns)
+
+    def handle_tick(self, seen: Seen, now_ns: int) -> None:
+        """A tenth of a second has passed."""
+        experiment, self._link = self.experiment, seen.link
+        if self._follower is not None:
+            idle = experiment.status.phase is Phase.IDLE
+            wanted = self._follower.poll_select(idle=idle, signal=seen.signal, now_ns=now_ns)
+            if wanted is not None:
+                self._planned += 1
+                self._select(wanted, now_ns)
+        robot = seen.robot
+        view = View(
+            powered=robot.powered,
+            mode=robot.mode,
+            x_m=robot.x_m,
+            y_m=robot.y_m,
+            push_n=robot.push_n,
+            goal_m=robot.goal_m,
+            fault=robot.fault,
+            camera=seen.camera,
+            shown=self.leds.shown,
+            recording=seen.recording,
+            signal=seen.signal,
+            halted=robot.halted,
+        )
+        experiment.handle_view(view, now_ns)
+        self._settle(now_ns)
+        if experiment.status.phase is Phase.RUNNING:
+            elemop, picture = experiment.kernel.elemop, self.leds.picture
+            self.journal.handle_robot(robot.x_m, robot.y_m, robot.push_n, elemop, picture)
+
+    def poll_order(self) -> Order | None:
+        """Return the next order to robot, camera or recorder, or None."""
+        return self._orders.popleft() if self._orders else None
+
+    def poll_message(self) -> K2aciMessage | None:
+        """Return the next message for the panel, or None."""
+        return self._messages.popleft() if self._messages else None
+
+    def _select(self, name: str, now_ns: int) -> str:
+        refusal = self.experiment.select(name, now_ns)
+        if not refusal:
+            self.journal.handle_begin(self._link)
+            self._next_run += 1
+        self._settle(now_ns)
+        return refusal
+
+    def _settle(self, now_ns: int) -> None:
+        experiment = self.experiment
+        while (order := experiment.poll_transmit(now_ns)) is not None:
+            if isinstance(order, ShowPicture):
+                self.leds.show(order.picture, now_ns)
+            else:
+                self._orders.append(order)
+        while (message := experiment.poll_message()) is not None:
+            self._messages.append(message)
+        while (event := experiment.next_event()) is not None:
+            self.journal.handle_event(event, self._link)
+            if isinstance(event, Logged):
+                if self._run is None or self._run.run != event.run:
+                    self._run, self._started_ns = event, None
+                self._steps.append(StepShown(event.now_ns, event.run, event.task, event.step.value))
+            elif isinstance(event, TaskRun):
+                self._run = None
+                self._add_run(event)
+
+    def _add_run(self, run: TaskRun) -> None:
+        seconds = None if run.started_ns is None else (run.ended_ns - run.started_ns) / 1e9
+        self._runs.append(RunShown(run.task, run.run, run.result.value, run.reason, seconds))
+
+    def _end_earlier(self, memory: MissionMemory, now_ns: int) -> None:
+        """A run of an earlier life: whatever it was doing is switched off."""
+        run = TaskRun(
+            task=memory.task,
+            run=memory.run,
+            result=TaskResult.ABORTED,
+            reason=_KILLED,
+            selected_ns=memory.selected_ns,
+            started_ns=memory.started_ns,
+            ended_ns=now_ns,
+        )
+        self._orders.extend((PowerRobot(False), Record(False)))
+        self.leds.show(DARK, now_ns)
+        self._messages.append(
+            TaskFinished(task=memory.task, run=memory.run, result=TaskResult.ABORTED)
+        )
+        self.journal.handle_event(run, self._link)
+        self._add_run(run)
+
+
+def robot_order(order: Order, number: int) -> RobotOrder | None:
+    """Return an order of the kernel for the robot's process; None if it is for others."""
+    if isinstance(order, PowerRobot):
+        return RobotOrder(number, "power", on=order.on)
+    if isinstance(order, ControlRobot):
+        return RobotOrder(number, "mode", mode=order.mode)
+    if isinstance(order, MoveRobot):
+        return RobotOrder(number, "move", x_m=order.x_m, y_m=order.y_m)
+    assert isinstance(order, ChooseCamera | Record)
+    return None

@@ -1,0 +1,84 @@
+"""The process of the mission control panel in space."""
+
+from kontur_av.clock import NS_PER_MS
+from pipelines.hand.hand_topics import unpack_status
+from pipelines.mission.tmtc_client import TmtcClient
+from pipelines.mission.tmtc_messages import FunctionAsked
+from pipelines.mission.tmtc_sources import CONNECTED, unpack_link
+from pipelines.session.mission_messages import PanelShown
+from pipelines.session.mission_topic import MissionWriter
+from pipelines.session.process import Context
+from pipelines.session.topology import (
+    JOYSTICK_STATE_TOPIC,
+    MISSION_PANEL_TOPIC,
+    PANEL,
+    Segment,
+    link_state_topic,
+)
+from telepresence.haptics.device.states import JoystickState
+from telepresence.tasks.panel import MissionPanel
+
+_TICK_NS = 50 * NS_PER_MS
+#: Every so many ticks the panel's parameters are told.
+_TELL_EVERY = 20
+_STATES = 8
+
+
+def run_panel(context: Context) -> None:
+    """Show the cosmonaut what to do, and tell the ground."""
+    clock, panel = context.clock, MissionPanel()
+    with context.open_bus() as bus:
+        client = TmtcClient(bus, context.session, Segment.SPACE, PANEL, first_number=clock.now_ns())
+        writer = MissionWriter(bus, MISSION_PANEL_TOPIC)
+        states = bus.reader(JOYSTICK_STATE_TOPIC, depth=_STATES)
+        links = bus.reader(link_state_topic(Segment.SPACE))
+        status, pressed, ticks = None, None, 0
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            if (lease := links.latest()) is not None:
+                with lease:
+                    state = unpack_link(lease.octets()).get("state")
+                panel.handle_contact(state == CONNECTED, now_ns)
+            for came in client.work(now_ns):
+                if isinstance(came, FunctionAsked):
+                    panel.handle_button(now_ns)
+                    client.answer(came, "")
+                else:
+                    panel.handle_message(came, now_ns)
+            while (lease := states.next()) is not None:
+                with lease:
+                    status = unpack_status(lease.octets()) or status
+                # A joystick that was restarted counts anew.
+                if status is not None and pressed is not None and status.pressed > pressed:
+                    panel.handle_button(now_ns)
+                pressed = None if status is None else status.pressed
+            if status is not None:
+                halted = status.state >= JoystickState.HALTED
+                panel.handle_handle(
+                    status.x_m,
+                    status.y_m,
+                    dead_man=status.dead_man,
+                    halted=(status.reason or "The joystick is halted.") if halted else "",
+                    now_ns=now_ns,
+                )
+            while (message := panel.poll_message()) is not None:
+                client.send(message)
+            view = panel.view
+            shown = PanelShown(
+                mode=view.mode.value,
+                task=view.task,
+                run=view.run,
+                text=view.text,
+                words=view.words,
+                start_m=view.start_m,
+                distance_m=view.distance_m,
+                held_s=view.held_s,
+                handle_m=(0.0, 0.0) if status is None else (status.x_m, status.y_m),
+                dead_man=status is not None and status.dead_man,
+            )
+            writer.publish(shown, now_ns)
+            if ticks % _TELL_EVERY == 0:
+                client.tell({"mode": view.mode.value, "run": view.run})
+            ticks += 1
+            context.tick(now_ns)
+            clock.sleep_until_ns(now_ns + _TICK_NS)

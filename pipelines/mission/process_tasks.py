@@ -1,0 +1,194 @@
+"""The process of experiment and TOP kernel on the ground. `MissionGround` decides.
+
+Killing it leaves the robot controller running. Its next life ends the run as aborted, and
+switches the robot off.
+"""
+
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.topics.bus import TopicBus
+from kontur_av.topics.session_files import make_session_root, session_root
+from pipelines.media.following import Choice
+from pipelines.mission.mission import MissionGround, MissionMemory, Seen, robot_order
+from pipelines.mission.run_files import RunFiles
+from pipelines.mission.tmtc_client import TmtcClient
+from pipelines.mission.tmtc_messages import FunctionAsked
+from pipelines.mission.tmtc_sources import CONNECTED, unpack_link
+from pipelines.session.figures import TaskCounters, TaskGauges
+from pipelines.session.mission_messages import CameraWish, RobotStatus
+from pipelines.session.mission_topic import MissionReader, MissionWriter
+from pipelines.session.process import LOOPBACK, Context
+from pipelines.session.reception import replace_file
+from pipelines.session.task_journal import KEPT, LinkMeanwhile
+from pipelines.session.topology import (
+    MISSION_CAMERA_TOPIC,
+    MISSION_GROUND_TOPIC,
+    ROBOT_ORDER_TOPIC,
+    ROBOT_STATUS_TOPIC,
+    SELECTED_TOPIC,
+    TASKS,
+    Segment,
+    leds_port,
+    link_state_topic,
+)
+from telepresence.tasks.definitions import Catalogue, ControlMode
+from telepresence.tasks.kernel import TICK_NS, ChooseCamera, Record
+from telepresence.tasks.panel_picture import ACKNOWLEDGEMENT_OCTETS
+from telepresence.tasks.plan import SessionPlan
+from telepresence.tasks.task_files import built_in_tasks
+
+#: A robot that is silent for longer has a fault.
+_SILENT_NS = 500 * NS_PER_MS
+#: Between two ticks messages and datagrams are handled.
+_STEP_NS = 20 * NS_PER_MS
+_TELL_EVERY = 10
+_OFF = RobotStatus(life=0, powered=False, mode=ControlMode.POSITION, x_m=0.0, y_m=0.0, push_n=0.0)
+
+
+def run_tasks(
+    context: Context,
+    plan: SessionPlan | None = None,
+    catalogue: Catalogue | None = None,
+    leds: tuple[str, int] | None = None,
+    runs: str | None = None,
+) -> None:
+    """Execute tasks.
+
+    plan: selects them; None: people do. leds: address of a real LED panel. runs: directory for one
+    recording of each run.
+    """
+    with context.open_bus() as bus:
+        _Tasks(context, bus, plan, catalogue or built_in_tasks(), leds, runs).run()
+
+
+class _Tasks:
+    """The process's shell."""
+
+    def __init__(
+        self,
+        context: Context,
+        bus: TopicBus,
+        plan: SessionPlan | None,
+        catalogue: Catalogue,
+        leds: tuple[str, int] | None,
+        runs: str | None,
+    ) -> None:
+        self._context, self._clock = context, context.clock
+        now_ns = self._clock.now_ns()
+        make_session_root(context.session)
+        self._remembered = session_root(context.session) / "tasks"
+        self._kept = _read(self._remembered)
+        self._ground = MissionGround(
+            catalogue,
+            plan,
+            now_ns=now_ns,
+            memory=self._kept,
+            first_number=now_ns // (100 * NS_PER_MS) % (1 << 32),
+        )
+        self._client = TmtcClient(bus, context.session, Segment.GROUND, TASKS, first_number=now_ns)
+        self._status = MissionReader(bus, ROBOT_STATUS_TOPIC, RobotStatus)
+        self._selected = bus.reader(SELECTED_TOPIC)
+        self._links = bus.reader(link_state_topic(Segment.GROUND))
+        self._orders = MissionWriter(bus, ROBOT_ORDER_TOPIC)
+        self._cameras = MissionWriter(bus, MISSION_CAMERA_TOPIC)
+        self._shown = MissionWriter(bus, MISSION_GROUND_TOPIC, wake=True)
+        self._udp = context.listen(0)
+        self._leds = leds or (LOOPBACK, leds_port(context.setup))
+        self._files = RunFiles(context.session, runs)
+        self._number = now_ns
+        self._camera, self._signal, self._life = "", False, 0
+        self._link = LinkMeanwhile(0, 0, context.setup.radio_profile.longest_delay_ns)
+        context.on_flush(self._tell)
+
+    def run(self) -> None:
+        """Work until the process shall end."""
+        tick_ns, ticks = self._clock.now_ns(), 0
+        while not self._context.stopping:
+            now_ns = self._clock.now_ns()
+            self._listen(now_ns)
+            if now_ns >= tick_ns:
+                tick_ns = max(tick_ns + TICK_NS, now_ns)
+                self._ground.handle_tick(self._seen(now_ns), now_ns)
+                if ticks % 2 == 0:
+                    self._shown.publish(self._ground.shown, now_ns)
+                if ticks % _TELL_EVERY == 0:
+                    status = self._ground.experiment.status
+                    self._client.tell({"phase": status.phase.value, "run": status.run})
+                ticks += 1
+            self._carry_out(now_ns)
+            self._context.tick(now_ns)
+            self._clock.sleep_until_ns(min(tick_ns, now_ns + _STEP_NS))
+        self._files.close()
+
+    def _listen(self, now_ns: int) -> None:
+        for came in self._client.work(now_ns):
+            if isinstance(came, FunctionAsked):
+                refusal = self._ground.handle_function(came.function, came.arguments, now_ns)
+                self._client.answer(came, refusal)
+            else:
+                self._ground.handle_message(came, now_ns)
+        while (octets := self._context.receive(self._udp, ACKNOWLEDGEMENT_OCTETS + 1)) is not None:
+            self._ground.leds.handle_datagram(octets, now_ns)
+        if (lease := self._selected.latest()) is not None:
+            with lease:
+                self._camera = Choice.unpack(lease.octets()).camera
+        if (lease := self._links.latest()) is not None:
+            with lease:
+                values = unpack_link(lease.octets())
+            self._signal = values.get("state") == CONNECTED
+            frames, lost = values.get("frames", 0), values.get("frames_lost", 0)
+            self._link = self._link._replace(frames=int(frames), frames_lost=int(lost))
+
+    def _seen(self, now_ns: int) -> Seen:
+        self._status.latest()
+        robot = self._status.newest or _OFF
+        if now_ns - self._status.newest_ns > _SILENT_NS:
+            robot = msgspec.structs.replace(robot, fault=robot.fault or "it does not answer")
+        elif self._life and robot.life != self._life:
+            robot = msgspec.structs.replace(robot, fault=robot.fault or "it was restarted")
+        self._life = robot.life
+        return Seen(
+            robot=robot,
+            camera=self._camera,
+            recording=self._files.recording,
+            signal=self._signal,
+            link=self._link,
+        )
+
+    def _carry_out(self, now_ns: int) -> None:
+        ground = self._ground
+        memory = ground.memory
+        if memory != self._kept:
+            # Before anything follows from it.
+            self._kept = memory
+            replace_file(self._remembered, msgspec.json.encode(memory))
+        while (order := ground.poll_order()) is not None:
+            self._number = max(now_ns, self._number + 1)
+            if isinstance(order, ChooseCamera):
+                self._cameras.publish(CameraWish(self._number, order.name), now_ns)
+            elif isinstance(order, Record):
+                status = ground.experiment.status
+                self._files.record(on=order.on, task=status.task, run=status.run)
+            elif (told := robot_order(order, self._number)) is not None:
+                self._orders.publish(told, now_ns)
+        while (message := ground.poll_message()) is not None:
+            self._client.send(message)
+        while (octets := ground.leds.poll_transmit(now_ns)) is not None:
+            with suppress(OSError):
+                self._udp.sendto(octets, self._leds)
+
+    def _tell(self) -> None:
+        rows, files, probe = self._ground.journal.newest(KEPT), self._files, self._context.probe
+        probe.gauge(TaskGauges(rows=tuple(rows), unrecorded_why=files.why))
+        probe.count(TaskCounters(unrecorded=files.unrecorded))
+
+
+def _read(path: Path) -> MissionMemory | None:
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=MissionMemory)
+    except (OSError, msgspec.MsgspecError):
+        return None

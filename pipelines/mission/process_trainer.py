@@ -1,0 +1,49 @@
+"""The trainer's process: a Unix socket for terminals, and the topic with the exercises.
+
+`Trainer` decides.
+"""
+
+from itertools import count
+
+from kontur_av.media import CaptureStamp
+from pipelines.mission.trainer_control import trainer_path
+from pipelines.session.process import Context
+from pipelines.session.setup.table import VideoStream
+from pipelines.session.terminal_desk import serve_terminals
+from pipelines.session.topology import TRAINER_TOPIC, Segment, Topology
+from pipelines.session.training import Trainer
+
+_OCTETS = 4096
+
+
+def run_trainer(context: Context) -> None:
+    """Take requests, and publish what lasts."""
+    topology = context.topology
+    trainer = Trainer(
+        context.probe,
+        radio=topology.alone is not Segment.GROUND,
+        joystick=Segment.SPACE in topology.segments,
+        cameras=_cameras(topology),
+    )
+    context.on_flush(trainer.tell)
+    published, numbers = trainer.exercises, count()
+    with context.open_bus() as bus:
+        writer = bus.writer(TRAINER_TOPIC, max_octets=_OCTETS, wake=False)
+
+        def publish(now_ns: int) -> None:
+            nonlocal published
+            if trainer.exercises is not published:
+                published = trainer.exercises
+                stamp = CaptureStamp(now_ns, next(numbers), "trainer")
+                writer.publish_octets(published.pack(), stamp)
+
+        serve_terminals(context, trainer_path(context.session), trainer, publish)
+
+
+def _cameras(topology: Topology) -> list[str]:
+    """The inputs with pictures that are captured here."""
+    return [
+        row.name
+        for row in topology.inputs
+        if topology.runs(row.process) and isinstance(topology.media(row.stream).stream, VideoStream)
+    ]

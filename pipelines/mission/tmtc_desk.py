@@ -1,0 +1,142 @@
+"""What the console and the selector have of PUS: a socket for requests, and the topic with news.
+
+`TmtcEnd` decides. This module carries octets between it, the topics of its segment and the radio.
+"""
+
+import secrets
+from collections.abc import Callable
+from itertools import count
+from socket import socket
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.media import CaptureStamp
+from kontur_av.topics.bus import Reader, TopicBus
+from kontur_av.topics.session_files import make_session_root
+from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
+from pipelines.mission.tmtc import TmtcEnd
+from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, FunctionAsked, pack_news
+from pipelines.mission.tmtc_socket import TmtcSocket
+from pipelines.mission.tmtc_sources import GatewaySource, JoystickDesk, RobotSource, unpack_link
+from pipelines.session.mission_messages import MISSION_OCTETS, RobotStatus, pack, unpack
+from pipelines.session.process import Context
+from pipelines.session.robot_state import unpack_state
+from pipelines.session.topology import (
+    JOYSTICK_COMMAND_TOPIC,
+    JOYSTICK_STATE_TOPIC,
+    ROBOT_COMMAND_TOPIC,
+    ROBOT_STATUS_TOPIC,
+    ROBOT_TOPIC,
+    TMTC_TOPICS,
+    Segment,
+    link_state_topic,
+)
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.packets import COUNT_MODULUS
+
+#: Each state of the joystick or the robot may answer another telecommand.
+_STATES = 16
+
+Take = Callable[[bytes, int], None]
+
+
+class TmtcDesk:
+    """Call `handle_packet` for each datagram of the flow, and `work` at least every 100 ms.
+
+    send: gives a packet to the radio.
+    """
+
+    def __init__(self, context: Context, bus: TopicBus, segment: Segment, send: Take) -> None:
+        clock = context.clock
+        now_ns = clock.now_ns()
+        self.end = TmtcEnd(
+            segment,
+            built_in_dictionary(),
+            now_ns=now_ns,
+            first_count=secrets.randbelow(COUNT_MODULUS),
+            life=(now_ns + clock.wall_offset_ns) // NS_PER_S,
+            epoch_ns=clock.wall_offset_ns,
+            delay_ns=context.setup.radio_profile.longest_delay_ns,
+        )
+        self._send = send
+        self._source = f"tmtc.{segment.value}"
+        self._numbers = count()
+        self._news = bus.writer(TMTC_TOPICS[segment], max_octets=MAX_NEWS_OCTETS)
+        gateway = GatewaySource(self.end, f"{segment.value}_gateway")
+
+        def take_link(octets: bytes, now_ns: int) -> None:
+            gateway.handle_values(unpack_link(octets), now_ns)
+
+        self._topics: list[tuple[Reader, Take]] = [
+            (bus.reader(link_state_topic(segment)), take_link)
+        ]
+        #: Turns what an application is asked for into a request to its process; None: not its.
+        self._request: Callable[[FunctionAsked, int], bytes | None]
+        if segment is Segment.SPACE:
+            joystick = JoystickDesk(self.end, first_number=now_ns)
+            self._request = joystick.handle_asked
+            self._commands = bus.writer(JOYSTICK_COMMAND_TOPIC, max_octets=REQUEST_OCTETS)
+
+            def take_joystick(octets: bytes, now_ns: int) -> None:
+                status = unpack_status(octets)
+                if status is not None:
+                    joystick.handle_status(status, now_ns)
+
+            self._topics.append((bus.reader(JOYSTICK_STATE_TOPIC, depth=_STATES), take_joystick))
+        else:
+            robot = RobotSource(self.end, first_number=now_ns)
+
+            def ask_robot(asked: FunctionAsked, _now_ns: int) -> bytes | None:
+                command = robot.handle_asked(asked)
+                return None if command is None else pack(command)
+
+            def take_robot(octets: bytes, now_ns: int) -> None:
+                robot.handle_state(unpack_state(octets), now_ns)
+
+            def take_status(octets: bytes, now_ns: int) -> None:
+                robot.handle_status(unpack(RobotStatus, octets), now_ns)
+
+            self._request = ask_robot
+            self._commands = bus.writer(ROBOT_COMMAND_TOPIC, max_octets=MISSION_OCTETS)
+            self._topics.append((bus.reader(ROBOT_TOPIC), take_robot))
+            self._topics.append((bus.reader(ROBOT_STATUS_TOPIC, depth=_STATES), take_status))
+        make_session_root(context.session)
+        self._requests = TmtcSocket(context.session, segment)
+        context.on_flush(lambda: self.end.tell(context.probe))
+
+    @property
+    def socket(self) -> socket:
+        """What to wait for besides time: requests."""
+        return self._requests.socket
+
+    def handle_packet(self, datagram: bytes, now_ns: int) -> bool:
+        """A datagram of the flow; False if it is none of PUS. Call `work` afterwards."""
+        return self.end.handle_packet(datagram, now_ns)
+
+    def work(self, now_ns: int) -> None:
+        """Take requests and parameters over, send packets, publish news."""
+        end = self.end
+        for reader, take in self._topics:
+            while (lease := reader.next()) is not None:
+                with lease:
+                    take(lease.octets(), now_ns)
+        while (request := self._requests.receive()) is not None:
+            end.handle_octets(request, now_ns)
+        while (packet := end.poll_transmit(now_ns)) is not None:
+            self._send(packet, now_ns)
+        while (news := end.next_event()) is not None:
+            if isinstance(news, FunctionAsked):
+                asked = self._request(news, now_ns)
+                if asked is not None:
+                    stamp = CaptureStamp(now_ns, next(self._numbers), self._source)
+                    self._commands.publish_octets(asked, stamp)
+            stamp = CaptureStamp(now_ns, next(self._numbers), self._source)
+            self._news.publish_octets(pack_news(news), stamp)
+
+    def wait_ns(self, now_ns: int, most_ns: int) -> int:
+        """How long nothing has to be done without a request or a packet, at most `most_ns`."""
+        due_ns = self.end.poll_timeout(now_ns)
+        return most_ns if due_ns is None else min(most_ns, max(0, due_ns - now_ns))
+
+    def close(self) -> None:
+        """Take no more requests."""
+        self._requests.close()

@@ -1,0 +1,231 @@
+"""Where the parameters of joystick, robot and gateways come from, and how the two are told.
+
+| application | parameters from | functions |
+|---|---|---|
+| joystick | `joystick/state` | requests on `joystick/command`, answered in `joystick/state` |
+| robot | `robot/state`, `robot/status` | commands on `robot/command`, answered in `robot/status` |
+| gateways | `link_state/…` | |
+"""
+
+from collections import OrderedDict
+from math import nan
+
+import msgspec
+
+from kontur_av.clock import NS_PER_MS
+from pipelines.hand.hand_topics import HandRequest, JoystickStatus, pack_request
+from pipelines.mission.tmtc import TmtcEnd
+from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, Values
+from pipelines.session.mission_messages import RobotCommand, RobotStatus
+from telepresence.haptics.device.functional_test import Outcome
+from telepresence.haptics.device.states import REQUESTS, JoystickState
+from telepresence.link.figures import GatewayFigures
+from telepresence.tasks.definitions import ControlMode
+from telepresence.world import WorldState
+
+#: How often parameters are taken over, and their limits checked.
+SAMPLE_NS = 500 * NS_PER_MS
+LINK_STATE_OCTETS = 512
+#: A gateway's state while there is contact.
+CONNECTED = "connected"
+
+_EVENTS = {event.value: event for event in REQUESTS}
+#: In these states the joystick does not do what it is there for.
+_OFF_NOMINAL = (
+    JoystickState.HALTED,
+    JoystickState.CALIBRATION_ERROR,
+    JoystickState.RECOVERABLE,
+    JoystickState.FATAL,
+)
+_DECODER = msgspec.msgpack.Decoder(dict[str, bool | int | str])
+_MOST_ASKED = 16
+
+
+def link_values(figures: GatewayFigures) -> Values:
+    """The parameters of a gateway's application."""
+    receive, supervision = figures.receive, figures.supervision
+    queues = figures.transmit.queue.values()
+    return {
+        "state": supervision.state,
+        "signal": supervision.signal,
+        "frames": receive.frames,
+        "frames_lost": receive.frames_lost,
+        "haptic_received": receive.haptic_received,
+        "waiting": sum(queue.octets for queue in queues),
+        "dropped": sum(receive.packets_dropped.values())
+        + sum(sum(queue.drops.values()) for queue in queues),
+    }
+
+
+def pack_link(values: Values) -> bytes:
+    """Return the parameters of a gateway as octets, for its topic."""
+    return msgspec.msgpack.encode(values)
+
+
+def unpack_link(octets: bytes) -> Values:
+    """Return what `pack_link` packed; empty for anything else."""
+    try:
+        return dict(_DECODER.decode(octets))
+    except msgspec.MsgspecError:
+        return {}
+
+
+class GatewaySource:
+    """Takes a gateway's parameters over, and reports when the signal comes and goes."""
+
+    def __init__(self, end: TmtcEnd, application: str) -> None:
+        self._end, self._application = end, application
+        self._signal: bool | None = None
+
+    def handle_values(self, values: Values, now_ns: int) -> None:
+        """What the gateway counts."""
+        signal = bool(values.get("signal"))
+        self._end.handle_values(self._application, values, now_ns)
+        if self._signal is not None and signal != self._signal:
+            event = "signal_acquired" if signal else "signal_lost"
+            self._end.handle_event(self._application, event, now_ns)
+        self._signal = signal
+        self._end.handle_signal(signal, now_ns)
+
+
+class _Asked:
+    """Functions that wait for their results, by the numbers of their requests.
+
+    first_number: above those of an earlier life, for example the instant at which this one began.
+    """
+
+    def __init__(self, application: str, end: TmtcEnd, *, first_number: int) -> None:
+        self._application, self._end = application, end
+        self._number = first_number
+        self._tokens: OrderedDict[int, int | None] = OrderedDict()
+
+    def handle_asked(self, asked: FunctionAsked) -> int:
+        """Return the number of its request."""
+        self._number += 1
+        if len(self._tokens) == _MOST_ASKED:
+            self._tokens.popitem(last=False)
+        self._tokens[self._number] = asked.token
+        return self._number
+
+    def handle_answer(self, number: int | None, refusal: str, now_ns: int) -> None:
+        """A request was carried out or refused; one that is not known changes nothing."""
+        if number is not None and number in self._tokens:
+            done = FunctionDone(self._application, self._tokens.pop(number), refusal)
+            self._end.handle_request(done, now_ns)
+
+
+class RobotSource:
+    """Takes the robot over, and hands it the functions that telecommands ask for.
+
+    first_number: as `JoystickDesk` has it.
+    """
+
+    def __init__(self, end: TmtcEnd, *, first_number: int) -> None:
+        self._end = end
+        self._asked = _Asked("robot", end, first_number=first_number)
+        self._functions = {one.name for one in end.applications["robot"].table.functions}
+        self._next_ns = 0
+        self._known: tuple[object, ...] = ()
+        self._known_ns = 0
+        self._faults: tuple[int, int] | None = None
+
+    def handle_state(self, state: WorldState, now_ns: int) -> None:
+        """The newest state of the robot; taken over at most twice a second."""
+        if now_ns < self._next_ns:
+            return
+        self._next_ns = now_ns + SAMPLE_NS
+        values: Values = {
+            "x": state.x_m,
+            "y": state.y_m,
+            "force": state.force_n,
+            "contact": state.contact,
+        }
+        self._end.handle_values("robot", values, now_ns)
+
+    def handle_asked(self, asked: FunctionAsked) -> RobotCommand | None:
+        """Return the command for the robot, or None, if it is for another part."""
+        if asked.application != "robot" or asked.function not in self._functions:
+            return None
+        number = self._asked.handle_asked(asked)
+        if not asked.arguments:
+            return RobotCommand(number, asked.function)
+        # The dictionary has let only its choices pass.
+        return RobotCommand(number, asked.function, ControlMode(str(asked.arguments[0])))
+
+    def handle_status(self, status: RobotStatus, now_ns: int) -> None:
+        """What the robot controller does. A new fault is an event."""
+        values: Values = {
+            "powered": status.powered,
+            "mode": status.mode,
+            "error": status.error,
+        }
+        known = tuple(values.values())
+        if known != self._known or now_ns >= self._known_ns:
+            self._known, self._known_ns = known, now_ns + SAMPLE_NS
+            self._end.handle_values("robot", values, now_ns)
+        faults = (status.life, status.faults)
+        if status.faults and faults != self._faults:
+            self._end.handle_event("robot", "error", now_ns)
+        self._faults = faults
+        self._asked.handle_answer(status.commanded, status.command_refusal, now_ns)
+
+
+class JoystickDesk:
+    """Takes the state of the joystick over, and hands it the functions that telecommands ask for.
+
+    first_number: above those of an earlier life, for example the instant at which this one began.
+    """
+
+    def __init__(self, end: TmtcEnd, *, first_number: int) -> None:
+        self._end = end
+        self._state: JoystickState | None = None
+        self._test: tuple[int, str] | None = None
+        self._next_ns = 0
+        self._asked = _Asked("joystick", end, first_number=first_number)
+
+    def handle_asked(self, asked: FunctionAsked, now_ns: int) -> bytes | None:
+        """Return the request for the joystick, or None, if it is for another part."""
+        event = _EVENTS.get(asked.function)
+        if asked.application != "joystick" or event is None:
+            return None
+        return pack_request(HandRequest(self._asked.handle_asked(asked), event))
+
+    def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
+        """The newest state of the joystick."""
+        state = JoystickState(status.state)
+        changed = self._state is not None and state is not self._state
+        test = (status.test_number, status.test)
+        tested = self._test is not None and test != self._test
+        self._test = test
+        if changed or tested or now_ns >= self._next_ns:
+            self._next_ns = now_ns + SAMPLE_NS
+            temperature_c = nan if status.temperature_c is None else status.temperature_c
+            values: Values = {
+                "state": state.words,
+                "application": _application(status, state),
+                "dead_man": status.dead_man,
+                "force_limit": status.force_limit_n,
+                "temperature": temperature_c,
+                "x": status.x_m,
+                "y": status.y_m,
+                "test": status.test,
+                "test_part": status.test_part,
+            }
+            self._end.handle_values("joystick", values, now_ns)
+        if changed:
+            self._end.handle_event("joystick", "state_changed", now_ns)
+            if state in _OFF_NOMINAL:
+                self._end.handle_event("joystick", "off_nominal", now_ns)
+        if tested and status.test != Outcome.RUNNING:
+            passed = status.test == Outcome.PASSED
+            event = "test_passed" if passed else "test_failed"
+            self._end.handle_event("joystick", event, now_ns)
+        self._state = state
+        self._asked.handle_answer(status.commanded, status.command_refusal, now_ns)
+
+
+def _application(status: JoystickStatus, state: JoystickState) -> str:
+    """Which application has the handle."""
+    if status.test == Outcome.RUNNING:
+        return "joystick test"
+    return "german experiment" if state is JoystickState.APPLICATION else "none"

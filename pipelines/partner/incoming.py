@@ -1,0 +1,228 @@
+"""One stream of the partner: access units and blocks of sound as they come. Cores."""
+
+from dataclasses import dataclass
+
+from aiortc.rate import RemoteBitrateEstimator
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ProtocolError
+from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
+from kontur_av.rtp.header_extensions import ABS_SEND_TIME, elements_of
+from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.playout import PlayoutBlock
+from kontur_av.rtp.rate_feedback import rate_message
+from kontur_av.rtp.receiver import REORDER_DEPTH_NS
+from kontur_av.rtp.reception import ReceptionLog
+from kontur_av.rtp.repair import TOO_OLD_NS, LossAsker
+from kontur_av.rtp.wire import RtcpReceiverInfo, RtcpSrPacket
+from kontur_av.streams.video_receiver import VideoReceiver
+from kontur_av.streams.voice_receiver import VoiceReceiver
+from pipelines.partner.description import MediaLine
+
+#: How long a picture waits for a packet that was asked for.
+_REPAIR_NS = 150 * NS_PER_MS
+assert _REPAIR_NS <= TOO_OLD_NS
+_HEADER_OCTETS = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IncomingFigures:
+    """Figures of a stream of the partner.
+
+    packets, lost: RTP. octets: payload. jitter_ns: of arrivals. units: pictures, or blocks of sound
+    that were played. damaged: pictures with packets missing, or blocks concealed. keys_asked: PLI
+    sent. asked, mended: NACKs sent, and packets that came after all. wish_bps: REMB last sent.
+    """
+
+    packets: int
+    lost: int
+    octets: int
+    jitter_ns: int
+    units: int
+    damaged: int
+    keys_asked: int = 0
+    asked: int = 0
+    mended: int = 0
+    wish_bps: int | None = None
+
+
+class IncomingPicture:
+    """Receives the partner's picture, and tells it what is missing and how much it may send.
+
+    line: as agreed. ssrc: of this end. most_bps: the rate that the partner may send at most.
+    wall_offset_ns, name: as of `VideoReceiver`.
+    """
+
+    def __init__(
+        self, line: MediaLine, *, ssrc: int, most_bps: int, name: str, wall_offset_ns: int = 0
+    ) -> None:
+        self.line = line
+        self._ssrc, self._most_bps = ssrc, most_bps
+        nack = "nack" in line.feedback
+        self.receiver = VideoReceiver(
+            ssrc=ssrc,
+            name=name,
+            wall_offset_ns=wall_offset_ns,
+            keep_alive_ns=None,
+            payload_type=line.payload_type,
+            reorder_depth_ns=_REPAIR_NS if nack else REORDER_DEPTH_NS,
+        )
+        self._asker = LossAsker(ssrc=ssrc) if nack else None
+        self._log: ReceptionLog | None = None
+        #: The SSRC of the newest packet; None before the first.
+        self.source: int | None = None
+        self._send_time = line.extensions.get(ABS_SEND_TIME)
+        self._estimator = RemoteBitrateEstimator() if "goog-remb" in line.feedback else None
+        self._wish: bytes | None = None
+        self._wish_bps: int | None = None
+
+    def handle_packet(self, packet: bytes, now_ns: int) -> None:
+        """Handle an RTP packet of this stream. Drain `next_unit` afterwards."""
+        source, sequence, timestamp = _numbers(packet)
+        if source != self.source:
+            self.source = source
+            self._log = ReceptionLog(ssrc=source, clock_rate_hz=VIDEO_CLOCK_HZ)
+            if self._estimator is not None:
+                self._estimator = RemoteBitrateEstimator()
+        assert self._log is not None
+        self._log.handle_packet(sequence, timestamp, now_ns)
+        if self._asker is not None:
+            self._asker.handle_packet(source, sequence, now_ns)
+        self._estimate(packet, source, now_ns)
+        self.receiver.handle_packet(packet, now_ns)
+
+    def handle_report(self, report: RtcpSrPacket, datagram: bytes, now_ns: int) -> None:
+        """Handle a sender report, and the datagram that it came in."""
+        if report.ssrc == self.source and self._log is not None:
+            self._log.handle_sender_report(report, now_ns)
+        self.receiver.handle_report(datagram, now_ns)
+
+    def handle_timeout(self, now_ns: int) -> None:
+        """Give up packets that are overdue. Drain `next_unit` afterwards."""
+        self.receiver.handle_timeout(now_ns)
+
+    def next_unit(self) -> ReceivedUnit | None:
+        """Return the next access unit, or None."""
+        return self.receiver.next_event()
+
+    def poll_feedback(self, now_ns: int) -> bytes | None:
+        """Return a PLI, NACK or REMB to send now; call until None."""
+        if self._asker is not None and (asked := self._asker.poll_transmit(now_ns)) is not None:
+            return asked
+        if (asked := self.receiver.poll_feedback(now_ns)) is not None:
+            return asked
+        wish, self._wish = self._wish, None
+        return wish
+
+    def poll_timeout(self) -> int | None:
+        """Return when to call `handle_timeout` and `poll_feedback`; None: not yet."""
+        due = [self.receiver.poll_timeout()]
+        due += [] if self._asker is None else [self._asker.poll_timeout()]
+        return min((one for one in due if one is not None), default=None)
+
+    def block(self, now_ns: int) -> RtcpReceiverInfo | None:
+        """Return the report block of this stream, or None."""
+        return None if self._log is None else self._log.block(now_ns)
+
+    @property
+    def figures(self) -> IncomingFigures:
+        """The figures so far."""
+        counts = self.receiver.counts
+        return IncomingFigures(
+            packets=counts.rtp.received,
+            lost=counts.rtp.lost,
+            octets=counts.rtp.payload_octets,
+            jitter_ns=counts.jitter_ns,
+            units=counts.units,
+            damaged=counts.damaged,
+            keys_asked=counts.asked,
+            asked=0 if self._asker is None else self._asker.sent,
+            mended=0 if self._asker is None else self._asker.mended,
+            wish_bps=self._wish_bps,
+        )
+
+    def _estimate(self, packet: bytes, source: int, now_ns: int) -> None:
+        if self._estimator is None or self._send_time is None:
+            return
+        try:
+            sent = elements_of(packet).get(self._send_time)
+        except ProtocolError:
+            return
+        if sent is None or len(sent) != 3:
+            return
+        found = self._estimator.add(
+            arrival_time_ms=now_ns // NS_PER_MS,
+            abs_send_time=int.from_bytes(sent, "big"),
+            payload_size=len(packet) - _HEADER_OCTETS,
+            ssrc=source,
+        )
+        if found is not None:
+            self._wish_bps = min(found[0], self._most_bps)
+            self._wish = rate_message(self._wish_bps, ssrc=self._ssrc, media_ssrcs=[source])
+
+
+class IncomingVoice:
+    """Receives the partner's voice. Arguments as of `IncomingPicture`."""
+
+    def __init__(self, line: MediaLine, *, name: str, wall_offset_ns: int = 0) -> None:
+        self.line = line
+        self.receiver = VoiceReceiver(
+            name=name, wall_offset_ns=wall_offset_ns, payload_type=line.payload_type
+        )
+        self._log: ReceptionLog | None = None
+        #: The SSRC of the newest packet; None before the first.
+        self.source: int | None = None
+
+    def handle_packet(self, packet: bytes, now_ns: int) -> None:
+        """Handle an RTP packet of this stream. Drain `next_block` afterwards."""
+        source, sequence, timestamp = _numbers(packet)
+        if source != self.source:
+            self.source = source
+            self._log = ReceptionLog(ssrc=source, clock_rate_hz=AUDIO_CLOCK_HZ)
+        assert self._log is not None
+        self._log.handle_packet(sequence, timestamp, now_ns)
+        self.receiver.handle_packet(packet, now_ns)
+
+    def handle_report(self, report: RtcpSrPacket, datagram: bytes, now_ns: int) -> None:
+        """Handle a sender report, and the datagram that it came in."""
+        if report.ssrc == self.source and self._log is not None:
+            self._log.handle_sender_report(report, now_ns)
+        self.receiver.handle_report(datagram, now_ns)
+
+    def handle_timeout(self, now_ns: int) -> None:
+        """Make blocks that are due. Drain `next_block` afterwards."""
+        self.receiver.handle_timeout(now_ns)
+
+    def next_block(self) -> PlayoutBlock | None:
+        """Return the next block to play at once, or None."""
+        return self.receiver.next_event()
+
+    def poll_timeout(self) -> int | None:
+        """Return when the next block is due; None during a silence."""
+        return self.receiver.poll_timeout()
+
+    def block(self, now_ns: int) -> RtcpReceiverInfo | None:
+        """Return the report block of this stream, or None."""
+        return None if self._log is None else self._log.block(now_ns)
+
+    @property
+    def figures(self) -> IncomingFigures:
+        """The figures so far."""
+        counts = self.receiver.counts
+        return IncomingFigures(
+            packets=counts.rtp.received,
+            lost=counts.rtp.lost,
+            octets=counts.rtp.payload_octets,
+            jitter_ns=counts.jitter_ns,
+            units=counts.playout.played,
+            damaged=counts.playout.concealed,
+        )
+
+
+def _numbers(packet: bytes) -> tuple[int, int, int]:
+    """SSRC, sequence number and timestamp of an RTP packet with a whole header."""
+    return (
+        int.from_bytes(packet[8:12], "big"),
+        int.from_bytes(packet[2:4], "big"),
+        int.from_bytes(packet[4:8], "big"),
+    )

@@ -1,0 +1,272 @@
+"""One stream towards the partner: access units or Opus packets as they were coded. A core."""
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp
+from kontur_av.rtp.header_extensions import (
+    ABS_SEND_TIME,
+    MID,
+    PLAYOUT_DELAY,
+    extended,
+    playout_delay_element,
+    send_time_element,
+)
+from kontur_av.rtp.rate_feedback import told_rate
+from kontur_av.rtp.reception import ReceptionFigures, ReceptionReader
+from kontur_av.rtp.repair import PacketHistory
+from kontur_av.rtp.sender import RtpIdentity, RtpSender
+from kontur_av.rtp.wire import (
+    RTCP_PSFB_FIR,
+    RTCP_PSFB_PLI,
+    RTCP_RTPFB_NACK,
+    AnyRtcpPacket,
+    RtcpPsfbPacket,
+    RtcpRrPacket,
+    RtcpRtpfbPacket,
+    RtcpSrPacket,
+)
+from pipelines.partner.description import MediaLine
+
+#: Packets of a picture leave at this multiple of the stream's rate, so that a key picture does not
+#: fill a home router's queue at once, but at least at the rate after it.
+_PACE, _LEAST_PACE_BPS = 4, 3_000_000
+#: When the oldest unit waits longer, all that wait are dropped.
+_OLDEST_NS = 400 * NS_PER_MS
+#: All requests within this time are answered by one key picture.
+_ANSWER_ONCE_NS = 300 * NS_PER_MS
+#: The smallest step between the capture times of two units: one tick of the clock.
+_TICK_NS = -(-NS_PER_S // VIDEO_CLOCK_HZ)
+#: Room for header extensions and SRTP below the usual 1200 octets of WebRTC.
+_MOST_PAYLOAD_OCTETS = 1140
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutgoingFigures:
+    """Figures of a stream towards the partner.
+
+    units, packets, octets: sent; octets of payload. dropped: units that waited too long.
+    keys_asked: PLI and FIR that came. asked, repeated: packets asked for by NACK, and sent again.
+    wish_bps: the newest REMB; None: none came. reception: what the partner last said.
+    """
+
+    units: int
+    packets: int
+    octets: int
+    dropped: int
+    keys_asked: int
+    asked: int
+    repeated: int
+    wish_bps: int | None
+    reception: ReceptionFigures | None
+
+
+class OutgoingTrack:
+    """Sends one stream by RTP, heeds the partner's feedback. A core.
+
+    Pass units to `handle_unit` or `handle_opus` and RTCP to `handle_feedback`. Then, and at
+    `poll_timeout`, send what `poll_transmit` and `poll_report` return, until None.
+
+    line: as agreed. identity: drawn at random; its SSRC is the line's. bps: the stream's usual
+    rate, from which the pace of its packets follows. cname, wall_offset_ns: as of `RtpSender`.
+
+    Queue: units in order, and the packets of the first. When the oldest unit has waited for 400 ms,
+    all units are dropped, and a key picture is wanted. Sequence numbers have no gap by that.
+    """
+
+    def __init__(
+        self,
+        line: MediaLine,
+        *,
+        identity: RtpIdentity,
+        bps: int,
+        cname: str,
+        wall_offset_ns: int = 0,
+    ) -> None:
+        video = line.kind == "video"
+        self.line = line
+        self._rtp = RtpSender(
+            payload_type=line.payload_type,
+            clock_rate_hz=VIDEO_CLOCK_HZ if video else AUDIO_CLOCK_HZ,
+            ssrc=identity.ssrc,
+            first_sequence=identity.first_sequence,
+            timestamp_offset=identity.timestamp_offset,
+            cname=cname,
+            max_payload_octets=_MOST_PAYLOAD_OCTETS,
+            wall_offset_ns=wall_offset_ns,
+        )
+        self._wall_offset_ns = wall_offset_ns
+        self._pace_bps = max(bps * _PACE, _LEAST_PACE_BPS)
+        self._fixed: list[tuple[int, bytes]] = []
+        if MID in line.extensions:
+            self._fixed.append((line.extensions[MID], line.mid.encode()[:16]))
+        if video and PLAYOUT_DELAY in line.extensions:
+            element = playout_delay_element(least_ms=0, most_ms=0)
+            self._fixed.append((line.extensions[PLAYOUT_DELAY], element))
+        self._send_time = line.extensions.get(ABS_SEND_TIME)
+        self._history = PacketHistory() if "nack" in line.feedback else None
+        self._reader = ReceptionReader()
+        #: Units that wait, with when they came, and the packets of the one that leaves.
+        self._units_waiting: deque[tuple[AccessUnit | tuple[bytes, CaptureStamp], int]] = deque()
+        self._leaving: deque[bytes] = deque()
+        self._again: deque[bytes] = deque()
+        self._free_ns = 0
+        self._last_capture_ns: int | None = None
+        #: A decoder can begin only at a key picture, so none is sent before one.
+        self._begun = False
+        self._key_due = video
+        self._answered_ns: int | None = None
+        self._wish_bps: int | None = None
+        self._units = self._dropped = self._keys_asked = 0
+
+    @property
+    def ssrc(self) -> int:
+        """The SSRC of what is sent."""
+        return self._rtp.ssrc
+
+    @property
+    def wish_bps(self) -> int | None:
+        """The newest rate that the partner can take (REMB); None: it said none."""
+        return self._wish_bps
+
+    @property
+    def waiting(self) -> int:
+        """Units that wait."""
+        return len(self._units_waiting)
+
+    def oldest_age_ns(self, now_ns: int) -> int:
+        """Return how long the oldest unit has waited; 0 while none waits."""
+        return now_ns - self._units_waiting[0][1] if self._units_waiting else 0
+
+    def handle_unit(self, unit: AccessUnit, now_ns: int) -> None:
+        """Send one access unit. Those before the first key picture are left out."""
+        if not (self._begun or unit.keyframe):
+            return
+        self._begun = True
+        if self.oldest_age_ns(now_ns) > _OLDEST_NS:
+            self._dropped += len(self._units_waiting)
+            self._units_waiting.clear()
+            self._key_due = True
+        if unit.keyframe:
+            # What came before it is not needed any more.
+            self._dropped += len(self._units_waiting)
+            self._units_waiting.clear()
+        # Units sent anew for a late comer are older than those before: time must not run back.
+        if self._last_capture_ns is not None and unit.stamp.capture_ns <= self._last_capture_ns:
+            stamp = replace(unit.stamp, capture_ns=self._last_capture_ns + _TICK_NS)
+            unit = replace(unit, stamp=stamp)
+        self._last_capture_ns = unit.stamp.capture_ns
+        self._units += 1
+        self._units_waiting.append((unit, now_ns))
+
+    def handle_opus(self, opus: bytes, stamp: CaptureStamp, now_ns: int) -> None:
+        """Send one Opus packet of 20 ms."""
+        if self.oldest_age_ns(now_ns) > _OLDEST_NS:
+            self._dropped += len(self._units_waiting)
+            self._units_waiting.clear()
+        self._units += 1
+        self._units_waiting.append(((opus, stamp), now_ns))
+
+    def handle_feedback(self, packet: AnyRtcpPacket, now_ns: int) -> None:
+        """Handle an RTCP packet from the partner; others' are ignored."""
+        if isinstance(packet, RtcpRrPacket | RtcpSrPacket):
+            for block in packet.reports:
+                if block.ssrc == self.ssrc:
+                    self._reader.handle_block(block, now_ns)
+        elif isinstance(packet, RtcpRtpfbPacket):
+            lost = packet.fmt == RTCP_RTPFB_NACK and packet.media_ssrc == self.ssrc
+            if lost and self._history is not None:
+                self._again.extend(self._history.handle_lost(packet.lost, now_ns))
+        elif isinstance(packet, RtcpPsfbPacket):
+            self._handle_picture_feedback(packet)
+
+    def take_key_request(self, now_ns: int) -> bool:
+        """Return whether to encode the next picture as a key picture, or to begin anew."""
+        if not self._key_due:
+            return False
+        if self._answered_ns is not None and now_ns - self._answered_ns < _ANSWER_ONCE_NS:
+            return False
+        self._key_due = False
+        self._answered_ns = now_ns
+        return True
+
+    def poll_transmit(self, now_ns: int) -> bytes | None:
+        """Return the next RTP packet if it may leave now. Send it; call until None."""
+        if self._again:
+            return self._stamped(self._again.popleft(), now_ns)
+        if now_ns < self._free_ns or not (self._leaving or self._begin_unit()):
+            return None
+        packet = self._leaving.popleft()
+        self._free_ns = max(self._free_ns, now_ns) + len(packet) * 8 * NS_PER_S // self._pace_bps
+        if self._history is not None:
+            self._history.handle_sent(int.from_bytes(packet[2:4], "big"), packet, now_ns)
+        return self._stamped(packet, now_ns)
+
+    def poll_report(self, now_ns: int) -> bytes | None:
+        """Return the sender report for now, or None."""
+        report = self._rtp.poll_report(now_ns)
+        if report is not None:
+            self._reader.handle_report_sent(int.from_bytes(report[8:16], "big"), now_ns)
+        return report
+
+    def poll_timeout(self) -> int | None:
+        """Return when to call `poll_transmit` next; None while nothing waits."""
+        if self._again:
+            return 0
+        return self._free_ns if self._leaving or self._units_waiting else None
+
+    def goodbye(self) -> bytes | None:
+        """Return the last RTCP packet; None if nothing was sent."""
+        return self._rtp.goodbye()
+
+    @property
+    def figures(self) -> OutgoingFigures:
+        """The figures so far."""
+        history = self._history
+        return OutgoingFigures(
+            units=self._units,
+            packets=self._rtp.packets_sent,
+            octets=self._rtp.payload_octets_sent,
+            dropped=self._dropped,
+            keys_asked=self._keys_asked,
+            asked=0 if history is None else history.asked,
+            repeated=0 if history is None else history.repeated,
+            wish_bps=self._wish_bps,
+            reception=self._reader.figures,
+        )
+
+    def _begin_unit(self) -> bool:
+        """Make packets of the next unit; False if none waits."""
+        while self._units_waiting and not self._leaving:
+            unit, _ = self._units_waiting.popleft()
+            try:
+                made = (
+                    self._rtp.video_packets(unit)
+                    if isinstance(unit, AccessUnit)
+                    else self._rtp.audio_packets(*unit)
+                )
+            except ValueError:
+                # Passed on as it came, it may hold what RTP cannot carry.
+                self._dropped += 1
+                continue
+            self._leaving.extend(made.packets)
+        return bool(self._leaving)
+
+    def _stamped(self, packet: bytes, now_ns: int) -> bytes:
+        elements = list(self._fixed)
+        if self._send_time is not None:
+            elements.append((self._send_time, send_time_element(now_ns + self._wall_offset_ns)))
+        return extended(packet, elements)
+
+    def _handle_picture_feedback(self, packet: RtcpPsfbPacket) -> None:
+        if packet.fmt in (RTCP_PSFB_PLI, RTCP_PSFB_FIR):
+            # The media SSRC of a FIR is 0; the stream stands in its entry (RFC 5104 clause 4.3.1).
+            entry = int.from_bytes(packet.fci[:4], "big") if packet.fmt == RTCP_PSFB_FIR else 0
+            if self.ssrc in (packet.media_ssrc, entry):
+                self._keys_asked += 1
+                self._key_due = True
+            return
+        told = told_rate(packet)
+        if told is not None and self.ssrc in told[1]:
+            self._wish_bps = told[0]

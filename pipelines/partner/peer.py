@@ -1,0 +1,277 @@
+"""A partner's connection on an event loop: transport, media, offers and answers. A shell.
+
+How the descriptions travel (WHIP, WHEP, a media server's own way) is the caller's.
+"""
+
+import asyncio
+import secrets
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from kontur_av.clock import NS_PER_S, Clock
+from kontur_av.errors import ProtocolError
+from kontur_av.media import AccessUnit, CaptureStamp
+from pipelines.partner.description import (
+    Kind,
+    MediaLine,
+    Offer,
+    Transport,
+    common_line,
+    read_description,
+    wanted_line,
+    write_description,
+)
+from pipelines.partner.ice_servers import IceServers
+from pipelines.partner.media import PictureCame, RtcMedia, SoundCame
+from pipelines.partner.transport import Route, RtcTransport
+
+Event = PictureCame | SoundCame
+
+
+class RtcPeer:
+    """One connection to a partner.
+
+    An offering end calls `offer` and then `accept`; an answering end calls `answer`. Both send with
+    `send_unit` and `send_opus` from then on; what is sent before the connection stands is dropped.
+    `run` drives it until it ends; `close` ends it.
+
+    sends: by kind, the usual bit/s of what this end sends. receives: kinds that it takes.
+    handle: called with each event, on the event loop. It must not block.
+    want_key: called when the partner needs a key picture, as it does at first.
+    most_bps: of the partner's picture. wall_offset_ns: Unix time minus the clock's time.
+    """
+
+    def __init__(
+        self,
+        *,
+        clock: Clock,
+        sends: dict[Kind, int],
+        receives: Sequence[Kind] = (),
+        handle: Callable[[Event], None] = lambda _: None,
+        want_key: Callable[[], None] = lambda: None,
+        servers: IceServers | None = None,
+        most_bps: int = 1_500_000,
+        wall_offset_ns: int = 0,
+        offers: bool = True,
+    ) -> None:
+        self._clock, self._sends, self._receives = clock, dict(sends), tuple(receives)
+        self._handle, self._want_key, self._most_bps = handle, want_key, most_bps
+        self._wall_offset_ns = wall_offset_ns
+        self._session = secrets.randbits(62)
+        self._cname = secrets.token_hex(8)
+        self._stream = secrets.token_hex(8)
+        self._ssrcs: dict[Kind, int] = {
+            kind: secrets.randbits(31) + 1 for kind in ("audio", "video")
+        }
+        self._transport = RtcTransport(
+            controlling=offers,
+            servers=servers or IceServers(),
+            handle_rtp=self._handle_rtp,
+            handle_rtcp=self._handle_rtcp,
+        )
+        self._local: Transport | None = None
+        self._offered: list[MediaLine] = []
+        self._lines: list[MediaLine] = []
+        self._wake = asyncio.Event()
+        self._restarting: asyncio.Future[None] | None = None
+        self._connecting: tuple[Transport, str] | None = None
+        self.media: RtcMedia | None = None
+        self.connected = False
+        self.closed = False
+        #: Why it has ended; "" while it has not, or if it was closed here.
+        self.fault = ""
+
+    @property
+    def route(self) -> Route | None:
+        """The pair of addresses in use; None while there is none."""
+        return self._transport.route
+
+    @property
+    def restarts(self) -> int:
+        """How often ICE was restarted."""
+        return self._transport.restarts
+
+    @property
+    def peer_ufrag(self) -> str:
+        """ICE's user name of the partner; "" before the descriptions were exchanged."""
+        return "" if self._connecting is None else self._connecting[0].ufrag
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing has come from the partner for seconds, or there is no way to it."""
+        silent = self.media is not None and self.media.is_silent(self._clock.now_ns())
+        return silent or self._transport.lost
+
+    async def offer(self) -> str:
+        """Return the offer to send to the partner."""
+        self._local = await self._transport.gather()
+        kinds: list[Kind] = [
+            kind for kind in ("audio", "video") if kind in self._sends or kind in self._receives
+        ]
+        self._offered = [
+            wanted_line(
+                kind,
+                mid=str(number),
+                ssrc=self._ssrcs[kind],
+                sends=kind in self._sends,
+                receives=kind in self._receives,
+            )
+            for number, kind in enumerate(kinds)
+        ]
+        return self._write(self._offered, replace(self._local, role="auto"))
+
+    async def accept(self, answer: str) -> None:
+        """The partner has answered the offer. ProtocolError if the answer cannot be used."""
+        said = read_description(answer, answers=True, ssrcs=self._ssrcs)
+        lines = []
+        for line in said.lines:
+            wanted = next((one for one in self._offered if one.mid == line.mid), None)
+            if wanted is None or wanted.kind != line.kind:
+                raise ProtocolError(
+                    f"an answer with the section {line.mid!r}, which was not offered"
+                )
+            common = common_line(line, sends=wanted.sends, receives=wanted.receives)
+            if common is not None:
+                lines.append(common)
+        role = "server" if said.transport.role == "client" else "client"
+        self._begin(lines, said.transport, role)
+
+    async def answer(self, offer: str) -> str:
+        """Return the answer to a partner's offer. ProtocolError if the offer cannot be used."""
+        said = read_description(offer, answers=False, ssrcs=self._ssrcs)
+        lines = [
+            line
+            for offered in said.lines
+            if (
+                line := common_line(
+                    offered,
+                    sends=offered.kind in self._sends,
+                    receives=offered.kind in self._receives,
+                )
+            )
+        ]
+        if not lines:
+            raise ProtocolError("an offer of nothing that is wanted here")
+        self._local = await self._transport.gather()
+        # The partner's choice if it made one; else it waits and this end begins.
+        role = "server" if said.transport.role == "client" else "client"
+        self._begin(lines, said.transport, role)
+        return self._write(lines, replace(self._local, role=role), answers=said)
+
+    async def restart(self, peer: Transport | None = None) -> Transport:
+        """Gather new addresses, for a restart of ICE; what to tell the partner.
+
+        peer: the partner's new ones, if it began; else call `finish_restart` with them.
+        """
+        local = await self._transport.begin_restart()
+        self._local = local
+        if peer is not None:
+            self._restarting = asyncio.ensure_future(self._finish_quietly(peer))
+        return local
+
+    async def finish_restart(self, peer: Transport) -> None:
+        """The partner's new addresses. ConnectionError if no way is found; the old way stays."""
+        await self._transport.finish_restart(peer)
+
+    async def add_candidates(self, told: Transport) -> None:
+        """The partner has told further candidates."""
+        await self._transport.add_candidates(told.candidates, last=told.complete)
+
+    def send_unit(self, unit: AccessUnit) -> None:
+        """Send an access unit."""
+        if self.media is not None and self.connected:
+            self.media.send_unit(unit, self._clock.now_ns())
+            self._wake.set()
+
+    def send_opus(self, opus: bytes, stamp: CaptureStamp) -> None:
+        """Send an Opus packet."""
+        if self.media is not None and self.connected:
+            self.media.send_opus(opus, stamp, self._clock.now_ns())
+            self._wake.set()
+
+    async def run(self) -> None:
+        """Connect, and send and receive until the connection ends. It raises nothing of a peer."""
+        if self._connecting is None or self.media is None:
+            raise ValueError("no descriptions were exchanged")
+        try:
+            await self._transport.connect(self._connecting[0], role=self._connecting[1])
+        except ConnectionError as error:
+            self.fault = str(error)
+            await self.close()
+            return
+        self.connected = True
+        while not self.closed and self._transport.state == "connected":
+            await self._step(self.media)
+        self.connected = False
+        await self.close()
+
+    async def close(self) -> None:
+        """End the connection; it may be called twice."""
+        if self.closed:
+            return
+        self.closed = True
+        self._wake.set()
+        if self.connected and self.media is not None:
+            for said in self.media.goodbye():
+                await self._transport.send(said)
+        await self._transport.close()
+
+    async def _step(self, media: RtcMedia) -> None:
+        now_ns = self._clock.now_ns()
+        media.handle_timeout(now_ns)
+        while (event := media.next_event()) is not None:
+            self._handle(event)
+        if media.take_key_request(now_ns):
+            self._want_key()
+        while (datagram := media.poll_transmit(self._clock.now_ns())) is not None:
+            await self._transport.send(datagram)
+        wait_s = (media.poll_timeout(now_ns) - self._clock.now_ns()) / NS_PER_S
+        self._wake.clear()
+        if wait_s > 0:
+            try:
+                async with asyncio.timeout(wait_s):
+                    await self._wake.wait()
+            except TimeoutError:
+                return
+        else:
+            # The loop's other work goes on.
+            await asyncio.sleep(0)
+
+    def _begin(self, lines: list[MediaLine], peer: Transport, role: str) -> None:
+        self._lines = lines
+        self._connecting = peer, role
+        self.media = RtcMedia(
+            lines,
+            randbits=secrets.randbits,
+            bps=self._sends,
+            most_bps=self._most_bps,
+            cname=self._cname,
+            wall_offset_ns=self._wall_offset_ns,
+        )
+
+    def _write(self, lines: list[MediaLine], local: Transport, answers: Offer | None = None) -> str:
+        return write_description(
+            lines,
+            local,
+            session=self._session,
+            cname=self._cname,
+            stream=self._stream,
+            answers=answers,
+        )
+
+    async def _finish_quietly(self, peer: Transport) -> None:
+        try:
+            await self._transport.finish_restart(peer)
+        except ConnectionError:
+            # The partner begins anew if it wants to.
+            return
+
+    def _handle_rtp(self, packet: bytes) -> None:
+        if self.media is not None:
+            self.media.handle_rtp(packet, self._clock.now_ns())
+            self._wake.set()
+
+    def _handle_rtcp(self, datagram: bytes) -> None:
+        if self.media is not None:
+            self.media.handle_rtcp(datagram, self._clock.now_ns())
+            self._wake.set()

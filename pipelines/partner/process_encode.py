@@ -1,0 +1,142 @@
+"""Codes the selected camera and ground control's voice for partners, while any of them watches."""
+
+from dataclasses import replace
+
+from kontur_av.codecs.coding import SLOW_REFRESH_S
+from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.opus import OpusEncoder, heard_stamp
+from kontur_av.media import CaptureStamp
+from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
+from kontur_av.topics.bus import Lease, Reader, TopicBus
+from pipelines.media.coded_topics import SentTopic
+from pipelines.media.following import Choice
+from pipelines.partner.rate import PicturePlan
+from pipelines.partner.wish import Wish
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.sample_topic import SampleTopic
+from pipelines.session.setup.table import GROUND_MIC
+from pipelines.session.topology import (
+    RTC_SPEECH_TOPIC,
+    RTC_VIDEO,
+    RTC_VIDEO_TOPIC,
+    RTC_WISH_TOPIC,
+    SELECTED_TOPIC,
+)
+
+
+def run_rtc_encode(context: Context) -> None:
+    """Encode the newest picture of the selected camera, and each block of sound."""
+    switch_threads_often()
+    leg, stream, clock = context.setup.rtc, context.setup.uplink_video, context.clock
+    assert leg is not None
+    encoder = H264Encoder(
+        width=stream.width,
+        height=stream.height,
+        fps=stream.fps,
+        cap_bps=leg.video_bps,
+        refresh_s=SLOW_REFRESH_S,
+    )
+    plan = PicturePlan(bps=leg.video_bps)
+    speaks = context.setup.uplink_voice is not None
+    voice = OpusEncoder(bitrate_bps=leg.voice_bps) if speaks else None
+    with context.open_bus() as bus, EncodingThread(encoder, clock) as encoding:
+        camera = _SelectedCamera(context, bus)
+        wishes = bus.reader(RTC_WISH_TOPIC)
+        wish = Wish(0, 0)
+        microphone = (
+            bus.reader(context.topology.input(GROUND_MIC).topic, depth=8) if speaks else None
+        )
+        pictures = SentTopic(bus, RTC_VIDEO, RTC_VIDEO_TOPIC)
+        packets = SampleTopic(bus, RTC_SPEECH_TOPIC) if speaks else None
+        others = [wishes] if microphone is None else [wishes, microphone]
+        waiter = bus.waiter([*others, *camera.readers], [encoding.fileno()])
+        encoded: Lease | None = None
+        numbers = 0
+        while not context.stopping:
+            context.tick(clock.now_ns())
+            waiter.wait(PATIENCE_NS)
+            if camera.handle_choice():
+                plan.handle_key_request()
+                del waiter
+                waiter = bus.waiter([*others, *camera.readers], [encoding.fileno()])
+            told = wishes.latest()
+            if told is not None:
+                with told:
+                    newest = Wish.unpack(told.octets())
+                if newest.keys != wish.keys or not wish.bps:
+                    plan.handle_key_request()
+                wish = newest
+                if wish.bps:
+                    plan.handle_rate(wish.bps)
+            done = encoding.poll()
+            if done is not None and encoded is not None:
+                encoded.release()
+                encoded = None
+                camera.close_retired()
+                plan.handle_coded(len(done.unit.data), done.encoded_ns)
+                pictures.handle_unit(done.unit, encoder.unit_size)
+            lease = None if encoded is not None else camera.newest()
+            if lease is not None:
+                coding = plan.handle_picture(clock.now_ns()) if wish.bps else None
+                if coding is None:
+                    lease.release()
+                else:
+                    frame = lease.video()
+                    stamp = CaptureStamp(frame.stamp.capture_ns, numbers, RTC_VIDEO)
+                    numbers += 1
+                    encoding.submit(replace(frame, stamp=stamp), coding)
+                    encoded = lease
+            while microphone is not None and (block := microphone.next()) is not None:
+                with block:
+                    if not wish.bps or voice is None or packets is None:
+                        continue
+                    sound = block.audio()
+                    octets = voice.encode(sound.samples)
+                packets.handle_sample(octets, heard_stamp(sound.stamp).capture_ns)
+        encoding.close()
+        if encoded is not None:
+            encoded.release()
+        camera.close_retired()
+        del waiter
+
+
+class _SelectedCamera:
+    """The pictures of the selected camera; it follows the selector, and confirms nothing."""
+
+    def __init__(self, context: Context, bus: TopicBus) -> None:
+        self._topology, self._bus = context.topology, bus
+        self._choices = bus.reader(SELECTED_TOPIC)
+        self._camera = ""
+        self._reader: Reader | None = None
+        #: Readers of earlier cameras, one of whose pictures may still be in the encoder.
+        self._retired: list[Reader] = []
+
+    @property
+    def readers(self) -> list[Reader]:
+        """The readers whose new samples matter."""
+        return [self._choices, *([] if self._reader is None else [self._reader])]
+
+    def handle_choice(self) -> bool:
+        """Read the newest choice; True if another camera is selected now."""
+        lease = self._choices.latest()
+        if lease is None:
+            return False
+        with lease:
+            chosen = Choice.unpack(lease.octets()).camera
+        if chosen == self._camera:
+            return False
+        self._camera = chosen
+        if self._reader is not None:
+            self._retired.append(self._reader)
+        self._reader = self._bus.reader(self._topology.camera(chosen).topic)
+        return True
+
+    def newest(self) -> Lease | None:
+        """Return the newest picture that was not taken yet, or None."""
+        return None if self._reader is None else self._reader.latest()
+
+    def close_retired(self) -> None:
+        """No picture of an earlier camera is used any more."""
+        for reader in self._retired:
+            reader.close()
+        self._retired.clear()

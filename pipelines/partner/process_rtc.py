@@ -1,0 +1,394 @@
+"""The process that has the connections to partners across the Internet: topics on one side, WebRTC
+on the other. Whatever a partner or its network does, no process of the radio link waits for it."""
+
+import asyncio
+from collections.abc import Callable
+from itertools import count
+
+from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
+from kontur_av.media import AccessUnit, AudioFrame, CaptureStamp, Quality
+from kontur_av.meters import RateMeter
+from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
+from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.topics.bus import Lease, TopicBus
+from pipelines.media.local_key import key_of
+from pipelines.media.unit_history import KeptUnit, UnitHistory
+from pipelines.partner.description import Kind
+from pipelines.partner.ice_servers import IceServers
+from pipelines.partner.media import PictureCame, SoundCame
+from pipelines.partner.partner_time import PartnerTime
+from pipelines.partner.peer import RtcPeer
+from pipelines.partner.programme import Programme
+from pipelines.partner.rate import RateFollower
+from pipelines.partner.rtc_samples import SamplePorts
+from pipelines.partner.sample_tally import SampleTally
+from pipelines.partner.server import RtcServer
+from pipelines.partner.tally import Tally
+from pipelines.partner.wish import WISH_OCTETS, Wish
+from pipelines.session.feeds import Feed
+from pipelines.session.figures import RtcCounters, RtcGauges
+from pipelines.session.messages import UNKNOWN_US
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.sample_topic import SampleTopic
+from pipelines.session.setup.table import RtcLeg, VideoStream
+from pipelines.session.topology import (
+    RTC,
+    RTC_CAMERA,
+    RTC_CODED_VOICE_TOPIC,
+    RTC_SPEECH,
+    RTC_SPEECH_TOPIC,
+    RTC_UNITS_TOPIC,
+    RTC_VIDEO,
+    RTC_VIDEO_TOPIC,
+    RTC_VOICE,
+    RTC_VOICE_TOPIC,
+    RTC_WISH_TOPIC,
+    VideoRow,
+)
+
+#: The programmes, as their addresses name them.
+UPLINK, DOWNLINK = "uplink", "downlink"
+_DEPTH = 8
+#: A replay for a late comer is short: a picture that is coded here is taken rather than that.
+_MOST_REPLAYED_PIXELS = 4_000_000
+_UNITS_OCTETS = 64 << 10
+#: Coarser than for a page beside: a partner's network takes a while for a key picture. The next
+#: refresh wave brings the rest.
+_QUANTIZER = 22
+
+
+def run_rtc(context: Context, *, servers: Callable[[], IceServers] = IceServers) -> None:
+    """Serve partners on the socket that the launcher has bound.
+
+    servers: called for the STUN and TURN servers of each connection.
+    """
+    asyncio.run(_serve(context, servers))
+
+
+async def _serve(context: Context, servers: Callable[[], IceServers]) -> None:
+    with context.open_bus() as bus:
+        await _Leg(context, bus, servers).run()
+
+
+class _Leg:
+    """The leg: what partners watch, and what becomes of theirs."""
+
+    def __init__(self, context: Context, bus: TopicBus, servers: Callable[[], IceServers]) -> None:
+        leg = context.setup.rtc
+        assert leg is not None
+        self._context, self._clock = context, context.clock
+        self._loop = asyncio.get_running_loop()
+        self._uplink = _Uplink(context, bus, leg, self._loop)
+        self._downlink = _Downlink(context, bus, self._loop)
+        self._partner = _Partner(context, bus)
+        self._programmes = [self._uplink.programme]
+        if self._downlink.programme.sends:
+            self._programmes.append(self._downlink.programme)
+        self._server = RtcServer(
+            context.pages[RTC],
+            self._programmes,
+            clock=context.clock,
+            handle=self._partner.handle,
+            servers=servers,
+            most_bps=leg.taken_bps,
+            wall_offset_ns=context.clock.wall_offset_ns,
+            samples=None
+            if context.setup.partner_arm == "none"
+            else SamplePorts(context, self._loop),
+        )
+        self._hands = SampleTally()
+        self._tally = Tally()
+        self._known: set[RtcPeer] = set()
+        self._stood: set[RtcPeer] = set()
+        self._connections = self._restarts = 0
+        self._ended: asyncio.Future[None] = self._loop.create_future()
+
+    async def run(self) -> None:
+        """Serve until the process shall end."""
+        self._loop.set_exception_handler(self._handle_bug)
+        self._context.on_flush(self._tell)
+        await self._server.start()
+        self._uplink.open()
+        self._downlink.open()
+        self._tick()
+        try:
+            await self._ended
+        finally:
+            self._uplink.close()
+            self._downlink.close()
+            await self._server.close()
+
+    def _tick(self) -> None:
+        self._context.tick(self._clock.now_ns())
+        if self._context.stopping:
+            if not self._ended.done():
+                self._ended.set_result(None)
+            return
+        self._loop.call_later(PATIENCE_NS / NS_PER_S, self._tick)
+        self._uplink.handle_time()
+        self._count()
+
+    def _handle_bug(self, loop: asyncio.AbstractEventLoop, told: dict[str, object]) -> None:
+        """End the process for our own mistakes; the launcher starts it again."""
+        error = told.get("exception")
+        if isinstance(error, ConnectionError | OSError | TimeoutError):
+            return
+        if isinstance(error, BaseException) and not self._ended.done():
+            self._ended.set_exception(error)
+        else:
+            loop.default_exception_handler(told)
+
+    def _count(self) -> None:
+        self._hands.handle_peer(self._server.hand)
+        present = set(self._server.peers)
+        for peer in present:
+            self._known.add(peer)
+            if peer.connected and peer not in self._stood:
+                self._stood.add(peer)
+                self._connections += 1
+            if peer.media is not None:
+                self._tally.handle_figures(peer, peer.media.figures, self._names(peer))
+        for peer in self._known - present:
+            self._known.discard(peer)
+            self._stood.discard(peer)
+            self._restarts += peer.restarts
+            self._tally.handle_end(peer)
+
+    def _names(self, peer: RtcPeer) -> dict[Kind, str]:
+        if peer in self._uplink.programme.peers:
+            return {"video": RTC_VIDEO, "audio": RTC_SPEECH}
+        if peer in self._downlink.programme.peers:
+            return {"video": "downlink_video", "audio": "downlink_voice"}
+        return {"video": RTC_CAMERA, "audio": RTC_VOICE}
+
+    def _tell(self) -> None:
+        self._count()
+        totals, server = self._tally.totals(), self._server
+        probe = self._context.probe
+        probe.count(
+            RtcCounters(
+                connections=self._connections,
+                ice_restarts=self._restarts + sum(peer.restarts for peer in self._known),
+                refused=dict(server.door.refused),
+                garbage=self._tally.garbage + server.garbage + self._hands.garbage,
+                samples=self._hands.totals(),
+                rate_lowered=self._uplink.rate.lowered,
+                **totals,
+            )
+        )
+        standing = [peer for peer in server.peers if peer.connected]
+        route = next((peer.route for peer in reversed(standing) if peer.route), None)
+        trips = [
+            one.reception.round_trip_ns
+            for peer in standing
+            if peer.media is not None
+            for one in peer.media.figures.sent.values()
+            if one.reception is not None and one.reception.round_trip_ns is not None
+        ]
+        probe.gauge(
+            RtcGauges(
+                partners=len(standing),
+                rate_bps=self._uplink.rate.bps,
+                route=None if route is None else f"{route.local} to {route.remote}",
+                round_trip_ns=trips[-1] if trips else None,
+            )
+        )
+
+
+class _Uplink:
+    """The selected camera and ground control's voice, coded for partners by another process."""
+
+    def __init__(
+        self, context: Context, bus: TopicBus, leg: RtcLeg, loop: asyncio.AbstractEventLoop
+    ) -> None:
+        self._clock = context.clock
+        sends: dict[Kind, int] = {"video": leg.video_bps}
+        self._feeds = [Feed(loop, bus, RTC_VIDEO_TOPIC, self._unit, depth=_DEPTH)]
+        if context.setup.uplink_voice is not None:
+            sends["audio"] = leg.voice_bps
+            self._feeds.append(Feed(loop, bus, RTC_SPEECH_TOPIC, self._packet, depth=_DEPTH))
+        self.programme = Programme(UPLINK, sends=sends, want_key=lambda _: self._want_key())
+        self.rate = RateFollower(most_bps=leg.video_bps)
+        self._sent = RateMeter()
+        self._wishes = bus.writer(RTC_WISH_TOPIC, max_octets=WISH_OCTETS)
+        self._numbers, self._keys = count(), 0
+        self._next: int | None = None
+
+    def open(self) -> None:
+        for feed in self._feeds:
+            feed.open()
+
+    def close(self) -> None:
+        for feed in self._feeds:
+            feed.close()
+
+    def handle_time(self) -> None:
+        """Follow the partners' wishes, and tell the coding process, also one that began since."""
+        now_ns = self._clock.now_ns()
+        self.rate.handle_wish(self.programme.wish_bps, self._sent.last_bps(now_ns), now_ns)
+        self._tell()
+
+    def _want_key(self) -> None:
+        self._keys += 1
+        self._tell()
+
+    def _tell(self) -> None:
+        now_ns = self._clock.now_ns()
+        watched = any(peer.connected for peer in self.programme.peers)
+        wish = Wish(self.rate.bps if watched else 0, self._keys)
+        self._wishes.publish_octets(wish.pack(), CaptureStamp(now_ns, next(self._numbers), RTC))
+
+    def _unit(self, lease: Lease) -> None:
+        unit, stamp = CodedUnit.unpack(lease.octets()), lease.stamp
+        if self._next is not None and stamp.sequence != self._next and not unit.key:
+            # Units are gone between the processes: what refers to them is damaged.
+            self._want_key()
+        self._next = stamp.sequence + 1
+        self._sent.add(self._clock.now_ns(), len(unit.data))
+        self.programme.send_unit(AccessUnit(unit.data, stamp, unit.key))
+
+    def _packet(self, lease: Lease) -> None:
+        self.programme.send_opus(lease.octets(), lease.stamp)
+
+
+class _Downlink:
+    """The downlink's picture and voice, passed on as they were received.
+
+    Nothing is asked of their sender: it must not spend the radio's octets for a partner. Who joins
+    gets a key picture that is coded here, and the units since.
+    """
+
+    def __init__(self, context: Context, bus: TopicBus, loop: asyncio.AbstractEventLoop) -> None:
+        setup, self._clock, self._loop, self._bus = context.setup, context.clock, loop, bus
+        sends: dict[Kind, int] = {}
+        self._feeds: list[Feed] = []
+        self._decoded_topic = ""
+        for stream in (setup.downlink_video, setup.downlink_voice):
+            if stream is None:
+                continue
+            row = context.topology.media(stream.name)
+            video = isinstance(stream, VideoStream)
+            sends["video" if video else "audio"] = stream.cap_bps
+            handle = self._unit if video else self._packet
+            self._feeds.append(Feed(loop, bus, row.coded_topic, handle, depth=_DEPTH))
+            if isinstance(row, VideoRow):
+                self._decoded_topic = row.decoded_topic
+        self.programme = Programme(DOWNLINK, sends=sends, want_key=self._want_key)
+        self._history = UnitHistory(pictures=True, most_pixels=_MOST_REPLAYED_PIXELS)
+        self._waiting: set[RtcPeer] = set()
+        self._pictures: Feed | None = None
+        self._coding: asyncio.Future[bytes] | None = None
+
+    def open(self) -> None:
+        for feed in self._feeds:
+            feed.open()
+
+    def close(self) -> None:
+        for feed in self._feeds:
+            feed.close()
+        self._forget_pictures()
+
+    def _unit(self, lease: Lease) -> None:
+        unit = CodedUnit.unpack(lease.octets())
+        kept = self._history.handle_unit(unit, lease.stamp, self._clock.now_ns())
+        if kept is not None:
+            coded = self._access_unit(kept)
+            for peer in self.programme.peers - self._waiting:
+                peer.send_unit(coded)
+        self._serve_waiting()
+
+    def _packet(self, lease: Lease) -> None:
+        if lease.stamp.capture_ns:
+            self.programme.send_opus(lease.octets(), lease.stamp)
+
+    def _want_key(self, peer: RtcPeer) -> None:
+        self._waiting.add(peer)
+        self._serve_waiting()
+
+    def _serve_waiting(self) -> None:
+        self._waiting &= self.programme.peers
+        if not self._waiting:
+            return
+        replay = self._history.replay()
+        if replay is None:
+            if self._pictures is None and self._history.needs_picture:
+                self._pictures = Feed(
+                    self._loop, self._bus, self._decoded_topic, self._picture, depth=1
+                )
+                self._pictures.open()
+            return
+        self._forget_pictures()
+        for peer in self._waiting:
+            for kept in replay:
+                peer.send_unit(self._access_unit(kept))
+        self._waiting.clear()
+
+    def _picture(self, lease: Lease) -> None:
+        """A decoded picture has come: code it, in a thread, as a key picture."""
+        timestamp = lease.stamp.rtp_timestamp
+        if self._coding is not None or timestamp is None:
+            return
+        picture = lease.video().data.copy()
+        self._coding = self._loop.run_in_executor(None, key_of, picture, _QUANTIZER)
+
+        def coded(done: asyncio.Future[bytes]) -> None:
+            self._coding = None
+            if not done.cancelled():
+                self._history.handle_picture(done.result(), timestamp)
+                self._serve_waiting()
+
+        self._coding.add_done_callback(coded)
+
+    def _forget_pictures(self) -> None:
+        if self._pictures is not None:
+            self._pictures.close()
+            self._pictures = None
+
+    def _access_unit(self, kept: KeptUnit) -> AccessUnit:
+        known = kept.capture_us != UNKNOWN_US
+        capture_ns = kept.capture_us * NS_PER_US if known else kept.received_ns
+        stamp = CaptureStamp(capture_ns, kept.sequence, DOWNLINK)
+        return AccessUnit(kept.data, stamp, kept.key)
+
+
+class _Partner:
+    """What a partner sends: its units go to the decoding process, its voice is played here."""
+
+    def __init__(self, context: Context, bus: TopicBus) -> None:
+        self._clock = context.clock
+        self._time = PartnerTime()
+        self._units = bus.writer(RTC_UNITS_TOPIC, max_octets=_UNITS_OCTETS)
+        self._voice = bus.writer(RTC_VOICE_TOPIC, max_octets=MAX_PACKET_SAMPLES * 2)
+        self._packets = SampleTopic(bus, RTC_CODED_VOICE_TOPIC)
+        self._player = VoicePlayer()
+        self._numbers, self._sounds = count(), count()
+
+    def handle(self, event: PictureCame | SoundCame) -> None:
+        """Publish what has come."""
+        now_ns = self._clock.now_ns()
+        told_ns = event.capture_ns
+        capture_ns = now_ns if told_ns is None else self._time.capture_ns(told_ns, now_ns)
+        if isinstance(event, PictureCame):
+            self._handle_unit(event, capture_ns)
+        else:
+            self._handle_sound(event, capture_ns)
+
+    def _handle_unit(self, event: PictureCame, capture_ns: int) -> None:
+        unit = event.unit
+        if len(unit.data) > MOST_UNIT_OCTETS:
+            return
+        damaged = unit.damaged or unit.lost_before > 0
+        quality = Quality.DAMAGED if damaged else Quality.FRESH
+        coded = CodedUnit(data=unit.data, key=unit.keyframe, damaged=damaged)
+        stamp = CaptureStamp(capture_ns, next(self._numbers), RTC_CAMERA, quality, unit.timestamp)
+        self._units.publish_octets(coded.pack(), stamp)
+
+    def _handle_sound(self, event: SoundCame, capture_ns: int) -> None:
+        block = event.block
+        samples, decoded = self._player.play(block)
+        if block.payload is not None and not block.recovered:
+            self._packets.handle_sample(block.payload, capture_ns, block.timestamp)
+        quality = Quality.FRESH if decoded else Quality.CONCEALED
+        stamp = CaptureStamp(capture_ns, next(self._sounds), RTC_VOICE, quality, block.timestamp)
+        self._voice.publish_audio(AudioFrame(samples, stamp))

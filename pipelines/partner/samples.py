@@ -1,0 +1,156 @@
+"""A partner's haptic samples by a data channel of WebRTC. A shell.
+
+The channel neither repeats nor orders (RFC 8831: unordered, no retransmission), so a sample is late
+by the network's own delay, or lost. A message is a sample in the haptic format, or the one octet
+that tells the other end that this one is there.
+"""
+
+import asyncio
+from collections.abc import Callable
+
+from aiortc import (
+    RTCConfiguration,
+    RTCDataChannel,
+    RTCIceTransportPolicy,
+    RTCPeerConnection,
+    RTCSessionDescription,
+)
+from aiortc.exceptions import InvalidAccessError, InvalidStateError
+
+from kontur_av.errors import ProtocolError
+from pipelines.partner.description import MOST_SDP_OCTETS
+from pipelines.partner.ice_servers import IceServers
+from telepresence.haptics.sample import SAMPLE_OCTETS
+
+_LABEL = "haptics"
+_HERE = b"\0"
+_TELL_S, _SILENT_S, _CONNECT_S = 0.5, 4.0, 20.0
+#: What aiortc raises for a description that it cannot use.
+_UNUSABLE = (
+    ValueError,
+    AssertionError,
+    LookupError,
+    AttributeError,
+    TypeError,
+    InvalidAccessError,
+    InvalidStateError,
+)
+
+
+class SamplePeer:
+    """One connection for samples, both ways.
+
+    An offering end calls `offer` and then `accept`; an answering end calls `answer`. `run` waits
+    until the connection ends; `close` ends it.
+
+    handle: called with each sample that came, on the event loop. It must not block.
+    """
+
+    def __init__(self, servers: IceServers, handle: Callable[[bytes], None]) -> None:
+        servers.check()
+        relay = RTCIceTransportPolicy.RELAY if servers.relay_only else RTCIceTransportPolicy.ALL
+        self._connection = RTCPeerConnection(
+            RTCConfiguration(iceServers=servers.for_aiortc(), iceTransportPolicy=relay)
+        )
+        self._handle = handle
+        self._channel: RTCDataChannel | None = None
+        self._ended = asyncio.Event()
+        self._heard_s = asyncio.get_running_loop().time()
+        self._connection.on("datachannel", self._take)
+        self._connection.on("connectionstatechange", self._look)
+        #: Samples that came and went, and those left out because the network was slower.
+        self.received = self.sent = self.dropped = 0
+        #: Messages that are neither sample nor greeting.
+        self.garbage = 0
+        #: Why it has ended; "" while it has not, or if it was closed here.
+        self.fault = ""
+
+    @property
+    def connected(self) -> bool:
+        """Whether samples can be sent."""
+        return self._channel is not None and self._channel.readyState == "open"
+
+    async def offer(self) -> str:
+        """Return the offer to send to the other end."""
+        self._take(self._connection.createDataChannel(_LABEL, ordered=False, maxRetransmits=0))
+        await self._connection.setLocalDescription(await self._connection.createOffer())
+        return self._connection.localDescription.sdp
+
+    async def accept(self, answer: str) -> None:
+        """The other end has answered the offer. ProtocolError if the answer cannot be used."""
+        await self._read(answer, "answer")
+
+    async def answer(self, offer: str) -> str:
+        """Return the answer to an offer. ProtocolError if the offer cannot be used."""
+        await self._read(offer, "offer")
+        await self._connection.setLocalDescription(await self._connection.createAnswer())
+        return self._connection.localDescription.sdp
+
+    def send(self, sample: bytes) -> None:
+        """Send a sample, unless an earlier one still waits for the network."""
+        channel = self._channel
+        if channel is None or channel.readyState != "open" or channel.bufferedAmount:
+            self.dropped += 1
+            return
+        channel.send(sample)
+        self.sent += 1
+
+    async def run(self) -> None:
+        """Wait until the connection ends: it was closed, failed, or is silent for 4 s."""
+        loop = asyncio.get_running_loop()
+        began_s = self._heard_s = loop.time()
+        stood = False
+        while not self._ended.is_set():
+            if self.connected:
+                stood = True
+                channel = self._channel
+                if channel is not None and not channel.bufferedAmount:
+                    channel.send(_HERE)
+            if loop.time() - self._heard_s > (_SILENT_S if stood else _CONNECT_S):
+                waited_s = loop.time() - (self._heard_s if stood else began_s)
+                self.fault = f"nothing has come for {waited_s:.0f} s"
+                break
+            try:
+                async with asyncio.timeout(_TELL_S):
+                    await self._ended.wait()
+            except TimeoutError:
+                continue
+        await self.close()
+
+    async def close(self) -> None:
+        """End the connection; it may be called twice."""
+        self._ended.set()
+        await self._connection.close()
+
+    async def _read(self, text: str, kind: str) -> None:
+        sections = [line for line in text.splitlines() if line.startswith("m=")]
+        if len(text) > MOST_SDP_OCTETS or len(sections) != 1:
+            raise ProtocolError(f"an {kind} for samples has one section, the data channel's")
+        if not sections[0].startswith("m=application "):
+            raise ProtocolError(f"an {kind} without a data channel")
+        try:
+            await self._connection.setRemoteDescription(RTCSessionDescription(text, kind))
+        except _UNUSABLE as error:
+            raise ProtocolError(f"not a session description: {error}") from error
+
+    def _take(self, channel: RTCDataChannel) -> None:
+        if self._channel is not None or channel.label != _LABEL:
+            self.garbage += 1
+            return
+        self._channel = channel
+        channel.on("message", self._message)
+        channel.on("close", self._ended.set)
+
+    def _message(self, data: object) -> None:
+        self._heard_s = asyncio.get_running_loop().time()
+        if isinstance(data, bytes) and len(data) == SAMPLE_OCTETS:
+            self.received += 1
+            self._handle(data)
+        elif data != _HERE:
+            self.garbage += 1
+
+    def _look(self) -> None:
+        if self._connection.connectionState in ("failed", "closed"):
+            if self._connection.connectionState == "failed":
+                self.fault = "no way to the other end by ICE"
+            self._ended.set()

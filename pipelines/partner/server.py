@@ -1,0 +1,362 @@
+"""The HTTP side of partners who come to us: WHIP and WHEP endpoints and a page. A shell.
+
+| request | for |
+|---|---|
+| POST /whip | the partner's picture and voice (RFC 9725) |
+| POST /whep/NAME | to watch a programme (draft-ietf-wish-whep) |
+| POST /haptics | to steer: a data channel for haptic samples |
+| PATCH, DELETE /session/ID | to add addresses, to restart ICE, to end |
+| GET /rtc?token=… | a page that does all of it |
+"""
+
+import asyncio
+import logging
+import secrets
+import ssl
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Protocol
+
+from aiohttp import web
+
+from kontur_av.clock import Clock
+from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.partner.description import MOST_SDP_OCTETS, read_candidates, write_candidates
+from pipelines.partner.door import Door, Refusal
+from pipelines.partner.ice_servers import IceServers
+from pipelines.partner.media import PictureCame, SoundCame
+from pipelines.partner.peer import RtcPeer
+from pipelines.partner.programme import Programme
+from pipelines.partner.samples import SamplePeer
+from pipelines.session.access import Access, AccessError
+from pipelines.session.access import Kind as Asked
+from pipelines.session.access import headers as page_headers
+from pipelines.session.page_listener import PageListener
+
+_SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
+_STATIC = Path(__file__).parents[1] / "page" / "static"
+_TYPES = {
+    ".css": "text/css",
+    ".html": "text/html",
+    ".js": "text/javascript",
+    ".svg": "image/svg+xml",
+}
+#: In the HTML file: where the page's files are, what can be watched, whether anything is taken.
+_BASE, _PROGRAMMES, _TAKES = "__BASE__", "__PROGRAMMES__", "__TAKES__"
+_SESSION = "/session/"
+_HAPTICS = "/haptics"
+#: A connection that does not come about is ended; the partner's own patience is as long.
+_PATIENCE_S = 25.0
+_CLOSE_S = 0.5
+
+
+class _Session:
+    """A partner's connection, with the task that drives it."""
+
+    def __init__(self, peer: RtcPeer, programme: Programme | None) -> None:
+        self.peer, self.programme = peer, programme
+        self.etag = f'"{secrets.token_hex(4)}"'
+        self.ufrag = ""
+        self.task: asyncio.Task[None] | None = None
+
+
+class Samples(Protocol):
+    """What a partner's joystick drives."""
+
+    def join(self, peer: SamplePeer) -> None:
+        """The robot's samples go to this partner; ConfigError if they cannot."""
+
+    def leave(self) -> None:
+        """The partner is gone."""
+
+    def handle(self, sample: bytes) -> None:
+        """A sample of the partner has come."""
+
+
+class RtcServer:
+    """Serves partners on a bound socket.
+
+    listener: where; its operator token is the partner's. programmes: what can be watched.
+    handle: called with what the partner sends; None: nothing is taken.
+    servers: called for the STUN and TURN servers of each new connection.
+    most_bps: of the partner's picture. wall_offset_ns: Unix time minus the clock's time.
+    samples: what its joystick drives; None: nothing.
+    """
+
+    def __init__(
+        self,
+        listener: PageListener,
+        programmes: Iterable[Programme],
+        *,
+        clock: Clock,
+        handle: Callable[[PictureCame | SoundCame], None] | None,
+        servers: Callable[[], IceServers] = IceServers,
+        most_bps: int = 1_500_000,
+        wall_offset_ns: int = 0,
+        samples: Samples | None = None,
+    ) -> None:
+        self._samples = samples
+        self._listener, self._clock, self._handle = listener, clock, handle
+        self._servers, self._most_bps = servers, most_bps
+        self._wall_offset_ns = wall_offset_ns
+        self.programmes = {programme.name: programme for programme in programmes}
+        self.door = Door(token=listener.operator_token)
+        self._access = Access(
+            seat="rtc",
+            scheme=listener.scheme,
+            port=listener.port,
+            names=listener.names,
+            operator_token=listener.operator_token,
+            viewer_token=listener.viewer_token,
+        )
+        self._sessions: dict[str, _Session] = {}
+        self._runner: web.AppRunner | None = None
+        #: The connection by which the partner sends; None while there is none.
+        self.partner: RtcPeer | None = None
+        #: The connection by which it steers; None while there is none.
+        self.hand: SamplePeer | None = None
+        self._hands: dict[str, tuple[SamplePeer, asyncio.Task[None]]] = {}
+        #: Connections that were made; offers and fragments that could not be used.
+        self.made = self.garbage = 0
+
+    @property
+    def peers(self) -> list[RtcPeer]:
+        """All connections, also those that are being made."""
+        return [session.peer for session in self._sessions.values()]
+
+    async def start(self) -> None:
+        """Serve from now on."""
+        application = web.Application(client_max_size=MOST_SDP_OCTETS)
+        # One handler: the address tells a stranger nothing before the token is known.
+        application.router.add_route("*", "/{path:.*}", self._answer)
+        quiet = logging.getLogger("pipelines.partner.http")
+        quiet.addHandler(logging.NullHandler())
+        quiet.propagate = False
+        self._runner = web.AppRunner(
+            application, access_log=None, logger=quiet, shutdown_timeout=_CLOSE_S
+        )
+        await self._runner.setup()
+        await web.SockSite(self._runner, self._listener.socket, ssl_context=self._tls()).start()
+
+    async def close(self) -> None:
+        """End all connections, and serve no more."""
+        await asyncio.gather(
+            *(self._end(name) for name in list(self._sessions)),
+            *(self._end_hand(name) for name in list(self._hands)),
+        )
+        if self._runner is not None:
+            await self._runner.cleanup()
+
+    def _tls(self) -> ssl.SSLContext | None:
+        if self._listener.certificate is None:
+            return None
+        tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        tls.load_cert_chain(self._listener.certificate)
+        return tls
+
+    async def _answer(self, request: web.Request) -> web.StreamResponse:
+        path = request.raw_path.partition("?")[0]
+        try:
+            if path in ("/whip", _HAPTICS) or path.startswith(("/whep/", _SESSION)):
+                return await self._signal(request, path)
+            return self._file(request)
+        except AccessError as error:
+            return web.Response(status=error.status, text=f"{error}\n")
+        except ProtocolError as error:
+            self.garbage += 1
+            return web.Response(status=400, text=f"{error}\n")
+
+    def _file(self, request: web.Request) -> web.Response:
+        """The page, or one of its files."""
+        found = self._access.find(
+            request.method, request.raw_path, request.host, request.headers.get("Origin")
+        )
+        page = found.kind is Asked.PAGE
+        if not page and found.kind is not Asked.FILE:
+            raise AccessError(404, "no such file")
+        name = "rtc.html" if page else found.name
+        file = _STATIC / name
+        if file.suffix not in _TYPES or not file.is_file():
+            raise AccessError(404, "no such file")
+        text = file.read_text(encoding="utf-8")
+        if page:
+            text = text.replace(_BASE, f"/{found.token}/static/")
+            text = text.replace(_PROGRAMMES, " ".join(self.programmes))
+            text = text.replace(_TAKES, "false" if self._handle is None else "true")
+        return web.Response(
+            text=text, content_type=_TYPES[file.suffix], headers=page_headers(request.host)
+        )
+
+    async def _signal(self, request: web.Request, path: str) -> web.Response:
+        now_ns = self._clock.now_ns()
+        refusal = self.door.check(request.headers.get("Authorization"), now_ns)
+        if refusal is not None:
+            return _refused(refusal)
+        if path.startswith(_SESSION):
+            return await self._change(request, path.removeprefix(_SESSION))
+        programme = self.programmes.get(path.removeprefix("/whep/"))
+        wanted = {"/whip": self._handle, _HAPTICS: self._samples}.get(path, programme)
+        if wanted is None:
+            return web.Response(status=404)
+        if request.method == "OPTIONS":
+            return self._options()
+        if request.method != "POST":
+            return web.Response(status=405, headers={"Allow": "POST, OPTIONS"})
+        if request.content_type != _SDP:
+            return web.Response(status=415, headers={"Accept-Post": _SDP})
+        offer = await request.text()
+        viewers = None if programme is None else len(programme.peers)
+        refusal = self.door.check_offer(viewers=viewers, now_ns=now_ns)
+        if refusal is not None:
+            return _refused(refusal)
+        if path == _HAPTICS and self._samples is not None:
+            return await self._begin_hand(offer, self._samples)
+        return await self._begin(offer, programme)
+
+    def _options(self) -> web.Response:
+        answer = web.Response(status=204, headers={"Accept-Post": _SDP})
+        for link in self._servers().link_headers():
+            answer.headers.add("Link", link)
+        return answer
+
+    async def _begin(self, offer: str, programme: Programme | None) -> web.Response:
+        peer = self._peer(programme)
+        try:
+            answer = await peer.answer(offer)
+        except (ProtocolError, ConfigError) as error:
+            await peer.close()
+            self.garbage += isinstance(error, ProtocolError)
+            status = 400 if isinstance(error, ProtocolError) else 503
+            return web.Response(status=status, text=f"{error}\n")
+        if programme is None:
+            await self._replace_partner(peer)
+        else:
+            programme.peers.add(peer)
+        name = secrets.token_urlsafe(16)
+        session = _Session(peer, programme)
+        session.ufrag = peer.peer_ufrag
+        session.task = asyncio.create_task(self._drive(name, session))
+        self._sessions[name] = session
+        self.made += 1
+        response = web.Response(
+            status=201,
+            text=answer,
+            content_type=_SDP,
+            headers={"Location": _SESSION + name, "ETag": session.etag},
+        )
+        for link in self._servers().link_headers():
+            response.headers.add("Link", link)
+        return response
+
+    def _peer(self, programme: Programme | None) -> RtcPeer:
+        want_key: list[RtcPeer] = []
+        peer = RtcPeer(
+            clock=self._clock,
+            sends={} if programme is None else programme.sends,
+            receives=("audio", "video") if programme is None else (),
+            handle=self._handle or (lambda _: None),
+            want_key=lambda: None if programme is None else programme.want_key(want_key[0]),
+            servers=self._servers(),
+            most_bps=self._most_bps,
+            wall_offset_ns=self._wall_offset_ns,
+            offers=False,
+        )
+        want_key.append(peer)
+        return peer
+
+    async def _begin_hand(self, offer: str, samples: Samples) -> web.Response:
+        peer = SamplePeer(self._servers(), samples.handle)
+        try:
+            answer = await peer.answer(offer)
+            # A newer connection takes the place of the older.
+            for other in list(self._hands):
+                await self._end_hand(other)
+            samples.join(peer)
+        except (ProtocolError, ConfigError) as error:
+            await peer.close()
+            self.garbage += isinstance(error, ProtocolError)
+            status = 400 if isinstance(error, ProtocolError) else 503
+            return web.Response(status=status, text=f"{error}\n")
+        name = secrets.token_urlsafe(16)
+        self.hand = peer
+        self._hands[name] = peer, asyncio.create_task(self._drive_hand(name, peer, samples))
+        self.made += 1
+        headers = {"Location": _SESSION + name}
+        return web.Response(status=201, text=answer, content_type=_SDP, headers=headers)
+
+    async def _drive_hand(self, name: str, peer: SamplePeer, samples: Samples) -> None:
+        try:
+            await peer.run()
+        finally:
+            self._hands.pop(name, None)
+            if self.hand is peer:
+                self.hand = None
+                samples.leave()
+
+    async def _end_hand(self, name: str) -> None:
+        peer, task = self._hands[name]
+        await peer.close()
+        await asyncio.wait([task], timeout=_CLOSE_S)
+
+    async def _replace_partner(self, peer: RtcPeer) -> None:
+        old, self.partner = self.partner, peer
+        if old is not None:
+            await old.close()
+
+    async def _drive(self, name: str, session: _Session) -> None:
+        try:
+            await session.peer.run()
+        finally:
+            self._sessions.pop(name, None)
+            if session.programme is not None:
+                session.programme.peers.discard(session.peer)
+            if self.partner is session.peer:
+                self.partner = None
+
+    async def _end(self, name: str) -> None:
+        session = self._sessions.pop(name, None)
+        if session is not None:
+            await session.peer.close()
+            if session.task is not None:
+                await asyncio.wait([session.task], timeout=_CLOSE_S)
+
+    async def _change(self, request: web.Request, name: str) -> web.Response:
+        if name in self._hands and request.method == "DELETE":
+            await self._end_hand(name)
+            return web.Response(status=200)
+        session = self._sessions.get(name)
+        if session is None:
+            return web.Response(status=404)
+        if request.method == "DELETE":
+            await self._end(name)
+            return web.Response(status=200)
+        if request.method != "PATCH":
+            return web.Response(status=405, headers={"Allow": "PATCH, DELETE"})
+        if request.content_type != _FRAGMENT:
+            return web.Response(status=415, headers={"Accept-Patch": _FRAGMENT})
+        match = request.headers.get("If-Match")
+        told = read_candidates(await request.text())
+        if told.ufrag == session.ufrag:
+            if match is not None and match not in ("*", session.etag):
+                return web.Response(status=412)
+            await session.peer.add_candidates(told)
+            return web.Response(status=204)
+        # Other credentials: a restart of ICE, which must hold for any state of the session.
+        if match != "*":
+            return web.Response(status=428 if match is None else 412)
+        local = await session.peer.restart(told)
+        session.ufrag = told.ufrag
+        session.etag = f'"{secrets.token_hex(4)}"'
+        return web.Response(
+            status=200,
+            text=write_candidates(local, mid="0"),
+            content_type=_FRAGMENT,
+            headers={"ETag": session.etag},
+        )
+
+
+def _refused(refusal: Refusal) -> web.Response:
+    headers = {"WWW-Authenticate": "Bearer"} if refusal.status == 401 else {}
+    if refusal.status in (429, 503):
+        headers["Retry-After"] = "2"
+    return web.Response(status=refusal.status, text=f"{refusal.words}\n", headers=headers)

@@ -1,0 +1,144 @@
+"""WHIP (RFC 9725) and WHEP (draft-ietf-wish-whep) towards a media server. A shell.
+
+Both are one exchange of HTTP: an offer is posted, the answer comes back with the address of the
+session, at which ICE is restarted and the session is deleted.
+"""
+
+from collections.abc import Mapping
+from typing import Self
+from urllib.parse import urljoin, urlsplit
+
+import aiohttp
+from multidict import CIMultiDictProxy
+
+from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.partner.description import (
+    MOST_SDP_OCTETS,
+    Transport,
+    read_candidates,
+    write_candidates,
+)
+from pipelines.partner.ice_servers import IceServer, servers_of_links
+
+_SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
+_TIMEOUT = aiohttp.ClientTimeout(total=10, connect=5)
+_MOST_REDIRECTS = 3
+#: The user's mistake: trying again does not help.
+_FINAL = {401: "the token is not taken", 403: "this token may not", 404: "nothing is there"}
+
+
+class WhipClient:
+    """One session at a media server. A context manager, which deletes the session in the end.
+
+    url: the endpoint, http or https. token: the bearer token; "" for none.
+    Raises ConfigError for a url that is none.
+    """
+
+    def __init__(self, url: str, *, token: str = "") -> None:
+        parts = urlsplit(url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise ConfigError(f"{url!r} is no address of a media server: write https://HOST/PATH")
+        self._url, self._token = url, token
+        self._session: aiohttp.ClientSession | None = None
+        self._resource: str | None = None
+        self._etag: str | None = None
+
+    async def __aenter__(self) -> Self:
+        # A connection of its own for each request: the address may have changed since the last.
+        connector = aiohttp.TCPConnector(force_close=True)
+        self._session = aiohttp.ClientSession(
+            connector=connector, timeout=_TIMEOUT, auto_decompress=False
+        )
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        assert self._session is not None
+        await self.delete()
+        await self._session.close()
+
+    async def ice_servers(self) -> tuple[IceServer, ...]:
+        """Ask which STUN and TURN servers to use (RFC 9725 section 4.6); it may name none."""
+        try:
+            _, headers, _ = await self._ask("OPTIONS", self._url, b"", {})
+        except (ConnectionError, ProtocolError, ConfigError):
+            return ()
+        return servers_of_links(headers.getall("Link", []))
+
+    async def post(self, offer: str) -> str:
+        """Post an offer; the answer.
+
+        Raises ConfigError for what trying again does not mend, ConnectionError for a server that
+        does not answer or refuses for now, and ProtocolError for one that answers nonsense.
+        """
+        headers = {"Content-Type": _SDP, "Accept": _SDP}
+        status, told, body = await self._ask("POST", self._url, offer.encode(), headers)
+        if status != 201:
+            raise ConnectionError(f"the media server answers {status}")
+        if told.get("Content-Type", "").partition(";")[0].strip().lower() != _SDP:
+            raise ProtocolError("the media server's answer is no session description")
+        location = told.get("Location")
+        self._resource = None if location is None else self._own(urljoin(self._url, location))
+        self._etag = told.get("ETag")
+        return body.decode("utf-8", "replace")
+
+    async def restart(self, local: Transport) -> Transport:
+        """Restart ICE (RFC 9725 section 4.3.3); the server's new addresses. Raises as `post`."""
+        if self._resource is None:
+            raise ConnectionError("the media server has named no session to restart")
+        headers = {"Content-Type": _FRAGMENT, "If-Match": "*"}
+        body = write_candidates(local, mid="0").encode()
+        status, told, answer = await self._ask("PATCH", self._resource, body, headers)
+        if status != 200:
+            raise ConnectionError(f"the media server does not restart ICE: {status}")
+        self._etag = told.get("ETag", self._etag)
+        return read_candidates(answer.decode("utf-8", "replace"))
+
+    async def delete(self) -> None:
+        """End the session; a server that does not answer is left alone."""
+        resource, self._resource = self._resource, None
+        if resource is not None:
+            try:
+                await self._ask("DELETE", resource, b"", {})
+            except (ConnectionError, ProtocolError, ConfigError):
+                return
+
+    def _own(self, url: str) -> str:
+        # The token must not go elsewhere.
+        here, there = urlsplit(self._url), urlsplit(url)
+        if (here.scheme, here.netloc) != (there.scheme, there.netloc):
+            raise ProtocolError("the media server sends us to another host")
+        return url
+
+    async def _ask(
+        self, method: str, url: str, body: bytes, headers: Mapping[str, str]
+    ) -> tuple[int, CIMultiDictProxy[str], bytes]:
+        assert self._session is not None
+        sent = dict(headers)
+        if self._token:
+            sent["Authorization"] = f"Bearer {self._token}"
+        try:
+            for _ in range(_MOST_REDIRECTS):
+                async with self._session.request(
+                    method, url, data=body or None, headers=sent, allow_redirects=False
+                ) as answer:
+                    if answer.status in (307, 308) and "Location" in answer.headers:
+                        url = self._own(urljoin(url, answer.headers["Location"]))
+                        continue
+                    if answer.status in _FINAL:
+                        why = _FINAL[answer.status]
+                        raise ConfigError(f"{method} {url}: {why} ({answer.status})")
+                    text = await _read(answer)
+                    return answer.status, answer.headers, text
+        except (TimeoutError, aiohttp.ClientError) as error:
+            said = str(error) or type(error).__name__
+            raise ConnectionError(f"no answer of {urlsplit(url).netloc}: {said}") from None
+        raise ProtocolError("the media server sends us round in circles")
+
+
+async def _read(answer: aiohttp.ClientResponse) -> bytes:
+    found = bytearray()
+    async for chunk in answer.content.iter_chunked(4096):
+        found += chunk
+        if len(found) > MOST_SDP_OCTETS:
+            raise ProtocolError(f"an answer of more than {MOST_SDP_OCTETS} octets")
+    return bytes(found)

@@ -1,1 +1,0 @@
-"""The processes of a session, one module each: thin shells around cores."""

@@ -1,0 +1,337 @@
+"""The process that records the session: topics in, files out, and a Unix socket for requests.
+
+`Recorder` decides what is written, `RecorderDesk` what is answered. This module has the topics, the
+files and the sleep. While nothing is recorded, it reads no topic.
+
+What is being recorded is also in a file of the session's directory. So a recorder that was killed
+goes on, in a new part.
+"""
+
+import select
+from pathlib import Path
+
+import msgspec
+
+from kontur_av import __version__
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from kontur_av.errors import ConfigError
+from kontur_av.topics.bus import Reader, TopicBus
+from pipelines.media.following import Choice
+from pipelines.recording.desk import MOST_TERMINALS, Ask, RecorderDesk, Reply, Start, Stop
+from pipelines.recording.facts import RecordingFacts
+from pipelines.recording.messages import RecordedEvent
+from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
+from pipelines.recording.recorder import Recorder
+from pipelines.recording.sources import Content, Source, sources_of
+from pipelines.session.figures import RecorderCounters, RecorderGauges
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.recorder_control import read_wish, recorder_path, remove_wish, write_wish
+from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
+from pipelines.session.session_events import SessionEvents
+from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.terminals import TerminalSockets
+from pipelines.session.topology import SELECTED_TOPIC
+
+#: How often topics are read.
+_WAKE_NS = 50 * NS_PER_MS
+#: Octets that are handed to the writing thread at once.
+_IN_FLIGHT_OCTETS = 1 << 20
+#: At the end of the session, the others' last samples come within this time.
+_DRAIN_NS = 150 * NS_PER_MS
+#: How long a slow disk may take at the end.
+_CLOSE_S = 1.5
+#: A sample that took longer to handle has held up the others.
+_LONG_NS = 20 * NS_PER_MS
+#: Unread samples of a topic that are kept: the most that there can be.
+_DEPTH = 32
+
+
+def run_recorder(context: Context) -> None:
+    """Record while it is wished, until the session ends."""
+    _RecorderProcess(context).run()
+
+
+class _RecorderProcess:
+    """The desk with its sockets, and the present recording."""
+
+    def __init__(self, context: Context) -> None:
+        self._context, self._now_ns = context, context.clock.now_ns
+        self._desk = RecorderDesk(read_wish(context.session), self._now_ns())
+        self._recording: _Recording | None = None
+        #: Of all recordings that have ended in this life, and of the newest of them.
+        self._past = self._newest = RecorderCounters()
+        context.on_flush(self._tell)
+
+    def run(self) -> None:
+        context, now_ns = self._context, self._now_ns
+        if self._desk.wish is not None:
+            self._recording = _Recording(context, self._desk.wish)
+        terminals = TerminalSockets(recorder_path(context.session), most=MOST_TERMINALS)
+        while not context.stopping:
+            wait_ns = PATIENCE_NS if self._recording is None else _WAKE_NS
+            self._serve(terminals, wait_ns)
+            context.tick(now_ns())
+            while (told := context.receive_figures()) is not None:
+                if self._recording is not None:
+                    self._recording.handle_events(told)
+            if self._recording is not None:
+                self._recording.handle_wake()
+        terminals.close()
+        if self._recording is not None:
+            end_ns = now_ns() + _DRAIN_NS
+            while now_ns() < end_ns:
+                self._recording.handle_wake()
+                context.clock.sleep_until_ns(now_ns() + _WAKE_NS)
+            self._end()
+
+    def _serve(self, terminals: TerminalSockets, wait_ns: int) -> None:
+        desk = self._desk
+        asking = desk.terminals
+        ready = select.select(terminals.readers(asking), [], [], wait_ns / NS_PER_S)[0]
+        if (terminal := terminals.accept(ready)) is not None:
+            desk.handle_terminal(terminal)
+        for terminal, data in terminals.read(ready, asking):
+            desk.handle_octets(terminal, data, self._now_ns())
+        desk.handle_time(self._now_ns())
+        while (event := desk.next_event()) is not None:
+            match event:
+                case Reply():
+                    terminals.send(event.terminal, event.octets, last=event.last)
+                case Start():
+                    desk.handle_started(event, self._start(event))
+                case Stop():
+                    self._end()
+                    remove_wish(self._context.session)
+                    desk.handle_stopped(event, self._answer())
+                case Ask():
+                    desk.handle_state(event, self._answer())
+
+    def _start(self, start: Start) -> str:
+        """Begin to record; why that is not possible, or ""."""
+        path = Path(start.wish.file)
+        try:
+            check_recordable(path, overwrite=start.overwrite)
+            clear_parts(path)
+            write_wish(self._context.session, start.wish)
+        except ConfigError as error:
+            return str(error)
+        except OSError as error:
+            return f"{path} cannot be written: {error.strerror}"
+        self._recording = _Recording(self._context, start.wish)
+        return ""
+
+    def _end(self) -> None:
+        if self._recording is not None:
+            self._newest = self._recording.end()
+            self._past = self._past.plus(self._newest)
+            self._recording = None
+
+    def _answer(self) -> RecordAnswer:
+        recording = self._recording
+        counters = self._newest if recording is None else recording.counters
+        return RecordAnswer(
+            ok=True,
+            file="" if recording is None else str(recording.file),
+            files=counters.parts,
+            messages=sum(counters.kept.values()),
+            lost=sum(counters.missed.values()) + sum(counters.dropped.values()),
+            fault="" if recording is None else recording.fault,
+        )
+
+    def _tell(self) -> None:
+        recording = self._recording
+        probe = self._context.probe
+        if recording is None:
+            probe.count(self._past)
+            probe.gauge(RecorderGauges(file="", fault="", waiting_octets=0))
+        else:
+            probe.count(self._past.plus(recording.counters))
+            probe.gauge(recording.gauges)
+
+
+class _Recording:
+    """The topics and the files of one recording."""
+
+    def __init__(self, context: Context, wish: RecordingWish) -> None:
+        self._now_ns = context.clock.now_ns
+        topology, setup = context.topology, context.setup
+        offset_ns = context.clock.wall_offset_ns
+        self._begun_ns = now_ns = self._now_ns()
+        facts = RecordingFacts(
+            session=context.session,
+            setup=setup.name,
+            setup_toml=setup_toml(setup),
+            version=__version__,
+            seed=context.seed,
+            command=wish.command,
+            part=1,
+            session_ns=now_ns,
+            wall_ns=now_ns + offset_ns,
+            started_ns=context.started_ns,
+            radio_start_s=setup.radio_profile.start_s,
+        )
+        self._recorder = Recorder(
+            topology,
+            facts,
+            wall_offset_ns=offset_ns,
+            link_frames=wish.link_frames,
+            limits=wish.limits,
+        )
+        self._files = PartFiles(Path(wish.file))
+        self._open_part()
+        self._bus = context.open_bus()
+        sources = sources_of(topology, link_frames=wish.link_frames)
+        # Access units last; see `handle_wake`.
+        sources = tuple(sorted(sources, key=lambda source: source.content is Content.UNIT))
+        self._readers = [
+            (source, self._bus.reader(source.topic, depth=_DEPTH))
+            for source in sources
+            if source.content is not Content.CAMERA
+        ]
+        self._selected = self._bus.reader(SELECTED_TOPIC)
+        self._cameras = [
+            _Camera(self._bus, source, self._recorder)
+            for source in sources
+            if source.content is Content.CAMERA
+        ]
+        self._carried = {camera.name: camera.inputs for camera in topology.cameras}
+        self._follow(setup.cameras[0])
+
+    @property
+    def file(self) -> Path:
+        return self._files.newest
+
+    @property
+    def fault(self) -> str:
+        return self._recorder.fault
+
+    @property
+    def counters(self) -> RecorderCounters:
+        return self._recorder.counters()
+
+    @property
+    def gauges(self) -> RecorderGauges:
+        return self._recorder.gauges(str(self.file))
+
+    def handle_events(self, told: bytes) -> None:
+        """The launcher tells what happened; it also knows of what was before the recording."""
+        for event in msgspec.json.decode(told, type=SessionEvents).events:
+            if event.at_us * NS_PER_US < self._begun_ns:
+                continue
+            recorded = RecordedEvent(
+                session_ns=event.at_us * NS_PER_US,
+                number=event.number,
+                what=event.what,
+                text=event.text,
+            )
+            self._recorder.handle_event(recorded, self._now_ns())
+
+    def handle_wake(self) -> None:
+        """Read what has come, and write what can be written."""
+        recorder = self._recorder
+        pending = list(self._readers)
+        while pending:
+            source, reader = pending.pop(0)
+            while (lease := reader.next()) is not None:
+                with lease:
+                    octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
+                begun_ns = self._now_ns()
+                recorder.handle_sample(source, octets, stamp, begun_ns, published_ns=at_ns)
+                if self._now_ns() - begun_ns > _LONG_NS:
+                    # At a new part, a key picture of each stream is coded. That takes up to 0.2 s
+                    # each, and topics keep 0.6 s. So all others are read in between.
+                    pending = list(self._readers)
+                    break
+        chosen = self._selected.latest()
+        if chosen is not None:
+            with chosen:
+                self._follow(Choice.unpack(chosen.octets()).camera)
+        for camera in self._cameras:
+            camera.handle_wake(self._now_ns())
+        recorder.handle_time(self._now_ns())
+        self._pump()
+
+    def end(self) -> RecorderCounters:
+        """End the recording, and return its counts."""
+        for _, reader in self._readers:
+            reader.close()
+        self._recorder.handle_end(self._now_ns())
+        self._pump(most_octets=1 << 62)
+        self._files.close(_CLOSE_S)
+        self._take_results()
+        self._recorder.handle_abandoned()
+        self._bus.close()
+        return self._recorder.counters()
+
+    def _follow(self, camera: str) -> None:
+        carried = self._carried.get(camera, ())
+        for each in self._cameras:
+            each.handle_carried(each.name in carried)
+
+    def _open_part(self) -> None:
+        now_ns = self._now_ns()
+        try:
+            self._recorder.handle_opened(self._files.open(), now_ns)
+        except OSError as error:
+            self._recorder.handle_fault(None, error.strerror or str(error), now_ns)
+
+    def _pump(self, most_octets: int = _IN_FLIGHT_OCTETS) -> None:
+        self._take_results()
+        if self._recorder.wants_part(self._now_ns()):
+            self._open_part()
+        while self._files.waiting_octets < most_octets:
+            piece = self._recorder.poll_transmit(self._now_ns())
+            if piece is None:
+                return
+            self._files.put(piece)
+
+    def _take_results(self) -> None:
+        for part, why in self._files.results():
+            if why:
+                self._recorder.handle_fault(part, why, self._now_ns())
+            else:
+                self._recorder.handle_written()
+
+
+class _Camera:
+    """A camera that is coded here while no stream carries it.
+
+    Its topic is joined for one picture at a time, so that a built-in scene draws only these.
+    """
+
+    def __init__(self, bus: TopicBus, source: Source, recorder: Recorder) -> None:
+        self.name = source.name
+        self._bus, self._source, self._recorder = bus, source, recorder
+        self._coder = recorder.coder(source)
+        self._reader: Reader | None = None
+        self._carried = True
+
+    def handle_carried(self, carried: bool) -> None:
+        if carried and not self._carried:
+            self._coder.handle_pause()
+            self._close()
+        self._carried = carried
+
+    def handle_wake(self, now_ns: int) -> None:
+        if self._carried:
+            return
+        if self._reader is None:
+            if self._coder.due(now_ns):
+                self._reader = self._bus.reader(self._source.topic)
+            return
+        lease = self._reader.latest()
+        if lease is None:
+            return
+        with lease:
+            stamp = lease.stamp
+            # A new reader is also given the newest picture of before.
+            if not self._coder.due(stamp.capture_ns):
+                return
+            unit = self._coder.encode(lease.video().data, stamp.capture_ns)
+        self._close()
+        self._recorder.handle_camera(self._source, unit, stamp, now_ns)
+
+    def _close(self) -> None:
+        if self._reader is not None:
+            self._reader.close()
+            self._reader = None

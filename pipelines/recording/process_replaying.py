@@ -1,0 +1,230 @@
+"""The processes of a replayed session: each sends again what it sent in the recorded one."""
+
+import secrets
+import select
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp
+from kontur_av.rtp.sender import RtpIdentity
+from kontur_av.sources.fit import Fitter, scaled_aspect
+from pipelines.hand.haptic_loop import new_life, run_loop, session_ports
+from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
+from pipelines.media.capturing import Capturing
+from pipelines.media.choosing import CameraChoice
+from pipelines.media.coded_topics import SentTopic
+from pipelines.media.gain import gain_of
+from pipelines.media.sending import to_gateway
+from pipelines.media.session_streams import video_sender, voice_sender
+from pipelines.media.stream_figures import tell_sender
+from pipelines.media.video_sending import LinkedVideoSender
+from pipelines.mission.console import Console
+from pipelines.recording.recorded_session import SentPacket, SentUnit
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.session.topology import TELECOMMAND, TELEMETRY
+from telepresence.link.backlog import Backlog
+
+#: From capture to encoder, and to sender: the medians of live sessions, as in a simulation.
+_CAPTURE_NS, _PICTURE_NS, _SOUND_NS = 4 * NS_PER_MS, 10 * NS_PER_MS, BLOCK_NS + 1_700_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayStart:
+    """What was sent at `recorded_ns` is sent `lead_ns` after the start of the replay.
+
+    speed: seconds of the recording a second.
+    """
+
+    recorded_ns: int
+    lead_ns: int
+    speed: float
+
+    def time_of(self, context: Context) -> ReplayTime:
+        """The time of this session."""
+        # Whole milliseconds, so that samples keep their place between two slots.
+        begin_ns = (context.started_ns + self.lead_ns) // NS_PER_MS * NS_PER_MS
+        return ReplayTime(
+            recorded_ns=self.recorded_ns // NS_PER_MS * NS_PER_MS,
+            replayed_ns=begin_ns,
+            speed=self.speed,
+        )
+
+    def script(
+        self, context: Context, items: Sequence[SentUnit] | Sequence[SentPacket], cost_ns: int
+    ) -> ReplayScript:
+        """When a process that starts now sends `items`, `cost_ns` after their instants."""
+        return ReplayScript(
+            [item[0] for item in items],
+            self.time_of(context),
+            cost_ns=cost_ns,
+            now_ns=context.clock.now_ns(),
+        )
+
+
+def _wait_ns(now_ns: int, *dues_ns: int | None) -> int:
+    """How long to sleep at most."""
+    waits_ns = [due_ns - now_ns for due_ns in dues_ns if due_ns is not None]
+    return max(0, min([PATIENCE_NS, *waits_ns]))
+
+
+def run_video_replay(
+    context: Context, *, stream: VideoStream, units: Sequence[SentUnit], start: ReplayStart
+) -> None:
+    """Send the recorded access units of a stream."""
+    clock, row = context.clock, context.topology.video(stream.name)
+    identity = RtpIdentity.draw(secrets.randbits)
+    sender = video_sender(context.setup, stream, identity, wall_offset_ns=clock.wall_offset_ns)
+    linked = LinkedVideoSender(sender, gain_of(context.setup, stream))
+    outgoing = to_gateway(context, stream, sender)
+    feedback = context.listen(context.topology.exit_port(row.feedback))
+    context.on_flush(lambda: tell_sender(context.probe, sender, linked.gain))
+    script = start.script(context, units, _PICTURE_NS)
+    with context.open_bus() as bus:
+        sent, backlogs = SentTopic(bus, row.name, row.sent_topic), bus.reader(row.backlog_topic)
+        waiter = bus.waiter([backlogs], [feedback.fileno()])
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            waiter.wait(_wait_ns(now_ns, script.poll_timeout(), sender.poll_timeout()))
+            told = backlogs.latest()
+            if told is not None:
+                with told:
+                    backlog = Backlog.unpack(told.octets())
+                    linked.handle_backlog(backlog, told.stamp.capture_ns, clock.now_ns())
+            while (datagram := context.receive(feedback)) is not None:
+                sender.handle_feedback(datagram, clock.now_ns())
+            while (due := script.poll_due(clock.now_ns())) is not None:
+                number, capture_ns = due
+                stamp = CaptureStamp(capture_ns, number, stream.name)
+                unit = AccessUnit(units[number].data, stamp, units[number].key)
+                sender.handle_coded(unit, clock.now_ns())
+                sent.handle_unit(unit, stream.coded_size)
+            outgoing.handle_time(clock.now_ns())
+        outgoing.close(clock.now_ns())
+        del waiter
+
+
+def run_recoded_camera(
+    context: Context,
+    *,
+    name: str,
+    stream: VideoStream,
+    units: Sequence[SentUnit],
+    start: ReplayStart,
+) -> None:
+    """Be the camera `name`: show the recorded pictures of `stream`, which its sender codes anew."""
+    clock, size = context.clock, (stream.width, stream.height)
+    decoder, fitter, capturing = H264Decoder(), Fitter(*size), Capturing(context.probe)
+    context.on_flush(capturing.tell)
+    script = start.script(context, units, _CAPTURE_NS)
+    with context.open_bus() as bus:
+        writer = bus.writer(
+            context.topology.input(name).topic, max_octets=stream.width * stream.height * 3 // 2
+        )
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            clock.sleep_until_ns(now_ns + _wait_ns(now_ns, script.poll_timeout()))
+            while (due := script.poll_due(clock.now_ns())) is not None:
+                number, capture_ns = due
+                stamp = CaptureStamp(capture_ns, number, name)
+                for picture in decoder.decode(units[number].data, number):
+                    frame = picture.frame
+                    aspect = scaled_aspect(*size, frame.width, frame.height)
+                    loan = writer.loan_picture(*size)
+                    fitter.write(fitter.scale(frame, aspect), loan.picture)
+                    loan.publish(stamp)
+                    capturing.handle_captured(stamp)
+
+
+def run_voice_replay(
+    context: Context, *, stream: VoiceStream, units: Sequence[SentUnit], start: ReplayStart
+) -> None:
+    """Send the recorded Opus packets of a stream."""
+    clock = context.clock
+    identity = RtpIdentity.draw(secrets.randbits)
+    sender = voice_sender(context.setup, stream, identity, wall_offset_ns=clock.wall_offset_ns)
+    outgoing = to_gateway(context, stream, sender)
+    context.on_flush(lambda: tell_sender(context.probe, sender))
+    script = start.script(context, units, _SOUND_NS)
+    while not context.stopping:
+        now_ns = clock.now_ns()
+        context.tick(now_ns)
+        wait_ns = _wait_ns(now_ns, script.poll_timeout(), sender.poll_timeout())
+        clock.sleep_until_ns(now_ns + wait_ns)
+        while (due := script.poll_due(clock.now_ns())) is not None:
+            number, capture_ns = due
+            stamp = CaptureStamp(capture_ns, number, stream.name)
+            if sender.handle_block(stamp, clock.now_ns()):
+                sender.handle_packet(units[number].data, stamp, clock.now_ns())
+        outgoing.handle_time(clock.now_ns())
+    outgoing.close(clock.now_ns())
+
+
+def run_telecommands_replay(
+    context: Context, *, packets: Sequence[SentPacket], start: ReplayStart
+) -> None:
+    """Send the recorded telecommands, and count the telemetry that comes."""
+    console = Console(context.setup, context.probe, first_token=0)
+    context.on_flush(console.tell)
+
+    def take(datagram: bytes, now_ns: int) -> None:
+        console.handle_packet(datagram, now_ns)
+        while console.next_event() is not None:
+            pass  # no terminal waits for an answer
+
+    _run_packets(context, TELECOMMAND, TELEMETRY, packets, start, take)
+
+
+def run_telemetry_replay(
+    context: Context, *, packets: Sequence[SentPacket], start: ReplayStart
+) -> None:
+    """Send the recorded telemetry, and count the telecommands that come."""
+    choice = CameraChoice(context.setup, context.probe, now_ns=context.clock.now_ns())
+    context.on_flush(choice.tell)
+
+    def take(datagram: bytes, now_ns: int) -> None:
+        choice.handle_packet(datagram, now_ns)
+        choice.handle_confirmed(choice.choice.number, now_ns)
+        while choice.poll_transmit(now_ns) is not None:
+            pass  # the acknowledgement is in the recording
+
+    _run_packets(context, TELEMETRY, TELECOMMAND, packets, start, take)
+
+
+def _run_packets(
+    context: Context,
+    outgoing: str,
+    incoming: str,
+    packets: Sequence[SentPacket],
+    start: ReplayStart,
+    take: Callable[[bytes, int], object],
+) -> None:
+    clock, topology = context.clock, context.topology
+    udp = context.listen(topology.exit_port(incoming))
+    send = context.sender(topology.entry_port(outgoing))
+    script = start.script(context, packets, 0)
+    while not context.stopping:
+        now_ns = clock.now_ns()
+        context.tick(now_ns)
+        select.select([udp], [], [], _wait_ns(now_ns, script.poll_timeout()) / NS_PER_S)
+        while (due := script.poll_due(clock.now_ns())) is not None:
+            send(packets[due[0]].data)
+        while (datagram := context.receive(udp)) is not None:
+            take(datagram, clock.now_ns())
+
+
+def run_haptic_replay(
+    context: Context, *, rows: NDArray[np.void], robot: bool, start: ReplayStart
+) -> None:
+    """Send the recorded samples of an end, in a loop at 1 kHz."""
+    time = start.time_of(context)
+    end = ReplayedEnd(rows, time, context.probe, robot=robot, life=new_life())
+    ports = session_ports(context.topology, "robot" if robot else "joystick")
+    run_loop(context, end, ports)

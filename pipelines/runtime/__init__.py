@@ -1,1 +1,0 @@
-"""The base of every live process: launcher, context, sockets, probe."""

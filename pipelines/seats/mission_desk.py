@@ -1,0 +1,157 @@
+"""What the mission's pages of a seat show and ask for: chat, telecommands, telemetry, the radio."""
+
+from collections.abc import Callable, Mapping
+
+import msgspec
+from msgspec.structs import asdict
+
+from pipelines.mission.tmtc_messages import (
+    CommandUpdate,
+    K2aciArrived,
+    K2aciUpdate,
+    Reported,
+    TmtcNews,
+    TmtcRequest,
+)
+from pipelines.seats.chat_log import ChatLog
+from pipelines.seats.command_desk import CommandAnswered, CommandDesk
+from pipelines.seats.radio_words import radio_text
+from pipelines.seats.telemetry_log import TelemetryLog
+from pipelines.seats.texts import ChatRequest, CommandRequest, pack_text
+from pipelines.session.seat_roles import Role, chat_role, refusal
+from pipelines.session.setup.segments import Segment
+from telepresence.tmtc.pus.dictionary import Dictionary
+
+_SIGNAL_EVENTS = {"signal_acquired": True, "signal_lost": False}
+#: Of each end's gateway: the application that says whether it hears the other end.
+_GATEWAYS = {Segment.SPACE: "space_gateway", Segment.GROUND: "ground_gateway"}
+
+
+class MissionDesk:
+    """The mission at one seat. A core.
+
+    After each `handle_`, send `poll_transmit`'s requests to the end's socket and drain
+    `next_event`. `poll_texts` returns what changed since its last call, whole, by kind: a page that
+    joins gets `texts`, so that all pages of a seat show the same.
+
+    client: names this process at the end, and is new in each of its lives.
+    """
+
+    def __init__(self, segment: Segment, dictionary: Dictionary, *, client: str) -> None:
+        self._segment = segment
+        # The end tells requests apart by client and number, whatever they are.
+        self._chat = ChatLog(f"{client}.chat")
+        self._commands = CommandDesk(client)
+        self._telemetry = TelemetryLog(dictionary)
+        self._hears: bool | None = None
+        self._heard: bool | None = None
+        self._makers: Mapping[str, Callable[[], msgspec.Struct]] = {
+            "chat": lambda: self._chat.text,
+            "commands": lambda: self._commands.text,
+            "values": lambda: self._telemetry.values_text,
+            "events": lambda: self._telemetry.events_text,
+            "radio": self._radio,
+        }
+        #: By kind: what does not come from telemetry, as other processes tell it.
+        self._shown: dict[str, msgspec.Struct] = {}
+        self._changed = set(self._makers)
+        self.texts: dict[str, str] = {}
+
+    def handle_command(
+        self, page: int, role: Role, asked: CommandRequest, now_ns: int
+    ) -> str | None:
+        """A page asks for a telecommand; return why it may not. None: the answer comes later."""
+        refused = refusal(role, self._segment, asked.deed)
+        if refused:
+            return refused
+        self._commands.handle_request(page, asked, role.words, now_ns)
+        self._changed.add("commands")
+        return None
+
+    def handle_chat(self, role: Role, said: ChatRequest, now_ns: int) -> str:
+        """A page writes a line; return why it is not sent, or ""."""
+        refused = refusal(role, self._segment, "chat")
+        if refused:
+            return refused
+        self._changed.add("chat")
+        return self._chat.handle_said(chat_role(role, self._segment), said.text, now_ns)
+
+    def handle_news(self, news: TmtcNews, now_ns: int) -> None:
+        """What the TM/TC end of this segment has published."""
+        if isinstance(news, CommandUpdate):
+            if self._commands.handle_update(news):
+                self._changed |= {"commands", "radio"}
+        elif isinstance(news, K2aciUpdate):
+            if self._chat.handle_update(news):
+                self._changed.add("chat")
+        elif isinstance(news, K2aciArrived):
+            if self._chat.handle_arrived(news, now_ns):
+                self._changed.add("chat")
+        elif isinstance(news, Reported):
+            self._telemetry.handle_report(news, now_ns)
+            if news.application == _GATEWAYS[self._segment.peer]:
+                self._handle_peer(news)
+            self._changed |= {"values", "radio"}
+            if news.kind != "housekeeping":
+                self._changed.add("events")
+
+    def handle_signal(self, hears: bool) -> None:
+        """Whether good frames arrive at this end."""
+        if hears != self._hears:
+            self._hears = hears
+            self._changed.add("radio")
+
+    def handle_shown(self, kind: str, text: msgspec.Struct) -> None:
+        """What a process of the mission shows; pages get it as it is."""
+        if self._shown.get(kind) != text:
+            self._shown[kind] = text
+            self._changed.add(kind)
+
+    def poll_transmit(self, now_ns: int) -> TmtcRequest | None:
+        """Return a request for this end's socket, or None."""
+        return self._commands.poll_transmit(now_ns) or self._chat.poll_transmit(now_ns)
+
+    def next_event(self) -> CommandAnswered | None:
+        """Return the next answer for a page, or None."""
+        return self._commands.next_event()
+
+    def poll_texts(self) -> dict[str, str]:
+        """Return by kind what changed."""
+        fresh = {}
+        for kind in sorted(self._changed):
+            maker = self._makers.get(kind)
+            if maker is None:
+                shown = named(self._shown[kind])
+                fresh[kind] = pack_text({"kind": kind} | shown)
+            else:
+                fresh[kind] = pack_text(maker())
+        self._changed.clear()
+        self.texts |= fresh
+        return fresh
+
+    def _handle_peer(self, report: Reported) -> None:
+        """The gateway of the other end says whether it hears us; its event is the quicker one."""
+        said = report.values.get("signal", _SIGNAL_EVENTS.get(report.name))
+        if isinstance(said, bool):
+            self._heard = said
+
+    def _radio(self) -> msgspec.Struct:
+        return radio_text(
+            self._segment,
+            hears=self._hears,
+            heard=self._heard,
+            unverified=self._commands.unverified,
+        )
+
+
+def named(shown: msgspec.Struct) -> dict[str, object]:
+    """Return the fields by name, in depth: topics carry them without their names."""
+    return {name: _plain(value) for name, value in asdict(shown).items()}
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, msgspec.Struct):
+        return named(value)
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    return value

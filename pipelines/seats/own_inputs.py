@@ -1,0 +1,121 @@
+"""The cameras and microphones of pages: who has taken which input over, and what they give."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from kontur_av.clock import NS_PER_US
+from kontur_av.errors import ProtocolError
+from kontur_av.media import CaptureStamp
+from pipelines.seats.page_clock import PageClock
+from pipelines.seats.plan import SeatInput, SeatPlan
+from pipelines.seats.rates import TokenBucket
+from pipelines.seats.texts import AnswerText, pack_text, parse_media_request
+from pipelines.session.messages import OwnPicture, Ping, pack_pong, parse_media_message
+from pipelines.session.seat_roles import VIEWER_WORDS, Role
+
+_TEXT_HZ = _PING_HZ = 20
+_SOUND_HZ, _SOUND_BURST = 60, 50
+
+
+class Given(NamedTuple):
+    """A picture or a block of sound for an input. size: of the picture; None: it is sound."""
+
+    input: SeatInput
+    data: memoryview
+    stamp: CaptureStamp
+
+
+@dataclass
+class _Link:
+    role: Role
+    clock: PageClock = field(default_factory=PageClock)
+    texts: TokenBucket = field(default_factory=lambda: TokenBucket(_TEXT_HZ, _TEXT_HZ))
+    pings: TokenBucket = field(default_factory=lambda: TokenBucket(_PING_HZ, _PING_HZ))
+    media: dict[int, TokenBucket] = field(default_factory=dict)
+
+
+class OwnInputs:
+    """The sockets on which pages send what they film and say. A core.
+
+    Each input belongs to at most one socket, and is free again when that is gone. Raises
+    ProtocolError where a socket is to be closed.
+    """
+
+    def __init__(self, plan: SeatPlan) -> None:
+        self._inputs = {each.index: each for each in plan.inputs}
+        self._sizes = plan.sizes
+        self._links: dict[int, _Link] = {}
+        self._owners: dict[int, int] = {}
+        self._counts: dict[int, int] = dict.fromkeys(self._inputs, 0)
+
+    @property
+    def owners(self) -> dict[str, int | None]:
+        """By input: the number of the socket that has taken it over."""
+        return {each.name: self._owners.get(index) for index, each in self._inputs.items()}
+
+    def handle_opened(self, link: int, role: Role) -> None:
+        """A socket was opened."""
+        self._links[link] = _Link(role)
+
+    def handle_closed(self, link: int) -> None:
+        """A socket is gone, and gives back what it had."""
+        del self._links[link]
+        self._owners = {index: owner for index, owner in self._owners.items() if owner != link}
+
+    def handle_text(self, link: int, text: str, now_ns: int) -> str:
+        """Return the answer to a request."""
+        one = self._links[link]
+        if not one.texts.handle_message(now_ns):
+            raise ProtocolError("too many requests")
+        request = parse_media_request(text)
+        if one.role is Role.VIEWER:
+            error = VIEWER_WORDS
+        else:
+            error = self._take(link, request.name) if request.on else self._give(link, request.name)
+        return pack_text(AnswerText(request=request.request, ok=not error, error=error))
+
+    def handle_message(self, link: int, data: bytes, now_ns: int) -> bytes | Given | None:
+        """Return the answer to a ping, or what is given for an input; None for what is refused."""
+        one = self._links[link]
+        message = parse_media_message(data, self._sizes)
+        if isinstance(message, Ping):
+            if not one.pings.handle_message(now_ns):
+                raise ProtocolError("too many pings")
+            one.clock.handle_ping(message.page_ms, now_ns)
+            return pack_pong(message.page_ms, now_ns // NS_PER_US)
+        given = self._inputs[message.input]
+        if not self._bucket(one, given).handle_message(now_ns):
+            raise ProtocolError(f"too much for {given.name}")
+        if self._owners.get(given.index) != link:
+            return None
+        if isinstance(message, OwnPicture):
+            number = self._counts[given.index] = self._counts[given.index] + 1
+        else:
+            number = message.sequence
+        capture_ns = one.clock.instant_ns(message.page_ms, now_ns)
+        return Given(given, message.data, CaptureStamp(capture_ns, number, given.name))
+
+    def _bucket(self, link: _Link, given: SeatInput) -> TokenBucket:
+        if given.index not in link.media:
+            hz = _SOUND_HZ if given.size is None else given.fps * 3 // 2 + 1
+            burst = _SOUND_BURST if given.size is None else given.fps
+            link.media[given.index] = TokenBucket(hz, burst)
+        return link.media[given.index]
+
+    def _find(self, name: str) -> int | None:
+        return next((index for index, one in self._inputs.items() if one.name == name), None)
+
+    def _take(self, link: int, name: str) -> str:
+        index = self._find(name)
+        if index is None:
+            return f"{name}: no page can give this input here"
+        if self._owners.setdefault(index, link) != link:
+            return f"{name}: another page has it"
+        return ""
+
+    def _give(self, link: int, name: str) -> str:
+        index = self._find(name)
+        if index is None or self._owners.get(index) != link:
+            return f"{name}: this page does not have it"
+        del self._owners[index]
+        return ""

@@ -1,0 +1,315 @@
+"""What a seat's pages are sent and may send, derived from the table of the session."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import partial
+from types import MappingProxyType
+
+from msgspec.structs import replace
+
+from kontur_av.clock import NS_PER_MS
+from pipelines.media.previewing import preview_size
+from pipelines.seats.passes_ahead import passes_ahead
+from pipelines.seats.telemetry_log import application_texts
+from pipelines.seats.texts import (
+    BoardText,
+    CameraText,
+    InputText,
+    PreviewText,
+    SeatText,
+    StreamText,
+    TaskText,
+    WorkspaceText,
+)
+from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
+from pipelines.session.setup.table import RtcLeg, VideoStream, VoiceStream
+from pipelines.session.topology import (
+    JOYSTICK_TRACE_TOPIC,
+    MISSION_GROUND_TOPIC,
+    MISSION_PANEL_TOPIC,
+    ROBOT_STATUS_TOPIC,
+    ROBOT_TRACE_TOPIC,
+    RTC_CODED_CAMERA_TOPIC,
+    RTC_DECODED_CAMERA_TOPIC,
+    RTC_VOICE_TOPIC,
+    Direction,
+    Segment,
+    Topology,
+    VideoRow,
+    partner_camera,
+    partner_voice,
+)
+from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M
+from telepresence.haptics.joystick import JoystickModel
+from telepresence.haptics.robot_controller import RobotControllerModel
+from telepresence.tasks.definitions import Catalogue
+from telepresence.tmtc.pus.dictionary import Dictionary
+
+
+class Via(Enum):
+    """How a page gets a stream: as it was received, as it was sent, or as sound."""
+
+    CODED = "coded"
+    SENT = "sent"
+    SOUND = "sound"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeatStream:
+    """A stream for a seat's pages. topic: its units or blocks.
+
+    decoded_topic: the pictures of its units; None if there are none here.
+    filmed_topics: by camera, the pictures that its sender encodes; none if they are not here.
+    """
+
+    index: int
+    name: str
+    via: Via
+    topic: str
+    stream: VideoStream | VoiceStream
+    decoded_topic: str | None = None
+    filmed_topics: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeatPreview:
+    """The small pictures of an input. size: width and height."""
+
+    index: int
+    input: str
+    topic: str
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeatInput:
+    """An input that a page may take over. size: of its pictures; None: it is sound."""
+
+    index: int
+    name: str
+    topic: str
+    size: tuple[int, int] | None
+    fps: int
+
+
+Shown = PanelShown | ExperimentShown | RobotStatus
+Unpack = Callable[[bytes], Shown]
+#: By end: kind of text, the topic of what the processes of a mission show.
+_SHOWN: Mapping[Segment, Mapping[str, tuple[str, Unpack]]] = MappingProxyType(
+    {
+        Segment.SPACE: {"panel": (MISSION_PANEL_TOPIC, partial(unpack, PanelShown))},
+        Segment.GROUND: {
+            "experiment": (MISSION_GROUND_TOPIC, partial(unpack, ExperimentShown)),
+            "robot": (ROBOT_STATUS_TOPIC, partial(unpack, RobotStatus)),
+        },
+    }
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeatPlan:
+    """A seat. traces: topics with samples of haptics, by the number of their end.
+
+    shown: what processes of the mission show here: by kind of text, the topic.
+    orders: whether its pages may start and stop the session; in space only if it runs here whole.
+    """
+
+    segment: Segment
+    streams: tuple[SeatStream, ...]
+    previews: tuple[SeatPreview, ...]
+    inputs: tuple[SeatInput, ...]
+    traces: dict[int, str]
+    backlog_topic: str
+    text: SeatText
+    dictionary: Dictionary
+    orders: bool
+    shown: Mapping[str, tuple[str, Unpack]] = field(default_factory=dict)
+
+    @property
+    def sizes(self) -> dict[int, tuple[int, int] | None]:
+        """Sizes of the inputs' pictures, by index; None for sound."""
+        return {each.index: each.size for each in self.inputs}
+
+
+def seat_plan(
+    topology: Topology,
+    segment: Segment,
+    session: str,
+    dictionary: Dictionary,
+    *,
+    tasks: Catalogue | None = None,
+) -> SeatPlan:
+    """Return the plan of a segment's seat.
+
+    session: the name of the session. dictionary: of its telecommands and telemetry.
+    tasks: what people in space know of the tasks, in a session with some.
+    """
+    written = {topic for row in topology.processes for topic in row.writes}
+    tasked = bool(written & {MISSION_PANEL_TOPIC, MISSION_GROUND_TOPIC})
+    streams = tuple(_streams(topology, segment))
+    previews = tuple(_previews(topology, segment))
+    inputs = tuple(_inputs(topology, segment))
+    text = _text(topology, segment, session, streams, previews, inputs)
+    trace = {0: JOYSTICK_TRACE_TOPIC} if segment is Segment.SPACE else {1: ROBOT_TRACE_TOPIC}
+    return SeatPlan(
+        segment=segment,
+        streams=streams,
+        previews=previews,
+        inputs=inputs,
+        traces=trace,
+        backlog_topic=topology.link(segment.transmits).backlog_topic,
+        dictionary=dictionary,
+        shown={kind: one for kind, one in _SHOWN[segment].items() if one[0] in written},
+        orders=segment is Segment.GROUND or len(topology.segments) > 1,
+        text=replace(
+            text,
+            board=replace(text.board, lights_m=LIGHTS_M if tasked else ()),
+            applications=application_texts(dictionary),
+            tasks=tasked,
+            task_list=tuple(
+                TaskText(name=one.name, text=one.text)
+                for one in (() if tasks is None else tasks.tasks.values())
+            ),
+            passes=passes_ahead(topology.setup.radio_profile) if segment is Segment.GROUND else (),
+        ),
+    )
+
+
+def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:
+    index = 0
+    for row in topology.media_streams:
+        video = row if isinstance(row, VideoRow) else None
+        if row.direction.receiver is segment:
+            yield SeatStream(
+                index=index,
+                name=row.name,
+                via=Via.SOUND if video is None else Via.CODED,
+                topic=row.received_topic if video is None else video.coded_topic,
+                stream=row.stream,
+                decoded_topic=None if video is None else video.decoded_topic,
+            )
+        elif segment is Segment.GROUND and video is not None:
+            yield SeatStream(
+                index=index,
+                name=row.name,
+                via=Via.SENT,
+                topic=video.sent_topic,
+                stream=row.stream,
+                filmed_topics={row.name: row.topic for row in topology.cameras},
+            )
+        else:
+            continue
+        index += 1
+    if segment is Segment.GROUND and topology.setup.rtc is not None:
+        yield from _partner(topology.setup.rtc, index)
+
+
+def _partner(leg: RtcLeg, index: int) -> Iterator[SeatStream]:
+    """The picture and the voice of a partner across the Internet."""
+    camera, voice = partner_camera(leg), partner_voice(leg)
+    yield SeatStream(
+        index=index,
+        name=camera.name,
+        via=Via.CODED,
+        topic=RTC_CODED_CAMERA_TOPIC,
+        stream=camera,
+        decoded_topic=RTC_DECODED_CAMERA_TOPIC,
+    )
+    yield SeatStream(
+        index=index + 1, name=voice.name, via=Via.SOUND, topic=RTC_VOICE_TOPIC, stream=voice
+    )
+
+
+def _previews(topology: Topology, segment: Segment) -> Iterator[SeatPreview]:
+    if segment is Segment.GROUND:
+        for index, name in enumerate(topology.setup.camera_inputs):
+            stream = topology.setup.stream_of(name)
+            yield SeatPreview(
+                index=index,
+                input=name,
+                topic=topology.input(name).preview_topic,
+                size=preview_size(stream.width, stream.height),
+            )
+
+
+def _inputs(topology: Topology, segment: Segment) -> Iterator[SeatInput]:
+    setup = topology.setup
+    rows = [
+        row for row in topology.inputs if topology.media(row.stream).direction.sender is segment
+    ]
+    for index, row in enumerate(rows):
+        stream = topology.media(row.stream).stream
+        video = isinstance(stream, VideoStream)
+        # The robot's cameras are no seat's, unless the user wants a page for one.
+        if video and segment is Segment.GROUND and setup.source(row.name) != "page":
+            continue
+        yield SeatInput(
+            index=index,
+            name=row.name,
+            topic=row.page_topic,
+            size=(stream.width, stream.height) if isinstance(stream, VideoStream) else None,
+            fps=stream.fps if isinstance(stream, VideoStream) else 50,
+        )
+
+
+def _text(
+    topology: Topology,
+    segment: Segment,
+    session: str,
+    streams: tuple[SeatStream, ...],
+    previews: tuple[SeatPreview, ...],
+    inputs: tuple[SeatInput, ...],
+) -> SeatText:
+    setup, joystick, robot = topology.setup, JoystickModel(), RobotControllerModel()
+    return SeatText(
+        seat=segment.value,
+        setup=setup.name,
+        session=session,
+        streams=tuple(_stream_text(each, topology) for each in streams),
+        cameras=tuple(CameraText(name=row.name, inputs=row.inputs) for row in topology.cameras),
+        previews=tuple(
+            PreviewText(index=each.index, input=each.input, width=each.size[0], height=each.size[1])
+            for each in previews
+        ),
+        inputs=tuple(_input_text(each) for each in inputs),
+        joystick=str(topology.process("joystick").arguments["spec"]),
+        workspace=WorkspaceText(
+            half_width_m=joystick.half_width_m, half_height_m=joystick.half_height_m
+        ),
+        board=BoardText(
+            width_m=2 * robot.half_width_m,
+            height_m=2 * robot.half_height_m,
+            wall_x_m=WALL_X_M,
+            leds_m=LEDS_M,
+        ),
+        caps={
+            direction.value: topology.link(direction).profile.capacity_bps
+            for direction in Direction
+        },
+    )
+
+
+def _stream_text(one: SeatStream, topology: Topology) -> StreamText:
+    stream = one.stream
+    video = stream if isinstance(stream, VideoStream) else None
+    return StreamText(
+        index=one.index,
+        name=one.name,
+        kind="voice" if video is None else "video",
+        via=one.via.value,
+        cap_bps=stream.cap_bps,
+        stale_after_ms=topology.setup.stale_after_ns(stream) / NS_PER_MS,
+        width=None if video is None else video.width,
+        height=None if video is None else video.height,
+        fps=None if video is None else video.fps,
+    )
+
+
+def _input_text(one: SeatInput) -> InputText:
+    if one.size is None:
+        return InputText(index=one.index, name=one.name, kind="audio")
+    width, height = one.size
+    return InputText(
+        index=one.index, name=one.name, kind="video", width=width, height=height, fps=one.fps
+    )

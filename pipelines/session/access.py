@@ -1,0 +1,167 @@
+"""Who may open what at a seat: the token in the address, and the names by which it is reached."""
+
+import hmac
+import re
+from collections.abc import Iterable, Mapping
+from enum import Enum
+from ipaddress import ip_address
+from types import MappingProxyType
+from typing import NamedTuple
+
+from pipelines.session.seat_roles import Role
+
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_DEFAULT_PORTS = {"http": 80, "https": 443}
+_FILE = re.compile(r"[a-z0-9_]+(?:\.[a-z0-9]+)+")
+
+
+class Kind(Enum):
+    """What is asked for."""
+
+    PAGE = "page"
+    FILE = "file"
+    SEAT = "seat"
+    MEDIA = "media"
+
+
+class Found(NamedTuple):
+    """What a request may have. token: the one in its address. name: of the page or file."""
+
+    kind: Kind
+    role: Role
+    token: str
+    name: str = ""
+
+
+class AccessError(Exception):
+    """A request that is not served. status: of HTTP. reason: for the counters, or ""."""
+
+    def __init__(self, status: int, words: str, reason: str = "") -> None:
+        super().__init__(words)
+        self.status = status
+        self.reason = reason
+
+
+class Access:
+    """Checks the requests to one seat.
+
+    seat: the name of its page. others: names of its other pages. scheme, port: of its listener.
+    names: the hosts that a browser may ask for, in lower case and without brackets; none: loopback.
+    role_tokens: of the people of its end, by their role's value.
+
+    Beyond loopback any IP address may be asked for. Only names can be rebound by another site.
+    """
+
+    def __init__(
+        self,
+        *,
+        seat: str,
+        scheme: str,
+        port: int,
+        names: Iterable[str],
+        operator_token: str,
+        viewer_token: str,
+        role_tokens: Mapping[str, str] = MappingProxyType({}),
+        others: Iterable[str] = (),
+    ) -> None:
+        self._seats = {seat, *others}
+        self._scheme = scheme
+        self._port = port
+        self._names = frozenset(names) or frozenset(_LOOPBACK)
+        self._far = not all(_is_loopback(name) for name in self._names)
+        self._tokens = {
+            Role.OPERATOR: operator_token.encode(),
+            Role.VIEWER: viewer_token.encode(),
+            **{Role(role): token.encode() for role, token in role_tokens.items()},
+        }
+
+    def find(self, method: str, target: str, host: str, origin: str | None) -> Found:
+        """Return what a request may have, or raise `AccessError`.
+
+        target: path and query as they came, not decoded. host, origin: of its header fields.
+        """
+        if not self._is_own(host):
+            raise AccessError(403, "this seat has another name", "host")
+        path, _, query = target.partition("?")
+        parts = path.split("/")[1:]
+        if len(parts) == 1 and parts[0] in self._seats:
+            kind, token, name = Kind.PAGE, _token_of(query), parts[0]
+        elif len(parts) == 3 and parts[1] == "static":
+            kind, token, name = Kind.FILE, parts[0], parts[2]
+        elif len(parts) == 2 and parts[1] in ("ws", "media"):
+            kind = Kind.SEAT if parts[1] == "ws" else Kind.MEDIA
+            token, name = parts[0], ""
+        else:
+            # Whether a path exists is none of a stranger's business.
+            kind, token, name = Kind.FILE, parts[0] if parts else "", ""
+        role = self._role_of(token)
+        if role is None:
+            raise AccessError(403, "this address needs the token of the session", "token")
+        if method != "GET":
+            raise AccessError(405, "only GET")
+        # Other origins' pages can open sockets here, and they know no token but a stolen one.
+        own = f"{self._scheme}://{host}".lower()
+        if kind in (Kind.SEAT, Kind.MEDIA) and (origin or "").lower() != own:
+            raise AccessError(403, "another site's page may not connect", "origin")
+        if kind is Kind.FILE and not _FILE.fullmatch(name):
+            raise AccessError(404, "no such file")
+        return Found(kind, role, token, name)
+
+    def _is_own(self, host: str) -> bool:
+        match = re.fullmatch(r"(\[[0-9a-f:.]+\]|[a-z0-9.-]+)(?::(\d{1,5}))?", host.lower())
+        if match is None:
+            return False
+        port = _DEFAULT_PORTS[self._scheme] if match[2] is None else int(match[2])
+        name = match[1].strip("[]")
+        return port == self._port and (name in self._names or (self._far and _is_address(name)))
+
+    def _role_of(self, token: str) -> Role | None:
+        given = token.encode("utf-8", "surrogateescape")
+        # Each is compared in full, so that the time tells nothing.
+        found = [role for role, own in self._tokens.items() if hmac.compare_digest(given, own)]
+        return found[0] if given and found else None
+
+
+def _token_of(query: str) -> str:
+    for field in query.split("&"):
+        name, _, value = field.partition("=")
+        if name == "token":
+            return value
+    return ""
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_loopback(name: str) -> bool:
+    return ip_address(name).is_loopback if _is_address(name) else name == "localhost"
+
+
+def headers(host: str) -> dict[str, str]:
+    """Return the header fields of every answer. host: of the request, checked."""
+    policy = (
+        "default-src 'none'",
+        "script-src 'self'",
+        "worker-src 'self'",
+        "style-src 'self'",
+        "img-src 'self' data: blob:",
+        f"connect-src 'self' ws://{host} wss://{host}",
+        "media-src 'self' blob:",
+        "base-uri 'self'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    )
+    return {
+        "Content-Security-Policy": "; ".join(policy),
+        "Referrer-Policy": "no-referrer",
+        "X-Content-Type-Options": "nosniff",
+        "Cross-Origin-Resource-Policy": "same-origin",
+        "Cross-Origin-Opener-Policy": "same-origin",
+        "Permissions-Policy": "camera=(self), microphone=(self), gamepad=(self)",
+        "Cache-Control": "no-store",
+    }

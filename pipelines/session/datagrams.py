@@ -1,0 +1,171 @@
+"""A gateway's UDP sockets: the address of each, and the peers that it accepts and sends to."""
+
+import socket
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+from pipelines.session.process import LOOPBACK
+from telepresence.haptics.sample import SAMPLE_OCTETS
+
+Address = tuple[str, int]
+
+#: The most errors in a row that are skipped: a connected socket reports each refusal once.
+_MOST_ERRORS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class EndAddresses:
+    """The addresses of the channels of one end of the link. By default all are on loopback.
+
+    apps: the host of the programs that use the channels; datagrams of other hosts are dropped.
+    apps_bind: the local address of the channel ports.
+    """
+
+    apps: str = LOOPBACK
+    apps_bind: str = LOOPBACK
+
+
+class Outlet:
+    """Sends datagrams to one address, whether a program listens there or not.
+
+    failed: datagrams that the system refused.
+    """
+
+    def __init__(self, udp: socket.socket) -> None:
+        self.failed = 0
+        self._send = udp.send
+
+    def send(self, data: bytes) -> None:
+        try:
+            self._send(data)
+        except OSError:
+            # An ICMP error of an earlier datagram, in place of sending this one: try again.
+            try:
+                self._send(data)
+            except OSError:
+                self.failed += 1
+
+
+def listen(bind: Address) -> socket.socket:
+    """Open a UDP socket on `bind` that never blocks."""
+    udp = _socket()
+    udp.bind(bind)
+    return udp
+
+
+def outlet(bind: str, to: Address) -> Outlet:
+    """Open an outlet to the address `to`, from any port of `bind`."""
+    udp = _socket()
+    udp.bind((bind, 0))
+    # Connected, so that the kernel looks up the route only once.
+    udp.connect(to)
+    return Outlet(udp)
+
+
+def open_peer(bind: Address, peer: Address) -> tuple[socket.socket, socket.socket]:
+    """Open two sockets on the same port: one for datagrams of `peer`, one for all others.
+
+    The kernel prefers a connected UDP socket (udp(7)). Each socket has its own queue, so no
+    stranger can push out a frame of the peer.
+    """
+    strangers, ours = _socket(), _socket()
+    for udp in (strangers, ours):
+        udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        udp.bind(bind)
+    for udp in (strangers, ours):
+        # No other program may share the port.
+        udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+    ours.connect(peer)
+    # Before connect(2) the socket accepted datagrams of any host: drop them.
+    while receive(ours, 1) is not None:
+        pass
+    return ours, strangers
+
+
+class Inlet:
+    """A port of the link that accepts datagrams of one host.
+
+    receive: returns the next datagram, or None. A stranger's datagram gives None, too.
+    strangers: the number of those.
+    """
+
+    def __init__(self, bind: Address, host: str) -> None:
+        self.udp = listen(bind)
+        self.strangers = 0
+        self._host = host
+        # Only this machine reaches its loopback, and recvfrom(2) costs a third more time.
+        local = host == LOOPBACK and is_loopback(bind[0])
+        self.receive: Callable[[int], bytes | None] = (
+            partial(receive, self.udp) if local else self._known
+        )
+
+    def _known(self, most_octets: int) -> bytes | None:
+        try:
+            data, sender = self.udp.recvfrom(most_octets)
+        except OSError:
+            return None
+        if sender[0] != self._host:
+            self.strangers += 1
+            return None
+        return data
+
+
+def receive(udp: socket.socket, most_octets: int) -> bytes | None:
+    """Return the next datagram, or None. ICMP errors of earlier sends are skipped.
+
+    most_octets: longer datagrams are cut. Pass one octet more than the largest valid datagram: that
+    tells a datagram that is too long, without a buffer of 64 KiB.
+    """
+    for _ in range(_MOST_ERRORS):
+        try:
+            return udp.recv(most_octets)
+        except BlockingIOError:
+            return None
+        except OSError:
+            continue
+    return None
+
+
+def newest_sample(udp: socket.socket) -> bytes | None:
+    """Return the newest haptic sample that waits, or None. All else that waits is dropped."""
+    newest = None
+    while (datagram := receive(udp, SAMPLE_OCTETS + 1)) is not None:
+        if len(datagram) == SAMPLE_OCTETS:
+            newest = datagram
+    return newest
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether an IPv4 address is a loopback address (RFC 1122 section 3.2.1.3)."""
+    return host.startswith("127.")
+
+
+def reaches(peer: Address) -> str | None:
+    """Return this machine's address on the route to `peer`; None without a route."""
+    with _socket() as udp, suppress(OSError):
+        udp.connect(peer)
+        return str(udp.getsockname()[0])
+    return None
+
+
+def obstacle(bind: str, peer: Address) -> str | None:
+    """Return why no datagram can go from the local address `bind` to `peer`, or None.
+
+    The text is the kernel's. It does not check that `bind` is an address of this machine.
+    """
+    with _socket() as udp:
+        with suppress(OSError):
+            udp.bind((bind, 0))
+        try:
+            udp.connect(peer)
+        except OSError as error:
+            return error.strerror or str(error)
+    return None
+
+
+def _socket() -> socket.socket:
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp.setblocking(False)
+    return udp

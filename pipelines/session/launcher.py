@@ -1,0 +1,471 @@
+"""Starts the processes of a session, watches them, restarts them, and ends them.
+
+Every process is forked from the launcher, which has loaded the codecs once. So a start or a restart
+takes milliseconds. Therefore the launcher itself has one thread, and uses no shared memory.
+"""
+
+import ctypes
+import errno
+import gc
+import os
+import resource
+import selectors
+import signal
+import socket
+import tempfile
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from pkgutil import resolve_name
+from types import FrameType
+from typing import Protocol
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.errors import ConfigError
+from pipelines.session.page_listener import PageListener
+from pipelines.session.probe import Message
+from pipelines.session.process import LOOPBACK, Context, become
+from pipelines.session.restarts import RestartPolicy
+from pipelines.session.session_switch import PATIENCE_NS, Action, Activity, Order, SessionSwitch
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import ProcessRow, Topology
+
+_SHOW_NS = NS_PER_S
+#: How often pages get figures.
+FEED_NS = 500 * NS_PER_MS
+_MESSAGE_OCTETS = 1 << 20
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+
+
+class Listener(Protocol):
+    """Receives the processes' figures and their ends."""
+
+    def handle_message(self, process: str, message: Message, now_ns: int) -> None:
+        """A process has sent figures."""
+
+    def handle_exit(self, process: str, error: str) -> None:
+        """A process has ended; its counters begin at 0 in its next life.
+
+        error: why the newest life that failed ended, in one line; "" if none has failed.
+        """
+
+    def handle_resumed(self, now_ns: int) -> None:
+        """The processes are started again after a stop that was asked for."""
+
+
+class Feed(Protocol):
+    """Makes the messages for the processes that serve pages."""
+
+    def poll_messages(self, launcher: "Launcher", now_ns: int) -> Mapping[str, bytes]:
+        """Return a message for each of these processes that somebody watches."""
+
+    def handle_sent(self, process: str) -> None:
+        """The process has been sent its message. One that reads too slowly has lost it."""
+
+
+@dataclass
+class Child:
+    """A row of the topology, and the process that runs it at present, if any."""
+
+    row: ProcessRow
+    run: Callable[..., None]
+    pid: int | None = None
+    pidfd: int = -1
+    link: socket.socket | None = None
+    restarts: int = 0
+    ended_cpu_s: float = 0.0
+    last_error: str = ""
+    #: The error that the present life has reported before its end.
+    told_error: str = ""
+    #: Whether its present life is to end because the session is stopped.
+    stopped: bool = False
+    policy: RestartPolicy = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.policy = RestartPolicy(self.row.stage)
+
+    def cpu_s(self) -> float:
+        """Return the CPU seconds of all its lives so far."""
+        if self.pid is None:
+            return self.ended_cpu_s
+        try:
+            fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return self.ended_cpu_s
+        return self.ended_cpu_s + (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@dataclass
+class Launcher:
+    """Runs `processes` of `topology` until it is told to stop.
+
+    listener: gets the figures and ends of the processes.
+    seed: of the radio's random events.
+    show: called about once a second, with this launcher, to show figures to the user.
+    pages: by process, where it serves browser pages.
+    feed: asked every `FEED_NS` for figures for these processes.
+    """
+
+    session: str
+    topology: Topology
+    processes: Sequence[ProcessRow]
+    clock: MonotonicClock
+    listener: Listener
+    snapshots: Path | None = None
+    seed: int = 0
+    show: Callable[["Launcher"], None] | None = None
+    pages: Mapping[str, PageListener] = field(default_factory=dict)
+    feed: Feed | None = None
+    children: list[Child] = field(init=False)
+    started_ns: int = 0
+    ended_ns: int = 0
+    switch: SessionSwitch = field(default_factory=SessionSwitch)
+    _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector)
+    _stop: bool = False
+    _ending: bool = False
+
+    def __post_init__(self) -> None:
+        # Imported once, before the forks.
+        self.children = [Child(row, resolve_name(row.run)) for row in self.processes]
+
+    @property
+    def setup(self) -> Setup:
+        """The setup of the session."""
+        return self.topology.setup
+
+    @property
+    def seconds(self) -> float:
+        """How long the session has run, in s."""
+        end_ns = self.ended_ns or self.clock.now_ns()
+        return (end_ns - self.started_ns) / NS_PER_S
+
+    @property
+    def stopped_s(self) -> list[tuple[float, float]]:
+        """From when to when the session was stopped on request, in s since its start."""
+        return [
+            ((begin_ns - self.started_ns) / NS_PER_S, (end_ns - self.started_ns) / NS_PER_S)
+            for begin_ns, end_ns in self.switch.stops_ns
+        ]
+
+    def run(self, seconds: float | None) -> None:
+        """Start all processes, and return when all have ended: after `seconds`, or on a signal."""
+        wake_read, wake_write = socket.socketpair()
+        wake_read.setblocking(False)
+        wake_write.setblocking(False)
+        # Under nohup(1) a closed terminal must not end the session.
+        nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        previous = {
+            number: signal.signal(number, self._handle_signal)
+            for number in _ENDING
+            if not (nohup and number == signal.SIGHUP)
+        }
+        previous_wakeup = signal.set_wakeup_fd(wake_write.fileno())
+        self._selector.register(wake_read, selectors.EVENT_READ, wake_read)
+        # Present objects are never freed. Frozen, they are not walked, and their pages not copied.
+        gc.collect()
+        gc.freeze()
+        try:
+            self.started_ns = self.clock.now_ns()
+            for child in self.children:
+                self._start(child)
+            end_ns = None if seconds is None else self.started_ns + round(seconds * NS_PER_S)
+            self._watch(end_ns)
+            self.ended_ns = self.clock.now_ns()
+            self.switch.handle_end(self.ended_ns)
+        finally:
+            self._end_all()
+            signal.set_wakeup_fd(previous_wakeup)
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+            self._selector.close()
+            wake_read.close()
+            wake_write.close()
+
+    def cpu_s(self) -> dict[str, float]:
+        """Return the CPU seconds of each process."""
+        return {child.row.name: child.cpu_s() for child in self.children}
+
+    def _handle_signal(self, number: int, frame: FrameType | None) -> None:
+        self._stop = True
+
+    def _watch(self, end_ns: int | None) -> None:
+        show_ns = self.started_ns + _SHOW_NS
+        feed_ns = None if self.feed is None else self.started_ns + FEED_NS
+        while not self._stop:
+            now_ns = self.clock.now_ns()
+            if end_ns is not None and now_ns >= end_ns:
+                return
+            if now_ns >= show_ns:
+                show_ns += _SHOW_NS * ((now_ns - show_ns) // _SHOW_NS + 1)
+                self._show()
+            if feed_ns is not None and now_ns >= feed_ns:
+                feed_ns += FEED_NS * ((now_ns - feed_ns) // FEED_NS + 1)
+                self._feed_pages(now_ns)
+            self._follow_switch(now_ns)
+            dues_ns = [show_ns, end_ns, feed_ns, self.switch.poll_timeout()]
+            for child in self.children:
+                due_ns = child.policy.poll_timeout()
+                if due_ns is None or not self._keeps_alive(child):
+                    continue
+                if due_ns <= now_ns:
+                    # A start after a stop that was asked for is no restart.
+                    child.restarts += not child.stopped
+                    self._start(child)
+                else:
+                    dues_ns.append(due_ns)
+            self._attend(min(due for due in dues_ns if due is not None) - self.clock.now_ns())
+
+    def handle_order(self, order: Order) -> None:
+        """Stop all processes but those of the pages, or start them again."""
+        self.switch.handle_order(order, self.clock.now_ns())
+
+    def _keeps_alive(self, child: Child) -> bool:
+        return self.switch.activity is Activity.RUNNING or child.row.name in self.pages
+
+    def _follow_switch(self, now_ns: int) -> None:
+        self.switch.handle_timeout(now_ns)
+        if all(child.pid is None for child in self.children if child.row.name not in self.pages):
+            self.switch.handle_all_ended(now_ns)
+        while (action := self.switch.next_event()) is not None:
+            if action is Action.START:
+                self.listener.handle_resumed(now_ns)
+                continue  # `_watch` starts them in order
+            number = signal.SIGTERM if action is Action.END else signal.SIGKILL
+            for child in self.children:
+                if child.pid is not None and child.row.name not in self.pages:
+                    child.stopped = True
+                    os.kill(child.pid, number)
+
+    def _feed_pages(self, now_ns: int) -> None:
+        assert self.feed is not None
+        messages = self.feed.poll_messages(self, now_ns)
+        for child in self.children:
+            message = messages.get(child.row.name)
+            if message is None or child.link is None:
+                continue
+            # A process that does not read must not hold up the launcher.
+            with suppress(OSError):
+                child.link.send(message, socket.MSG_DONTWAIT)
+                self.feed.handle_sent(child.row.name)
+
+    def _show(self) -> None:
+        if self.show is None:
+            return
+        try:
+            self.show(self)
+        except BrokenPipeError:
+            self._stop = True  # the reader, such as head(1), has ended
+        except OSError:
+            # A closed terminal, whose signal follows, or a full disk, which must not end a session.
+            self.show = None
+
+    def _attend(self, timeout_ns: int) -> None:
+        for key, _ in self._selector.select(max(0, timeout_ns) / NS_PER_S):
+            if isinstance(key.data, Child):
+                child = key.data
+                if key.fileobj is child.link:
+                    self._receive(child)
+                elif child.pid is not None:
+                    self._handle_end(child)
+            else:
+                key.data.recv(64)
+
+    def _receive(self, child: Child) -> None:
+        assert child.link is not None
+        while True:
+            try:
+                data = child.link.recv(_MESSAGE_OCTETS)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            if not data:
+                self._selector.unregister(child.link)
+                child.link.close()
+                child.link = None
+                return
+            now_ns = self.clock.now_ns()
+            message = Message.unpack(data)
+            child.told_error = message.last_error or child.told_error
+            self.listener.handle_message(child.row.name, message, now_ns)
+            for order in message.orders if child.row.name in self.pages else ():
+                self.switch.handle_order(order, now_ns)
+
+    def _start(self, child: Child) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        for end in (ours, theirs):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _MESSAGE_OCTETS)
+        # Until the child has its own handler, a SIGTERM must wait: ours would handle it.
+        signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+        launcher = os.getpid()
+        pid = os.fork()
+        if pid == 0:
+            # No exception may leave this block: the callers would end the siblings.
+            code = 1
+            try:
+                ours.close()
+                code = self._become_child(child, theirs, launcher)
+            finally:
+                os._exit(code)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
+        theirs.close()
+        ours.setblocking(False)
+        child.pid, child.link, child.stopped = pid, ours, False
+        child.pidfd = os.pidfd_open(pid)
+        child.policy.handle_start(self.clock.now_ns())
+        self._selector.register(ours, selectors.EVENT_READ, child)
+        self._selector.register(child.pidfd, selectors.EVENT_READ, child)
+
+    def _become_child(self, child: Child, link: socket.socket, launcher: int) -> int:
+        context = Context(
+            session=self.session,
+            topology=self.topology,
+            clock=self.clock,
+            link=link,
+            snapshots=self.snapshots,
+            started_ns=self.started_ns,
+            seed=self.seed,
+            pages={name: page for name, page in self.pages.items() if name == child.row.name},
+        )
+        try:
+            signal.set_wakeup_fd(-1)
+            # Only the launcher may hold the other ends; else nobody would notice when they close.
+            for key in list(self._selector.get_map().values()):
+                fd = key.fd
+                if fd != link.fileno():
+                    os.close(fd)
+            for name, page in self.pages.items():
+                if name not in context.pages:
+                    page.socket.close()
+            become(child.row, context)
+            if os.getppid() != launcher:
+                return 1  # the launcher was killed before PR_SET_PDEATHSIG was set
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
+            child.run(context, **child.row.arguments)
+            context.flush(self.clock.now_ns())
+        except BaseException as error:
+            context.probe.message.last_error = _one_line(error)
+            try:
+                context.flush(self.clock.now_ns())
+            except Exception:
+                # Filling in the counters may have failed itself.
+                context.send_figures(self.clock.now_ns())
+            return 1
+        return 0
+
+    def _handle_end(self, child: Child) -> None:
+        assert child.pid is not None
+        if child.link is not None:
+            self._receive(child)
+        if child.link is not None:
+            self._selector.unregister(child.link)
+            child.link.close()
+            child.link = None
+        self._selector.unregister(child.pidfd)
+        os.close(child.pidfd)
+        _, status, usage = os.wait4(child.pid, 0)
+        child.pid = None
+        child.ended_cpu_s += usage.ru_utime + usage.ru_stime
+        # An end that was asked for is no error.
+        if not self._ending and not child.stopped:
+            if os.WIFSIGNALED(status):
+                child.last_error = f"ended by {_signal_name(os.WTERMSIG(status))}"
+            else:
+                child.last_error = child.told_error or "ended by itself"
+        child.told_error = ""
+        self.listener.handle_exit(child.row.name, child.last_error)
+        if child.stopped:
+            child.policy.handle_stop(self.clock.now_ns())
+        else:
+            child.policy.handle_end(self.clock.now_ns())
+
+    def _end_all(self) -> None:
+        """End all processes by SIGTERM, and those that remain by SIGKILL."""
+        self._ending = True
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            for child in self.children:
+                if child.pid is not None:
+                    os.kill(child.pid, number)
+            deadline_ns = self.clock.now_ns() + PATIENCE_NS
+            while any(child.pid is not None for child in self.children):
+                remaining_ns = deadline_ns - self.clock.now_ns()
+                if remaining_ns <= 0:
+                    break
+                self._attend(remaining_ns)
+
+
+def _one_line(error: BaseException) -> str:
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    kind = type(error).__name__
+    return f"{kind}: {error} ({Path(where.filename).name}:{where.lineno})"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # most real-time signals have no name
+        return f"signal {number}"
+
+
+def hold_ports(topology: Topology) -> socket.socket:
+    """Hold the launcher's port and check the others. Raises ConfigError if one is busy.
+
+    The launcher's own port is held while the returned socket is open. So of two sessions that start
+    at the same moment only one gets it.
+    """
+    held = hold_port(topology.launcher_port)
+    for port in topology.ports_here:
+        if port != topology.launcher_port:
+            hold_port(port).close()
+    return held
+
+
+def hold_port(port: int, address: str = LOOPBACK) -> socket.socket:
+    """Return a socket that holds the UDP port while it is open; ConfigError if it is busy."""
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        udp.bind((address, port))
+    except OSError as error:
+        udp.close()
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise ConfigError(
+                f"{address} is no address of this machine: take one of its own"
+            ) from None
+        raise ConfigError(
+            f"UDP port {port} is busy: end the program that has it (another session?), "
+            "or choose other ports with --base-port"
+        ) from None
+    return udp
+
+
+def load_libraries() -> None:
+    """Load the libraries of the processes once, before they are forked."""
+    # Python tests the directory with a file, which a process killed meanwhile would leave.
+    tempfile.gettempdir()
+    import av  # noqa: F401
+    import cv2
+    import iceoryx2  # noqa: F401
+
+    import kontur_av.codecs.opus  # noqa: F401
+    from kontur_av.codecs import libopus
+
+    libopus.opuslib()
+    cv2.setNumThreads(1)
+    keep_memory()
+
+
+def keep_memory() -> None:
+    """Make the C library keep freed memory, so that each picture's memory is not mapped anew."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:  # glibc
+        mallopt(_M_MMAP_THRESHOLD, 1 << 25)
+        mallopt(_M_TRIM_THRESHOLD, 1 << 28)
+
+
+def launcher_cpu_s() -> float:
+    """Return the CPU seconds of the launcher itself, imports included."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime + usage.ru_stime

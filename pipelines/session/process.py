@@ -1,0 +1,196 @@
+"""The context of every process of a session: topology, clock, probe, and how it ends."""
+
+import ctypes
+import gc
+import os
+import signal
+import socket
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kontur_av.clock import NS_PER_MS, MonotonicClock
+from pipelines.session.page_listener import PageListener
+from pipelines.session.probe import Probe
+from pipelines.session.session_switch import Order
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import LOOP_PRIORITY, ProcessRow, Topology
+
+if TYPE_CHECKING:
+    from kontur_av.topics.bus import TopicBus
+
+LOOPBACK = "127.0.0.1"
+MAX_DATAGRAM_OCTETS = 65_535
+#: The longest sleep of a process before it checks whether to end.
+PATIENCE_NS = 100 * NS_PER_MS
+
+#: The longest message of the launcher to a process.
+MAX_FIGURES_OCTETS = 1 << 20
+
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+_PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
+
+
+@dataclass
+class Context:
+    """The argument of a process's function.
+
+    The function returns when `stopping` is set, and calls `tick` at least every `PATIENCE_NS`.
+
+    link: the socket to the launcher; None: nobody takes the figures.
+    started_ns: when the session began, the same for all lives of a process.
+    seed: of the radio's random events.
+    pages: by process, where its browser pages are served.
+    """
+
+    session: str
+    topology: Topology
+    clock: MonotonicClock
+    probe: Probe = field(default_factory=Probe)
+    link: socket.socket | None = None
+    snapshots: Path | None = None
+    started_ns: int = 0
+    seed: int = 0
+    stopping: bool = False
+    pages: Mapping[str, PageListener] = field(default_factory=dict)
+    _fill: list[Callable[[], None]] = field(default_factory=list)
+
+    @property
+    def setup(self) -> Setup:
+        """The setup of the session."""
+        return self.topology.setup
+
+    def first_deadline_ns(self, period_ns: int, phase: float = 0.0) -> int:
+        """Return the first deadline of a loop, in step with all loops of the same period.
+
+        phase: the place in the period, from 0 to 1. Loops that exchange samples run half a period
+        apart, so that a sample is always half a period old when it is fetched.
+        """
+        now_ns = self.clock.now_ns()
+        return (now_ns // period_ns + 2) * period_ns + round(phase * period_ns)
+
+    def open_bus(self) -> "TopicBus":
+        """Open this process's access to shared memory."""
+        from kontur_av.topics.bus import TopicBus
+
+        return TopicBus(self.session)
+
+    def listen(self, port: int) -> socket.socket:
+        """Open a UDP socket on loopback that never blocks."""
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        udp.setblocking(False)
+        udp.bind((LOOPBACK, port))
+        return udp
+
+    def sender(self, port: int) -> Callable[[bytes], None]:
+        """Return a function that sends one datagram to `port` on loopback.
+
+        It ignores a port without a listener. Its socket is connected, so that the kernel looks up
+        the route only once.
+        """
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        udp.setblocking(False)
+        udp.connect((LOOPBACK, port))
+        send_now = udp.send
+
+        def send(data: bytes) -> None:
+            try:
+                send_now(data)
+            except (BlockingIOError, ConnectionError):
+                # An ICMP error of an earlier datagram, in place of sending this one: try again.
+                with suppress(BlockingIOError, ConnectionError):
+                    send_now(data)
+
+        return send
+
+    @staticmethod
+    def receive(udp: socket.socket, most_octets: int = MAX_DATAGRAM_OCTETS) -> bytes | None:
+        """Return the next datagram, or None. ICMP errors of earlier sends are skipped.
+
+        most_octets: longer datagrams are cut. Pass one octet more than the largest valid datagram:
+        that tells a datagram that is too long, without a buffer of 64 KiB.
+        """
+        while True:
+            try:
+                return udp.recv(most_octets)
+            except BlockingIOError:
+                return None
+            except ConnectionError:
+                continue
+
+    def on_flush(self, fill: Callable[[], None]) -> None:
+        """Call `fill` before each flush, to put counters and gauges into the probe."""
+        self._fill.append(fill)
+
+    def tick(self, now_ns: int) -> None:
+        """Flush the probe if it is due."""
+        if self.probe.due(now_ns):
+            self.flush(now_ns)
+
+    def flush(self, now_ns: int) -> None:
+        """Flush the probe now."""
+        for fill in self._fill:
+            fill()
+        self.send_figures(now_ns)
+
+    def send_figures(self, now_ns: int) -> None:
+        """Send what the probe has collected; what the launcher cannot take stays there."""
+        told = True
+        if self.link is not None:
+            try:
+                self.link.send(self.probe.message.pack(), socket.MSG_DONTWAIT)
+            except OSError:
+                told = False
+        self.probe.handle_told(now_ns, told=told)
+
+    def order(self, order: Order, now_ns: int) -> None:
+        """Ask the launcher to stop or to start the session; it listens only to pages."""
+        self.probe.message.orders.append(order)
+        self.flush(now_ns)
+
+    def receive_figures(self) -> bytes | None:
+        """Return the launcher's next message for pages, one JSON text, or None.
+
+        It never blocks. `link` becomes readable when a message waits, so that an event loop can
+        watch `link.fileno()`. Messages come only while `PageGauges` says that somebody watches.
+        """
+        if self.link is None:
+            return None
+        try:
+            return self.link.recv(MAX_FIGURES_OCTETS, socket.MSG_DONTWAIT) or None
+        except OSError:
+            return None
+
+
+def become(row: ProcessRow, context: Context) -> None:
+    """Set the name, priority and signal handlers of a freshly forked process."""
+    # Ctrl-C and the end of the terminal reach every process, but only the launcher handles them.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
+    libc = ctypes.CDLL(None, use_errno=True)
+    prctl = libc.prctl
+    # When the launcher is killed, its processes end, too.
+    prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])
+    if row.priority:
+        context.probe.message.scheduler = _take_realtime(libc, row.priority)
+
+
+def _take_realtime(libc: ctypes.CDLL, priority: int) -> str:
+    if priority == LOOP_PRIORITY:
+        # No garbage collection during a slot: these loops make no reference cycles.
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        # Touched pages stay in memory. Without permission this has no effect.
+        libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        # Without permission, at least do not round timers up (by 50 µs by default).
+        libc.prctl(_PR_SET_TIMERSLACK, 1)
+        return "other"
+    return "fifo"

@@ -1,0 +1,99 @@
+"""How a session's recorder is found and asked, and what it is to record. A shell.
+
+The recorder listens on a Unix socket in the session's directory, which only its user may enter.
+"""
+
+import os
+import socket
+from pathlib import Path
+
+from kontur_av.topics.session_files import choose_session, make_session_root, session_root
+from pipelines.session.control import running_sessions
+from pipelines.session.recorder_requests import (
+    MAX_LINE_OCTETS,
+    RecordAnswer,
+    RecordingWish,
+    RecordRequest,
+    pack_line,
+    parse_record_answer,
+    parse_wish,
+)
+
+_SOCKET, _WISH = "recorder", "recording"
+#: How long a recorder may take to answer: it writes a slow disk's file to its end first.
+_PATIENCE_S = 10.0
+
+
+def recorder_path(session: str) -> Path:
+    """Return the path of the Unix socket of `session`'s recorder."""
+    return session_root(session) / _SOCKET
+
+
+def write_wish(session: str, wish: RecordingWish) -> None:
+    """Keep what is to be recorded, for this and the next lives of the recorder."""
+    make_session_root(session)
+    path = session_root(session) / _WISH
+    written = path.with_suffix(".new")
+    written.write_bytes(wish.pack())
+    written.replace(path)
+
+
+def read_wish(session: str) -> RecordingWish | None:
+    """Return what is to be recorded, or None."""
+    try:
+        return parse_wish((session_root(session) / _WISH).read_bytes())
+    except OSError:
+        return None
+
+
+def remove_wish(session: str) -> None:
+    """Nothing more is to be recorded."""
+    (session_root(session) / _WISH).unlink(missing_ok=True)
+
+
+def find_session(name: str | None) -> str:
+    """Return the running session that `name` means, as `choose_session`; else ConfigError."""
+    running = []
+    for session in running_sessions(_SOCKET):
+        link = _connected(session)
+        if link is not None:
+            link.close()
+            running.append(session)
+    return choose_session(name, running, " with --session")
+
+
+class RecorderLink:
+    """A connection to the recorder of a session; OSError if it does not listen.
+
+    A recording that it has begun with `held` ends some seconds after the connection is closed.
+    """
+
+    def __init__(self, session: str) -> None:
+        self._link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._link.settimeout(_PATIENCE_S)
+        try:
+            self._link.connect(os.fspath(recorder_path(session)))
+        except OSError:
+            self._link.close()
+            raise
+        self._lines = self._link.makefile("rb")
+
+    def ask(self, request: RecordRequest) -> RecordAnswer:
+        """Send a request and return its answer; OSError if none comes."""
+        self._link.sendall(pack_line(request))
+        answer = parse_record_answer(self._lines.readline(MAX_LINE_OCTETS))
+        if answer is None:
+            raise ConnectionError("the recorder has ended")
+        return answer
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._lines.close()
+        self._link.close()
+
+
+def _connected(session: str) -> RecorderLink | None:
+    try:
+        return RecorderLink(session)
+    except OSError:
+        return None

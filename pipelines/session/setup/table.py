@@ -1,0 +1,464 @@
+"""The typed table that describes a setup. A setup that cannot work is refused when it is built.
+
+A user's own setup is a TOML file with the same fields: `pipelines.session.setup.setup_file`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import ceil
+from typing import Literal, get_args
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.h264_settings import coded_size_for
+from kontur_av.codecs.opus import bitrate_under_cap
+from kontur_av.errors import ConfigError
+from kontur_av.media import check_size
+from kontur_av.streams.budget import Pacer
+from pipelines.session.setup.segments import Direction
+from telepresence.haptics.mediated.wall import WALL_OCTETS
+from telepresence.link.arithmetic import (
+    RESERVE_DOWN_BPS,
+    ChannelNeed,
+    StreamNeed,
+    TableLine,
+    channel_table,
+    check_fit,
+    freed_need_bps,
+)
+from telepresence.link.flows import (
+    Level,
+)
+from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.radio.path import RadioPath
+from telepresence.link.radio.profile import RadioProfile, built_in_radio, delayed
+from telepresence.tmtc.packets import check_name
+from telepresence.world import DEFAULT_SCENES
+from telepresence.world.board_view import BoardView
+
+#: The camera that is merged from the inputs `left` and `right`.
+STEREO = "stereo"
+STEREO_INPUTS = ("left", "right")
+
+GROUND_MIC, ISS_CAMERA, ISS_MIC = "ground_mic", "iss_camera", "iss_mic"
+
+VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
+#: Small enough that no part of a coded picture takes more than a picture's share of the link.
+VIDEO_PAYLOAD_OCTETS = 1000
+#: The radio that does nothing to frames.
+NO_RADIO = "cable"
+#: Unless a setup says otherwise, what is shown is stale when it is older than the radio's delay,
+#: this time and this many periods together.
+_STALE_NS = 100 * NS_PER_MS
+_STALE_PERIODS = 4
+#: A session takes this many ports, from its base port on.
+PORTS = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoStream:
+    """An H.264 stream: its hard cap of RTP payload in bit/s, picture size and rate.
+
+    stale_after_ms: older pictures are marked as stale; None: the default of `Setup.stale_after_ns`.
+    coded: (width, height) in which pictures are coded; None: the largest size that the cap has
+        bits for (`coded_size`). They are shown in the stream's size.
+    """
+
+    name: str
+    cap_bps: int
+    width: int = 640
+    height: int = 480
+    fps: int = 30
+    coded: tuple[int, int] | None = None
+    stale_after_ms: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 20_000 <= self.cap_bps <= 20_000_000:
+            raise ConfigError(
+                f"{self.name}: cap of {self.cap_bps / 1000:g} kbit/s; video takes 20 to 20000"
+            )
+        if not 1 <= self.fps <= 120:
+            raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
+        _check_stale_after(self)
+        check_size(self.width, self.height)
+        if self.coded is not None:
+            check_size(*self.coded)
+            if self.coded[0] > self.width or self.coded[1] > self.height:
+                raise ConfigError(
+                    f"{self.name}: pictures of {self.width}x{self.height} coded as "
+                    f"{self.coded[0]}x{self.coded[1]}: take no larger size, or leave coded out"
+                )
+
+    @property
+    def coded_size(self) -> tuple[int, int]:
+        """The width and height in which pictures are coded."""
+        return self.coded or coded_size_for(self.width, self.height, self.fps, self.cap_bps)
+
+    @property
+    def payload_octets(self) -> int:
+        """The largest RTP payload in octets; a low cap lets only smaller ones through at once."""
+        return min(VIDEO_PAYLOAD_OCTETS, Pacer(cap_bps=self.cap_bps).max_payload_octets)
+
+    @property
+    def packets_per_s(self) -> int:
+        """The packets a second if pictures of equal size fill the cap."""
+        return self.fps * ceil(self.cap_bps / (8 * self.fps * self.payload_octets))
+
+
+@dataclass(frozen=True, kw_only=True)
+class VoiceStream:
+    """An Opus stream in voice mode, mono 48 kHz, constant bit rate: RTP payload in bit/s.
+
+    stale_after_ms: older sound is stale; None: the default of `Setup.stale_after_ns`.
+    """
+
+    name: str
+    cap_bps: int
+    stale_after_ms: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.cap_bps > 128_000:
+            raise ConfigError(
+                f"{self.name}: a cap of {self.cap_bps / 1000:g} kbit/s; take at most 128"
+            )
+        try:
+            bitrate_under_cap(self.cap_bps)
+        except ConfigError as error:
+            raise ConfigError(f"{self.name}: {error}") from None
+        _check_stale_after(self)
+
+
+def _check_stale_after(stream: VideoStream | VoiceStream) -> None:
+    after_ms = stream.stale_after_ms
+    if after_ms is not None and not 10 <= after_ms <= 600_000:
+        raise ConfigError(f"{stream.name}: stale after {after_ms:g} ms; take 10 to 600000")
+
+
+#: What happens to the room of haptic samples that nobody would feel. `off`: no sample is left out.
+#: `picture`: the video's cap rises. `latency`: the same pictures are sent sooner.
+Deadband = Literal["off", "picture", "latency"]
+DEADBANDS: tuple[Deadband, ...] = get_args(Deadband)
+
+#: What the operator's hand feels. `direct`: the robot's delayed force. `mediated`: a wall that the
+#: robot's side estimates and the joystick's side renders.
+HandMode = Literal["direct", "mediated"]
+HAND_MODES: tuple[HandMode, ...] = get_args(HandMode)
+
+#: What a partner's joystick may drive. `none`: nothing. `shared`: the robot, in the place of the
+#: joystick in space, once an operator has handed it over. `second`: an arm of its own.
+PartnerArm = Literal["none", "shared", "second"]
+PARTNER_ARMS: tuple[PartnerArm, ...] = get_args(PartnerArm)
+
+#: What of the uplink video is coded finer. `off`: nothing. `stylus`: what is around its tip.
+RegionChoice = Literal["off", "stylus"]
+REGION_CHOICES: tuple[RegionChoice, ...] = get_args(RegionChoice)
+#: The built-in scenes that see the task board.
+_BOARD_SCENES = ("left", "right", "static", "head")
+
+#: Walls are told this often on average. Uplink capacity is kept for them.
+_WALLS_PER_S = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class RtcLeg:
+    """The leg to a partner across the Internet, by WebRTC (docs/rtc.md). It shares no cap with the
+    radio.
+
+    video_bps, voice_bps: of the selected camera and of ground control's voice, coded for it.
+    taken_bps: the most that its picture may take.
+    """
+
+    video_bps: int = 1_500_000
+    voice_bps: int = 32_000
+    taken_bps: int = 1_500_000
+
+    def __post_init__(self) -> None:
+        for name, bps in (("video", self.video_bps), ("taken", self.taken_bps)):
+            if not 100_000 <= bps <= 20_000_000:
+                raise ConfigError(f"rtc: {name}_kbps of {bps / 1000:g}; take 100 to 20000")
+        if not 6_000 <= self.voice_bps <= 128_000:
+            raise ConfigError(f"rtc: voice_kbps of {self.voice_bps / 1000:g}; take 6 to 128")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """A telepresence session: its cameras, its streams and their caps, its link and its radio.
+
+    cameras: the cameras that can be selected for the uplink video; the first is selected at the
+        start. `stereo` is merged from the inputs `left` and `right`; any other is the input of the
+        same name.
+    sources: for each input its source, as on the command line (`--source NAME=SPEC`).
+    radio: how the radio delays and loses frames: a profile, or a built-in one's name
+        (docs/radio.md). `telepresence.link.radio.load_radio` reads one from a file.
+    radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
+    deadband: unless `off`, haptic samples are left out while nobody would feel the difference. The
+        uplink video gets the room: as a higher rate, or a lower delay (docs/deadband.md).
+    hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
+        joystick (docs/haptics-mediated.md).
+    rtc: the leg to a partner across the Internet; None: there is none.
+    partner_arm: what a partner's joystick may drive, at ports of its own (docs/partner.md).
+    tasks: a live session has tasks, which people select and do (docs/tasks.md).
+    region: what of the uplink video is coded finer than the rest (docs/video.md).
+    region_points: for a camera that is no built-in scene, the four corners of the task board in
+        its pictures: upper left, upper right, lower right, lower left; (x, y) in pixels.
+    """
+
+    name: str
+    uplink_video: VideoStream
+    cameras: tuple[str, ...]
+    uplink_voice: VoiceStream | None = None
+    downlink_video: VideoStream | None = None
+    downlink_voice: VoiceStream | None = None
+    sources: Mapping[str, str] = field(default_factory=dict)
+    uplink: LinkProfile = UPLINK
+    downlink: LinkProfile = DOWNLINK
+    radio: RadioProfile | str = NO_RADIO
+    radio_delay_ms: float = 0.0
+    deadband: Deadband = "off"
+    hand: HandMode = "direct"
+    rtc: RtcLeg | None = None
+    partner_arm: PartnerArm = "none"
+    tasks: bool = False
+    region: RegionChoice = "off"
+    region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    #: Below 32768, where Linux takes the ports of sockets that ask for any port.
+    base_port: int = 27_000
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise ConfigError(f"setup {self.name}: cameras is empty; name at least one")
+        for camera in self.cameras:
+            if self.cameras.count(camera) > 1:
+                raise ConfigError(f"setup {self.name}: camera {camera} is named twice")
+            check_name(camera)
+            if camera in (GROUND_MIC, ISS_CAMERA, ISS_MIC):
+                raise ConfigError(
+                    f"setup {self.name}: camera {camera} has the name of another input; rename it"
+                )
+        if self.deadband not in DEADBANDS:
+            raise ConfigError(f"deadband {self.deadband!r}: take one of {', '.join(DEADBANDS)}")
+        if self.hand not in HAND_MODES:
+            raise ConfigError(f"hand {self.hand!r}: take one of {', '.join(HAND_MODES)}")
+        self._check_partner_arm()
+        if not 0 <= self.radio_delay_ms <= 10_000:
+            raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
+        radio = self._named_radio
+        if self.radio_delay_ms and radio.name != NO_RADIO:
+            raise ConfigError(
+                f"radio {radio.name} has a delay of its own: leave out the delay of "
+                f"{self.radio_delay_ms:g} ms, or take radio {NO_RADIO}"
+            )
+        delay_ms = self.radio_profile.longest_delay_ns / NS_PER_MS
+        for stream in self.streams:
+            if stream.stale_after_ms is not None and stream.stale_after_ms <= delay_ms:
+                raise ConfigError(
+                    f"{stream.name}: stale after {stream.stale_after_ms:g} ms, but the radio takes "
+                    f"{delay_ms:g}: take more, or leave stale_after_ms out"
+                )
+        if not 1024 <= self.base_port <= 65_536 - PORTS:
+            raise ConfigError(f"base port {self.base_port}: take 1024 to {65_536 - PORTS}")
+        for name in self.sources:
+            if name not in self.inputs:
+                raise ConfigError(
+                    f"source {name}: setup {self.name} has no such input: it has "
+                    f"{', '.join(self.inputs)}; another camera needs a setup file of your own that "
+                    f"names it in cameras (docs/setups.md)"
+                )
+        for name in self.inputs:
+            self.source(name)
+        self._check_region()
+        self.need_up()
+        self.need_down()
+
+    @cached_property
+    def radio_profile(self) -> RadioProfile:
+        """The profile of the radio, with the setup's own delay."""
+        profile = self._named_radio
+        return delayed(profile, self.radio_delay_ms) if self.radio_delay_ms else profile
+
+    def _check_partner_arm(self) -> None:
+        if self.partner_arm not in PARTNER_ARMS:
+            raise ConfigError(
+                f"partner_arm {self.partner_arm!r}: take one of {', '.join(PARTNER_ARMS)}"
+            )
+        if self.partner_arm == "shared" and self.tasks:
+            raise ConfigError(
+                'partner_arm shared: tasks are the cosmonaut\'s, so take partner_arm = "none"'
+            )
+        if self.partner_arm == "shared" and self.hand == "mediated":
+            raise ConfigError(
+                "partner_arm shared: only the joystick in space renders walls, so take "
+                'hand = "direct", or partner_arm = "second"'
+            )
+
+    def _check_region(self) -> None:
+        if self.region not in REGION_CHOICES:
+            raise ConfigError(f"region {self.region!r}: take one of {', '.join(REGION_CHOICES)}")
+        for camera, points in self.region_points.items():
+            if camera not in self.cameras:
+                raise ConfigError(
+                    f"region_points of {camera}: setup {self.name} has no such camera: it has "
+                    f"{', '.join(self.cameras)}"
+                )
+            try:
+                BoardView.from_corners(points)
+            except ConfigError as error:
+                raise ConfigError(f"region_points of {camera}: {error}") from None
+        if self.region == "off":
+            if self.region_points:
+                raise ConfigError('region_points without a region: add region = "stylus"')
+            return
+        known = {camera for camera in self.cameras if self.board_scene(camera) is not None}
+        if not known | set(self.region_points):
+            raise ConfigError(
+                "region stylus: no camera is a built-in scene of the board, so name the board's "
+                'corners in region_points, or take region = "off"'
+            )
+
+    def board_scene(self, camera: str) -> str | None:
+        """The built-in scene of the task board that a camera shows; None if it shows none.
+
+        That of `stereo` is its left half's: the board's plane is at the same pixels in both.
+        """
+        inputs = STEREO_INPUTS if camera == STEREO else (camera,)
+        kinds, _, scenes = zip(*(self.source(name).partition(":") for name in inputs), strict=True)
+        if set(kinds) != {"scene"} or (camera == STEREO and scenes != STEREO_INPUTS):
+            return None
+        return scenes[0] if scenes[0] in _BOARD_SCENES else None
+
+    @property
+    def _named_radio(self) -> RadioProfile:
+        return built_in_radio(self.radio) if isinstance(self.radio, str) else self.radio
+
+    def radio_path(self, profile: LinkProfile, *, seed: int, epoch_ns: int) -> RadioPath:
+        """The radio of one direction; `epoch_ns` is the instant of the profile's time 0."""
+        up = profile is self.uplink
+        return self.radio_profile.path("uplink" if up else "downlink", seed=seed, epoch_ns=epoch_ns)
+
+    @property
+    def camera_inputs(self) -> tuple[str, ...]:
+        """The ground's cameras."""
+        names: list[str] = []
+        for camera in self.cameras:
+            names += STEREO_INPUTS if camera == STEREO else (camera,)
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """All inputs, cameras first."""
+        return (
+            *self.camera_inputs,
+            *((GROUND_MIC,) if self.uplink_voice else ()),
+            *((ISS_CAMERA,) if self.downlink_video else ()),
+            *((ISS_MIC,) if self.downlink_voice else ()),
+        )
+
+    def kind_of(self, name: str) -> Literal["audio", "video"]:
+        """Whether the input `name` is of sound or of pictures; ConfigError if it is unknown."""
+        if name not in self.inputs:
+            raise ConfigError(f"setup {self.name} has no input {name}")
+        return "audio" if name in (GROUND_MIC, ISS_MIC) else "video"
+
+    def source(self, name: str) -> str:
+        """The source of the input `name`; ConfigError when it has none."""
+        spec = self.sources.get(name, DEFAULT_SCENES.get(name))
+        if spec is None:
+            raise ConfigError(
+                f"input {name} has no built-in scene: give --source {name}=SPEC, "
+                f'or {name} = "SPEC" in [sources] of the setup file'
+            )
+        return spec
+
+    def stream_of(self, camera_input: str) -> VideoStream:
+        """The stream whose size and rate the pictures of an input have."""
+        if camera_input == ISS_CAMERA and self.downlink_video is not None:
+            return self.downlink_video
+        return self.uplink_video
+
+    def profile_of(self, stream: VideoStream | VoiceStream) -> LinkProfile:
+        """The link profile of the direction that a stream takes."""
+        return self.profile(self.direction_of(stream))
+
+    def profile(self, direction: Direction) -> LinkProfile:
+        """The link profile of a direction."""
+        return self.uplink if direction is Direction.UPLINK else self.downlink
+
+    def direction_of(self, stream: VideoStream | VoiceStream) -> Direction:
+        """Which way a stream of this setup goes."""
+        up = (self.uplink_video, self.uplink_voice)
+        names = {each.name for each in up if each is not None}
+        return Direction.UPLINK if stream.name in names else Direction.DOWNLINK
+
+    def stale_after_ns(self, stream: VideoStream | VoiceStream) -> int:
+        """The age (ns) above which what is shown or heard of `stream` is stale.
+
+        A stream without its own value takes the radio's longest delay, 100 ms and four periods.
+        """
+        if stream.stale_after_ms is not None:
+            return round(stream.stale_after_ms * NS_PER_MS)
+        rate = stream.fps if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S
+        own_ns = _STALE_NS + _STALE_PERIODS * NS_PER_S // rate
+        return self.radio_profile.longest_delay_ns + own_ns
+
+    @property
+    def streams(self) -> tuple[VideoStream | VoiceStream, ...]:
+        """The media streams that this setup has."""
+        every = (self.uplink_video, self.uplink_voice, self.downlink_video, self.downlink_voice)
+        return tuple(stream for stream in every if stream is not None)
+
+    def need_up(self) -> ChannelNeed:
+        """What the uplink carries with all streams at their caps; ConfigError if too much."""
+        return check_fit(self.uplink, self._needs_up())
+
+    def need_down(self) -> ChannelNeed:
+        """What the downlink carries with all streams at their caps; ConfigError if too much."""
+        streams = _needs(self.downlink_voice, self.downlink_video)
+        return check_fit(self.downlink, streams, reserve_bps=RESERVE_DOWN_BPS)
+
+    def _needs_up(self) -> list[StreamNeed]:
+        return [*_needs(self.uplink_voice, self.uplink_video), *self._walls]
+
+    @property
+    def _walls(self) -> tuple[StreamNeed, ...]:
+        """What the messages with walls need of the uplink."""
+        if self.hand == "direct":
+            return ()
+        payload_bps = 8 * WALL_OCTETS * _WALLS_PER_S
+        return (
+            StreamNeed(
+                name="walls",
+                payload_bps=payload_bps,
+                packets_per_s=_WALLS_PER_S,
+                level=Level.TMTC,
+            ),
+        )
+
+    def freed_need_bps(self, stream: VideoStream, gain_bps: int) -> int:
+        """The rate that left-out samples must free before `stream`'s cap can rise by `gain_bps`."""
+        grown = replace(stream, cap_bps=stream.cap_bps + gain_bps)
+        voice = self.uplink_voice if stream == self.uplink_video else self.downlink_voice
+        walls = self._walls if stream == self.uplink_video else ()
+        needs = [*_needs(voice, grown), *walls]
+        return max(gain_bps, freed_need_bps(self.profile_of(stream), needs))
+
+    def channel_table(self, direction: Direction) -> tuple[TableLine, ...]:
+        """The arithmetic of `need_up` or `need_down`, line by line."""
+        if direction is Direction.UPLINK:
+            return channel_table(self.uplink, self._needs_up())
+        streams = _needs(self.downlink_voice, self.downlink_video)
+        return channel_table(self.downlink, streams, reserve_bps=RESERVE_DOWN_BPS)
+
+
+def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:
+    return [
+        StreamNeed(
+            name=stream.name,
+            payload_bps=stream.cap_bps,
+            packets_per_s=(
+                stream.packets_per_s if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S
+            ),
+            level=Level.VIDEO if isinstance(stream, VideoStream) else Level.VOICE,
+        )
+        for stream in streams
+        if stream is not None
+    ]

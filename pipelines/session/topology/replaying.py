@@ -1,0 +1,105 @@
+"""The table of a session that sends again what a recorded one sent."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+from pipelines.session.topology.rows import MediaRow, ProcessRow, VideoRow
+from pipelines.session.topology.table import Topology
+
+_ENCODING = "pipelines.media.process_video_send:run_video_send"
+
+
+class Script(NamedTuple):
+    """What a process runs in place of its own: "module:function", and its arguments."""
+
+    run: str
+    arguments: Mapping[str, object]
+
+
+def replay_topology(
+    session: Topology,
+    scripts: Mapping[str, Script],
+    recoded: Mapping[str, Script] | None = None,
+    *,
+    radio_after_ns: int = 0,
+) -> Topology:
+    """The table of `session`, with processes that send what was recorded.
+
+    scripts: by process. recoded: by stream, the script of its only camera; the stream's own sender
+    codes these pictures. All other inputs are left out, and so is what merges their pictures.
+    radio_after_ns: the radio's time 0, after the start of the session.
+    """
+    rows = [
+        row
+        for process in session.processes
+        if (row := _replayed(process, session, scripts, recoded or {}, radio_after_ns)) is not None
+    ]
+    written = {topic for row in rows for topic in row.writes}
+    rows = [replace(row, reads=tuple(t for t in row.reads if t in written)) for row in rows]
+    readers = {
+        topic: tuple(row.name for row in rows if topic in row.reads)
+        for row in rows
+        for topic in row.writes
+    }
+    topics = tuple(
+        replace(topic, readers=readers[topic.name])
+        for topic in session.topics
+        if topic.name in written
+    )
+    return replace(session, processes=tuple(rows), topics=topics)
+
+
+def _replayed(
+    process: ProcessRow,
+    session: Topology,
+    scripts: Mapping[str, Script],
+    recoded: Mapping[str, Script],
+    radio_after_ns: int,
+) -> ProcessRow | None:
+    """The row of a process in a replay; None: it has nothing to do."""
+    for name, script in recoded.items():
+        media = session.video(name)
+        topic = session.input(media.inputs[0]).topic
+        if process.name == session.input(media.inputs[0]).process:
+            return _scripted(process, script, writes=(topic,))
+        if process.name == media.sender:
+            sender = Script(_ENCODING, {"stream": media.stream, "topic": topic})
+            reads = (topic, media.backlog_topic)
+            return _scripted(process, sender, reads=reads, writes=(media.sent_topic,))
+    if (own := scripts.get(process.name)) is not None:
+        media_rows = [row for row in session.media_streams if row.sender == process.name]
+        return _scripted(
+            process,
+            own,
+            reads=tuple(row.backlog_topic for row in media_rows if isinstance(row, VideoRow)),
+            writes=tuple(_sent_topics(media_rows)),
+        )
+    merged = {camera.topic for camera in session.cameras}
+    captures = {row.process for row in session.inputs}
+    if process.name in captures or merged.intersection(process.writes):
+        return None
+    if process.name in {link.sender for link in session.links}:
+        return replace(process, arguments={**process.arguments, "radio_after_ns": radio_after_ns})
+    return process
+
+
+def _sent_topics(rows: list[MediaRow]) -> list[str]:
+    return [row.sent_topic for row in rows if isinstance(row, VideoRow)]
+
+
+def _scripted(
+    process: ProcessRow,
+    script: Script,
+    *,
+    reads: tuple[str, ...] = (),
+    writes: tuple[str, ...] = (),
+) -> ProcessRow:
+    return replace(
+        process,
+        run=script.run,
+        arguments=script.arguments,
+        reads=reads,
+        writes=writes,
+        what=f"replay: {process.what}",
+    )

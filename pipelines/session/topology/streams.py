@@ -1,0 +1,196 @@
+"""The streams of the radio link with their ports, and the inputs of the streams."""
+
+from collections.abc import Iterable
+
+from pipelines.session.setup.segments import Direction, Segment
+from pipelines.session.setup.table import (
+    GROUND_MIC,
+    ISS_CAMERA,
+    ISS_MIC,
+    STEREO,
+    STEREO_INPUTS,
+    Setup,
+    VideoStream,
+    VoiceStream,
+)
+from pipelines.session.topology.rows import (
+    CameraRow,
+    HapticRow,
+    InputRow,
+    Kind,
+    LinkRow,
+    MediaRow,
+    StreamRow,
+    VideoRow,
+    received_topic,
+)
+from telepresence.link.flows import (
+    Flow,
+    Level,
+    packet_flow,
+    rtcp_flow,
+    tmtc_flow,
+    video_flow,
+    voice_flow,
+)
+
+#: Streams that every setup has.
+TELEMETRY = "telemetry"
+TELECOMMAND = "telecommand"
+
+#: Offsets of ports from the base port.
+_RADIO = {Segment.GROUND: 0, Segment.SPACE: 1}
+LAUNCHER_OFFSET = 6
+#: By stream: where the gateway of the sending segment takes its datagrams, and where the receiver
+#: in the other segment listens.
+_PORTS = {
+    "uplink_haptic": (2, 5),
+    "downlink_haptic": (4, 3),
+    "uplink_video": (10, 12),
+    "uplink_video_rtcp": (11, 13),
+    "uplink_voice": (14, 16),
+    "uplink_voice_rtcp": (15, 17),
+    "downlink_video": (18, 20),
+    "downlink_video_rtcp": (19, 21),
+    "downlink_voice": (22, 24),
+    "downlink_voice_rtcp": (23, 25),
+    "feedback_uplink_video": (26, 27),
+    "feedback_downlink_video": (28, 29),
+    TELEMETRY: (30, 31),
+    TELECOMMAND: (32, 33),
+    "uplink_maintenance": (34, 36),
+    "downlink_maintenance": (37, 39),
+}
+
+
+#: The merged picture of the robot's two cameras.
+STEREO_TOPIC = "camera/stereo"
+
+
+def link_row(setup: Setup, direction: Direction) -> LinkRow:
+    return LinkRow(
+        direction=direction,
+        profile=setup.profile(direction),
+        sender=f"{direction.sender.value}_gateway",
+        receiver=f"{direction.receiver.value}_gateway",
+        port=setup.base_port + _RADIO[direction.receiver],
+        backlog_topic=_backlog_topic(direction),
+    )
+
+
+def _backlog_topic(direction: Direction) -> str:
+    return f"link/{direction.value}"
+
+
+def _input_topic(name: str) -> str:
+    return f"input/{name}"
+
+
+def camera_row(name: str) -> CameraRow:
+    if name == STEREO:
+        return CameraRow(name=name, topic=STEREO_TOPIC, inputs=STEREO_INPUTS)
+    return CameraRow(name=name, topic=_input_topic(name), inputs=(name,))
+
+
+def input_rows(setup: Setup) -> Iterable[InputRow]:
+    for name in setup.camera_inputs:
+        yield InputRow(
+            name=name,
+            process=f"camera_{name}",
+            topic=_input_topic(name),
+            stream=setup.uplink_video.name,
+        )
+    others = (
+        (GROUND_MIC, setup.uplink_voice),
+        (ISS_CAMERA, setup.downlink_video),
+        (ISS_MIC, setup.downlink_voice),
+    )
+    for name, stream in others:
+        if stream is not None:
+            yield InputRow(name=name, process=name, topic=_input_topic(name), stream=stream.name)
+
+
+def stream_rows(setup: Setup, direction: Direction) -> Iterable[StreamRow]:
+    """Return the streams of one direction, by priority."""
+    up = direction is Direction.UPLINK
+    video, voice = (
+        (setup.uplink_video, setup.uplink_voice)
+        if up
+        else (setup.downlink_video, setup.downlink_voice)
+    )
+    other_video = setup.downlink_video if up else setup.uplink_video
+    base = setup.base_port
+
+    def row(
+        name: str, kind: Kind, flow: Flow, sender: str | None = None, receiver: str | None = None
+    ) -> StreamRow:
+        entry, out = _PORTS[name]
+        return StreamRow(
+            name=name,
+            direction=direction,
+            kind=kind,
+            flow=flow,
+            sender=sender,
+            receiver=receiver,
+            entry_port=base + entry,
+            exit_port=base + out,
+        )
+
+    yield _haptic(setup, direction)
+    if up:
+        yield row(TELEMETRY, Kind.TMTC, tmtc_flow(TELEMETRY), "selector", "console")
+    else:
+        yield row(TELECOMMAND, Kind.TMTC, tmtc_flow(TELECOMMAND), "console", "selector")
+    for stream in (voice, video):
+        if stream is not None:
+            media = _media(setup, direction, stream)
+            yield media
+            flow = rtcp_flow(media.rtcp)
+            yield row(media.rtcp, Kind.RTCP, flow, media.sender, media.receiver)
+    if other_video is not None:
+        against = _media(setup, direction.opposite, other_video)
+        assert isinstance(against, VideoRow)
+        flow = rtcp_flow(against.feedback)
+        yield row(against.feedback, Kind.FEEDBACK, flow, against.receiver, against.sender)
+    name = f"{direction.value}_maintenance"
+    yield row(name, Kind.MAINTENANCE, packet_flow(name, Level.MAINTENANCE))
+
+
+def _haptic(setup: Setup, direction: Direction) -> HapticRow:
+    up = direction is Direction.UPLINK
+    sender, receiver = ("robot", "joystick") if up else ("joystick", "robot")
+    name = f"{direction.value}_haptic"
+    entry, out = _PORTS[name]
+    return HapticRow(
+        name=name,
+        key="up" if up else "down",
+        direction=direction,
+        kind=Kind.HAPTIC,
+        flow=None,
+        sender=sender,
+        receiver=receiver,
+        entry_port=setup.base_port + entry,
+        exit_port=setup.base_port + out,
+    )
+
+
+def _media(setup: Setup, direction: Direction, stream: VideoStream | VoiceStream) -> MediaRow:
+    name, video = stream.name, isinstance(stream, VideoStream)
+    entry, out = _PORTS[name]
+    kind_of_row = VideoRow if video else MediaRow
+    return kind_of_row(
+        name=name,
+        direction=direction,
+        kind=Kind.VIDEO if video else Kind.VOICE,
+        flow=video_flow(name) if video else voice_flow(name),
+        sender=f"{name}_send",
+        receiver=f"{name}_receive",
+        entry_port=setup.base_port + entry,
+        exit_port=setup.base_port + out,
+        stream=stream,
+        inputs=tuple(row.name for row in input_rows(setup) if row.stream == name),
+        display=f"{direction.receiver.value}_display",
+        rtcp=f"{name}_rtcp",
+        received_topic=received_topic(name),
+        backlog_topic=_backlog_topic(direction),
+    )

@@ -1,0 +1,185 @@
+"""The whole table, with lookups of rows."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from pipelines.session.setup.segments import Direction, Segment
+from pipelines.session.setup.table import PORTS, Setup
+from pipelines.session.topology.partner import partner_ports
+from pipelines.session.topology.rows import (
+    CameraRow,
+    HapticRow,
+    InputRow,
+    LinkRow,
+    MediaRow,
+    ProcessRow,
+    StreamRow,
+    TopicRow,
+    VideoRow,
+)
+from telepresence.link.flows import Flow
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topology:
+    """All processes, streams and topics of a session of `setup`.
+
+    processes: in the order in which they are started. streams: by direction, and within one by
+    priority. Lookups by name raise KeyError for a name that the session does not have.
+    segments: those that run on this machine. All rows are there in any case.
+    """
+
+    setup: Setup
+    processes: tuple[ProcessRow, ...]
+    streams: tuple[StreamRow, ...]
+    topics: tuple[TopicRow, ...]
+    links: tuple[LinkRow, ...]
+    inputs: tuple[InputRow, ...]
+    cameras: tuple[CameraRow, ...]
+    launcher_port: int
+    segments: tuple[Segment, ...] = tuple(Segment)
+
+    @property
+    def ports(self) -> range:
+        """Every UDP port that a session may take."""
+        return range(self.setup.base_port, self.setup.base_port + PORTS)
+
+    def radio_port(self, segment: Segment) -> int:
+        """Return the port on which a segment's gateway receives frames."""
+        return self.link(segment.peer.transmits).port
+
+    def process(self, name: str) -> ProcessRow:
+        """The process `name`."""
+        return self._processes[name]
+
+    def processes_of(self, segments: Iterable[Segment]) -> tuple[ProcessRow, ...]:
+        """Return the processes of a machine on which these segments run."""
+        here = {None, *segments}
+        return tuple(row for row in self.processes if row.segment in here)
+
+    @property
+    def alone(self) -> Segment | None:
+        """The only segment on this machine; None if both are."""
+        return self.segments[0] if len(self.segments) == 1 else None
+
+    @property
+    def processes_here(self) -> tuple[ProcessRow, ...]:
+        """The processes of this machine, in the order in which they are started."""
+        return self.processes_of(self.segments)
+
+    @property
+    def ports_here(self) -> tuple[int, ...]:
+        """The UDP ports that the session holds on this machine, the launcher's first.
+
+        The radio's ports are not among them if the radio is between two machines.
+        """
+        if self.alone is None:
+            # A partner's program may be there already.
+            _, partner = partner_ports(self.setup)
+            return tuple(port for port in self.ports if port != partner)
+        radio = {self.radio_port(segment) for segment in Segment}
+        taken = (port for row in self.processes_here for port in row.ports)
+        return (self.launcher_port, *(port for port in taken if port not in radio))
+
+    def runs(self, process: str) -> bool:
+        """Whether the process `process` is one of this machine."""
+        segment = self._processes[process].segment
+        return segment is None or segment in self.segments
+
+    def side_here(self, row: StreamRow) -> str | None:
+        """The only side of a stream on this machine, "sender" or "receiver"; None: both are."""
+        if self.alone is None:
+            return None
+        return "sender" if row.direction.sender is self.alone else "receiver"
+
+    def stream(self, name: str) -> StreamRow:
+        """The stream `name`, of any kind."""
+        return self._streams[name]
+
+    def entry_port(self, stream: str) -> int:
+        """Return the port of the sending segment's gateway for a stream's datagrams."""
+        return self._streams[stream].entry_port
+
+    def exit_port(self, stream: str) -> int:
+        """Return the port on which a stream's receiver listens, in the other segment."""
+        return self._streams[stream].exit_port
+
+    @cached_property
+    def media_streams(self) -> tuple[MediaRow, ...]:
+        """The pictures and voices, in the setup's order."""
+        return tuple(self.media(stream.name) for stream in self.setup.streams)
+
+    def media(self, name: str) -> MediaRow:
+        """The picture or voice `name`."""
+        row = self._streams[name]
+        if not isinstance(row, MediaRow):
+            raise KeyError(name)
+        return row
+
+    @cached_property
+    def haptics(self) -> tuple[HapticRow, ...]:
+        """The haptic samples, up first."""
+        return tuple(row for row in self.streams if isinstance(row, HapticRow))
+
+    def haptic(self, key: str) -> HapticRow:
+        """The haptic samples "up" or "down"."""
+        return next(row for row in self.haptics if row.key == key)
+
+    def flows(self, direction: Direction) -> tuple[Flow, ...]:
+        """Return the flows of a direction; a flow's index is its number on the link."""
+        rows = (row for row in self.streams if row.direction is direction)
+        return tuple(row.flow for row in rows if row.flow is not None)
+
+    def link(self, direction: Direction) -> LinkRow:
+        """A direction of the radio link."""
+        return next(row for row in self.links if row.direction is direction)
+
+    def gateway(self, segment: Segment) -> ProcessRow:
+        """The gateway of a segment."""
+        return self.process(self.link(segment.transmits).sender)
+
+    def sender_of(self, stream: str) -> ProcessRow:
+        """The process that sends a picture or a voice."""
+        return self.process(self.media(stream).sender)
+
+    def receiver_of(self, stream: str) -> ProcessRow:
+        """The process that receives a picture or a voice."""
+        return self.process(self.media(stream).receiver)
+
+    def input(self, name: str) -> InputRow:
+        """The input `name`."""
+        return next(row for row in self.inputs if row.name == name)
+
+    def input_process(self, name: str) -> ProcessRow:
+        """The process that captures the input `name`."""
+        return self.process(self.input(name).process)
+
+    def camera(self, name: str) -> CameraRow:
+        """What can be selected under `name`."""
+        return next(row for row in self.cameras if row.name == name)
+
+    def topic(self, name: str) -> TopicRow:
+        """The topic `name`."""
+        return next(row for row in self.topics if row.name == name)
+
+    def video(self, name: str) -> VideoRow:
+        """The picture `name`."""
+        row = self._streams[name]
+        if not isinstance(row, VideoRow):
+            raise KeyError(name)
+        return row
+
+    def shown_with(self, voice: str) -> VideoRow | None:
+        """The picture that is shown where a voice is heard."""
+        display = self.media(voice).display
+        shown = (row for row in self.media_streams if row.display == display)
+        return next((row for row in shown if isinstance(row, VideoRow)), None)
+
+    @cached_property
+    def _processes(self) -> Mapping[str, ProcessRow]:
+        return {row.name: row for row in self.processes}
+
+    @cached_property
+    def _streams(self) -> Mapping[str, StreamRow]:
+        return {row.name: row for row in self.streams}

@@ -1,0 +1,204 @@
+"""The rows of a topology as tables: text for a terminal, Markdown for the documents."""
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pipelines.session.setup.segments import Direction
+from pipelines.session.topology.rows import Kind, MediaRow, StreamRow
+from pipelines.session.topology.table import Topology
+
+#: The last column of a table is wrapped, to no less than this width in characters.
+_LAST_WIDTH = 30
+_GAP = "  "
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Headings and rows of equal length; an empty cell is "–".
+
+    spare: headings of columns that are left out where a terminal is narrow, the first one first.
+    """
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    spare: Sequence[str] = ()
+
+    def lines(self, width: int) -> list[str]:
+        """At most `width` characters wide: columns are left out, and the last one is wrapped."""
+        table = self
+        for heading in self.spare:
+            if table._room(width) >= table._least_room():
+                break
+            table = table.without(heading)
+        widths = table._widths()
+        room = max(table._room(width), table._least_room())
+        lines = []
+        for row in (table.headings, *table.rows):
+            left = _GAP.join(
+                cell.ljust(cells) for cell, cells in zip(row[:-1], widths[:-1], strict=True)
+            )
+            last = textwrap.wrap(row[-1], room, break_long_words=False, break_on_hyphens=False)
+            for number, text in enumerate(last or [""]):
+                lines.append(f"{'' if number else left:{len(left)}}{_GAP}{text}".rstrip())
+        return lines
+
+    def markdown(self) -> str:
+        """A table of Markdown, with a line break at its end."""
+        rule = ["---"] * len(self.headings)
+        rows = (self.headings, rule, *self.rows)
+        return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+    def without(self, heading: str) -> "Table":
+        """The table without a column."""
+        gone = self.headings.index(heading)
+        every = [
+            [cell for column, cell in enumerate(row) if column != gone]
+            for row in (self.headings, *self.rows)
+        ]
+        return Table(headings=every[0], rows=every[1:], spare=self.spare)
+
+    def _widths(self) -> list[int]:
+        columns = zip(self.headings, *self.rows, strict=True)
+        return [max(len(cell) for cell in column) for column in columns]
+
+    def _least_room(self) -> int:
+        """What the last column needs."""
+        return min(_LAST_WIDTH, self._widths()[-1])
+
+    def _room(self, width: int) -> int:
+        """What is left for the last column."""
+        widths = self._widths()
+        return width - sum(widths[:-1]) - len(_GAP) * (len(widths) - 1)
+
+
+def processes_table(topology: Topology) -> Table:
+    """The processes, in the order in which they are started."""
+    return Table(
+        headings=("process", "segment", "stage", "priority", "reads", "writes", "what"),
+        rows=[
+            (
+                row.name,
+                "–" if row.segment is None else row.segment.value,
+                row.stage.name.lower(),
+                str(row.priority) if row.priority else "–",
+                _listed(row.reads),
+                _listed(row.writes),
+                row.what,
+            )
+            for row in topology.processes
+        ],
+        spare=("reads", "writes", "priority", "stage"),
+    )
+
+
+def streams_table(topology: Topology) -> Table:
+    """What the radio link carries, by direction and priority."""
+    return Table(
+        headings=("stream", "from", "kind", "cap", "in", "out", "sender", "receiver"),
+        rows=[
+            (
+                row.name,
+                row.direction.sender.value,
+                row.kind.value,
+                f"{row.stream.cap_bps / 1000:g}" if isinstance(row, MediaRow) else "–",
+                str(row.entry_port),
+                str(row.exit_port),
+                row.sender or "–",
+                row.receiver or "–",
+            )
+            for row in topology.streams
+        ],
+        spare=("sender", "receiver"),
+    )
+
+
+def topics_table(topology: Topology) -> Table:
+    """The topics in shared memory."""
+    return Table(
+        headings=("topic", "writer", "sample", "readers"),
+        rows=[(row.name, row.writer, row.sample, _listed(row.readers)) for row in topology.topics],
+        spare=("sample",),
+    )
+
+
+def ports_table(topology: Topology) -> Table:
+    """Whose each UDP port is, as an offset from the base port."""
+    base = topology.setup.base_port
+    owner = {port: row.name for row in topology.processes for port in row.ports}
+    owner[topology.launcher_port] = "launcher"
+    uses = {topology.launcher_port: "held as long as the session runs, against a second one"}
+    for link in topology.links:
+        uses[link.port] = f"frames of the {link.direction.value}"
+    for row in topology.streams:
+        uses[row.entry_port] = f"`{row.name}`, into the link"
+        uses[row.exit_port] = f"`{row.name}`, out of the link"
+    return Table(
+        headings=("offset", "listens", "takes"),
+        rows=[
+            (str(port - base), f"`{owner[port]}`" if port in owner else "yours", uses[port])
+            for port in sorted(uses)
+        ],
+    )
+
+
+def travels(row: StreamRow, topology: Topology) -> str:
+    """What a program sends to a stream's port, in words."""
+    if row.kind is Kind.HAPTIC:
+        octets = topology.link(row.direction).profile.insert_octets
+        return f"samples of {octets} octets, one a slot, the newest goes first"
+    if isinstance(row, MediaRow):
+        codec = "H.264, 90 kHz" if row.kind is Kind.VIDEO else "Opus, 48 kHz"
+        return f"RTP {codec}; room for {row.stream.cap_bps / 1000:g} kbit/s of payload"
+    return {
+        Kind.RTCP: "RTCP of that stream",
+        Kind.FEEDBACK: "RTCP of that stream",
+        Kind.TMTC: "telecommands and telemetry: space packets of up to 20 octets",
+        Kind.MAINTENANCE: "anything, when nothing else needs the slots",
+    }[row.kind]
+
+
+def channels_table(whole: Topology, *others: Topology) -> Table:
+    """The channels of `whole` with their ports, and which of the setups has which."""
+    sessions = (whole, *others)
+    rows = [
+        (
+            f"`{row.name}`",
+            f"{row.direction.sender.value} → {row.direction.receiver.value}",
+            str(row.entry_port),
+            str(row.exit_port),
+            travels(row, whole),
+            *("●" if row.name in {each.name for each in one.streams} else "" for one in sessions),
+        )
+        for row in whole.streams
+    ]
+    up, down = (whole.link(direction) for direction in Direction)
+    frames = f"transfer frames: ground has {down.port}, space {up.port}"
+    ends = "gateway ↔ gateway"
+    rows.append(("radio", ends, str(down.port), str(up.port), frames, *("●" for _ in sessions)))
+    names = tuple(one.setup.name for one in sessions)
+    return Table(
+        headings=("channel", "from → to", "send to", "comes out at", "what travels", *names),
+        rows=rows,
+    )
+
+
+def in_code(table: Table, *headings: str) -> Table:
+    """The table with the cells of these columns as code, for Markdown."""
+    columns = [table.headings.index(heading) for heading in headings]
+    rows = [
+        [
+            ", ".join(f"`{name}`" for name in cell.split(", ")) if number in columns else cell
+            for number, cell in enumerate(row)
+        ]
+        for row in table.rows
+    ]
+    return Table(headings=table.headings, rows=[_dashed(row) for row in rows])
+
+
+def _dashed(row: Sequence[str]) -> list[str]:
+    return ["–" if cell == "`–`" else cell for cell in row]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names) or "–"

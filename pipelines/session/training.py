@@ -1,0 +1,159 @@
+"""A trainer's exercises: a loss of signal, a joystick error, a lost camera. A core.
+
+Requests of terminals are lines of JSON, such as `{"exercise": "los", "seconds": 20}`. The answer is
+`{"ok": true, "text": "..."}` or `{"ok": false, "text": "..."}`.
+
+An exercise lasts until an instant of the session's clock. All of them are in one sample of a topic,
+so a process that is started again finds those that still last.
+"""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from math import isfinite
+
+import msgspec
+
+from kontur_av.clock import NS_PER_S
+from pipelines.session.figures import TrainerEvent, TrainerGauges
+from pipelines.session.probe import Probe
+from pipelines.session.terminal_lines import Reply, TerminalLines
+
+LOS, JOYSTICK, CAMERA, END = "los", "joystick-error", "camera-lost", "end"
+#: An exercise is no longer than this.
+LONGEST_S = 3600.0
+#: How many events are kept for the report.
+_DEPTH = 200
+
+
+class Exercises(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """What lasts, until when on the session's clock; an instant in the past: it is over.
+
+    los_ns: no frame gets through, either way. joystick_ns: the joystick has a fault.
+    cameras_ns: by input, until when it gives no pictures.
+    """
+
+    los_ns: int = 0
+    joystick_ns: int = 0
+    cameras_ns: Mapping[str, int] = {}
+
+    def pack(self) -> bytes:
+        """Return it as octets."""
+        return msgspec.msgpack.encode(self)
+
+    @classmethod
+    def unpack(cls, octets: bytes) -> "Exercises":
+        """Return what `pack` packed. Only the session's own trainer writes the topic."""
+        return msgspec.msgpack.decode(octets, type=cls)
+
+
+class TrainerRequest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What a terminal asks. seconds: how long. camera: the name of an input."""
+
+    exercise: str
+    seconds: float = 0.0
+    camera: str = ""
+
+
+class TrainerAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """ok: it is done; else text says why not. mistake: the request itself was wrong."""
+
+    ok: bool
+    text: str
+    mistake: bool = False
+
+
+class Trainer:
+    """Turns requests into `exercises`. After each input, drain `next_event`.
+
+    radio: whether the radio of this session is here. joystick: whether the joystick is.
+    cameras: the inputs with pictures that are here.
+
+    exercises: what lasts at present; a new object after each change.
+    """
+
+    def __init__(
+        self, probe: Probe, *, radio: bool, joystick: bool, cameras: Sequence[str]
+    ) -> None:
+        self.exercises = Exercises()
+        self._probe = probe
+        self._radio, self._joystick, self._cameras = radio, joystick, tuple(cameras)
+        self._terminals = TerminalLines()
+        self.handle_terminal = self._terminals.handle_terminal
+        self._events: deque[TrainerEvent] = deque(maxlen=_DEPTH)
+
+    @property
+    def asking(self) -> list[int]:
+        """The terminals whose requests are not complete yet."""
+        return self._terminals.asking
+
+    def handle_octets(self, terminal: int, data: bytes, now_ns: int) -> None:
+        """A terminal in `asking` has sent octets; b"" if it has closed its side."""
+        line = self._terminals.handle_octets(terminal, data)
+        if line is None:
+            return
+        try:
+            request = msgspec.json.decode(line, type=TrainerRequest)
+        except (msgspec.DecodeError, RecursionError):
+            self._terminals.reply(terminal, b"")
+            return
+        self._terminals.reply(terminal, pack_line(self._answer(request, now_ns)))
+
+    def next_event(self) -> Reply | None:
+        """Return the next octets for a terminal, or None."""
+        return self._terminals.next_event()
+
+    def tell(self) -> None:
+        """Put what was done into the probe."""
+        self._probe.gauge(TrainerGauges(events=tuple(self._events)))
+
+    def _answer(self, request: TrainerRequest, now_ns: int) -> TrainerAnswer:
+        wrong = self._mistake(request)
+        if wrong:
+            return TrainerAnswer(ok=False, text=wrong, mistake=True)
+        until_ns = now_ns + round(request.seconds * NS_PER_S)
+        change = msgspec.structs.replace
+        now, text = self.exercises, f"for {request.seconds:g} s"
+        if request.exercise == LOS:
+            self.exercises = change(now, los_ns=until_ns)
+            text = f"no signal {text}"
+        elif request.exercise == JOYSTICK:
+            self.exercises = change(now, joystick_ns=until_ns)
+            text = f"joystick error {text}"
+        elif request.exercise == CAMERA:
+            cameras_ns = {**now.cameras_ns, request.camera: until_ns}
+            self.exercises = change(now, cameras_ns=cameras_ns)
+            text = f"{request.camera} gives no pictures {text}"
+        else:
+            self.exercises = Exercises()
+            text = "all exercises ended"
+        self._events.append(TrainerEvent(at_ns=now_ns, what=text))
+        return TrainerAnswer(ok=True, text=text)
+
+    def _mistake(self, request: TrainerRequest) -> str:
+        """Why a request cannot be, in one line; "" if it can."""
+        exercise, seconds = request.exercise, request.seconds
+        if exercise not in (LOS, JOYSTICK, CAMERA, END):
+            return f"no exercise {exercise}: take {LOS}, {JOYSTICK}, {CAMERA} or {END}"
+        if exercise != END and not (isfinite(seconds) and 0 < seconds <= LONGEST_S):
+            return f"{seconds:g} s: take more than 0 and at most {LONGEST_S:g}"
+        if exercise == LOS and not self._radio:
+            return "the radio is at the other end: ask there"
+        if exercise == JOYSTICK and not self._joystick:
+            return "the joystick is at the other end: ask there"
+        if exercise == CAMERA and request.camera not in self._cameras:
+            known = ", ".join(self._cameras) or "none"
+            return f"no camera {request.camera} is here: here are {known}"
+        return ""
+
+
+def pack_line(content: TrainerRequest | TrainerAnswer) -> bytes:
+    """Return a request or an answer as a line."""
+    return msgspec.json.encode(content) + b"\n"
+
+
+def parse_trainer_answer(line: bytes) -> TrainerAnswer | None:
+    """Return the answer in a line, or None if it is none."""
+    try:
+        return msgspec.json.decode(line, type=TrainerAnswer)
+    except msgspec.DecodeError:
+        return None

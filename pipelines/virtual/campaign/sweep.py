@@ -1,0 +1,178 @@
+"""A sweep: its cases, its runs, and the figures of each case over its seeds. A core."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from statistics import median
+from typing import TypeAlias
+
+from pipelines.session.setup.table import Setup
+from pipelines.virtual.campaign.figures import FIGURES, RunFigures
+from pipelines.virtual.campaign.tasks import SessionTask
+
+#: A value of a field, as a table shows it.
+Value: TypeAlias = "int | float | str"
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One choice of values for the fields of a grid, and the setup that they make."""
+
+    values: Mapping[str, Value]
+    setup: Setup
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """What a file asks for.
+
+    seconds: of virtual time. fields: all that a grid varies. keys: of further figures in a report.
+    x, y: the axes of the plot; x None: chosen by `x_field`.
+    """
+
+    name: str
+    seconds: float
+    seeds: Sequence[int]
+    media: bool
+    cases: Sequence[Case]
+    fields: Sequence[str]
+    keys: Sequence[str]
+    x: str | None
+    y: str
+
+    @property
+    def figures(self) -> list[str]:
+        """The names of all figures."""
+        return [*(figure.name for figure in FIGURES), *self.keys]
+
+    def tasks(self) -> list[SessionTask]:
+        """All runs: case by case, and in each its seeds."""
+        return [
+            SessionTask(setup=case.setup, seconds=self.seconds, seed=seed, media=self.media)
+            for case in self.cases
+            for seed in self.seeds
+        ]
+
+    @property
+    def x_field(self) -> str:
+        """The field on the plot's axis: the first of numbers with several values, or the first."""
+        if self.x is not None:
+            return self.x
+        for name in self.fields:
+            values = {case.values.get(name) for case in self.cases} - {None}
+            if len(values) > 1 and not any(isinstance(value, str) for value in values):
+                return name
+        return self.fields[0]
+
+
+def task_key(task: SessionTask, keys: Sequence[str], code: str) -> str:
+    """A digest of what decides the figures of a run. code: of the program's own text."""
+    setup = task.setup
+    what = (setup, setup.radio_profile, task.seconds, task.seed, task.media, tuple(keys), code)
+    return sha256(repr(what).encode()).hexdigest()[:24]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """A figure over the seeds of a case."""
+
+    median: float
+    least: float
+    largest: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseFigures:
+    """A case over its seeds. runs: those that are over; usable: as of `bench passes`."""
+
+    values: Mapping[str, Value]
+    runs: int
+    usable: int
+    faults: Mapping[str, int]
+    figures: Mapping[str, Spread | None]
+
+
+def case_figures(sweep: Sweep, runs: Sequence[RunFigures | None]) -> list[CaseFigures]:
+    """Each case. runs: in the order of `Sweep.tasks`; None for one that is not over."""
+    seeds = len(sweep.seeds)
+    found = []
+    for number, case in enumerate(sweep.cases):
+        over = [run for run in runs[number * seeds : (number + 1) * seeds] if run is not None]
+        faults: dict[str, int] = {}
+        for run in over:
+            for fault in run.faults:
+                faults[fault] = faults.get(fault, 0) + 1
+        found.append(
+            CaseFigures(
+                values=case.values,
+                runs=len(over),
+                usable=sum(not run.faults for run in over),
+                faults=faults,
+                figures={name: _spread(over, name) for name in sweep.figures},
+            )
+        )
+    return found
+
+
+def _spread(runs: Sequence[RunFigures], name: str) -> Spread | None:
+    values = [value for run in runs if (value := run.figures.get(name)) is not None]
+    if not values:
+        return None
+    return Spread(median=round(median(values), 3), least=min(values), largest=max(values))
+
+
+def headings(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[str]:
+    """Of the columns of `rows`: no column for a figure that no case has."""
+    names = {figure.name: figure.heading for figure in FIGURES}
+    return [*sweep.fields, *(names.get(name, name) for name in _had(sweep, cases)), "verdict"]
+
+
+def rows(sweep: Sweep, cases: Sequence[CaseFigures]) -> Iterator[list[str]]:
+    """The cells of each case: a figure's median, with the least and the largest of its seeds."""
+    had = _had(sweep, cases)
+    for case in cases:
+        yield [
+            *(_text(case.values.get(name, "")) for name in sweep.fields),
+            *(_cell(case.figures[name]) for name in had),
+            _verdict(case),
+        ]
+
+
+def _had(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[str]:
+    return [name for name in sweep.figures if any(case.figures[name] for case in cases)]
+
+
+def _cell(spread: Spread | None) -> str:
+    if spread is None:
+        return ""
+    if spread.least == spread.largest:
+        return _text(spread.median)
+    return f"{_text(spread.median)} ({_text(spread.least)} to {_text(spread.largest)})"
+
+
+def _text(value: Value) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def _verdict(case: CaseFigures) -> str:
+    if not case.runs:
+        return "not run"
+    others = "".join(f", {count} {fault}" for fault, count in case.faults.items())
+    return f"{case.usable} of {case.runs} usable{others}"
+
+
+def csv_rows(sweep: Sweep, runs: Sequence[RunFigures | None]) -> Iterator[list[Value]]:
+    """A heading, then each run that is over: fields, seed, figures, verdict."""
+    yield [*sweep.fields, "seed", *sweep.figures, "verdict"]
+    seeds = len(sweep.seeds)
+    for number, run in enumerate(runs):
+        if run is None:
+            continue
+        values = sweep.cases[number // seeds].values
+        found = [run.figures.get(name) for name in sweep.figures]
+        yield [
+            *(values.get(name, "") for name in sweep.fields),
+            run.seed,
+            *("" if value is None else value for value in found),
+            ", ".join(run.faults) or "usable",
+        ]

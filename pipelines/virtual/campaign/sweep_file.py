@@ -1,0 +1,215 @@
+"""A sweep as a TOML file describes it: its cases, each a setup of its own. A shell.
+
+docs/sweep.md has an annotated file. A mistake is a ConfigError that names the field and the mend.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from kontur_av.errors import ConfigError
+from pipelines.session.setup.setup_file import setup_from_table, setup_table
+from pipelines.session.setup.table import (
+    GROUND_MIC,
+    ISS_CAMERA,
+    ISS_MIC,
+    NO_RADIO,
+    STEREO,
+    STEREO_INPUTS,
+    Setup,
+)
+from pipelines.virtual.campaign.figures import FIGURES
+from pipelines.virtual.campaign.sweep import Case, Sweep, Value
+from telepresence.link.radio.profile_file import radio_from_table
+from telepresence.toml_file import read_toml, typed
+
+_MOST_RUNS = 100_000
+_MOST_SECONDS = 100_000
+#: Fields of a grid that are none of a setup's.
+_SETUP, _RADIO_START = "setup", "radio_start_s"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Plot:
+    x: str | None = None
+    y: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _File:
+    seconds: float
+    grid: tuple[Mapping[str, Any], ...] = field(
+        metadata={"like": "tables [[grid]], like radio_delay_ms = [0, 25]"}
+    )
+    setup: str = "spacejustin"
+    seeds: int | tuple[int, ...] = field(
+        default=1, metadata={"like": "a number of seeds or a list of them, like 5 or [1, 2]"}
+    )
+    media: bool = True
+    figures: tuple[str, ...] = field(
+        default=(), metadata={"like": 'a list of keys of a report, like ["link.uplink.frames"]'}
+    )
+    plot: _Plot = _Plot()
+
+
+def load_sweep(path: Path) -> Sweep:
+    """The sweep in a file; ConfigError."""
+    table = read_toml(path, "sweep")
+    try:
+        return _sweep(path.stem, typed(table, _File, "a sweep"))
+    except ConfigError as error:
+        raise ConfigError(f"sweep {path}: {error}") from None
+
+
+def _sweep(name: str, file: _File) -> Sweep:
+    if not 0 < file.seconds <= _MOST_SECONDS:
+        raise ConfigError(f"seconds is {file.seconds:g}: take more than 0, at most {_MOST_SECONDS}")
+    seeds = _seeds(file.seeds)
+    if not file.grid:
+        raise ConfigError("it has no [[grid]]: write one, like radio_delay_ms = [0, 25] in it")
+    grids = [dict(_fields(grid, number)) for number, grid in enumerate(file.grid, 1)]
+    runs = len(seeds) * sum(_size(grid) for grid in grids)
+    if runs > _MOST_RUNS:
+        raise ConfigError(
+            f"{runs} runs are too many: take fewer values or seeds, {_MOST_RUNS} in all"
+        )
+    found: dict[tuple[tuple[str, str], ...], Case] = {}
+    for number, grid in enumerate(grids, 1):
+        for chosen in product(*grid.values()):
+            values = dict(zip(grid, chosen, strict=True))
+            case = _case(file.setup, values, number)
+            found.setdefault(tuple((name, str(value)) for name, value in case.values.items()), case)
+    sweep = Sweep(
+        name=name,
+        seconds=file.seconds,
+        seeds=seeds,
+        media=file.media,
+        cases=tuple(found.values()),
+        fields=tuple(dict.fromkeys(name for grid in grids for name in grid)),
+        keys=file.figures,
+        x=file.plot.x,
+        y=file.plot.y or ("video_p99_ms" if file.media else "force_p99_ms"),
+    )
+    _check_plot(sweep)
+    return sweep
+
+
+def _seeds(seeds: int | tuple[int, ...]) -> tuple[int, ...]:
+    found = tuple(range(1, seeds + 1)) if isinstance(seeds, int) else seeds
+    if not found or min(found) < 0 or len({*found}) < len(found):
+        raise ConfigError(
+            f"seeds is {seeds}: take a number of seeds from 1, or a list of different ones from 0"
+        )
+    return found
+
+
+def _size(grid: Mapping[str, list[object]]) -> int:
+    size = 1
+    for values in grid.values():
+        size *= len(values)
+    return size
+
+
+def _fields(
+    table: Mapping[str, object], number: int, prefix: str = ""
+) -> Iterator[tuple[str, list[object]]]:
+    """Dotted name and values of each field of a grid."""
+    for key, value in table.items():
+        name = prefix + key
+        if isinstance(value, Mapping):
+            yield from _fields(value, number, f"{name}.")
+        elif isinstance(value, list):
+            if not value:
+                raise ConfigError(f"grid {number}: {name} is an empty list: give it a value")
+            yield name, value
+        else:
+            yield name, [value]
+
+
+def _case(setup: str, values: Mapping[str, object], number: int) -> Case:
+    shown = {name: _shown(value) for name, value in values.items()}
+    try:
+        return Case(shown, _built(setup, values))
+    except ConfigError as error:
+        at = ", ".join(f"{name} = {value}" for name, value in shown.items())
+        raise ConfigError(f"grid {number}, {at}: {error}") from None
+
+
+def _built(setup: str, values: Mapping[str, object]) -> Setup:
+    values = dict(values)
+    setup = str(values.pop(_SETUP, setup))
+    start_s = values.pop(_RADIO_START, None)
+    if isinstance(start_s, bool) or not isinstance(start_s, int | float | None):
+        raise ConfigError(f"{_RADIO_START} must be a number, not {start_s!r}")
+    table = deepcopy(dict(setup_table(setup)))
+    changes = {}
+    radio = values.get("radio")
+    if isinstance(radio, Mapping):
+        # A radio in the place of a file's name: an inline table with a radio file's fields.
+        changes["radio"] = radio_from_table({"name": _shown(radio), **radio}, Path())
+        del values["radio"]
+        table["radio"] = NO_RADIO
+    if radio is not None and radio != NO_RADIO:
+        # The base setup's delay belongs to its cable.
+        table.pop("radio_delay_ms", None)
+    sources = table.pop("sources", {})
+    for name, value in values.items():
+        _set(table, name, value)
+    # The base setup's sources for inputs that this choice leaves out are left out, too.
+    kept = {name: source for name, source in sources.items() if name in _inputs(table)}
+    table["sources"] = {**kept, **table.get("sources", {})}
+    return setup_from_table(table, changes=changes, radio_start_s=start_s)
+
+
+def _inputs(table: Mapping[str, Any]) -> set[str]:
+    """The inputs of a setup's table."""
+    others = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
+    # What is no list is refused when the setup is built.
+    cameras = found if isinstance(found := table.get("cameras"), list | tuple) else ()
+    names = {name for camera in cameras for name in _camera_inputs(str(camera))}
+    return names | {name for stream, name in others.items() if stream in table}
+
+
+def _camera_inputs(camera: str) -> tuple[str, ...]:
+    return STEREO_INPUTS if camera == STEREO else (camera,)
+
+
+def _set(table: dict[str, object], name: str, value: object) -> None:
+    """Put a value under a dotted name; `false` for a whole table leaves it out."""
+    *folders, last = name.split(".")
+    inner: Any = table
+    for folder in folders:
+        inner = inner.setdefault(folder, {})
+        if not isinstance(inner, dict):
+            raise ConfigError(f"{folder} has no fields of its own, so there is no {name}")
+    if value is False and isinstance(inner.get(last), dict):
+        del inner[last]
+    else:
+        inner[last] = value
+
+
+def _shown(value: object) -> Value:
+    """A value in a table's cell."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float | str):
+        return value
+    if isinstance(value, Mapping):
+        if isinstance(value.get("name"), str):
+            return str(value["name"])
+        return " ".join(f"{key}={_shown(each)}" for key, each in value.items())
+    if isinstance(value, list):
+        return "+".join(str(_shown(each)) for each in value)
+    return json.dumps(value, default=str)
+
+
+def _check_plot(sweep: Sweep) -> None:
+    if sweep.x is not None and sweep.x not in sweep.fields:
+        raise ConfigError(f"plot.x is {sweep.x!r}: take one of {', '.join(sweep.fields)}")
+    known = [*(figure.name for figure in FIGURES), *sweep.keys]
+    if sweep.y not in known:
+        raise ConfigError(f"plot.y is {sweep.y!r}: take one of {', '.join(known)}")

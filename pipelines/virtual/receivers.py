@@ -1,0 +1,207 @@
+"""The receiving processes of a simulated session.
+
+Nothing on the link depends on the output of a decoder. So decoders work while virtual time goes on,
+and the simulation waits for them only when figures are reported (`settle`).
+"""
+
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+
+from kontur_av.media import CaptureStamp
+from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.playout import PlayoutBlock
+from kontur_av.streams.video_receiver import VideoReceiver
+from kontur_av.streams.voice_receiver import VoiceReceiver
+from pipelines.media.showing import Showing
+from pipelines.media.stream_figures import (
+    note_arrivals,
+    note_unit,
+    tell_video_receiver,
+    tell_voice_receiver,
+)
+from pipelines.media.watching import Recall, tell_click, tell_light
+from pipelines.session.probe import Probe
+from pipelines.virtual.agenda import Agenda, Timer
+from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.workers import Batch, Worker
+
+
+class Display:
+    """A display whose pictures are never drawn; it is decided all the same when each would be."""
+
+    def __init__(self, showing: Showing) -> None:
+        self._showing = showing
+        self.probe = showing.probe
+
+    def handle_shown(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
+        """A picture or a block of sound is shown."""
+        self._showing.handle_shown(stream, stamp, now_ns)
+        self._draw()
+
+    def handle_time(self, until_ns: int) -> None:
+        """Mark what is stale up to `until_ns`, each time at its instant."""
+        while (due_ns := self._showing.poll_timeout()) is not None and due_ns <= until_ns:
+            self._showing.handle_time(due_ns)
+            self._draw()
+
+    def _draw(self) -> None:
+        while self._showing.next_event() is not None:
+            pass
+
+
+class VideoReceiveProcess:
+    """Receives RTP and reports, decodes every access unit, and shows the pictures."""
+
+    def __init__(
+        self,
+        stream: str,
+        receiver: VideoReceiver,
+        probe: Probe,
+        display: Display,
+        *,
+        agenda: Agenda,
+        decoder: Worker,
+        costs: CodingCosts,
+        ask: Callable[[bytes, int], object],
+    ) -> None:
+        self._stream = stream
+        self._receiver = receiver
+        self._probe = probe
+        self._display = display
+        self._agenda = agenda
+        self._decoder = Batch(decoder)
+        self._ask = ask
+        #: Called with (instant, latency) of each picture when it is shown.
+        self.on_shown: Callable[[int, int], None] | None = None
+        #: Called with each access unit that was received.
+        self.on_unit: Callable[[ReceivedUnit], None] | None = None
+        #: PSNR of each picture against its original, where that is known.
+        self.quality_db: list[float] = []
+        self._cost_ns = costs.ns("decode")
+        self._free_ns = 0
+        self._decoding: deque[tuple[int, int, int | None]] = deque()
+        self._timer = Timer(agenda, self._expire)
+        self._counts = (0, 0, 0)
+        self._recall = Recall()
+
+    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
+        """An RTP packet comes out of the link."""
+        self._receiver.handle_packet(datagram, now_ns)
+        self._drain(now_ns)
+
+    def handle_report(self, datagram: bytes, now_ns: int) -> None:
+        """An RTCP packet comes out of the link."""
+        self._receiver.handle_report(datagram, now_ns)
+        self._drain(now_ns)
+
+    def _expire(self, now_ns: int) -> None:
+        self._receiver.handle_timeout(now_ns)
+        self._drain(now_ns)
+
+    def _drain(self, now_ns: int) -> None:
+        while (unit := self._receiver.next_event()) is not None:
+            note_unit(self._probe, unit)
+            if self.on_unit is not None:
+                self.on_unit(unit)
+            # One at a time, as in the live process.
+            self._free_ns = max(now_ns, self._free_ns) + self._cost_ns
+            self._decoder.submit((unit.data, unit.timestamp, self._free_ns))
+            self._agenda.at(self._free_ns, partial(self._date, unit.timestamp))
+        feedback = self._receiver.poll_feedback(now_ns)
+        if feedback is not None:
+            self._ask(feedback, now_ns)
+        self._timer.set(self._receiver.poll_timeout(), now_ns)
+
+    def _date(self, timestamp: int, now_ns: int) -> None:
+        capture_ns = self._receiver.capture_ns(timestamp)
+        self._decoding.append((now_ns, timestamp, capture_ns))
+        if self.on_shown is not None and capture_ns is not None:
+            self.on_shown(now_ns, now_ns - capture_ns)
+
+    def settle(self, until_ns: int) -> None:
+        """Wait for pictures decoded by `until_ns`, and show each at its own instant."""
+        while self._decoding and self._decoding[0][0] <= until_ns:
+            shown_ns, timestamp, dated_ns = self._decoding.popleft()
+            pictures, self._counts, lights, quality = self._decoder.next_result()
+            self.quality_db.extend(quality)
+            for of, width, height, corrupt in pictures:
+                capture_ns = dated_ns if of == timestamp else self._receiver.capture_ns(of)
+                stamp = self._receiver.handle_picture(
+                    of, width, height, capture_ns, corrupt=corrupt
+                )
+                if stamp is not None:
+                    # The marks on the picture before come first.
+                    self._display.handle_time(shown_ns - 1)
+                    self._display.handle_shown(self._stream, stamp, shown_ns)
+                    self._recall.add(of, stamp.capture_ns)
+            for light in lights:
+                tell_light(self._display.probe, self._stream, light, self._recall.captured_ns)
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        decoded, corrupt, restarts = self._counts
+        tell_video_receiver(self._probe, self._receiver, decoded, corrupt, restarts)
+
+
+class VoiceReceiveProcess:
+    """Receives RTP and reports, and plays each block of sound at its instant."""
+
+    def __init__(
+        self,
+        stream: str,
+        receiver: VoiceReceiver,
+        probe: Probe,
+        display: Display,
+        *,
+        agenda: Agenda,
+        decoder: Worker,
+        costs: CodingCosts,
+    ) -> None:
+        self._stream = stream
+        self._receiver = receiver
+        self._probe = probe
+        self._display = display
+        self._agenda = agenda
+        self._decoder = Batch(decoder)
+        self._cost_ns = costs.ns("voice_decode")
+        self._decoding: deque[tuple[int, PlayoutBlock, int | None]] = deque()
+        self._recall = Recall()
+        self._timer = Timer(agenda, self._expire)
+        self.handle_picture_shown = receiver.handle_picture_shown
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        tell_voice_receiver(self._probe, self._receiver)
+
+    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
+        """An RTP packet comes out of the link."""
+        self._receiver.handle_packet(datagram, now_ns)
+        self._expire(now_ns)
+
+    def handle_report(self, datagram: bytes, now_ns: int) -> None:
+        """An RTCP packet comes out of the link."""
+        self._receiver.handle_report(datagram, now_ns)
+        self._expire(now_ns)
+
+    def _expire(self, now_ns: int) -> None:
+        note_arrivals(self._probe, self._receiver)
+        self._receiver.handle_timeout(now_ns)
+        while (block := self._receiver.next_event()) is not None:
+            heard_ns = now_ns + self._cost_ns
+            self._decoder.submit((block, heard_ns))
+            capture_ns = self._receiver.capture_ns(block.timestamp)
+            self._decoding.append((heard_ns, block, capture_ns))
+        self._timer.set(self._receiver.poll_timeout(), now_ns)
+
+    def settle(self, until_ns: int) -> None:
+        """Wait for blocks decoded by `until_ns`, and play each at its own instant."""
+        while self._decoding and self._decoding[0][0] <= until_ns:
+            heard_ns, block, capture_ns = self._decoding.popleft()
+            decoded, clicks = self._decoder.next_result()
+            stamp = self._receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
+            if stamp is not None:
+                self._display.handle_shown(self._stream, stamp, heard_ns)
+                self._recall.add(block.timestamp, stamp.capture_ns)
+            for click in clicks:
+                tell_click(self._display.probe, self._stream, click, self._recall.captured_ns)

@@ -1,0 +1,473 @@
+"""A whole session on virtual time: the gateways' slots in lockstep, and all else between them.
+
+A slot begins in both gateways at the same instant; robot and joystick follow half a slot later.
+Datagrams on one machine take no time. Frames take the radio's delay, coding takes `CodingCosts`.
+Everything happens in the order of its instant, so the same seed gives the same session on every
+machine.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from random import Random
+from typing import Protocol
+
+import msgspec
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
+from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
+from pipelines.hand.robot_desk import RobotDesk
+from pipelines.link.ends import make_gateway
+from pipelines.media.choosing import CameraChoice
+from pipelines.mission.console import Console
+from pipelines.report.collector import Collector
+from pipelines.report.model import CostsReport, SessionReport, SimulationReport
+from pipelines.report.session_report import build_report
+from pipelines.report.task_figures import task_report
+from pipelines.session.figures import GatewayGauges, LoopCounters
+from pipelines.session.probe import FLUSH_NS, Probe
+from pipelines.session.requests import Request, pack_line
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, topology_of
+from pipelines.virtual.agenda import FAR_NS, Agenda, Timer
+from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.media import Consumer, Media, Scene
+from pipelines.virtual.mission import SimulatedMission
+from pipelines.virtual.telling import Telling
+from pipelines.virtual.tmtc import SimulatedTmtc
+from pipelines.virtual.workers import Workers
+from telepresence.haptics.bilateral import Handle, HeldJoystick
+from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.session import LIVES
+from telepresence.link.gateway import Gateway
+from telepresence.link.received import HapticReceived, PacketReceived
+from telepresence.link.slots import GatewaySlots
+from telepresence.tasks.cosmonaut import Cosmonaut, Skill
+from telepresence.tasks.definitions import Catalogue
+from telepresence.tasks.plan import SessionPlan
+from telepresence.world import WorldState, scripted_state
+
+#: The figures of a decoder are reported later by this, so that it need not keep step.
+_SETTLE_NS = 400_000_000
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A telecommand of the script: at `instant_ns` the console asks for `camera`."""
+
+    instant_ns: int
+    camera: str
+
+
+class HapticEnd(Protocol):
+    """Robot or joystick, one cycle at a time; see `pipelines.hand.haptics`."""
+
+    def handle_datagram(self, data: bytes, now_ns: int) -> None: ...
+
+    def handle_cycle(self, now_ns: int, advance_ns: int) -> None: ...
+
+    def poll_transmit(self, now_ns: int) -> bytes | None: ...
+
+    def next_event(self) -> WorldState | None: ...
+
+    def tell(self) -> None: ...
+
+
+class Simulation:
+    """A session of `setup`; `run` it, in one piece or in several, then ask for its `report`.
+
+    seed: everything random derives from it. media: without, only haptics and telecommands travel.
+    selections: the script of telecommands. start_ns: when it begins. epoch_ns: time 0
+    of the radio. plan: what an experimenter selects, and the tasks for a simulated cosmonaut.
+    joystick: in operation, with its states, faults and functions; None: one that is always in the
+    application.
+
+    tmtc: telecommands and telemetry of both segments after PUS; ask it, and subscribe to its news.
+    """
+
+    #: Whether a recording has the packets of telecommands and telemetry.
+    _recorded = False
+
+    def __init__(
+        self,
+        setup: Setup,
+        workers: Workers,
+        *,
+        seed: int,
+        media: bool = True,
+        selections: Sequence[Selection] = (),
+        costs: CodingCosts | None = None,
+        start_ns: int = 0,
+        epoch_ns: int = 0,
+        plan: tuple[SessionPlan, Catalogue] | None = None,
+        joystick: JoystickDevice | None = None,
+    ) -> None:
+        slot_ns = setup.uplink.slot_ns
+        if not slot_ns == setup.downlink.slot_ns == CYCLE_NS:
+            raise ConfigError(
+                f"setup {setup.name}: a simulation has slots of {CYCLE_NS} ns both ways, not "
+                f"{slot_ns} and {setup.downlink.slot_ns}"
+            )
+        self.setup = setup
+        self.topology = topology_of(setup)
+        self.collector = Collector(self.topology)
+        self._seed = seed
+        self._cosmonaut: Cosmonaut | None = None
+        if plan is not None:
+            seed_of_hand = self._random("cosmonaut").getrandbits(32)
+            self._cosmonaut = Cosmonaut(Skill(level=plan[0].skill), seed=seed_of_hand)
+        self._device = joystick
+        self._costs = costs or CodingCosts()
+        self._agenda = agenda = Agenda()
+        self._telling = telling = Telling(self.collector)
+        self._epoch_ns = epoch_ns
+        self.start_ns = self._now_ns = self._next_slot_ns = start_ns
+        self._slots = 0
+        self._state: WorldState | None = None
+        #: What waits for the next haptic cycle.
+        self._samples_up: list[bytes] = []
+        self._samples_down: list[bytes] = []
+        self._ground = self._gateway(Segment.GROUND)
+        self._space = self._gateway(Segment.SPACE)
+        self._slots_of = [
+            GatewaySlots(end, first_ns=start_ns) for end in (self._ground, self._space)
+        ]
+        # When the next frame arrives: asked twice a slot, so without a detour.
+        self._up_timeout = self._ground.radio.poll_timeout
+        self._down_timeout = self._space.radio.poll_timeout
+        telemetry = self.topology.stream(TELEMETRY)
+        assert telemetry.sender is not None and telemetry.receiver is not None
+        self._robot, self._joystick = self._make_ends()
+        telling.add(self._robot.tell)
+        telling.add(self._joystick.tell)
+        #: None while a recording drives the robot.
+        self.robot_desk: RobotDesk | None = None
+        if isinstance(self._robot, RobotEnd):
+            life = self._life(self.topology.haptic("up").sender)
+            self.robot_desk = RobotDesk(
+                self._robot.side, life=life, tasks=plan is not None, now_ns=start_ns
+            )
+        ground_probe, space_probe = self._probe(telemetry.sender), self._probe(telemetry.receiver)
+        self._choice = CameraChoice(setup, ground_probe, now_ns=start_ns)
+        self._console = Console(
+            setup, space_probe, first_token=self._random("console").getrandbits(16)
+        )
+        self._add(self._choice, self._console)
+        end = self._joystick
+        self.tmtc = tmtc = SimulatedTmtc(
+            setup,
+            agenda,
+            send={
+                Segment.GROUND: partial(self._ground.handle_datagram, TELEMETRY),
+                Segment.SPACE: partial(self._space.handle_datagram, TELECOMMAND),
+            },
+            gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
+            state_at=self._state_at,
+            robot=self.robot_desk,
+            handle=end.side.handle if isinstance(end, JoystickEnd) else None,
+            random=self._random("tmtc"),
+            now_ns=start_ns,
+            silent=self._recorded,
+        )
+        telling.add(partial(tmtc.ends[Segment.GROUND].tell, ground_probe))
+        telling.add(partial(tmtc.ends[Segment.SPACE].tell, space_probe))
+        self._console_timer = Timer(agenda, self._console_sends)
+        self._choice_timer = Timer(agenda, self._choice_sends)
+        self._set_choice_timer(start_ns)
+        #: What the terminal of each telecommand of the script has been answered.
+        self.answers: dict[int, bytes] = dict.fromkeys(range(len(selections)), b"")
+        for terminal, selection in enumerate(selections):
+            agenda.at(selection.instant_ns, partial(self._select, terminal, selection.camera))
+        self._media: Media | None = None
+        if media:
+            scene = Scene(
+                setup=setup,
+                topology=self.topology,
+                costs=self._costs,
+                seed=seed,
+                agenda=agenda,
+                telling=telling,
+                workers=workers,
+                ground=self._ground,
+                space=self._space,
+                state_at=self._state_at,
+                start_ns=start_ns,
+            )
+            self._media = self._make_media(scene)
+            self._media.handle_choice(self._choice.choice, start_ns)
+        consumers: dict[str, Consumer] = self._media.consumers if self._media else {}
+        self._consumers = {
+            **consumers,
+            TELECOMMAND: self._take_telecommand,
+            TELEMETRY: self._take_telemetry,
+        }
+        agenda.at(start_ns + FLUSH_NS, self._flush)
+        self.mission = None if plan is None else self._make_mission(*plan)
+
+    def _make_mission(self, plan: SessionPlan, catalogue: Catalogue) -> SimulatedMission:
+        robot, joystick, cosmonaut = self.robot_desk, self._joystick, self._cosmonaut
+        assert robot is not None and isinstance(joystick, JoystickEnd) and cosmonaut is not None
+        return SimulatedMission(
+            plan,
+            catalogue,
+            cosmonaut,
+            robot=robot,
+            joystick=joystick,
+            gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
+            tmtc=self.tmtc,
+            choice=self._choice,
+            select=self._select_below,
+            agenda=self._agenda,
+            now_ns=self.start_ns,
+        )
+
+    def run(self, until_ns: int) -> None:
+        """Go on until `until_ns`; the session began at `start_ns`."""
+        # Looked up once: what follows is done a thousand times a simulated second.
+        ground, space = self._ground, self._space
+        ground_slots, space_slots = self._slots_of
+        ground_slot, space_slot = ground_slots.handle_slot, space_slots.handle_slot
+        tell_backlogs = self._tell_backlogs
+        robot, joystick = self._robot, self._joystick
+        to_robot, to_joystick = robot.handle_datagram, joystick.handle_datagram
+        robot_cycle, joystick_cycle = robot.handle_cycle, joystick.handle_cycle
+        before_robot = None if self.robot_desk is None else self.robot_desk.step
+        robot_sends, joystick_sends = robot.poll_transmit, joystick.poll_transmit
+        feedback, command = ground.handle_haptic, space.handle_haptic
+        next_state, advance = robot.next_event, self._advance
+        samples_down, samples_up = self._samples_down, self._samples_up
+        poll_wall = robot.poll_wall if isinstance(robot, RobotEnd) and self._mediated else None
+        half_ns = CYCLE_NS // 2
+        slot_ns = self._next_slot_ns
+        while slot_ns < until_ns:
+            advance(slot_ns)
+            ground_slot((), slot_ns)
+            space_slot((), slot_ns)
+            tell_backlogs(slot_ns)
+            self._slots += 1
+            now_ns = slot_ns + half_ns
+            advance(now_ns)
+            for sample in samples_down:
+                to_robot(sample, now_ns)
+            for sample in samples_up:
+                to_joystick(sample, now_ns)
+            samples_down.clear()
+            samples_up.clear()
+            if before_robot is not None:
+                before_robot(now_ns)
+            robot_cycle(now_ns, CYCLE_NS)
+            joystick_cycle(now_ns, CYCLE_NS)
+            if poll_wall is not None and (wall := poll_wall(now_ns)) is not None:
+                ground.handle_datagram(TELEMETRY, wall, now_ns)
+            sent = robot_sends(now_ns)
+            if sent is not None:
+                feedback(sent, now_ns)
+            sent = joystick_sends(now_ns)
+            if sent is not None:
+                command(sent, now_ns)
+            state = next_state()
+            if state is not None:
+                self._state = state
+            slot_ns += CYCLE_NS
+        self._next_slot_ns = slot_ns
+        advance(until_ns)
+        self._now_ns = until_ns
+
+    def report(self) -> SessionReport:
+        """The report of all that was run so far: that of a live session, and `simulation`."""
+        if self._media is not None:
+            self._media.settle(FAR_NS, self._now_ns)
+        self._telling.flush(self._now_ns)
+        self.collector.handle_end()
+        processes = self._telling.processes
+        report = build_report(
+            self.setup,
+            self.collector,
+            seconds=(self._now_ns - self.start_ns) / NS_PER_S,
+            cpu_s=dict.fromkeys(processes, 0.0),
+            restarts=dict.fromkeys(processes, 0),
+            launcher_cpu_s=0.0,
+            media=self._media is not None,
+        )
+        simulation = SimulationReport(
+            seed=self._seed,
+            radio=self.setup.radio_profile.name,
+            media=self._media is not None,
+            costs=CostsReport(**asdict(self._costs)),
+        )
+        mission = self.mission
+        rows = None if mission is None else mission.journal.report()
+        tasks = None if rows is None else task_report(rows, self.start_ns)
+        return msgspec.structs.replace(report, simulation=simulation, tasks=tasks)
+
+    @property
+    def _mediated(self) -> bool:
+        return self.setup.hand == "mediated"
+
+    def _make_ends(self) -> tuple[HapticEnd, HapticEnd]:
+        """Robot and joystick."""
+        up = self.topology.haptic("up")
+        deadband = self.setup.deadband != "off"
+        robot = RobotEnd(
+            self._probe(up.sender),
+            life=self._life(up.sender),
+            deadband=deadband,
+            mediated=self._mediated,
+        )
+        joystick = JoystickEnd(
+            self._probe(up.receiver),
+            life=self._life(up.receiver),
+            deadband=deadband,
+            mediated=self._mediated,
+            handle=self._make_handle(),
+        )
+        return robot, joystick
+
+    def _make_handle(self) -> Handle | None:
+        """The joystick in a hand; None for the one that taps targets."""
+        if self._device is not None:
+            return OperatedHandle(self._device)
+        return None if self._cosmonaut is None else HeldJoystick(hand=self._cosmonaut)
+
+    def _life(self, process: str) -> int:
+        return self._random(f"{process} life").randrange(1, LIVES)
+
+    def _make_media(self, scene: Scene) -> Media:
+        return Media(scene, self._confirm)
+
+    def _tell_backlogs(self, now_ns: int) -> None:
+        """The gateways' reports to the senders of video, as often as live ones send them."""
+        if self._media is None:
+            return
+        for slots, profile in zip(
+            self._slots_of, (self.setup.uplink, self.setup.downlink), strict=True
+        ):
+            backlog = slots.poll_backlog()
+            take = self._media.backlogs.get(profile.name)
+            if backlog is not None and take is not None:
+                take(backlog, now_ns)
+
+    def _advance(self, until_ns: int) -> None:
+        """All that happens up to `until_ns` beside the slots and the haptic cycles."""
+        up_timeout, down_timeout, agenda = self._up_timeout, self._down_timeout, self._agenda
+        while True:
+            next_ns = agenda.next_ns
+            earliest_ns = next_ns if next_ns <= until_ns else until_ns
+            up_ns, down_ns = up_timeout(), down_timeout()
+            if up_ns is not None and up_ns <= earliest_ns and (down_ns is None or up_ns <= down_ns):
+                self._carry(self._ground, self._space, self._samples_up, up_ns)
+            elif down_ns is not None and down_ns <= earliest_ns:
+                self._carry(self._space, self._ground, self._samples_down, down_ns)
+            elif next_ns <= until_ns:
+                agenda.do_next()
+            else:
+                return
+
+    def _carry(self, sender: Gateway, receiver: Gateway, samples: list[bytes], now_ns: int) -> None:
+        """A frame arrives, and what was in it goes where it belongs."""
+        frame = sender.poll_transmit(now_ns)
+        if frame is None:
+            return
+        receiver.handle_radio(frame, now_ns)
+        next_event = receiver.next_event
+        while (event := next_event()) is not None:
+            if isinstance(event, HapticReceived):
+                samples.append(event.sample)
+            elif isinstance(event, PacketReceived):
+                consumer = self._consumers.get(event.flow.name)
+                if consumer is not None:
+                    consumer(event.data, now_ns)
+
+    def _gateway(self, segment: Segment) -> Gateway:
+        gateway = make_gateway(
+            self.topology,
+            segment,
+            life=self._random(segment.value).randint(1, 0xFFFF),
+            secret=self._random(f"{segment.value} secret").getrandbits(128),
+            seed=self._seed,
+            epoch_ns=self._epoch_ns,
+            now_ns=self.start_ns,
+        )
+        probe = self._probe(self.topology.gateway(segment).name)
+
+        def fill() -> None:
+            probe.count(LoopCounters(cycles=self._slots))
+            probe.gauge(GatewayGauges(link=gateway.report(self._now_ns)))
+
+        self._telling.add(fill)
+        return gateway
+
+    def _probe(self, process: str) -> Probe:
+        return self._telling.probe(process)
+
+    def _add(self, *tellers: CameraChoice | Console) -> None:
+        for teller in tellers:
+            self._telling.add(teller.tell)
+
+    def _random(self, what: str) -> Random:
+        return Random(f"{self._seed} {what}")
+
+    def _state_at(self, now_ns: int) -> WorldState:
+        return scripted_state(now_ns) if self._state is None else self._state
+
+    def _flush(self, now_ns: int) -> None:
+        self._now_ns = now_ns
+        if self._media is not None:
+            self._media.settle(now_ns - _SETTLE_NS, now_ns)
+        self._telling.flush(now_ns)
+        self._agenda.at(now_ns + FLUSH_NS, self._flush)
+
+    def _select(self, terminal: int, camera: str, now_ns: int) -> None:
+        self._console.handle_terminal(terminal)
+        self._console.handle_octets(terminal, pack_line(Request(camera)), now_ns)
+        self._console_sends(now_ns)
+
+    def _console_sends(self, now_ns: int) -> None:
+        while (packet := self._console.poll_transmit(now_ns)) is not None:
+            self._space.handle_datagram(TELECOMMAND, packet, now_ns)
+        while (reply := self._console.next_event()) is not None:
+            self.answers[reply.terminal] += reply.octets
+        self._console_timer.set(self._console.poll_timeout(), now_ns)
+
+    def _take_telemetry(self, data: bytes, now_ns: int) -> None:
+        if self.tmtc.handle_packet(Segment.SPACE, data, now_ns):
+            return
+        self._console.handle_packet(data, now_ns)
+        wall = self._console.poll_wall()
+        if wall is not None and isinstance(self._joystick, JoystickEnd):
+            self._joystick.handle_wall(wall)
+        self._console_sends(now_ns)
+
+    def _take_telecommand(self, data: bytes, now_ns: int) -> None:
+        if self.tmtc.handle_packet(Segment.GROUND, data, now_ns):
+            return
+        self._choice.handle_packet(data, now_ns)
+        if self._media is not None:
+            self._media.handle_choice(self._choice.choice, now_ns)
+        else:
+            self._choice.handle_confirmed(self._choice.choice.number, now_ns)
+        self._choice_sends(now_ns)
+
+    def _select_below(self, camera: str, now_ns: int) -> None:
+        """A task on the ground selects a camera."""
+        if self._choice.select(camera, now_ns) and self._media is not None:
+            self._media.handle_choice(self._choice.choice, now_ns)
+
+    def _confirm(self, number: int, now_ns: int) -> None:
+        self._choice.handle_confirmed(number, now_ns)
+        self._acknowledge(now_ns)
+
+    def _acknowledge(self, now_ns: int) -> None:
+        while (packet := self._choice.poll_transmit(now_ns)) is not None:
+            self._ground.handle_datagram(TELEMETRY, packet, now_ns)
+
+    def _choice_sends(self, now_ns: int) -> None:
+        if now_ns >= self._choice.poll_timeout():
+            self._choice.handle_state(self._state_at(now_ns), now_ns)
+        self._acknowledge(now_ns)
+        self._set_choice_timer(now_ns)
+
+    def _set_choice_timer(self, now_ns: int) -> None:
+        self._choice_timer.set(self._choice.poll_timeout(), now_ns)

@@ -1,0 +1,292 @@
+"""The coders of a simulation: they draw, encode and decode, and need no clock.
+
+Each coder is called with one job after the other, in a process of its own (`simulation.workers`).
+"""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from math import log10
+from typing import NamedTuple
+
+import numpy as np
+
+from kontur_av.clock import NS_PER_S, ManualClock
+from kontur_av.codecs.coding import Coding
+from kontur_av.codecs.h264 import DecodedPicture, H264Decoder, H264Encoder
+from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
+from kontur_av.codecs.region import Region
+from kontur_av.detect import Click, ClickDetector, Light, LightDetector
+from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, empty_picture
+from kontur_av.rtp.playout import PlayoutBlock
+from kontur_av.sources import AudioSource, open_audio, open_video
+from kontur_av.sources.stereo import merge
+from kontur_av.streams.voice_player import VoicePlayer
+from pipelines.session.setup.table import VideoStream, VoiceStream
+from telepresence.world import WorldState, audio_scenes, render
+
+#: The most pictures or blocks of a file that are kept until they are encoded.
+_KEPT = 16
+#: The tries to read the next picture or block of a file, each of at most ten seconds.
+_TRIES = 10
+_PATIENCE_NS = 10 * NS_PER_S
+
+
+class Shot(NamedTuple):
+    """A captured picture that is drawn only when it is encoded.
+
+    state: the state of the world at its capture; None for a picture of a file.
+    """
+
+    camera: str
+    sequence: int
+    state: WorldState | None
+
+
+#: A picture to encode: one shot, or the two of the stereo pair.
+Picture = tuple[Shot] | tuple[Shot | None, Shot | None]
+
+#: The result for one access unit: see `VideoDecoding`.
+Decoded = tuple[list[tuple[int, int, int, bool]], tuple[int, int, int], list[Light], list[float]]
+
+#: PSNR of a picture that equals its original, in dB.
+SAME_DB = 99.0
+
+
+class VideoStudio:
+    """Draws pictures or reads them from files, and encodes them.
+
+    cameras: name -> SPEC of each input that the stream may show.
+    regions: pictures may have a region of interest.
+
+    A job is one of:
+    - a `Picture`, its `Coding`, and its `Region` or None; the result is (access unit, whether it is
+      a key picture);
+    - a camera's name; the result is the capture instant of the file's next picture, or None.
+    """
+
+    def __init__(
+        self,
+        stream: VideoStream,
+        cameras: dict[str, str],
+        start_ns: int,
+        *,
+        regions: bool = False,
+    ) -> None:
+        self._stream = stream
+        self._encoder = H264Encoder(
+            width=stream.width,
+            height=stream.height,
+            fps=stream.fps,
+            cap_bps=stream.cap_bps,
+            coded_size=stream.coded,
+            regions=regions,
+        )
+        self._views: dict[str, str] = {}
+        self._films: dict[str, _Film] = {}
+        for name, spec in cameras.items():
+            kind, _, view = spec.partition(":")
+            if kind == "scene":
+                self._views[name] = view
+            else:
+                self._films[name] = _Film(spec, name, stream, start_ns)
+        self._rooms = [empty_picture(stream.width, stream.height) for _ in range(3)]
+
+    def __call__(
+        self, job: tuple[Picture, Coding, Region | None] | str
+    ) -> tuple[bytes, bool] | int | None:
+        return self._films[job].next() if isinstance(job, str) else self._encode(*job)
+
+    def _encode(
+        self, shots: Sequence[Shot | None], coding: Coding, region: Region | None
+    ) -> tuple[bytes, bool]:
+        parts = [
+            None if shot is None else self._picture(shot, room)
+            for shot, room in zip(shots, self._rooms, strict=False)
+        ]
+        picture = parts[0]
+        if len(parts) == 2:
+            picture = self._rooms[2]
+            merge(parts[0], parts[1], picture)
+        assert picture is not None
+        stamp = CaptureStamp(0, self._encoder.encoded, self._stream.name)
+        unit = self._encoder.encode(VideoFrame(picture, stamp), coding, region=region)
+        return unit.data, unit.keyframe
+
+    def _picture(self, shot: Shot, room: I420) -> I420:
+        if shot.state is None:
+            return self._films[shot.camera].pictures[shot.sequence]
+        render(self._views[shot.camera], shot.state, room, shot.sequence)
+        return room
+
+
+class _Film:
+    """A media file that is read ahead, on a clock of its own."""
+
+    def __init__(self, spec: str, name: str, stream: VideoStream, start_ns: int) -> None:
+        self._stream = stream
+        self._source = open_video(
+            spec,
+            name=name,
+            width=stream.width,
+            height=stream.height,
+            fps=stream.fps,
+            clock=ManualClock(start_ns),
+        )
+        self.pictures: OrderedDict[int, I420] = OrderedDict()
+
+    def next(self) -> int | None:
+        picture = empty_picture(self._stream.width, self._stream.height)
+        for _ in range(_TRIES):
+            stamp = self._source.read(picture, _PATIENCE_NS)
+            if stamp is not None:
+                self.pictures[stamp.sequence] = picture
+                if len(self.pictures) > _KEPT:
+                    self.pictures.popitem(last=False)
+                return stamp.capture_ns
+        return None
+
+
+class VideoDecoding:
+    """Decodes access units: a list of (Annex B octets, timestamp, instant of display).
+
+    The result for each unit has:
+    - its pictures as (timestamp, width, height, corrupt);
+    - the decoder's counters after it: decoded, corrupt, restarts;
+    - the lights that came on, whose tags are the timestamps of their picture and the one before;
+    - the PSNR of each picture against its original, in dB; none without `originals`.
+
+    watched: (width, height) of the display in which to look for lights; None: do not look.
+    """
+
+    def __init__(
+        self, watched: tuple[int, int] | None = None, originals: "Originals | None" = None
+    ) -> None:
+        self._decoder = H264Decoder()
+        self._originals = originals
+        self._shown = None if watched is None else empty_picture(*watched)
+        self._eye = LightDetector()
+
+    def __call__(self, units: Sequence[tuple[bytes, int, int]]) -> list[Decoded]:
+        return [self._decode(*unit) for unit in units]
+
+    def _decode(self, data: bytes, timestamp: int, shown_ns: int) -> Decoded:
+        decoder, originals = self._decoder, self._originals
+        pictures, quality = [], []
+        for picture in decoder.decode(data, timestamp):
+            pictures.append((picture.timestamp, picture.width, picture.height, picture.corrupt))
+            if self._shown is not None:
+                picture.scale_into(self._shown)
+                self._eye.handle_picture(self._shown, shown_ns, picture.timestamp)
+            db = None if originals is None else originals.psnr_db(picture)
+            if db is not None:
+                quality.append(db)
+        lights = list(iter(self._eye.next_event, None))
+        counts = decoder.decoded, decoder.corrupt_units, decoder.restarts
+        return pictures, counts, lights, quality
+
+
+class Originals:
+    """What a stream showed where it was sent: its own access units, decoded without a loss.
+
+    units: (RTP timestamp, access unit), in order. size: width and height of the display, in which
+    pictures are compared.
+    """
+
+    def __init__(self, units: Sequence[tuple[int, bytes]], size: tuple[int, int]) -> None:
+        self._units = units
+        self._places = {timestamp: place for place, (timestamp, _) in enumerate(units)}
+        self._decoder = H264Decoder()
+        self._next = 0
+        self._place = -1
+        self._original, self._picture = empty_picture(*size), empty_picture(*size)
+
+    def psnr_db(self, picture: DecodedPicture) -> float | None:
+        """PSNR of the luma, at most `SAME_DB`; None without an original. Call it in order."""
+        place = self._places.get(picture.timestamp)
+        if place is None or place < self._place:
+            return None
+        while self._next <= place:
+            timestamp, data = self._units[self._next]
+            self._next += 1
+            for original in self._decoder.decode(data, timestamp):
+                self._place = self._next - 1
+                if self._place == place:
+                    original.scale_into(self._original)
+        if self._place != place:
+            return None  # no decoder could begin with it
+        picture.scale_into(self._picture)
+        lines = len(self._picture) * 2 // 3
+        away = self._picture[:lines].astype(np.int16) - self._original[:lines]
+        error = float(np.mean(np.square(away, dtype=np.int32)))
+        return min(SAME_DB, 10 * log10(255**2 / error)) if error else SAME_DB
+
+
+class VoiceStudio:
+    """Makes sounds or reads them from a file, and encodes them.
+
+    A job is one of:
+    - (sequence, instant at which the block is complete, state of the world); the result is the
+      Opus packet;
+    - None; the result is the capture instant of the file's next block, or None at its end.
+    """
+
+    def __init__(self, stream: VoiceStream, name: str, spec: str, start_ns: int) -> None:
+        self._encoder = OpusEncoder(bitrate_bps=bitrate_under_cap(stream.cap_bps))
+        self._clock = ManualClock(start_ns)
+        self._state: WorldState | None = None
+        self._played: OrderedDict[int, AudioFrame] = OrderedDict()
+        self._is_scene = spec.startswith("scene:")
+        scenes = audio_scenes(self._state_at)
+        self._source: AudioSource = open_audio(spec, name=name, clock=self._clock, scenes=scenes)
+
+    def __call__(self, job: tuple[int, int, WorldState] | None) -> bytes | int | None:
+        if job is None:
+            return self._next()
+        sequence, complete_ns, self._state = job
+        if self._is_scene:
+            self._clock.sleep_until_ns(complete_ns)
+            frame = self._source.read(0)
+            assert frame is not None
+        else:
+            frame = self._played[sequence]
+        return self._encoder.encode(frame.samples)
+
+    def _next(self) -> int | None:
+        for _ in range(_TRIES):
+            frame = self._source.read(_PATIENCE_NS)
+            if frame is not None:
+                self._played[frame.stamp.sequence] = frame
+                if len(self._played) > _KEPT:
+                    self._played.popitem(last=False)
+                return frame.stamp.capture_ns
+        return None
+
+    def _state_at(self, now_ns: int) -> WorldState:
+        assert self._state is not None
+        return self._state
+
+
+class VoiceDecoding:
+    """Decodes blocks of sound: a list of (`PlayoutBlock`, instant of playing it).
+
+    The result for each is whether it was decoded (not concealed), and the clicks that began in it.
+    The tag of a click is the timestamp of its block.
+
+    watched: listen for clicks.
+    """
+
+    def __init__(self, *, watched: bool = False) -> None:
+        self._player = VoicePlayer()
+        self._ear = ClickDetector() if watched else None
+
+    def __call__(
+        self, blocks: Sequence[tuple[PlayoutBlock, int]]
+    ) -> list[tuple[bool, list[Click]]]:
+        return [self._play(*block) for block in blocks]
+
+    def _play(self, block: PlayoutBlock, heard_ns: int) -> tuple[bool, list[Click]]:
+        samples, decoded = self._player.play(block)
+        if self._ear is None:
+            return decoded, []
+        self._ear.handle_block(samples, heard_ns, block.timestamp)
+        return decoded, list(iter(self._ear.next_event, None))

@@ -1,0 +1,179 @@
+"""Worker processes that code pictures and sounds while virtual time goes on, one a stream's end.
+
+A coding step takes a fixed virtual time. So it begins at once, and its result is needed only when
+that time is over. Results depend on the jobs and their order alone.
+"""
+
+import multiprocessing
+import pickle
+import signal
+import traceback
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Any, Self
+
+import cv2
+
+from pipelines.session.launcher import keep_memory
+
+#: Jobs in a batch.
+_BATCH = 8
+
+#: Does one job after the other. It is made in the worker process.
+Coder = Callable[[Any], Any]
+
+
+class Job:
+    """A job in a worker. Results come in the order of the jobs."""
+
+    def __init__(self, worker: "Worker") -> None:
+        self._worker = worker
+        self._done = False
+        self._result: Any = None
+
+    def result(self) -> Any:
+        """Return the coder's result. Raises RuntimeError with the coder's message if it failed."""
+        while not self._done:
+            self._worker.receive()
+        return self._result
+
+    def set(self, result: Any) -> None:
+        """Store the coder's result."""
+        self._result, self._done = result, True
+
+
+class Worker:
+    """A process that does jobs: `start` it, `submit` each, and call its `result`."""
+
+    def __init__(self, make: Callable[[], Coder], others: list[Connection]) -> None:
+        context = multiprocessing.get_context("fork")
+        self._link, theirs = context.Pipe()
+        others.append(self._link)
+        self._process = context.Process(
+            target=_work, args=(make, theirs, list(others)), daemon=True
+        )
+        self._theirs = theirs
+        self._open: deque[Job] = deque()
+
+    def start(self) -> None:
+        """Fork the process. Call it once, before the first job."""
+        # A forked process has no threads of OpenCV, but would wait for them: end them before the
+        # fork. OpenCV starts them again when it needs them.
+        threads = cv2.getNumThreads()
+        cv2.setNumThreads(1)
+        # An interrupt during the fork would be lost here, or end the new process.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            cv2.setNumThreads(threads)
+        self._theirs.close()
+
+    def submit(self, job: Any) -> Job:
+        """Begin `job`, anything that can be pickled."""
+        waiting = Job(self)
+        self._open.append(waiting)
+        self._link.send_bytes(pickle.dumps(job, pickle.HIGHEST_PROTOCOL))
+        return waiting
+
+    def receive(self) -> None:
+        """Wait for the next result."""
+        try:
+            # Unpickling is safe: only our own process writes to this pipe.
+            fault, result = pickle.loads(self._link.recv_bytes())
+        except (EOFError, ConnectionError):
+            fault, result = "its process has ended", None
+        if fault:
+            raise RuntimeError(f"coding failed: {fault}")
+        self._open.popleft().set(result)
+
+    def close(self) -> None:
+        """End the process."""
+        self._link.close()
+        self._process.join(5)
+        if self._process.is_alive():
+            self._process.kill()
+
+
+class Batch:
+    """Submits small jobs in batches, for results that are needed late.
+
+    The worker's coder gets a list of jobs and returns a list of results.
+    """
+
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
+        self._jobs: list[Any] = []
+        self._submitted: deque[Job] = deque()
+        self._results: deque[Any] = deque()
+
+    def submit(self, job: Any) -> None:
+        """Add `job` to the present batch."""
+        self._jobs.append(job)
+        if len(self._jobs) == _BATCH:
+            self._begin()
+
+    def next_result(self) -> Any:
+        """Wait for the result of the next job, in the order of submission."""
+        while not self._results:
+            if not self._submitted:
+                self._begin()
+            self._results.extend(self._submitted.popleft().result())
+        return self._results.popleft()
+
+    def _begin(self) -> None:
+        self._submitted.append(self._worker.submit(self._jobs))
+        self._jobs = []
+
+
+class Workers:
+    """All workers of a simulation. A context manager, which ends them."""
+
+    def __init__(self) -> None:
+        self._workers: list[Worker] = []
+        self._links: list[Connection] = []
+
+    def start(self, make: Callable[[], Coder]) -> Worker:
+        """Start a process. make: called there to make its coder."""
+        worker = Worker(make, self._links)
+        worker.start()
+        self._workers.append(worker)
+        return worker
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for worker in self._workers:
+            worker.close()
+
+
+def _work(make: Callable[[], Coder], link: Connection, others: list[Connection]) -> None:
+    # Only the simulation handles Ctrl-C. This process sees its end when the pipe closes, which
+    # needs that no other process holds the pipe's other end.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT,))
+    for other in others:
+        other.close()
+    cv2.setNumThreads(1)
+    keep_memory()
+    # The simulation may close its end with results unread.
+    with suppress(EOFError, ConnectionError):
+        try:
+            coder = make()
+            while True:
+                result = coder(pickle.loads(link.recv_bytes()))
+                link.send_bytes(pickle.dumps(("", result), pickle.HIGHEST_PROTOCOL))
+        except (EOFError, ConnectionError):
+            return
+        except BaseException:
+            link.send_bytes(pickle.dumps((traceback.format_exc(), None)))

@@ -1,0 +1,34 @@
+"""A batch of frames is read back as it was; anything else is refused."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.errors import ProtocolError
+from pipelines.link.frame_batch import pack_frames, unpack_frames
+
+INSTANTS = st.integers(-(2**63), 2**63 - 1)
+BATCHES = st.lists(st.tuples(INSTANTS, st.binary(max_size=600)), max_size=40)
+
+
+@given(BATCHES)
+def test_frames_are_read_back_as_they_were(frames):
+    assert unpack_frames(pack_frames(frames)) == frames
+
+
+@given(BATCHES.filter(bool), st.data())
+def test_a_batch_that_is_cut_or_longer_is_refused(frames, data):
+    whole = pack_frames(frames)
+    cut = data.draw(st.integers(0, len(whole) - 1))
+    for octets in (whole[:cut], whole + b"\0"):
+        with pytest.raises(ProtocolError):
+            unpack_frames(octets)
+
+
+@given(st.binary(max_size=200))
+def test_garbage_never_raises_anything_else(octets):
+    try:
+        frames = unpack_frames(octets)
+    except ProtocolError:
+        return
+    assert pack_frames(frames) == octets

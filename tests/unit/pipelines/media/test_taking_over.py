@@ -1,0 +1,161 @@
+"""An input that a page takes over, and that falls back to its own source."""
+
+from itertools import pairwise
+
+import pytest
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.media import BLOCK_NS, CaptureStamp
+from kontur_av.rtp.sender import RtpSender
+from pipelines.media.taking_over import Takeover
+
+#: Milliseconds between two pictures.
+PERIOD_MS = 40
+
+
+class Input:
+    """An input that is offered pictures or blocks; instants are in ms."""
+
+    def __init__(self, takeover):
+        self.takeover = takeover
+        self.own_number = self.page_number = 0
+        #: What was taken: (of the page, capture in ms).
+        self.taken = []
+        self.stamps = []
+
+    def own(self, capture_ms, now_ms=None):
+        now_ms = capture_ms if now_ms is None else now_ms
+        stamp = CaptureStamp(capture_ms * NS_PER_MS, self.own_number, "head")
+        self.own_number += 1
+        return self._note(self.takeover.handle_own(stamp, now_ms * NS_PER_MS), of_page=False)
+
+    def page(self, capture_ms, now_ms=None, number=None):
+        now_ms = capture_ms if now_ms is None else now_ms
+        number = self.page_number if number is None else number
+        self.page_number = number + 1
+        stamp = CaptureStamp(capture_ms * NS_PER_MS, number, "page_space")
+        return self._note(self.takeover.handle_page(stamp, now_ms * NS_PER_MS), of_page=True)
+
+    def _note(self, stamp, *, of_page):
+        if stamp is not None:
+            self.taken.append((of_page, stamp.capture_ns // NS_PER_MS))
+            self.stamps.append(stamp)
+        return stamp
+
+
+@pytest.fixture
+def camera():
+    return Input(Takeover.of_pictures("head"))
+
+
+@pytest.fixture
+def microphone():
+    return Input(Takeover.of_sound("head"))
+
+
+def test_without_a_page_nothing_changes(camera):
+    given = [camera.own(at_ms) for at_ms in range(0, 400, PERIOD_MS)]
+    assert [stamp.capture_ns // NS_PER_MS for stamp in given] == list(range(0, 400, PERIOD_MS))
+    assert [stamp.sequence for stamp in given] == list(range(10))
+    assert camera.takeover.live_source == "own"
+
+
+def test_a_page_takes_over_at_once_and_the_own_source_returns_half_a_second_after_it(camera):
+    for at_ms in range(0, 2000, PERIOD_MS):
+        camera.own(at_ms)
+        if 400 <= at_ms < 1000:
+            camera.page(at_ms - 5, now_ms=at_ms + 10)
+    first, last = 435, 955
+    assert [at_ms for of_page, at_ms in camera.taken if of_page] == [*range(first, last + 1, 40)]
+    own = [at_ms for of_page, at_ms in camera.taken if not of_page]
+    # Its last picture came at 970 ms.
+    assert own == [*range(0, 401, 40), *range(1480, 2000, 40)]
+
+
+def test_stamps_rise_and_count_without_a_gap_whatever_a_page_says(camera):
+    camera.own(1000)
+    for now_ms, capture_ms in ((1010, 2000), (1020, 900), (1030, 1030), (1040, 1030), (1050, 1045)):
+        camera.page(capture_ms, now_ms=now_ms)
+    camera.own(1560)
+    assert camera.taken == [
+        (False, 1000),
+        (True, 1010),
+        (True, 1030),
+        (True, 1045),
+        (False, 1560),
+    ]
+    assert [stamp.sequence for stamp in camera.stamps] == list(range(5))
+    assert {stamp.source for stamp in camera.stamps} == {"head"}
+    assert (camera.takeover.from_page, camera.takeover.refused) == (3, 2)
+
+
+def test_an_old_picture_takes_nothing_over(camera):
+    camera.own(1000)
+    # A topic gives a new reader the sample before.
+    assert camera.page(500, now_ms=1001) is None
+    assert camera.takeover.live_source == "own"
+    assert camera.own(1040) is not None
+
+
+def test_the_own_source_does_not_return_for_one_picture_between_late_ones(camera):
+    """A page 480 ms behind is still one page."""
+    for at_ms in range(1000, 2000, PERIOD_MS):
+        camera.page(at_ms - 480, now_ms=at_ms)
+        camera.own(at_ms + 30)
+    assert all(of_page for of_page, _ in camera.taken)
+
+
+def test_the_process_knows_when_to_look_for_its_own_source_again(camera):
+    assert camera.takeover.poll_timeout() is None
+    camera.page(1000, now_ms=1010)
+    assert camera.takeover.poll_timeout() == 1510 * NS_PER_MS
+    assert camera.takeover.live(1509 * NS_PER_MS)
+    assert not camera.takeover.live(1510 * NS_PER_MS)
+    assert camera.takeover.poll_timeout() is None
+
+
+def rtp_timestamps(stamps):
+    """What the voice's sender makes of these blocks, in blocks since the first."""
+    sender = RtpSender(
+        payload_type=97,
+        clock_rate_hz=48_000,
+        ssrc=1,
+        first_sequence=0,
+        timestamp_offset=0,
+        cname="x",
+    )
+    return [sender.audio_packets(b"opus", stamp).timestamp // 960 for stamp in stamps]
+
+
+def test_sound_of_a_page_is_unbroken_though_its_stamps_jitter(microphone):
+    for number, jitter_ms in enumerate((0, 8, -9, 5, -12, -30, 11, 0, 9, -7)):
+        capture_ms = 1000 + 20 * number + jitter_ms
+        microphone.page(capture_ms, now_ms=1040 + 20 * number)
+    assert rtp_timestamps(microphone.stamps) == list(range(10))
+    captures_ns = [stamp.capture_ns for stamp in microphone.stamps]
+    assert captures_ns == sorted(set(captures_ns))
+
+
+def test_no_sound_is_sent_twice_when_a_page_takes_over_or_goes(microphone):
+    for at_ms in range(1000, 1100, 20):
+        microphone.own(at_ms, now_ms=at_ms + 20)
+    # The page is 60 ms behind: what it says of the time before is left out.
+    for number in range(20):
+        at_ms = 1105 + 20 * number
+        microphone.page(at_ms - 60, now_ms=at_ms, number=700 + number)
+    for at_ms in range(1400, 1900, 20):
+        microphone.own(at_ms, now_ms=at_ms + 20)
+    starts = [stamp.capture_ns for stamp in microphone.stamps]
+    steps = [later - earlier for earlier, later in pairwise(starts)]
+    assert min(steps) >= BLOCK_NS * 3 // 4
+    # One silence, after the page: its last block came at 1485, and is missed for 200 ms.
+    assert [step // NS_PER_MS for step in steps if step > 2 * BLOCK_NS] == [255]
+    assert microphone.takeover.from_page == 17
+    blocks = rtp_timestamps(microphone.stamps)
+    assert blocks[-1] - blocks[0] == (starts[-1] - starts[0]) // BLOCK_NS
+
+
+def test_a_gap_in_a_pages_sound_stays_a_gap(microphone):
+    microphone.page(1000, number=0)
+    microphone.page(1100, number=5)
+    assert rtp_timestamps(microphone.stamps) == [0, 5]

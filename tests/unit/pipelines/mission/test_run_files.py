@@ -1,0 +1,71 @@
+"""Each run of a task has its own recording, whatever was recorded before."""
+
+import time
+
+import pytest
+
+from pipelines.mission import run_files
+from pipelines.mission.run_files import RunFiles
+from pipelines.session.recorder_requests import START, STOP, RecordAnswer
+
+
+class Recorder:
+    """What a session's recorder answers."""
+
+    def __init__(self, file=""):
+        self.file, self.files, self.deaf = file, [], 0
+
+    def link(self, session):
+        if self.deaf:
+            self.deaf -= 1
+            raise ConnectionRefusedError
+        return self
+
+    def ask(self, request):
+        if request.record == START:
+            if self.file:
+                return RecordAnswer(ok=False, error=f"recorded already, to {self.file}")
+            self.file = request.wish.file
+            self.files.append(self.file)
+        elif request.record == STOP:
+            self.file = ""
+        return RecordAnswer(ok=True, file=self.file)
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def recorder(monkeypatch):
+    found = Recorder()
+    monkeypatch.setattr(run_files, "RecorderLink", lambda session: found.link(session))
+    return found
+
+
+def do(files, run):
+    for on in (True, False):
+        files.record(on=on, task="line", run=run)
+        deadline_s = time.monotonic() + 10
+        while files.recording is not on:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.001)
+
+
+def test_each_run_has_a_file_also_after_one_that_an_earlier_life_left_open(recorder):
+    recorder.file = "/runs/run-001-line.mcap"
+    recorder.deaf = 2
+    files = RunFiles("s", "/runs")
+    do(files, 2)
+    do(files, 3)
+    files.close()
+    assert recorder.files == ["/runs/run-002-line.mcap", "/runs/run-003-line.mcap"]
+    assert recorder.file == "" and files.unrecorded == 0
+
+
+def test_the_recording_of_somebody_else_goes_on_and_is_named(recorder):
+    recorder.file = "/home/me/all.mcap"
+    files = RunFiles("s", "/runs")
+    do(files, 1)
+    files.close()
+    assert recorder.file == "/home/me/all.mcap"
+    assert (files.unrecorded, files.why) == (1, "recorded already, to /home/me/all.mcap")

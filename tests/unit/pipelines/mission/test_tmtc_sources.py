@@ -1,0 +1,162 @@
+"""Parameters of joystick, robot and gateways, and the rules of the built-in dictionary."""
+
+from pipelines.hand.hand_topics import JoystickStatus, unpack_request
+from pipelines.mission.tmtc import TmtcEnd
+from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, Reported, SendCommand
+from pipelines.mission.tmtc_sources import GatewaySource, JoystickDesk, RobotSource
+from pipelines.session.mission_messages import RobotStatus
+from pipelines.session.setup.segments import Segment
+from telepresence.haptics.device.states import JoystickEvent, JoystickState
+from telepresence.tasks.definitions import ControlMode
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.world import WorldState
+
+S = 1_000_000_000
+LINK = {
+    **dict.fromkeys(("frames", "frames_lost", "haptic_received", "waiting", "dropped"), 0),
+    "state": "connected",
+}
+
+
+class Space:
+    """The end in space, with a joystick that a test plays."""
+
+    def __init__(self, segment=Segment.SPACE):
+        self.end = TmtcEnd(segment, built_in_dictionary(), now_ns=0, first_count=1, life=1)
+        self.desk = JoystickDesk(self.end, first_number=100)
+        self.now_ns = 0
+
+    def status(self, state=JoystickState.APPLICATION, temperature_c=23.0, **more):
+        self.now_ns += S
+        values = {"reason": "", "dead_man": True, "force_limit_n": 12.0, "device": "test"}
+        values |= {"half_width_m": 0.1, "half_height_m": 0.1, "temperature_c": temperature_c}
+        self.desk.handle_status(JoystickStatus(state=state, **(values | more)), self.now_ns)
+        return self.news()
+
+    def news(self):
+        while self.end.poll_transmit(self.now_ns) is not None:
+            pass
+        return list(iter(self.end.next_event, None))
+
+
+def events(news):
+    return [one.name for one in news if isinstance(one, Reported) and one.kind == "event"]
+
+
+def requests(space, news):
+    asked = [one for one in news if isinstance(one, FunctionAsked)]
+    return [unpack_request(space.desk.handle_asked(one, 0)) for one in asked]
+
+
+def test_a_hot_joystick_is_halted_by_a_rule_of_the_dictionary():
+    space = Space()
+    assert requests(space, space.status(temperature_c=85.0)) == []
+    news = space.status(temperature_c=85.0)
+    assert events(news) == ["too_hot"]
+    assert [one.event for one in requests(space, news)] == [JoystickEvent.HALT]
+    # It must cool down before the rule acts again; it does not resume by itself.
+    assert requests(space, space.status(temperature_c=85.0)) == []
+    space.status(temperature_c=50.0)
+    news = space.status(temperature_c=50.0)
+    assert (events(news), requests(space, news)) == (["cooled"], [])
+
+
+def test_a_joystick_without_a_thermometer_is_reported_and_never_hot():
+    space = Space()
+    heard = [*space.status(temperature_c=None), *space.status(temperature_c=None)]
+    reports = [one for one in heard if isinstance(one, Reported)]
+    assert {one.kind for one in reports} == {"housekeeping"}
+    assert reports[0].values["temperature"] != reports[0].values["temperature"]
+
+
+def test_a_halt_is_an_event_and_its_telecommand_is_verified_with_the_joysticks_own_words():
+    space = Space()
+    space.status()
+    space.end.handle_request(SendCommand("test", 1, "joystick", "call", "resume"), space.now_ns)
+    (request,) = requests(space, space.news())
+    assert request.number == 101
+    news = space.status(commanded=request.number, command_refusal="resume: not in this state")
+    (done,) = [one for one in news if isinstance(one, CommandUpdate) and one.done]
+    assert (done.ok, done.reason) == (False, "resume: not in this state")
+    assert events(space.status(JoystickState.HALTED)) == ["state_changed", "off_nominal"]
+    assert events(space.status(JoystickState.CALIBRATED)) == ["state_changed"]
+
+
+def test_a_function_that_nobody_carries_out_fails():
+    space = Space()
+    space.end.handle_request(SendCommand("test", 1, "joystick", "call", "test"), 0)
+    assert [one.function for one in space.news() if isinstance(one, FunctionAsked)] == ["test"]
+    space.now_ns = 11 * S
+    (done,) = [one for one in space.news() if isinstance(one, CommandUpdate) and one.done]
+    assert (done.ok, done.verified, done.reason) == (False, True, "nobody carried it out")
+
+
+def test_a_functional_test_is_an_application_and_its_end_an_event():
+    space = Space()
+    calibrated = JoystickState.CALIBRATED
+    space.status(calibrated, test="aborted", test_part="force", test_number=1)
+    running = space.status(calibrated, test="running", test_number=2)
+    again = space.status(calibrated, test="running", test_number=2)
+    assert events(running) == events(again) == []
+    values = space.end.applications["joystick"].values
+    assert values["application"] == "joystick test"
+    failed = {"test": "failed", "test_part": "place", "test_number": 2}
+    news = space.status(calibrated, **failed)
+    (event,) = [one for one in news if isinstance(one, Reported) and one.kind == "event"]
+    assert (event.name, event.values) == ("test_failed", {"test": "failed", "test_part": "place"})
+    assert events(space.status(calibrated, **failed)) == []
+    assert events(space.status(calibrated, test="passed", test_number=3)) == ["test_passed"]
+    assert values["application"] == "none"
+
+
+def test_signal_and_force_are_watched():
+    space = Space(Segment.GROUND)
+    gateway = GatewaySource(space.end, "ground_gateway")
+    robot = RobotSource(space.end, first_number=0)
+    heard = []
+    for signal in (False, True, True, False):
+        gateway.handle_values({**LINK, "signal": signal}, space.now_ns)
+        heard += events(space.news())
+    assert heard == ["signal_acquired", "signal_lost"]
+    for force_n in (5.0, 25.0, 25.0):
+        space.now_ns += S
+        state = WorldState(space.now_ns, 0.01, -0.02, force_n, contact=True)
+        robot.handle_state(state, space.now_ns)
+    assert events(space.news()) == ["force_too_high"]
+
+
+def robot_status(**changes):
+    known = {"powered": True, "mode": ControlMode.TELEPRESENCE, "push_n": 0.0}
+    return RobotStatus(life=1, x_m=0.0, y_m=0.0, **{**known, **changes})
+
+
+def test_the_dictionary_has_the_modes_of_the_robot():
+    (mode,) = [
+        one for one in built_in_dictionary().application("robot").parameters if one.name == "mode"
+    ]
+    assert mode.choices == tuple(one.value for one in ControlMode)
+
+
+def test_the_robot_answers_its_functions_and_a_fault_is_an_event():
+    space = Space(Segment.GROUND)
+    robot = RobotSource(space.end, first_number=7)
+    assert robot.handle_asked(FunctionAsked("tasks", 1, "power_on")) is None
+    space.end.handle_request(
+        SendCommand("test", 1, "robot", "call", "set_mode", arguments=("position",)), space.now_ns
+    )
+    (asked,) = [one for one in space.news() if isinstance(one, FunctionAsked)]
+    command = robot.handle_asked(asked)
+    assert (command.function, command.mode) == ("set_mode", "position")
+    robot.handle_status(robot_status(commanded=command.number - 1), space.now_ns)
+    assert not [one for one in space.news() if isinstance(one, CommandUpdate) and one.done]
+    answer = robot_status(commanded=command.number, command_refusal="it is on")
+    robot.handle_status(answer, space.now_ns)
+    (done,) = [one for one in space.news() if isinstance(one, CommandUpdate) and one.done]
+    assert (done.ok, done.reason) == (False, "it is on")
+    heard = []
+    for _ in range(2):
+        fault = robot_status(powered=False, error="force", faults=1)
+        robot.handle_status(fault, space.now_ns)
+        heard += space.news()
+    (event,) = [one for one in heard if isinstance(one, Reported) and one.kind == "event"]
+    assert (event.name, event.values) == ("error", {"error": "force"})

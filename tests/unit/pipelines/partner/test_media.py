@@ -1,0 +1,191 @@
+"""Both ends of a connection's media against each other, over a network that loses packets."""
+
+import random
+from collections import deque
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.rtp.header_extensions import elements_of
+from kontur_av.rtp.payload_h264 import split_annex_b
+from kontur_av.rtp.rate_feedback import rate_message
+from kontur_av.rtp.wire import is_rtcp
+from pipelines.partner.description import common_line, wanted_line
+from pipelines.partner.media import PictureCame, RtcMedia, SoundCame
+
+DELAY_NS = 15 * NS_PER_MS
+#: The receiver's clock is ahead of the sender's by this; sender reports tell Unix time.
+AHEAD_NS = 500 * NS_PER_S
+
+
+def opus(number):
+    """A CELT packet of 20 ms, and its number."""
+    return bytes([0xFC]) + number.to_bytes(4, "big")
+
+
+def unit(number, octets=3000):
+    """An access unit of one slice, with parameter sets and IDR at the first."""
+    body = number.to_bytes(4, "big") + b"\x55" * octets
+    start = b"\x00\x00\x00\x01"
+    head = (
+        start + b"\x67\x42\xe0\x1f" + start + b"\x68\xce" + start + b"\x65\x88"
+        if not number
+        else start + b"\x41\x9a"
+    )
+    return head + body
+
+
+class Pair:
+    """A sender and a receiver of both kinds. lost: tells whether a datagram gets lost."""
+
+    def __init__(self, lost=lambda datagram: False):
+        draw = random.Random(1).getrandbits
+        lines = [
+            wanted_line("audio", mid="0", ssrc=101, sends=True),
+            wanted_line("video", mid="1", ssrc=102, sends=True),
+        ]
+        back = [wanted_line(line.kind, mid=line.mid, ssrc=0, receives=True) for line in lines]
+        options = {"randbits": draw, "most_bps": 1_500_000, "cname": "c"}
+        self.sender = RtcMedia(lines, bps={"audio": 32_000, "video": 1_500_000}, **options)
+        self.receiver = RtcMedia(back, bps={}, **options, wall_offset_ns=-AHEAD_NS)
+        self._lost = lost
+        self._ways = deque(), deque()
+        self.events = []
+        self.sent = []
+
+    def run(self, begin_ns, end_ns):
+        for now_ns in range(begin_ns, end_ns, NS_PER_MS):
+            self._step(self.sender, now_ns, 0, 0)
+            self._step(self.receiver, now_ns + AHEAD_NS, 1, AHEAD_NS)
+            while (event := self.receiver.next_event()) is not None:
+                self.events.append((event, now_ns))
+
+    def _step(self, media, now_ns, index, ahead_ns):
+        media.handle_timeout(now_ns)
+        incoming = self._ways[1 - index]
+        while incoming and incoming[0][0] + ahead_ns <= now_ns:
+            datagram = incoming.popleft()[1]
+            (media.handle_rtcp if is_rtcp(datagram) else media.handle_rtp)(datagram, now_ns)
+        while (datagram := media.poll_transmit(now_ns)) is not None:
+            if index == 0:
+                self.sent.append(datagram)
+            if not self._lost(datagram):
+                self._ways[index].append((now_ns - ahead_ns + DELAY_NS, datagram))
+
+
+def drive(pair, seconds, octets=3000):
+    """Send 25 pictures and 50 blocks a second."""
+    for block in range(seconds * 50):
+        now_ns = block * 20 * NS_PER_MS
+        if block % 2 == 0:
+            stamp = CaptureStamp(now_ns, block // 2, "camera")
+            pair.sender.send_unit(AccessUnit(unit(block // 2, octets), stamp, block == 0), now_ns)
+        pair.sender.send_opus(opus(block), CaptureStamp(now_ns, block, "voice"), now_ns)
+        pair.run(now_ns, now_ns + 20 * NS_PER_MS)
+    return [event for event, _ in pair.events if isinstance(event, PictureCame)]
+
+
+def test_units_and_packets_arrive_as_they_were_coded_and_dated():
+    pair = Pair()
+    pictures = drive(pair, 3)
+    assert len(pictures) >= 73
+    for number, event in enumerate(pictures):
+        assert split_annex_b(event.unit.data) == split_annex_b(unit(number))
+        # One clock for picture and voice: the sender's, moved by what both call Unix time.
+        if event.capture_ns is not None:
+            assert abs(event.capture_ns - number * 40 * NS_PER_MS - AHEAD_NS) < 20_000
+    sounds = [event for event, _ in pair.events if isinstance(event, SoundCame)]
+    played = [event for event in sounds if event.block.payload is not None]
+    assert len(played) > 140
+    for event in played:
+        number = int.from_bytes(event.block.payload[1:], "big")
+        if event.capture_ns is not None:
+            assert abs(event.capture_ns - number * 20 * NS_PER_MS - AHEAD_NS) < 20_000
+    figures = pair.sender.figures.sent["video"]
+    assert figures.reception is not None
+    assert figures.reception.lost == 0
+    assert abs(figures.reception.round_trip_ns - 2 * DELAY_NS) < 3 * NS_PER_MS
+
+
+def test_every_picture_carries_a_playout_delay_of_zero():
+    pair = Pair()
+    drive(pair, 1)
+    pictures = [one for one in pair.sent if not is_rtcp(one) and one[1] & 0x7F == 96]
+    assert pictures
+    assert {elements_of(one)[3] for one in pictures} == {bytes(3)}
+
+
+def test_lost_packets_are_mended_before_a_picture_is_given_up():
+    generator = random.Random(3)
+    first = set()
+
+    def lost(datagram):
+        # Each packet at most once, so that its repetition comes through.
+        key = datagram[:12]
+        if is_rtcp(datagram) or key in first or generator.random() > 0.08:
+            return False
+        first.add(key)
+        return True
+
+    pair = Pair(lost)
+    pictures = drive(pair, 4)
+    assert len(pictures) >= 97
+    assert sum(event.unit.damaged for event in pictures) == 0
+    received = pair.receiver.figures.received["video"]
+    assert received.mended > 10
+    assert pair.sender.figures.sent["video"].repeated >= received.mended
+
+
+def test_a_loss_that_cannot_be_mended_asks_for_a_key_picture():
+    gone = []
+
+    def lost(datagram):
+        if is_rtcp(datagram) or datagram[1] & 0x7F != 96:
+            return False
+        number = int.from_bytes(datagram[2:4], "big")
+        if not gone and len(pair.sent) > 60:
+            gone.append(number)
+        return number in gone
+
+    pair = Pair(lost)
+    drive(pair, 3)
+    assert pair.receiver.figures.received["video"].keys_asked >= 1
+    assert pair.sender.figures.sent["video"].keys_asked >= 1
+    assert pair.sender.take_key_request(3 * NS_PER_S)
+    assert not pair.sender.take_key_request(3 * NS_PER_S)
+
+
+def test_the_partners_wish_for_a_rate_is_read_only_for_its_own_stream():
+    pair = Pair()
+    pair.sender.handle_rtcp(rate_message(300_000, ssrc=5, media_ssrcs=[999]), 0)
+    assert pair.sender.wish_bps is None
+    pair.sender.handle_rtcp(rate_message(300_000, ssrc=5, media_ssrcs=[102]), 0)
+    assert pair.sender.wish_bps == 300_000
+
+
+def test_garbage_is_counted_and_ends_nothing():
+    pair = Pair()
+    generator = random.Random(4)
+    for _ in range(2000):
+        octets = generator.randbytes(generator.randrange(60))
+        pair.receiver.handle_rtp(octets, 0)
+        pair.receiver.handle_rtcp(octets, 0)
+        pair.sender.handle_rtcp(octets, 0)
+        pair.receiver.handle_rtp(bytes([0x90, 96]) + octets, 0)
+    assert pair.receiver.figures.garbage > 1000
+    assert pair.sender.figures.garbage > 1000
+    pair.events.clear()
+    assert len(drive(pair, 2)) >= 40
+
+
+def test_a_stalled_sender_drops_what_is_too_old_and_wants_a_key_picture():
+    pair = Pair()
+    pair.sender.send_unit(AccessUnit(unit(0, 400_000), CaptureStamp(0, 0, "camera"), True), 0)
+    now_ns = NS_PER_S
+    pair.sender.send_unit(AccessUnit(unit(1), CaptureStamp(now_ns, 1, "camera"), False), now_ns)
+    assert pair.sender.figures.sent["video"].dropped == 1
+    assert pair.sender.take_key_request(now_ns)
+
+
+def test_what_the_partner_does_not_take_is_not_sent():
+    line = wanted_line("video", mid="1", ssrc=1, receives=True)
+    assert common_line(line, sends=True, receives=False) is None

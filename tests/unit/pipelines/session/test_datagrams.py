@@ -1,0 +1,88 @@
+"""A gateway accepts datagrams of its peer and its programs, and counts all others."""
+
+import socket
+
+import pytest
+
+from pipelines.session.datagrams import Inlet, is_loopback, open_peer, outlet, reaches, receive
+
+
+@pytest.fixture
+def sockets():
+    made = []
+
+    def make(host="127.0.0.1", port=0):
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        made.append(udp)
+        udp.bind((host, port))
+        return udp
+
+    yield make
+    for udp in made:
+        udp.close()
+
+
+def test_strangers_are_counted_and_displace_no_frame_of_the_peer(sockets):
+    peer, stranger, neighbour = sockets(), sockets(), sockets("127.0.0.2")
+    probe = sockets()
+    here = probe.getsockname()
+    probe.close()
+    ours, strangers = open_peer(here, peer.getsockname())
+    try:
+        for number in range(5000):
+            stranger.sendto(bytes(500), here)
+            if number % 100 == 0:
+                peer.sendto(b"frame %d" % (number // 100), here)
+        neighbour.sendto(b"x", here)
+        # Datagrams of strangers fill no queue of the peer.
+        frames = [receive(ours, 100) for _ in range(51)]
+        assert frames == [b"frame %d" % number for number in range(50)] + [None]
+        assert receive(strangers, 1) == b"\0"
+        ours.send(b"answer")
+        assert peer.recvfrom(100) == (b"answer", here)
+        with pytest.raises(OSError):
+            sockets(*here)
+    finally:
+        ours.close()
+        strangers.close()
+
+
+def test_a_port_accepts_only_the_host_of_the_programs(sockets):
+    inlet = Inlet(("127.0.0.1", 0), "127.0.0.3")
+    here = inlet.udp.getsockname()
+    sockets("127.0.0.4").sendto(b"a stranger", here)
+    sockets("127.0.0.3").sendto(b"a program", here)
+    sockets("127.0.0.3").sendto(b"", here)
+    assert [inlet.receive(100) for _ in range(4)] == [None, b"a program", b"", None]
+    assert inlet.strangers == 1
+    inlet.udp.close()
+    # On loopback every program of this machine is accepted.
+    home = Inlet(("127.0.0.1", 0), "127.0.0.1")
+    sockets("127.0.0.4").sendto(b"of this machine", home.udp.getsockname())
+    assert home.receive(7) == b"of this"
+    assert home.strangers == 0
+    home.udp.close()
+
+
+def test_a_missing_listener_is_no_fault(sockets):
+    gone = sockets()
+    where = gone.getsockname()
+    gone.close()
+    to_nobody = outlet("127.0.0.1", where)
+    for _ in range(5):
+        to_nobody.send(b"anybody?")
+    back = sockets(*where)
+    back.setblocking(False)
+    to_nobody.send(b"1")
+    to_nobody.send(b"2")
+    assert [back.recv(9), back.recv(9)] == [b"1", b"2"]
+    # A frame that no datagram can hold is counted as not sent.
+    to_nobody.send(bytes(70_000))
+    assert to_nobody.failed == 1
+
+
+def test_which_addresses_are_this_machines():
+    assert is_loopback("127.0.0.1")
+    assert is_loopback("127.9.9.9")
+    assert not is_loopback("128.0.0.1")
+    assert reaches(("127.0.0.5", 9)) == "127.0.0.1"

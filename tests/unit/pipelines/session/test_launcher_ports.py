@@ -1,0 +1,43 @@
+"""Two sessions never share ports."""
+
+import socket
+from dataclasses import replace
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.session.launcher import hold_ports
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.table import PORTS
+from pipelines.session.topology import topology_of
+
+
+@pytest.fixture
+def session():
+    """A setup whose ports are free at present."""
+    for base in range(31_500, 24_000, -PORTS):
+        candidate = topology_of(replace(BUILT_IN["taskboard"], base_port=base))
+        try:
+            hold_ports(candidate).close()
+        except ConfigError:
+            continue
+        return candidate
+    return pytest.skip("no block of free UDP ports")
+
+
+def test_of_two_sessions_started_at_once_one_is_refused(session):
+    # The first session has bound only the launcher's port so far.
+    with hold_ports(session), pytest.raises(ConfigError, match=r"busy.*--base-port"):
+        hold_ports(session)
+    hold_ports(session).close()
+
+
+@pytest.mark.parametrize("offset", [0, 5, 17, 38])
+def test_any_port_of_the_block_may_be_the_busy_one(session, offset):
+    port = session.ports[offset]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", port))
+        with pytest.raises(ConfigError, match=f"UDP port {port} is busy"):
+            hold_ports(session)
+    # The refused session keeps no port.
+    hold_ports(session).close()

@@ -1,0 +1,83 @@
+"""A process collects whole rows or none, reports each once, and counts lost ones."""
+
+import pytest
+
+from pipelines.session.figures import DisplayCounters, HapticCounters, PortGauges, ProbeCounters
+from pipelines.session.probe import FLUSH_NS, Message, Probe, Series
+from pipelines.session.rows import LatenessRow, RxRow, ShownRow
+from pipelines.session.session_switch import Order
+
+
+def told(probe, now_ns):
+    """The message that is reported now, with the rows of each series."""
+    message = Message.unpack(probe.message.pack())
+    probe.handle_told(now_ns, told=True)
+    return message, [(one.kind, one.stream, one.rows()) for one in message.series]
+
+
+def test_counters_are_repeated_and_rows_are_sent_once():
+    probe = Probe()
+    sent, port = HapticCounters(sent=4, left_out=0), PortGauges(credit_uj=-5, least_uj=7)
+    probe.count(sent)
+    probe.gauge(port)
+    shown_count = DisplayCounters(frames_displayed=1)
+    probe.count(shown_count, "uplink_video")
+    arrivals, shown = probe.series(RxRow), probe.series(ShownRow, "uplink_video")
+    arrivals.add(RxRow(1, -3))
+    shown.add(ShownRow(7, 8, 9))
+    message, rows = told(probe, 0)
+    counters = {(HapticCounters, ""): sent, (DisplayCounters, "uplink_video"): shown_count}
+    assert (message.counters, message.gauges) == (counters, {(PortGauges, ""): port})
+    assert rows == [
+        (RxRow, "", [RxRow(1, -3)]),
+        (ShownRow, "uplink_video", [ShownRow(7, 8, 9)]),
+    ]
+    arrivals.extend([RxRow(2, 4), RxRow(3, 5)])
+    message, rows = told(probe, 1)
+    assert message.counters == counters
+    assert rows == [(RxRow, "", [RxRow(2, 4), RxRow(3, 5)])]
+
+
+def test_an_order_is_sent_once():
+    probe = Probe()
+    probe.message.orders.append(Order.STOP)
+    probe.handle_told(0, told=False)
+    assert told(probe, 1)[0].orders == [Order.STOP]
+    assert told(probe, 2)[0].orders == []
+
+
+def test_a_series_is_one_object_for_each_kind_and_stream():
+    probe = Probe()
+    assert probe.series(ShownRow, "uplink_video") is probe.series(ShownRow, "uplink_video")
+    assert probe.series(ShownRow, "uplink_video") is not probe.series(ShownRow, "downlink_video")
+
+
+def test_a_column_has_one_value_a_row():
+    lateness = Series(LatenessRow)
+    lateness.extend_column([3, 4])
+    assert lateness.rows() == [LatenessRow(3), LatenessRow(4)]
+    with pytest.raises(ValueError, match="2 values"):
+        Series(RxRow).extend_column([3])
+
+
+def test_it_is_due_twice_a_second():
+    probe = Probe()
+    assert probe.due(0)
+    probe.handle_told(0, told=True)
+    assert not probe.due(FLUSH_NS - 1)
+    assert probe.due(FLUSH_NS)
+
+
+def test_rows_without_a_reader_are_kept_for_a_while_and_dropped_whole():
+    probe = Probe()
+    arrivals = probe.series(RxRow)
+    arrivals.add(RxRow(1, 1))
+    probe.handle_told(0, told=False)
+    assert told(probe, 0)[1] == [(RxRow, "", [RxRow(1, 1)])]
+    for number in range(10_001):
+        arrivals.add(RxRow(number, -number))
+    probe.handle_told(1, told=False)
+    arrivals.add(RxRow(5, -5))
+    message, rows = told(probe, 2)
+    assert rows == [(RxRow, "", [RxRow(5, -5)])]
+    assert message.counters[ProbeCounters, ""].probe_values_dropped == 20_002

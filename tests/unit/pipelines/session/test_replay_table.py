@@ -1,0 +1,69 @@
+"""The table of a replay: nothing is captured, and every script is joined to its topics."""
+
+import pytest
+
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import Topology, topology_of
+from pipelines.session.topology.replaying import Script, replay_topology
+
+SESSION = topology_of(BUILT_IN["spacejustin"], snapshots=True)
+SCRIPT = Script("somewhere:run", {"units": []})
+PICTURES = ("uplink_video", "downlink_video")
+CAPTURES = {row.process for row in SESSION.inputs}
+
+
+def replay(*, recoded=()) -> Topology:
+    senders = {row.sender for row in SESSION.media_streams if row.name not in recoded}
+    scripts = dict.fromkeys(senders | {"robot", "joystick", "console", "selector"}, SCRIPT)
+    return replay_topology(
+        SESSION, scripts, dict.fromkeys(recoded, SCRIPT), radio_after_ns=2_000_000
+    )
+
+
+@pytest.mark.parametrize("recoded", [(), PICTURES])
+def test_every_topic_has_a_writer_and_the_readers_that_read_it(recoded):
+    table = replay(recoded=recoded)
+    written = {topic.name: topic for topic in table.topics}
+    assert {topic for row in table.processes for topic in row.reads} <= set(written)
+    for topic in table.topics:
+        assert topic.name in table.process(topic.writer).writes
+        assert topic.readers == tuple(r.name for r in table.processes if topic.name in r.reads)
+    # The ports and the streams of the link are those of the session.
+    assert table.streams == SESSION.streams
+    for row in table.processes:
+        before = SESSION.process(row.name)
+        assert (row.ports, row.sends, row.receives) == (
+            before.ports,
+            before.sends,
+            before.receives,
+        )
+
+
+def test_nothing_is_captured_and_scripts_replace_what_sends():
+    table = replay()
+    names = {row.name for row in table.processes}
+    assert names == {row.name for row in SESSION.processes} - CAPTURES - {"stereo"}
+    for name in PICTURES:
+        sender = table.sender_of(name)
+        assert (sender.run, sender.arguments) == SCRIPT
+        assert sender.reads == (SESSION.video(name).backlog_topic,)
+        assert sender.writes == (SESSION.video(name).sent_topic,)
+    assert table.process("robot").writes == ()
+    for link in table.links:
+        gateway = table.process(link.sender)
+        before = SESSION.process(link.sender)
+        assert gateway.run == before.run
+        assert gateway.arguments == {**before.arguments, "radio_after_ns": 2_000_000}
+
+
+def test_recoded_pictures_come_from_one_camera_and_are_coded_by_the_stream_s_own_sender():
+    table = replay(recoded=PICTURES)
+    cameras = {row.name for row in table.processes} & CAPTURES
+    assert cameras == {SESSION.input("left").process, SESSION.input("iss_camera").process}
+    for name in PICTURES:
+        media, sender = SESSION.video(name), table.sender_of(name)
+        topic = SESSION.input(media.inputs[0]).topic
+        assert sender.run == SESSION.sender_of("downlink_video").run
+        assert sender.arguments == {"stream": media.stream, "topic": topic}
+        assert table.topic(topic).readers[0] == sender.name
+        assert table.process(table.topic(topic).writer).run == SCRIPT.run

@@ -1,0 +1,79 @@
+"""The topology as text: tables fit a narrow terminal uncut, and the graph is well formed."""
+
+import re
+
+import pytest
+
+from pipelines.cli import main
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import topology_of
+from pipelines.session.topology.graph import dot
+from pipelines.session.topology.tables import processes_table, streams_table, topics_table
+
+SESSION = topology_of(BUILT_IN["spacejustin"], snapshots=True, pages=True)
+EDGE = re.compile(
+    r'  "([\w/]+)" -> "([\w/]+)" \[(?:label="[^"]*", )?style=(solid|dashed|bold)'
+    r"(?:, arrow(?:head|tail)=none)?(, dir=back)?\];"
+)
+
+
+@pytest.mark.parametrize("width", [80, 100, 250])
+def test_tables_fit_the_width_and_cut_nothing(width):
+    tables = processes_table(SESSION), streams_table(SESSION), topics_table(SESSION)
+    for table, rows in zip(
+        tables, (SESSION.processes, SESSION.streams, SESSION.topics), strict=True
+    ):
+        lines = table.lines(width)
+        assert max(map(len, lines)) <= width
+        assert {row.name for row in rows} <= {line.split(" ")[0] for line in lines}
+    for row in SESSION.streams:
+        (line,) = [
+            line for line in streams_table(SESSION).lines(80) if line.startswith(f"{row.name} ")
+        ]
+        assert [str(row.entry_port), str(row.exit_port)] == re.findall(r"\b\d{5}\b", line)
+    words = " ".join(" ".join(topics_table(SESSION).lines(80)).split())
+    assert "camera_left, camera_right, camera_static, camera_head, ground_mic, iss_camera" in words
+
+
+def test_the_graph_is_well_formed_and_joins_known_processes():
+    text = dot(SESSION)
+    assert text.count("{") == text.count("}") == 3
+    assert text.startswith('digraph "spacejustin" {\n') and text.endswith("}\n")
+    known = {row.name for row in SESSION.processes}
+    assert set(re.findall(r'^ +"(\w+)";$', text, re.MULTILINE)) == known
+    # A topic with many readers is a node, too.
+    known |= set(re.findall(r'^ +"(\w+/\w+)" \[shape=plaintext', text, re.MULTILINE))
+    joined = set()
+    for line in (line for line in text.splitlines() if "->" in line):
+        match = EDGE.fullmatch(line)
+        assert match, line
+        joined |= set(match.groups()[:2])
+    assert joined == known
+
+
+def test_every_arrow_of_the_graph_points_at_what_takes():
+    arrows = {
+        (match[2], match[1]) if match[4] else (match[1], match[2])
+        for match in EDGE.finditer(dot(SESSION))
+    }
+    for topic in SESSION.topics:
+        for reader in topic.readers:
+            through = {(topic.writer, topic.name), (topic.name, reader)}
+            assert (topic.writer, reader) in arrows or through <= arrows
+    for row in SESSION.streams:
+        link = SESSION.link(row.direction)
+        assert (link.sender, link.receiver) in arrows
+        if row.sender is not None:
+            assert {(row.sender, link.sender), (link.receiver, row.receiver)} <= arrows
+
+
+def test_the_command_prints_tables_or_a_graph(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["topology", "--setup", "taskboard"]) == 0
+    told = capsys.readouterr().out
+    assert "uplink_video_send" in told and "robot/state" in told and "downlink_voice" not in told
+    assert main(["topology", "--setup", "taskboard", "--dot", "--base-port", "28000"]) == 0
+    assert capsys.readouterr().out.startswith("digraph")
+    assert main(["topology"]) == 2
+    assert main(["topology", "--setup", "nothing"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 2

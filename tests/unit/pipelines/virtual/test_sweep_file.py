@@ -1,0 +1,99 @@
+"""The file of a sweep: the setups that its grids make, and mistakes in one line."""
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.virtual.campaign.sweep_file import load_sweep
+
+
+def sweep_of(tmp_path, text):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    return load_sweep(path)
+
+
+def test_grids_make_the_setups_of_every_choice(tmp_path):
+    sweep = sweep_of(
+        tmp_path,
+        """
+        seconds = 10
+        seeds = 3
+        setup = "spacejustin"
+        [[grid]]
+        radio_delay_ms = [0, 25.5]
+        uplink_video.cap_kbps = [60, 80]
+        [[grid]]
+        setup = "taskboard"
+        radio = ["iss-pass", {base = "iss-pass", frame_loss = 0.5}]
+        radio_start_s = 60
+        [[grid]]
+        cameras = [["static"], ["stereo", "static"]]
+        downlink_voice = false
+        """,
+    )
+    delays, radios, cameras = sweep.cases[:4], sweep.cases[4:6], sweep.cases[6:]
+    found = [(case.setup.radio_delay_ms, case.setup.uplink_video.cap_bps) for case in delays]
+    assert found == [(0, 60_000), (0, 80_000), (25.5, 60_000), (25.5, 80_000)]
+    assert [case.setup.name for case in radios] == ["taskboard"] * 2
+    assert [case.setup.radio_profile.start_s for case in radios] == [60, 60]
+    assert radios[1].setup.radio_profile.frame_loss == 0.5
+    assert radios[1].values["radio"] == "base=iss-pass frame_loss=0.5"
+    assert [case.setup.cameras for case in cameras] == [("static",), ("stereo", "static")]
+    assert all(case.setup.downlink_voice is None for case in cameras)
+    assert len(sweep.tasks()) == 8 * 3
+    assert [task.seed for task in sweep.tasks()[:4]] == [1, 2, 3, 1]
+    assert sweep.x_field == "radio_delay_ms"
+
+
+def test_a_choice_that_two_grids_make_is_run_once(tmp_path):
+    text = "seconds = 1\n[[grid]]\nradio_delay_ms = [0, 5]\n[[grid]]\nradio_delay_ms = [5, 9]\n"
+    sweep = sweep_of(tmp_path, text)
+    assert [case.setup.radio_delay_ms for case in sweep.cases] == [0, 5, 9]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("seconds = 1\n[[grid]\n", "is not TOML: "),
+        ("seconds = 1\nseeds 5\n", "at line 2"),
+        ("[[grid]]\nradio_delay_ms = [0]\n", "needs seconds"),
+        ("seconds = 1\n", "a sweep needs grid"),
+        ("seconds = -1\n[[grid]]\nhand = ['direct']\n", "seconds is -1: take more than 0"),
+        ("seconds = 1\nseed = 2\n[[grid]]\n", "unknown field seed: the nearest one is seeds"),
+        ("seconds = 1\nseeds = 0\n[[grid]]\nhand = ['direct']\n", "seeds is 0: take a number"),
+        ("seconds = 1\nseeds = [3, 3]\n[[grid]]\nhand = ['direct']\n", "a list of different ones"),
+        ("seconds = 1\nseeds = 'a'\n[[grid]]\nhand = ['direct']\n", "like 5 or [1, 2], not 'a'"),
+        ("seconds = 1\ngrid = 5\n", "grid must be tables [[grid]]"),
+        ("seconds = 1\n[[grid]]\nhand = []\n", "grid 1: hand is an empty list: give it a value"),
+        (
+            "seconds = 1\n[[grid]]\nhand = ['direct']\n[[grid]]\nradio = ['gio']\n",
+            "grid 2, radio = gio: ",
+        ),
+        (
+            "seconds = 1\n[[grid]]\nuplink_video.cap_kbp = [5]\n",
+            "grid 1, uplink_video.cap_kbp = 5: unknown field uplink_video.cap_kbp: the nearest one "
+            "is uplink_video.cap_kbps",
+        ),
+        ("seconds = 1\n[[grid]]\nradio_delay_ms = ['a']\n", "must be a number, not 'a'"),
+        ("seconds = 1\n[[grid]]\ncameras = [5]\n", "cameras must be a list of names"),
+        ("seconds = 1\n[[grid]]\nhand.x = ['a']\n", "so there is no hand.x"),
+        (
+            "seconds = 1\n[[grid]]\nradio = ['geo']\nradio_delay_ms = [5]\n",
+            "radio geo has a delay of its own",
+        ),
+        ("seconds = 1\n[[grid]]\nuplink_video.cap_kbps = [900]\n", "uplink_video.cap_kbps = 900: "),
+        (
+            "seconds = 1\n[[grid]]\nhand = ['direct']\n[plot]\ny = 'vidio'\n",
+            "plot.y is 'vidio': take one of",
+        ),
+        ("seconds = 1\n[[grid]]\nhand = ['direct']\n[plot]\nx = 'y'\n", "plot.x is 'y': take one"),
+        ("seconds = 1\nseeds = 100001\n[[grid]]\nhand = ['direct']\n", "100001 runs are too many"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(tmp_path, text, told):
+    with pytest.raises(ConfigError) as raised:
+        sweep_of(tmp_path, text)
+    line = str(raised.value)
+    assert told in line
+    assert "mine.toml" in line
+    assert "\n" not in line
