@@ -2,9 +2,9 @@
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.hand.hand_topics import unpack_status
+from pipelines.link.link_state import CONNECTED, unpack_link
 from pipelines.mission.tmtc_client import TmtcClient
 from pipelines.mission.tmtc_messages import FunctionAsked
-from pipelines.mission.tmtc_sources import CONNECTED, unpack_link
 from pipelines.session.mission_messages import PanelShown
 from pipelines.session.mission_topic import MissionWriter
 from pipelines.session.process import Context

@@ -12,12 +12,12 @@ import msgspec
 from kontur_av.clock import NS_PER_MS
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root, session_root
+from pipelines.link.link_state import CONNECTED, unpack_link
 from pipelines.media.following import Choice
 from pipelines.mission.mission import MissionGround, MissionMemory, Seen, robot_order
 from pipelines.mission.run_files import RunFiles
 from pipelines.mission.tmtc_client import TmtcClient
 from pipelines.mission.tmtc_messages import FunctionAsked
-from pipelines.mission.tmtc_sources import CONNECTED, unpack_link
 from pipelines.session.figures import TaskCounters, TaskGauges
 from pipelines.session.mission_messages import CameraWish, RobotStatus
 from pipelines.session.mission_topic import MissionReader, MissionWriter

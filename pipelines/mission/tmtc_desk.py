@@ -13,10 +13,11 @@ from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import Reader, TopicBus
 from kontur_av.topics.session_files import make_session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
+from pipelines.link.link_state import unpack_link
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, FunctionAsked, pack_news
 from pipelines.mission.tmtc_socket import TmtcSocket
-from pipelines.mission.tmtc_sources import GatewaySource, JoystickDesk, RobotSource, unpack_link
+from pipelines.mission.tmtc_sources import GatewaySource, JoystickDesk, RobotSource
 from pipelines.session.mission_messages import MISSION_OCTETS, RobotStatus, pack, unpack
 from pipelines.session.process import Context
 from pipelines.session.robot_state import unpack_state

@@ -10,8 +10,6 @@
 from collections import OrderedDict
 from math import nan
 
-import msgspec
-
 from kontur_av.clock import NS_PER_MS
 from pipelines.hand.hand_topics import HandRequest, JoystickStatus, pack_request
 from pipelines.mission.tmtc import TmtcEnd
@@ -19,15 +17,11 @@ from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, Values
 from pipelines.session.mission_messages import RobotCommand, RobotStatus
 from telepresence.haptics.device.functional_test import Outcome
 from telepresence.haptics.device.states import REQUESTS, JoystickState
-from telepresence.link.figures import GatewayFigures
 from telepresence.tasks.definitions import ControlMode
 from telepresence.world import WorldState
 
 #: How often parameters are taken over, and their limits checked.
 SAMPLE_NS = 500 * NS_PER_MS
-LINK_STATE_OCTETS = 512
-#: A gateway's state while there is contact.
-CONNECTED = "connected"
 
 _EVENTS = {event.value: event for event in REQUESTS}
 #: In these states the joystick does not do what it is there for.
@@ -37,37 +31,7 @@ _OFF_NOMINAL = (
     JoystickState.RECOVERABLE,
     JoystickState.FATAL,
 )
-_DECODER = msgspec.msgpack.Decoder(dict[str, bool | int | str])
 _MOST_ASKED = 16
-
-
-def link_values(figures: GatewayFigures) -> Values:
-    """The parameters of a gateway's application."""
-    receive, supervision = figures.receive, figures.supervision
-    queues = figures.transmit.queue.values()
-    return {
-        "state": supervision.state,
-        "signal": supervision.signal,
-        "frames": receive.frames,
-        "frames_lost": receive.frames_lost,
-        "haptic_received": receive.haptic_received,
-        "waiting": sum(queue.octets for queue in queues),
-        "dropped": sum(receive.packets_dropped.values())
-        + sum(sum(queue.drops.values()) for queue in queues),
-    }
-
-
-def pack_link(values: Values) -> bytes:
-    """Return the parameters of a gateway as octets, for its topic."""
-    return msgspec.msgpack.encode(values)
-
-
-def unpack_link(octets: bytes) -> Values:
-    """Return what `pack_link` packed; empty for anything else."""
-    try:
-        return dict(_DECODER.decode(octets))
-    except msgspec.MsgspecError:
-        return {}
 
 
 class GatewaySource:

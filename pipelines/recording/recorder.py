@@ -8,7 +8,7 @@ Every message that came is either in a part, or counted as lost, by channel:
 
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import msgspec
@@ -51,6 +51,7 @@ from pipelines.recording.messages import (
 from pipelines.recording.sources import Content, Source
 from pipelines.recording.stream_start import StreamStart
 from pipelines.session.figures import RecorderCounters, RecorderGauges
+from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.topology import Topology
 from telepresence.link.figures import GatewayFigures
 
@@ -66,14 +67,6 @@ _OLD_NS = NS_PER_S
 _AHEAD_NS = NS_PER_US
 #: Kinds of events that are warnings in the log.
 _WARNINGS = frozenset({"process", "stale", "recorder"})
-
-
-@dataclass(frozen=True, kw_only=True)
-class PartLimits:
-    """When a new part begins: after `ns`, or with `octets`."""
-
-    ns: int = 600 * NS_PER_S
-    octets: int = 256_000_000
 
 
 class PartPiece(NamedTuple):

@@ -5,13 +5,22 @@ Request: `{"record": "start", "file": "/home/me/run.mcap"}`, `{"record": "stop"}
 `mistake` means that the request itself was wrong.
 """
 
+from dataclasses import dataclass
+
 import msgspec
 
 from kontur_av.clock import NS_PER_S
-from pipelines.recording.recorder import PartLimits
 
 MAX_LINE_OCTETS = 8192
 START, STOP, STATE = "start", "stop", "state"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartLimits:
+    """When a new part begins: after `ns`, or with `octets`."""
+
+    ns: int = 600 * NS_PER_S
+    octets: int = 256_000_000
 
 
 class RecordingWish(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -8,15 +8,10 @@ from kontur_av.clock import NS_PER_S
 from pipelines.hand.hand_topics import JoystickStatus, unpack_status
 from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.robot_desk import RobotDesk
+from pipelines.link.link_state import link_values
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked, TmtcNews, TmtcRequest
-from pipelines.mission.tmtc_sources import (
-    SAMPLE_NS,
-    GatewaySource,
-    JoystickDesk,
-    RobotSource,
-    link_values,
-)
+from pipelines.mission.tmtc_sources import SAMPLE_NS, GatewaySource, JoystickDesk, RobotSource
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.agenda import Agenda, Timer

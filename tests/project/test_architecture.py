@@ -42,7 +42,7 @@ DOORS = {
 }
 
 #: Every module of this name is the shell of a process.
-PROCESS = re.compile(r"pipelines/\w+/process_\w+\.py")
+PROCESS = re.compile(r"pipelines/(?!report/)\w+/process_\w+\.py")
 
 #: Other modules that may import one of DOORS, with the reason. All others are cores.
 SHELLS = {
@@ -127,6 +127,20 @@ SHELLS = {
     "pipelines/commands/receive_media.py": "a random number of a receiver",
     "pipelines/commands/live_session.py": "the live commands",
     "telepresence/haptics/device/gamepad.py": "a device",
+    "pipelines/hand/haptic_loop.py": "the 1 kHz loop and its sockets",
+    "pipelines/link/key_files.py": "key files",
+    "pipelines/link/peer_socket.py": "the socket between two machines",
+    "pipelines/mission/tmtc_socket.py": "a Unix socket",
+    "pipelines/session/asking.py": "a Unix socket",
+    "pipelines/session/page_certificate.py": "files, and random numbers of a key",
+    "pipelines/session/page_listener.py": "the addresses of pages",
+    "pipelines/session/page_sockets.py": "the sockets of pages",
+    "pipelines/session/terminals.py": "a Unix socket",
+    "pipelines/session/reception.py": "files",
+    "pipelines/mission/run_files.py": "the date, and files",
+    "pipelines/partner/rtc_samples.py": "sockets of a process",
+    "pipelines/session/terminal_desk.py": "a Unix socket",
+    "pipelines/mission/tmtc_desk.py": "a Unix socket and topics",
 }
 
 
@@ -193,6 +207,17 @@ USERS_OF_SHELLS = {
     "pipelines/virtual/studio.py": "what a worker does",
     "telepresence/haptics/device/spec.py": "opens devices",
     "telepresence/world/scenes.py": "opens scenes, and reads recorded speech",
+    "pipelines/media/coded_topics.py": "topics",
+    "pipelines/link/link_topics.py": "topics",
+    "pipelines/hand/mission_ends.py": "topics",
+    "pipelines/hand/partner_arm.py": "sockets of a process",
+    "pipelines/session/mission_topic.py": "topics",
+    "pipelines/session/robot_state.py": "a topic",
+    "pipelines/session/exercises.py": "a topic",
+    "pipelines/session/sample_topic.py": "topics",
+    "pipelines/media/sending.py": "sockets of a process",
+    "pipelines/mission/tmtc_client.py": "a Unix socket",
+    "pipelines/mission/trainer_control.py": "the trainer's socket",
 }
 
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
@@ -291,7 +316,7 @@ LIBRARIES = {
     "pipelines/mission/mission.py": ({"msgspec"}, "what outlives the process"),
     "pipelines/session/mission_messages.py": ({"msgspec"}, "messages of topics as octets"),
     "pipelines/session/task_journal.py": ({"msgspec"}, "rows that outlive the process"),
-    "pipelines/mission/tmtc_sources.py": ({"msgspec"}, "a gateway's parameters as octets"),
+    "pipelines/link/link_state.py": ({"msgspec"}, "a gateway's parameters as octets"),
     "pipelines/session/access.py": ({"hmac"}, "compares tokens in constant time"),
     "pipelines/seats/chat_log.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/seats/command_desk.py": ({"msgspec"}, "texts as JSON"),
@@ -301,6 +326,7 @@ LIBRARIES = {
     "pipelines/seats/figures_log.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/media/local_key.py": ({"av"}, "codes one picture"),
     "pipelines/seats/texts.py": ({"msgspec"}, "texts as JSON"),
+    "pipelines/session/recorder_requests.py": ({"msgspec"}, "requests and answers as JSON"),
     "pipelines/recording/": (
         {"av", "google", "io", "lz4", "mcap", "msgspec", "zstandard"},
         "protobuf, MCAP and H.264: octets only; requests as JSON",

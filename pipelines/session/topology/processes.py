@@ -56,7 +56,7 @@ def gateway_topic(segment: Segment) -> str:
 
 
 def link_state_topic(segment: Segment) -> str:
-    """What telemetry says of a segment's gateway: `pipelines.mission.tmtc_sources.link_values`."""
+    """What telemetry says of a segment's gateway: `pipelines.link.link_state.link_values`."""
     return f"link_state/{segment.value}"
 
 

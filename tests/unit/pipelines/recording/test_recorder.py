@@ -30,10 +30,11 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
-from pipelines.recording.recorder import RETRY_NS, PartLimits, Recorder
+from pipelines.recording.recorder import RETRY_NS, Recorder
 from pipelines.recording.records import MAGIC
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.recording.sources import Content, sources_of
+from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Segment, topology_of

@@ -1,0 +1,41 @@
+"""What telemetry says of a gateway: its parameters, and their octets for a topic. A core."""
+
+import msgspec
+
+from telepresence.link.figures import GatewayFigures
+
+LINK_STATE_OCTETS = 512
+#: A gateway's state while there is contact.
+CONNECTED = "connected"
+
+LinkValues = dict[str, bool | int | float | str]
+_DECODER = msgspec.msgpack.Decoder(dict[str, bool | int | str])
+
+
+def link_values(figures: GatewayFigures) -> LinkValues:
+    """The parameters of a gateway's application."""
+    receive, supervision = figures.receive, figures.supervision
+    queues = figures.transmit.queue.values()
+    return {
+        "state": supervision.state,
+        "signal": supervision.signal,
+        "frames": receive.frames,
+        "frames_lost": receive.frames_lost,
+        "haptic_received": receive.haptic_received,
+        "waiting": sum(queue.octets for queue in queues),
+        "dropped": sum(receive.packets_dropped.values())
+        + sum(sum(queue.drops.values()) for queue in queues),
+    }
+
+
+def pack_link(values: LinkValues) -> bytes:
+    """Return the parameters of a gateway as octets, for its topic."""
+    return msgspec.msgpack.encode(values)
+
+
+def unpack_link(octets: bytes) -> LinkValues:
+    """Return what `pack_link` packed; empty for anything else."""
+    try:
+        return dict(_DECODER.decode(octets))
+    except msgspec.MsgspecError:
+        return {}
