@@ -25,8 +25,8 @@ __all__ = [
 
 #: Module -> the names above that it defines.
 _HOMES = {
-    "setup.setup_file": ("load_setup", "setup_from_table"),
-    "setup.table": ("Setup", "VideoStream", "VoiceStream"),
-    "topology": ("Topology", "topology_of"),
+    "session.setup.setup_file": ("load_setup", "setup_from_table"),
+    "session.setup.table": ("Setup", "VideoStream", "VoiceStream"),
+    "session.topology": ("Topology", "topology_of"),
 }
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)
