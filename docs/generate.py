@@ -25,7 +25,8 @@ from pipelines.recording.channels import channels_table, fields_table
 from pipelines.report.keys import counters_table, keys_tables
 from pipelines.report.model import LinkReport, SessionReport
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import tables, topology_of
+from pipelines.session.topology import tables
+from pipelines.table import topology_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("kontur_av", "telepresence", "pipelines")

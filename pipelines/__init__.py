@@ -11,7 +11,8 @@ from kontur_av.lazy import lazy_names
 if TYPE_CHECKING:
     from pipelines.session.setup.setup_file import load_setup, setup_from_table
     from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-    from pipelines.session.topology import Topology, topology_of
+    from pipelines.session.topology import Topology
+    from pipelines.table import topology_of
 
 __all__ = [
     "Setup",
@@ -27,6 +28,7 @@ __all__ = [
 _HOMES = {
     "session.setup.setup_file": ("load_setup", "setup_from_table"),
     "session.setup.table": ("Setup", "VideoStream", "VoiceStream"),
-    "session.topology": ("Topology", "topology_of"),
+    "session.topology": ("Topology",),
+    "table": ("topology_of",),
 }
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -20,7 +20,7 @@ from pipelines.hand.haptics import CYCLE_NS
 from pipelines.session.datagrams import Outlet, listen, outlet, receive
 from pipelines.session.process import LOOPBACK
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology.partner import PARTNER_GIVEN, PARTNER_TAKEN
+from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle

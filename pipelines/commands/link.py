@@ -5,8 +5,7 @@ import ipaddress
 import shutil
 import socket
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
@@ -33,7 +32,8 @@ from pipelines.session.datagrams import Address, EndAddresses, is_loopback, obst
 from pipelines.session.launcher import Launcher, hold_port, launcher_cpu_s
 from pipelines.session.process import LOOPBACK
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import ProcessRow, Segment, Topology, topology_of
+from pipelines.session.topology import Segment, Topology
+from pipelines.table import topology_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
     launcher = Launcher(
         session="link",
         topology=topology,
-        processes=link_processes(topology, ends, addresses, None if one is None else one.plan),
+        processes=[topology.gateway(end) for end in ends],
+        arguments=gateway_arguments(topology, ends, addresses, None if one is None else one.plan),
         clock=MonotonicClock(),
         listener=collector,
         seed=args.seed,
@@ -101,13 +102,12 @@ def run(args: argparse.Namespace) -> int:
     return 1 if report.failures else 0
 
 
-def link_processes(
+def gateway_arguments(
     topology: Topology, ends: Sequence[Segment], addresses: EndAddresses, peer: PeerPlan | None
-) -> list[ProcessRow]:
-    """Return the processes of the link: one gateway for each end."""
-    gateways = (topology.gateway(end) for end in ends)
-    changes = {"addresses": addresses, "peer": peer, "tell_backlog": False}
-    return [replace(row, arguments={**row.arguments, **changes}) for row in gateways]
+) -> Mapping[str, Mapping[str, object]]:
+    """By gateway, what it takes beside the arguments of its row."""
+    given = {"addresses": addresses, "peer": peer, "tell_backlog": False}
+    return {topology.gateway(end).name: given for end in ends}
 
 
 def chosen_addresses(args: argparse.Namespace) -> EndAddresses:
@@ -169,7 +169,7 @@ def hold_link_ports(
     """
     held = hold_port(topology.launcher_port + (end is Segment.SPACE))
     radio_port = topology.radio_port(end)
-    for port in topology.gateway(end).ports:
+    for port in topology.ports_of(topology.gateway(end).name):
         if port != radio_port:
             hold_port(port, addresses.apps_bind).close()
         elif not alone:

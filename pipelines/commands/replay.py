@@ -19,14 +19,15 @@ from pipelines.commands.stream import check_room
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.process_replaying import ReplayStart
 from pipelines.recording.recorded_session import RecordedSession
+from pipelines.recording.replay_rows import Script, replay_topology
 from pipelines.report.collector import Collector
 from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Topology, topology_of
-from pipelines.session.topology.replaying import Script, replay_topology
+from pipelines.session.topology import TELECOMMAND, TELEMETRY, Topology
+from pipelines.table import topology_of
 
 #: All processes run, and the link is connected, this and two round trips after the start.
 _LEAD_NS = 2 * NS_PER_S

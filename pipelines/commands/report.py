@@ -11,6 +11,7 @@ from pipelines.commands.common import output_that_may_fail
 from pipelines.report.join import join_reports
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.session.setup.setup_file import setup_from_text
+from pipelines.table import topology_of
 
 #: A day's report has 600 MB.
 _MOST_OCTETS = 1 << 30
@@ -32,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     """0 with the joined report on standard output."""
     first, second = _read(args.ground), _read(args.space)
     try:
-        joined = join_reports(first, second, read_setup=setup_from_text)
+        joined = join_reports(first, second, read_setup=setup_from_text, table_of=topology_of)
     except ProtocolError as error:
         raise ConfigError(f"{args.ground}, {args.space}: damaged: {error}") from None
     with output_that_may_fail():

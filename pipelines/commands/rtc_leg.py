@@ -18,7 +18,7 @@ from pipelines.session.page_certificate import fingerprint, make_certificate
 from pipelines.session.page_listener import PageListener
 from pipelines.session.page_sockets import PageHost, bind_pages, listeners
 from pipelines.session.setup.table import RtcLeg, Setup
-from pipelines.session.topology import RTC, ProcessRow, Segment
+from pipelines.session.topology import RTC, Segment
 
 _PORT = "8290"
 
@@ -123,10 +123,3 @@ def announced_rtc(
         yield {RTC: listener}
     finally:
         listener.socket.close()
-
-
-def with_servers(row: ProcessRow, wish: RtcWish | None) -> ProcessRow:
-    """The process of the leg with its STUN and TURN servers; all others are unchanged."""
-    if wish is None or row.name != RTC:
-        return row
-    return replace(row, arguments={**row.arguments, "servers": wish.servers})

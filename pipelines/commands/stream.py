@@ -26,7 +26,6 @@ from pipelines.commands.rtc_leg import (
     announced_rtc,
     bound_rtc,
     with_rtc,
-    with_servers,
 )
 from pipelines.commands.session_options import (
     add_deadband_argument,
@@ -39,7 +38,7 @@ from pipelines.commands.session_options import (
     radio_changes,
 )
 from pipelines.commands.split_options import check_own_options, inputs_here
-from pipelines.commands.task_options import TaskWish, add_task_arguments, task_wish, with_tasks
+from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.recording.part_files import check_recordable, clear_parts
 from pipelines.report.collector import Collector
@@ -50,7 +49,8 @@ from pipelines.session.recorder_control import write_wish
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import STEREO, Setup, VideoStream
-from pipelines.session.topology import ProcessRow, Segment, Topology, topology_of
+from pipelines.session.topology import RTC, Segment, Topology
+from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.world import audio_scenes, video_scenes
 
@@ -152,7 +152,8 @@ def run(args: argparse.Namespace) -> int:
         launcher = Launcher(
             session=session,
             topology=topology,
-            processes=_processes(topology, None if one is None else one.plan, rtc_wish, tasks),
+            processes=topology.processes_here,
+            arguments=_arguments(topology, None if one is None else one.plan, rtc_wish, tasks),
             clock=clock,
             listener=collector,
             snapshots=snapshots,
@@ -166,16 +167,19 @@ def run(args: argparse.Namespace) -> int:
     return end_session(args, setup, collector, launcher)
 
 
-def _processes(
+def _arguments(
     topology: Topology, peer: PeerPlan | None, rtc: RtcWish | None, tasks: TaskWish | None
-) -> Sequence[ProcessRow]:
-    """The processes of this machine; of one end, its gateway knows how to reach the other."""
-    rows = [with_tasks(with_servers(row, rtc), tasks) for row in topology.processes_here]
-    if topology.alone is None:
-        return rows
-    gateway = topology.gateway(topology.alone)
-    split = replace(gateway, arguments={**gateway.arguments, "peer": peer})
-    return [split if row is gateway else row for row in rows]
+) -> Mapping[str, Mapping[str, object]]:
+    """By process, what the options say of it.
+
+    The gateway of one end knows how to reach its peer.
+    """
+    arguments = {**task_arguments(tasks)}
+    if rtc is not None:
+        arguments[RTC] = {"servers": rtc.servers}
+    if topology.alone is not None:
+        arguments[topology.gateway(topology.alone).name] = {"peer": peer}
+    return arguments
 
 
 def chosen_setup(args: argparse.Namespace) -> Setup:

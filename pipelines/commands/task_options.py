@@ -1,15 +1,15 @@
 """Options of `kontur-av stream` for tasks."""
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.live_session import made_directory
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import PAGES, TASKS, ProcessRow
+from pipelines.session.topology import JOYSTICK, PAGES, TASKS
 from telepresence.haptics.device.spec import is_simulated
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
@@ -97,24 +97,22 @@ def task_wish(
     )
 
 
-def with_tasks(row: ProcessRow, wish: TaskWish | None) -> ProcessRow:
-    """The processes that need to know what is wished; others are unchanged."""
+def task_arguments(wish: TaskWish | None) -> Mapping[str, Mapping[str, object]]:
+    """By process, what it needs to know of the wish."""
     if wish is None:
-        return row
-    if row.name == TASKS:
-        arguments: dict[str, object] = {
+        return {}
+    arguments: dict[str, dict[str, object]] = {
+        TASKS: {
             "plan": wish.plan,
             "catalogue": wish.catalogue,
             "leds": wish.leds,
-        }
-        if wish.runs is not None:
-            arguments["runs"] = str(wish.runs.resolve())
-        return replace(row, arguments={**row.arguments, **arguments})
-    if row.name == PAGES[Segment.SPACE]:
-        return replace(row, arguments={**row.arguments, "tasks": wish.catalogue})
-    if row.name == "joystick" and wish.simulated and wish.plan is not None:
-        return replace(row, arguments={**row.arguments, "skill": wish.plan.skill})
-    return row
+            "runs": None if wish.runs is None else str(wish.runs.resolve()),
+        },
+        PAGES[Segment.SPACE]: {"tasks": wish.catalogue},
+    }
+    if wish.simulated and wish.plan is not None:
+        arguments[JOYSTICK] = {"skill": wish.plan.skill}
+    return arguments
 
 
 def _address(text: str) -> tuple[str, int]:

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.session_options import add_setup_argument, port_changes
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import topology_of
 from pipelines.session.topology.graph import dot
 from pipelines.session.topology.tables import processes_table, streams_table, topics_table
+from pipelines.table import topology_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -19,18 +19,21 @@ from pipelines.session.robot_state import STATE_OCTETS, pack_state
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
+    JOYSTICK,
     JOYSTICK_COMMAND_TOPIC,
     JOYSTICK_STATE_TOPIC,
     JOYSTICK_TRACE_TOPIC,
+    ROBOT,
     ROBOT_TOPIC,
     ROBOT_TRACE_TOPIC,
     TELEMETRY,
+    TRAINER_TOPIC,
     WALL_TOPIC,
 )
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.simulated import SimulatedDevice
-from telepresence.haptics.device.spec import SIMULATED, open_device
+from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
@@ -40,10 +43,10 @@ from telepresence.world import WorldState
 _REQUESTS = 8
 
 
-def run_robot(context: Context, *, tasks: bool = False) -> None:
+def run_robot(context: Context) -> None:
     """Follow the commands, measure the force, and publish the state of the robot.
 
-    tasks: the robot is off until the kernel or a person switches it on.
+    In a session with tasks it is off until the kernel or a person switches it on.
     """
     with context.open_bus() as bus:
         writer = bus.writer(ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
@@ -54,6 +57,7 @@ def run_robot(context: Context, *, tasks: bool = False) -> None:
             writer.publish_octets(pack_state(state), stamp)
 
         setup, topology = context.setup, context.topology
+        tasks = topology.options.tasks
         mediated = setup.hand == "mediated"
         # Nobody drives until the desk has told who is to.
         ownership = HapticOwnership(None) if setup.partner_arm == "shared" else None
@@ -84,7 +88,7 @@ def run_robot(context: Context, *, tasks: bool = False) -> None:
         run_loop(
             context,
             end,
-            session_ports(topology, "robot"),
+            session_ports(topology, ROBOT),
             publish,
             before=before,
             after=tell_wall if mediated else None,
@@ -93,20 +97,14 @@ def run_robot(context: Context, *, tasks: bool = False) -> None:
         )
 
 
-def run_joystick(
-    context: Context,
-    spec: str = SIMULATED,
-    *,
-    trainer: bool = False,
-    skill: float | None = None,
-) -> None:
-    """Operate the joystick that `spec` names, and put the robot's force on it.
+def run_joystick(context: Context, *, skill: float | None = None) -> None:
+    """Operate the joystick of the session, and put the robot's force on it.
 
-    trainer: have the faults of a trainer's exercises. skill: of a simulated cosmonaut, who does
-    tasks with a simulated joystick; None: the hand that taps the targets.
+    skill: of a simulated cosmonaut, who does tasks with a simulated joystick; None: the hand that
+    taps the targets.
     """
     hand = Hand() if skill is None else Cosmonaut(Skill(level=skill), seed=context.seed)
-    device = open_device(spec, hand=hand)
+    device = open_device(context.topology.options.joystick, hand=hand)
     try:
         handle = OperatedHandle(device)
         setup = context.setup
@@ -118,11 +116,11 @@ def run_joystick(
             handle=handle,
         )
         with context.open_bus() as bus:
-            reads = context.topology.process("joystick").reads
+            reads = context.topology.reads(JOYSTICK)
             seldom = [_trace(bus, JOYSTICK_TRACE_TOPIC, end.trace), _status(bus, handle, reads)]
             if WALL_TOPIC in reads:
                 seldom.append(_walls(bus, end))
-            if trainer:
+            if TRAINER_TOPIC in reads:
                 seldom.append(_exercises(bus, handle))
             if isinstance(hand, Cosmonaut):
                 seldom.append(looking(bus, hand, handle))
@@ -131,7 +129,7 @@ def run_joystick(
                 before = _hand(bus, device)
             if setup.partner_arm == "shared" and isinstance(device, SimulatedDevice):
                 seldom.append(letting_go(device, end))
-            ports = session_ports(context.topology, "joystick")
+            ports = session_ports(context.topology, JOYSTICK)
             run_loop(context, end, ports, before=before, seldom=seldom)
     finally:
         device.close()

@@ -22,7 +22,7 @@ from pipelines.session.exercises import new_exercises
 from pipelines.session.figures import GatewayCounters, GatewayGauges, LoopCounters, PeerGauges
 from pipelines.session.process import Context
 from pipelines.session.rows import LatenessRow, SendingRow
-from pipelines.session.topology import Segment
+from pipelines.session.topology import TRAINER_TOPIC, Segment
 from pipelines.session.training import Exercises
 from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
 from telepresence.link.radio import RadioPath
@@ -40,7 +40,6 @@ def run_gateway(
     peer: PeerPlan | None = None,
     tell_backlog: bool = True,
     radio_after_ns: int = 0,
-    trainer: bool = False,
 ) -> None:
     """Bind the flows' ports, and exchange one frame a slot with the other segment.
 
@@ -48,9 +47,12 @@ def run_gateway(
     tell_backlog: tell the session through shared memory how much video waits, and what a recorder
         wants to know.
     radio_after_ns: the radio's time 0, after the start of the session.
-    trainer: lose the signal when a trainer says so. With `peer`, the radio of both directions is
-        here, because it has one time only.
+
+    The signal is lost when a trainer says so. With `peer`, the radio of both directions is then
+    here, because it has one time only.
     """
+    row = context.topology.gateway(segment)
+    trainer = TRAINER_TOPIC in context.topology.reads(row.name)
     clock, probe = context.clock, context.probe
     gateway = make_gateway(
         context.topology,

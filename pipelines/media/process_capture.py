@@ -17,6 +17,7 @@ from pipelines.session.exercises import new_exercises
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.robot_state import newest_state
 from pipelines.session.setup.table import VideoStream
+from pipelines.session.topology import MISSION_LEDS_TOPIC, TRAINER_TOPIC
 from pipelines.session.training import Exercises
 from telepresence.world import audio_scenes, video_scenes
 
@@ -28,26 +29,16 @@ _BLOCKS = 8
 _BLOCK_OCTETS = 2 * BLOCK_SAMPLES
 
 
-def run_camera(
-    context: Context,
-    *,
-    name: str,
-    stream: VideoStream,
-    page: str | None = None,
-    trainer: bool = False,
-    leds: bool = False,
-) -> None:
+def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
     """Capture the pictures of the input `name` in the size and rate of `stream`.
 
-    A built-in scene always counts its pictures, and draws them only while somebody looks.
-
-    page: the topic with pictures of browser pages, which are taken in place of the source's.
-    trainer: give no pictures while a trainer's exercise says so.
-    leds: a scene has what the LED panel shows, too.
+    A built-in scene always counts its pictures, and draws them only while somebody looks. Pictures
+    of browser pages are taken in place of the source's. There are none while a trainer's exercise
+    says so. A scene has what the LED panel shows, where there is one.
     """
     with context.open_bus() as bus:
-        camera = _Camera(context, bus, name, stream, page, leds=leds)
-        if trainer:
+        camera = _Camera(context, bus, name, stream)
+        if TRAINER_TOPIC in context.topology.reads(context.topology.input(name).process):
             camera.follow(new_exercises(bus))
         while not context.stopping:
             camera.handle_next()
@@ -55,13 +46,13 @@ def run_camera(
         camera.close()
 
 
-def run_microphone(context: Context, *, name: str, page: str | None = None) -> None:
+def run_microphone(context: Context, *, name: str) -> None:
     """Capture the sound of the input `name`, 20 ms a sample of the topic.
 
-    page: the topic with sound of browser pages, which is taken in place of the source's.
+    Sound of browser pages is taken in place of the source's.
     """
     with context.open_bus() as bus:
-        microphone = _Microphone(context, bus, name, page)
+        microphone = _Microphone(context, bus, name)
         while not context.stopping:
             microphone.handle_next()
             context.tick(context.clock.now_ns())
@@ -71,18 +62,11 @@ def run_microphone(context: Context, *, name: str, page: str | None = None) -> N
 class _Camera:
     """A camera: its source, a page in place of it, and what it writes."""
 
-    def __init__(
-        self,
-        context: Context,
-        bus: TopicBus,
-        name: str,
-        stream: VideoStream,
-        page: str | None,
-        *,
-        leds: bool,
-    ) -> None:
+    def __init__(self, context: Context, bus: TopicBus, name: str, stream: VideoStream) -> None:
         self._clock = context.clock
         row = context.topology.input(name)
+        reads = context.topology.reads(row.process)
+        leds = MISSION_LEDS_TOPIC in reads
         self._size = stream.width, stream.height
         self._period_ns = NS_PER_S // stream.fps
         self._writer = bus.writer(row.topic, max_octets=_octets(*self._size))
@@ -100,7 +84,7 @@ class _Camera:
         self._small = preview_size(*self._size)
         self._preview = bus.writer(row.preview_topic, max_octets=_octets(*self._small))
         self._previewing = Previewing()
-        self._page = None if page is None else bus.reader(page)
+        self._page = bus.reader(row.page_topic) if row.page_topic in reads else None
         self._takeover = Takeover.of_pictures(name)
         self._capturing = Capturing(context.probe)
         context.on_flush(self._tell)
@@ -200,16 +184,19 @@ class _Camera:
 class _Microphone:
     """A microphone: its source, a page in place of it, and what it writes."""
 
-    def __init__(self, context: Context, bus: TopicBus, name: str, page: str | None) -> None:
+    def __init__(self, context: Context, bus: TopicBus, name: str) -> None:
         self._clock = context.clock
-        self._writer = bus.writer(context.topology.input(name).topic, max_octets=_BLOCK_OCTETS)
+        row = context.topology.input(name)
+        self._writer = bus.writer(row.topic, max_octets=_BLOCK_OCTETS)
         self._source = open_audio(
             context.setup.source(name),
             name=name,
             clock=context.clock,
             scenes=audio_scenes(newest_state(bus)),
         )
-        self._page = None if page is None else bus.reader(page, depth=_BLOCKS)
+        self._page = None
+        if row.page_topic in context.topology.reads(row.process):
+            self._page = bus.reader(row.page_topic, depth=_BLOCKS)
         self._takeover = Takeover.of_sound(name)
         self._capturing = Capturing(context.probe)
         context.on_flush(self._tell)

@@ -22,6 +22,7 @@ from pipelines.session.topology import (
     FOLLOWED_TOPIC,
     MISSION_CAMERA_TOPIC,
     SELECTED_TOPIC,
+    SELECTOR,
     TELECOMMAND,
     TELEMETRY,
     Segment,
@@ -47,7 +48,7 @@ def run_selector(context: Context) -> None:
         received = SampleTopic(bus, packets_topic(TELECOMMAND, sent=False))
         sent = SampleTopic(bus, packets_topic(TELEMETRY, sent=True))
         wished = None
-        if MISSION_CAMERA_TOPIC in topology.process("selector").reads:
+        if MISSION_CAMERA_TOPIC in topology.reads(SELECTOR):
             wished = bus.reader(MISSION_CAMERA_TOPIC)
         newest_wish = -1
 

@@ -38,7 +38,7 @@ from pipelines.report.trace import TRACED, rows_of
 from pipelines.session.probe import FLUSH_NS, Message, Series
 from pipelines.session.rows import INSTANTS, ClockRow, Row
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import Segment, Topology, topology_of
+from pipelines.session.topology import Segment, Topology
 from telepresence.link.clock.history import ClockHistory
 
 #: A session lasts no longer.
@@ -113,18 +113,23 @@ class _Timed:
 
 
 def join_reports(
-    first: SessionReport, second: SessionReport, *, read_setup: Callable[[str], Setup]
+    first: SessionReport,
+    second: SessionReport,
+    *,
+    read_setup: Callable[[str], Setup],
+    table_of: Callable[[Setup], Topology],
 ) -> SessionReport:
     """Return the report of the whole session; the order of the two does not matter.
 
     read_setup: makes a setup of its TOML text (`pipelines.session.setup.setup_file`).
+    table_of: makes its table (`pipelines.table.topology_of`).
     Raises ConfigError if they are not the two ends of one session, and ProtocolError for a trace
     that no session wrote.
     """
     ends = _ends(first, second)
     ground, space = ends[Segment.GROUND], ends[Segment.SPACE]
     setup = read_setup(ground.trace.setup)
-    topology = topology_of(setup)
+    topology = table_of(setup)
     _check_alike(setup, read_setup(space.trace.setup))
     collector = Collector(topology)
     error_ns = _collect(collector, ground.trace, space.trace)

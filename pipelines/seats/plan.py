@@ -119,7 +119,7 @@ class SeatPlan:
     streams: tuple[SeatStream, ...]
     previews: tuple[SeatPreview, ...]
     inputs: tuple[SeatInput, ...]
-    traces: dict[int, str]
+    traces: Mapping[int, str]
     backlog_topic: str
     text: SeatText
     dictionary: Dictionary
@@ -146,7 +146,7 @@ def seat_plan(
     tasks: what people in space know of the tasks, in a session with some.
     """
     written = {topic for row in topology.processes for topic in row.writes}
-    tasked = bool(written & {MISSION_PANEL_TOPIC, MISSION_GROUND_TOPIC})
+    tasked = topology.options.tasks
     streams = tuple(_streams(topology, segment))
     previews = tuple(_previews(topology, segment))
     inputs = tuple(_inputs(topology, segment))
@@ -273,7 +273,7 @@ def _text(
             for each in previews
         ),
         inputs=tuple(_input_text(each) for each in inputs),
-        joystick=str(topology.process("joystick").arguments["spec"]),
+        joystick=topology.options.joystick,
         workspace=WorkspaceText(
             half_width_m=joystick.half_width_m, half_height_m=joystick.half_height_m
         ),

@@ -106,6 +106,7 @@ class Launcher:
     seed: of the radio's random events.
     show: called about once a second, with this launcher, to show figures to the user.
     pages: by process, where it serves browser pages.
+    arguments: by process, what its function takes beside the arguments of its row.
     feed: asked every `FEED_NS` for figures for these processes.
     """
 
@@ -118,6 +119,7 @@ class Launcher:
     seed: int = 0
     show: Callable[["Launcher"], None] | None = None
     pages: Mapping[str, PageListener] = field(default_factory=dict)
+    arguments: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     feed: Feed | None = None
     children: list[Child] = field(init=False)
     started_ns: int = 0
@@ -344,7 +346,7 @@ class Launcher:
             if os.getppid() != launcher:
                 return 1  # the launcher was killed before PR_SET_PDEATHSIG was set
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
-            child.run(context, **child.row.arguments)
+            child.run(context, **child.row.arguments, **self.arguments.get(child.row.name, {}))
             context.flush(self.clock.now_ns())
         except BaseException as error:
             context.probe.message.last_error = _one_line(error)

@@ -29,7 +29,8 @@ from pipelines.session.figures import GatewayGauges, LoopCounters
 from pipelines.session.probe import FLUSH_NS, Probe
 from pipelines.session.requests import Request, pack_line
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, topology_of
+from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
+from pipelines.table import topology_of
 from pipelines.virtual.agenda import FAR_NS, Agenda, Timer
 from pipelines.virtual.costs import CodingCosts
 from pipelines.virtual.media import Consumer, Media, Scene

@@ -20,7 +20,8 @@ from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import HandMoved, Seat
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import Segment, topology_of
+from pipelines.session.topology import Segment
+from pipelines.table import topology_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 PLANS = [

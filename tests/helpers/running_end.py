@@ -6,7 +6,7 @@ from running_session import RunningSession, eventually
 
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 _SHOWN = re.compile(r"(\w+) (\d+) (?:shown|received)")
 

@@ -15,7 +15,7 @@ import pytest
 
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.table import PORTS
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
 #: Protects against a hang; no test result depends on it.

@@ -19,7 +19,7 @@ from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import shared_memory
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import PORTS, RtcLeg
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
 #: Protects against a hang; no test result depends on it.

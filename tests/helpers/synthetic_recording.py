@@ -43,7 +43,7 @@ from pipelines.recording.messages import (
     packet_words,
 )
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 from telepresence.tmtc.packets import Housekeeping, SelectAck, SelectCamera, pack_packet
 
 MS = 1_000_000

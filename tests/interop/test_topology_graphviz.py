@@ -7,8 +7,8 @@ import subprocess
 import pytest
 
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import topology_of
 from pipelines.session.topology.graph import dot
+from pipelines.table import topology_of
 
 pytestmark = [
     pytest.mark.interop,

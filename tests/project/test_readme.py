@@ -15,7 +15,7 @@ from pipelines.report.model import to_builtins
 from pipelines.report.session_report import build_report
 from pipelines.session.setup.setup_file import load_setup, setup_from_table
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])

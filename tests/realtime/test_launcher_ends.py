@@ -13,7 +13,8 @@ from kontur_av.clock import MonotonicClock
 from pipelines.session.launcher import Launcher
 from pipelines.report.collector import Collector
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import ProcessRow, Segment, Stage, topology_of
+from pipelines.session.topology import ProcessRow, Segment, Stage
+from pipelines.table import topology_of
 
 def good(context):
     while not context.stopping:

@@ -13,7 +13,8 @@ from pipelines.session.launcher import Launcher
 from pipelines.session.page_listener import PageListener
 from pipelines.report.collector import Collector
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import ProcessRow, Segment, Stage, topology_of
+from pipelines.session.topology import ProcessRow, Segment, Stage
+from pipelines.table import topology_of
 
 def lives(context):
     with open(sys.argv[2], "a") as log:

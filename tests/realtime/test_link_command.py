@@ -18,7 +18,8 @@ from running_link import (
 from pipelines.link.key_files import make_key, trust
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.table import PORTS
-from pipelines.session.topology import Segment, topology_of
+from pipelines.session.topology import Segment
+from pipelines.table import topology_of
 
 pytestmark = pytest.mark.realtime
 

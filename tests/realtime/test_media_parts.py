@@ -45,7 +45,8 @@ from pipelines.session.figures import (
 )
 from pipelines.session.process import LOOPBACK, Context
 from pipelines.session.rows import ShownRow
-from pipelines.session.topology import SELECTED_TOPIC, topology_of
+from pipelines.session.topology import SELECTED_TOPIC
+from pipelines.table import topology_of
 from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
 
 SOUND = np.zeros(960, np.int16)

@@ -25,7 +25,7 @@ from pipelines.media.process_video_receive import run_video_receive
 from pipelines.media.process_video_send import run_video_send
 from pipelines.session.figures import CaptureCounters, CaptureGauges
 from pipelines.session.process import LOOPBACK
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 STREAM = SETUP.downlink_video
 INPUT, PAGE, PREVIEW = "input/iss_camera", "page/iss_camera", "preview/iss_camera"

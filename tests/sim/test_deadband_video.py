@@ -18,7 +18,8 @@ from pipelines.media.video_sending import LinkedVideoSender
 from pipelines.session.probe import Probe
 from pipelines.session.rows import OutRow
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import Direction, topology_of
+from pipelines.session.topology import Direction
+from pipelines.table import topology_of
 from telepresence.link.flows import Level
 from telepresence.link.gateway import Gateway
 

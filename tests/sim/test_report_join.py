@@ -19,7 +19,8 @@ from pipelines.session.probe import Message, Series
 from pipelines.session.rows import INSTANTS, ClockRow
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import Segment, topology_of
+from pipelines.session.topology import Segment
+from pipelines.table import topology_of
 
 SECONDS = 8
 #: The clock of space runs ahead by this, and its instants count from another start.
@@ -29,7 +30,7 @@ WALL_OFFSETS_NS = {Segment.GROUND: 5 * NS_PER_S, Segment.SPACE: 5_000 * NS_PER_S
 
 
 def join_reports(first, second):
-    return join.join_reports(first, second, read_setup=setup_from_text)
+    return join.join_reports(first, second, read_setup=setup_from_text, table_of=topology_of)
 
 
 class Twice(Collector):

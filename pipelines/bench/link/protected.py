@@ -21,7 +21,8 @@ from pipelines.bench.result import JsonReader
 from pipelines.link.key_files import make_key, trust
 from pipelines.session.process import LOOPBACK
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import Segment, Topology, topology_of
+from pipelines.session.topology import Segment, Topology
+from pipelines.table import topology_of
 
 #: How often the keys are new in the runs of `REKEYED`: one handshake a second is allowed.
 REKEY_S = 2.0

@@ -20,7 +20,8 @@ from pipelines.session.page_sockets import PageHost, bind_pages, listeners
 from pipelines.session.process import Context
 from pipelines.session.sessions import hold_session
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import PAGES, Segment, Topology, topology_of
+from pipelines.session.topology import PAGES, Segment, Topology
+from pipelines.table import topology_of
 
 #: The seat's main picture: the stream of 640x480 that ground control receives.
 STREAM = "downlink_video"

@@ -15,7 +15,7 @@ from pipelines.bench.voice.network import Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track
 from pipelines.media.session_streams import voice_receiver, voice_sender
 from pipelines.session.setup.table import Setup, VoiceStream
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 from pipelines.virtual.costs import CodingCosts
 
 

@@ -2,56 +2,30 @@
 
 Launcher, simulation, ports, report and documents derive from it. Each process belongs to a segment.
 Processes of one segment share topics; only streams of the radio link cross to the other segment.
-The one exception is `robot/state`, from which the built-in scenes draw the simulated world. Without
-it they show a scripted motion.
+The exceptions are `robot/state` and `mission/leds`, from which the built-in scenes draw the
+simulated world. Without the former they show a scripted motion.
 
-`topology_of(setup)` builds it. `streams.py` lists what the link carries, with ports; `processes.py`
-lists the processes with their topics. A new process is a new row there and a module
-`process_NAME.py` in its room.
+`pipelines.table.topology_of(setup)` gathers it. `topics.py` lists the topics, `streams.py` what the
+link carries, with ports. The processes are in the `rows.py` of their rooms. A new process is a row
+there, and a module `process_NAME.py` beside it.
 """
 
 from pipelines.session.setup.segments import Direction, Segment
-from pipelines.session.topology.build import topology_of
-from pipelines.session.topology.mission import (
-    LEDS,
-    MISSION_CAMERA_TOPIC,
-    MISSION_GROUND_TOPIC,
-    MISSION_LEDS_TOPIC,
-    MISSION_PANEL_TOPIC,
-    PANEL,
-    ROBOT_COMMAND_TOPIC,
-    ROBOT_ORDER_TOPIC,
-    ROBOT_STATUS_TOPIC,
-    TASKS,
-    leds_port,
-)
-from pipelines.session.topology.partner import (
-    ARM_ORDER_TOPIC,
-    ARM_STATE_TOPIC,
-    OWNER_DESK,
-    SECOND_ROBOT,
-    SECOND_ROBOT_TOPIC,
-    partner_ports,
-)
 from pipelines.session.topology.processes import (
-    FOLLOWED_TOPIC,
-    HAND_INPUT_TOPIC,
-    HAND_REQUEST_TOPIC,
-    JOYSTICK_COMMAND_TOPIC,
-    JOYSTICK_STATE_TOPIC,
-    JOYSTICK_TRACE_TOPIC,
+    CONSOLE,
+    JOYSTICK,
+    LEDS,
+    OWNER_DESK,
     PAGES,
+    PANEL,
     RECORDER,
-    ROBOT_TOPIC,
-    ROBOT_TRACE_TOPIC,
-    SELECTED_TOPIC,
-    TMTC_TOPICS,
+    ROBOT,
+    RTC,
+    RTC_DISPLAY,
+    SECOND_ROBOT,
+    SELECTOR,
+    TASKS,
     TRAINER,
-    TRAINER_TOPIC,
-    WALL_TOPIC,
-    gateway_topic,
-    link_state_topic,
-    packets_topic,
 )
 from pipelines.session.topology.rows import (
     LOOP_PRIORITY,
@@ -67,17 +41,42 @@ from pipelines.session.topology.rows import (
     StreamRow,
     TopicRow,
     VideoRow,
-    displayed_topic,
-    received_topic,
+    backlog_topic,
+    given,
 )
-from pipelines.session.topology.rtc import (
-    RTC,
+from pipelines.session.topology.streams import (
+    TELECOMMAND,
+    TELEMETRY,
+    leds_port,
+    partner_camera,
+    partner_ports,
+    partner_voice,
+)
+from pipelines.session.topology.table import SessionOptions, Topology
+from pipelines.session.topology.topics import (
+    ARM_ORDER_TOPIC,
+    ARM_STATE_TOPIC,
+    FOLLOWED_TOPIC,
+    HAND_INPUT_TOPIC,
+    HAND_REQUEST_TOPIC,
+    JOYSTICK_COMMAND_TOPIC,
+    JOYSTICK_STATE_TOPIC,
+    JOYSTICK_TRACE_TOPIC,
+    MISSION_CAMERA_TOPIC,
+    MISSION_GROUND_TOPIC,
+    MISSION_LEDS_TOPIC,
+    MISSION_PANEL_TOPIC,
+    ROBOT_COMMAND_TOPIC,
+    ROBOT_ORDER_TOPIC,
+    ROBOT_STATUS_TOPIC,
+    ROBOT_TOPIC,
+    ROBOT_TRACE_TOPIC,
     RTC_CAMERA,
     RTC_CAMERA_TOPIC,
     RTC_CODED_CAMERA_TOPIC,
     RTC_CODED_VOICE_TOPIC,
     RTC_DECODED_CAMERA_TOPIC,
-    RTC_DISPLAY,
+    RTC_DISPLAYED_TOPIC,
     RTC_SPEECH,
     RTC_SPEECH_TOPIC,
     RTC_UNITS_TOPIC,
@@ -86,18 +85,28 @@ from pipelines.session.topology.rtc import (
     RTC_VOICE,
     RTC_VOICE_TOPIC,
     RTC_WISH_TOPIC,
-    partner_camera,
-    partner_voice,
+    SECOND_ROBOT_TOPIC,
+    SELECTED_TOPIC,
+    STEREO_TOPIC,
+    TMTC_TOPICS,
+    TRAINER_TOPIC,
+    WALL_TOPIC,
+    Topic,
+    displayed_topic,
+    gateway_topic,
+    link_state_topic,
+    packets_topic,
+    received_topic,
 )
-from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
-from pipelines.session.topology.table import Topology
 
 __all__ = [
     "ARM_ORDER_TOPIC",
     "ARM_STATE_TOPIC",
+    "CONSOLE",
     "FOLLOWED_TOPIC",
     "HAND_INPUT_TOPIC",
     "HAND_REQUEST_TOPIC",
+    "JOYSTICK",
     "JOYSTICK_COMMAND_TOPIC",
     "JOYSTICK_STATE_TOPIC",
     "JOYSTICK_TRACE_TOPIC",
@@ -111,6 +120,7 @@ __all__ = [
     "PAGES",
     "PANEL",
     "RECORDER",
+    "ROBOT",
     "ROBOT_COMMAND_TOPIC",
     "ROBOT_ORDER_TOPIC",
     "ROBOT_STATUS_TOPIC",
@@ -123,6 +133,7 @@ __all__ = [
     "RTC_CODED_VOICE_TOPIC",
     "RTC_DECODED_CAMERA_TOPIC",
     "RTC_DISPLAY",
+    "RTC_DISPLAYED_TOPIC",
     "RTC_SPEECH",
     "RTC_SPEECH_TOPIC",
     "RTC_UNITS_TOPIC",
@@ -134,6 +145,8 @@ __all__ = [
     "SECOND_ROBOT",
     "SECOND_ROBOT_TOPIC",
     "SELECTED_TOPIC",
+    "SELECTOR",
+    "STEREO_TOPIC",
     "TASKS",
     "TELECOMMAND",
     "TELEMETRY",
@@ -151,13 +164,17 @@ __all__ = [
     "MediaRow",
     "ProcessRow",
     "Segment",
+    "SessionOptions",
     "Stage",
     "StreamRow",
+    "Topic",
     "TopicRow",
     "Topology",
     "VideoRow",
+    "backlog_topic",
     "displayed_topic",
     "gateway_topic",
+    "given",
     "leds_port",
     "link_state_topic",
     "packets_topic",
@@ -165,5 +182,4 @@ __all__ = [
     "partner_ports",
     "partner_voice",
     "received_topic",
-    "topology_of",
 ]

@@ -6,6 +6,7 @@ from enum import Enum, IntEnum
 
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.session.topology.topics import Topic, displayed_topic, received_topic
 from telepresence.link.flows import Flow
 from telepresence.link.profile import LinkProfile
 
@@ -41,14 +42,14 @@ class Kind(Enum):
     MAINTENANCE = "maintenance"
 
 
-def received_topic(stream: str) -> str:
-    """The decoded pictures or sounds of a stream."""
-    return f"received/{stream}"
+def backlog_topic(direction: Direction) -> Topic:
+    """The state of a direction of the link, from its sending gateway."""
+    return Topic(f"link/{direction.value}", "what waits in the gateway, state of the radio")
 
 
-def displayed_topic(stream: str) -> str:
-    """The displayed pictures of a stream."""
-    return f"displayed/{stream}"
+def given(condition: bool, *topics: Topic) -> tuple[Topic, ...]:
+    """The topics, if the condition holds; else none."""
+    return topics if condition else ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,10 +58,10 @@ class ProcessRow:
 
     segment: None for a process that observes all segments of its machine.
     run: "module:function"; the function is called with a `Context` and `arguments`.
+    when: whether the session has it.
     priority: real-time priority where the system permits it; 0 for none.
-    reads, writes: topics.
-    sends, receives: streams.
-    ports: the UDP ports on which it listens.
+    reads: topics that it reads if anything writes them (`Topology.reads`). writes: topics.
+    ports: UDP ports on which it listens beside those of its streams and links.
     what: its task in a few words.
     """
 
@@ -69,12 +70,11 @@ class ProcessRow:
     stage: Stage
     run: str
     what: str
+    when: bool = True
     arguments: Mapping[str, object] = field(default_factory=dict)
     priority: int = 0
-    reads: tuple[str, ...] = ()
-    writes: tuple[str, ...] = ()
-    sends: tuple[str, ...] = ()
-    receives: tuple[str, ...] = ()
+    reads: tuple[Topic, ...] = ()
+    writes: tuple[Topic, ...] = ()
     ports: tuple[int, ...] = ()
 
 
@@ -117,7 +117,6 @@ class MediaRow(StreamRow):
 
     stream: its row of the setup. inputs: the inputs that it may carry.
     display: the process that shows it. rtcp: the name of the stream with its RTCP.
-    received_topic: its decoded pictures or sounds.
     backlog_topic: the state of the link, from its gateway.
     """
 
@@ -128,18 +127,25 @@ class MediaRow(StreamRow):
     inputs: tuple[str, ...]
     display: str
     rtcp: str
-    received_topic: str
-    backlog_topic: str
+    backlog_topic: Topic
 
     @property
-    def coded_topic(self) -> str:
+    def received_topic(self) -> Topic:
+        """Its decoded pictures or sounds."""
+        return received_topic(self.name)
+
+    @property
+    def coded_topic(self) -> Topic:
         """Every access unit that its receiver got, or every Opus packet in the order of playing."""
-        return f"coded/{self.name}"
+        video = self.kind is Kind.VIDEO
+        sample = "received access unit" if video else "Opus packet as played"
+        return Topic(f"coded/{self.name}", sample)
 
     @property
-    def sent_topic(self) -> str:
+    def sent_topic(self) -> Topic:
         """Every access unit or Opus packet that its sender made."""
-        return f"sent/{self.name}"
+        kind = "access unit" if self.kind is Kind.VIDEO else "Opus packet"
+        return Topic(f"sent/{self.name}", f"{kind} as it was sent")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,39 +158,46 @@ class VideoRow(MediaRow):
         return f"feedback_{self.name}"
 
     @property
-    def displayed_topic(self) -> str:
+    def displayed_topic(self) -> Topic:
         """The displayed pictures."""
         return displayed_topic(self.name)
 
     @property
-    def lag_topic(self) -> str:
+    def lag_topic(self) -> Topic:
         """How late the pictures were shown."""
-        return f"lag/{self.name}"
+        return Topic(f"lag/{self.name}", "how late the newest picture was shown")
 
     @property
-    def decoded_topic(self) -> str:
+    def decoded_topic(self) -> Topic:
         """The decoded pictures in the size in which they were coded."""
-        return f"decoded/{self.name}"
+        return Topic(f"decoded/{self.name}", "decoded picture in its coded size")
 
 
 @dataclass(frozen=True, kw_only=True)
 class InputRow:
-    """A camera or a microphone: its process, its topic, and the stream that may carry it."""
+    """A camera or a microphone: its process, and the stream that may carry it."""
 
     name: str
     process: str
-    topic: str
     stream: str
+    kind: Kind
 
     @property
-    def preview_topic(self) -> str:
+    def topic(self) -> Topic:
+        """Its pictures or its sound."""
+        kind = "picture" if self.kind is Kind.VIDEO else "20 ms of sound"
+        return Topic(f"input/{self.name}", f"{kind} as captured")
+
+    @property
+    def preview_topic(self) -> Topic:
         """A camera's pictures, small and few."""
-        return f"preview/{self.name}"
+        return Topic(f"preview/{self.name}", "small picture, 5 a second")
 
     @property
-    def page_topic(self) -> str:
+    def page_topic(self) -> Topic:
         """Pictures or sound of a browser page, taken in place of the input's own source."""
-        return f"page/{self.name}"
+        kind = "picture" if self.kind is Kind.VIDEO else "20 ms of sound"
+        return Topic(f"page/{self.name}", f"{kind} of a browser page")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +205,7 @@ class CameraRow:
     """A camera that can be selected for the uplink video: its topic, and the inputs in it."""
 
     name: str
-    topic: str
+    topic: Topic
     inputs: tuple[str, ...]
 
 
@@ -201,7 +214,6 @@ class LinkRow:
     """A direction of the radio link: its profile and the gateways at its ends.
 
     port: the receiving gateway's port for frames.
-    backlog_topic: the sending gateway's queue and the state of the radio.
     """
 
     direction: Direction
@@ -209,24 +221,28 @@ class LinkRow:
     sender: str
     receiver: str
     port: int
-    backlog_topic: str
 
     @property
-    def sent_frames_topic(self) -> str:
+    def backlog_topic(self) -> Topic:
+        """The sending gateway's queue and the state of the radio."""
+        return backlog_topic(self.direction)
+
+    @property
+    def sent_frames_topic(self) -> Topic:
         """Its frames as they were sent."""
-        return f"frames/{self.direction.value}/sent"
+        return Topic(f"frames/{self.direction.value}/sent", "20 ms of frames as sent")
 
     @property
-    def received_frames_topic(self) -> str:
+    def received_frames_topic(self) -> Topic:
         """Its frames as they were received."""
-        return f"frames/{self.direction.value}/received"
+        return Topic(f"frames/{self.direction.value}/received", "20 ms of frames as received")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TopicRow:
     """A topic in shared memory. sample: one sample of it, in words."""
 
-    name: str
+    name: Topic
     writer: str
     readers: tuple[str, ...]
     sample: str

@@ -9,6 +9,7 @@ from pipelines.session.setup.table import (
     ISS_MIC,
     STEREO,
     STEREO_INPUTS,
+    RtcLeg,
     Setup,
     VideoStream,
     VoiceStream,
@@ -22,8 +23,9 @@ from pipelines.session.topology.rows import (
     MediaRow,
     StreamRow,
     VideoRow,
-    received_topic,
+    backlog_topic,
 )
+from pipelines.session.topology.topics import RTC_CAMERA, RTC_VOICE, STEREO_TOPIC
 from telepresence.link.flows import (
     Flow,
     Level,
@@ -41,6 +43,11 @@ TELECOMMAND = "telecommand"
 #: Offsets of ports from the base port.
 _RADIO = {Segment.GROUND: 0, Segment.SPACE: 1}
 LAUNCHER_OFFSET = 6
+#: A network's queues come on top of what the radio's streams have.
+_STALE_AFTER_MS = 500.0
+#: Where the robot takes a partner's samples, and where its own go.
+PARTNER_TAKEN, PARTNER_GIVEN = 7, 8
+_LEDS_OFFSET = 9
 #: By stream: where the gateway of the sending segment takes its datagrams, and where the receiver
 #: in the other segment listens.
 _PORTS = {
@@ -63,10 +70,6 @@ _PORTS = {
 }
 
 
-#: The merged picture of the robot's two cameras.
-STEREO_TOPIC = "camera/stereo"
-
-
 def link_row(setup: Setup, direction: Direction) -> LinkRow:
     return LinkRow(
         direction=direction,
@@ -74,40 +77,29 @@ def link_row(setup: Setup, direction: Direction) -> LinkRow:
         sender=f"{direction.sender.value}_gateway",
         receiver=f"{direction.receiver.value}_gateway",
         port=setup.base_port + _RADIO[direction.receiver],
-        backlog_topic=_backlog_topic(direction),
     )
 
 
-def _backlog_topic(direction: Direction) -> str:
-    return f"link/{direction.value}"
-
-
-def _input_topic(name: str) -> str:
-    return f"input/{name}"
-
-
-def camera_row(name: str) -> CameraRow:
+def camera_row(name: str, inputs: Iterable[InputRow]) -> CameraRow:
     if name == STEREO:
         return CameraRow(name=name, topic=STEREO_TOPIC, inputs=STEREO_INPUTS)
-    return CameraRow(name=name, topic=_input_topic(name), inputs=(name,))
+    (topic,) = (row.topic for row in inputs if row.name == name)
+    return CameraRow(name=name, topic=topic, inputs=(name,))
 
 
 def input_rows(setup: Setup) -> Iterable[InputRow]:
     for name in setup.camera_inputs:
         yield InputRow(
-            name=name,
-            process=f"camera_{name}",
-            topic=_input_topic(name),
-            stream=setup.uplink_video.name,
+            name=name, process=f"camera_{name}", stream=setup.uplink_video.name, kind=Kind.VIDEO
         )
     others = (
-        (GROUND_MIC, setup.uplink_voice),
-        (ISS_CAMERA, setup.downlink_video),
-        (ISS_MIC, setup.downlink_voice),
+        (GROUND_MIC, setup.uplink_voice, Kind.VOICE),
+        (ISS_CAMERA, setup.downlink_video, Kind.VIDEO),
+        (ISS_MIC, setup.downlink_voice, Kind.VOICE),
     )
-    for name, stream in others:
+    for name, stream, kind in others:
         if stream is not None:
-            yield InputRow(name=name, process=name, topic=_input_topic(name), stream=stream.name)
+            yield InputRow(name=name, process=name, stream=stream.name, kind=kind)
 
 
 def stream_rows(setup: Setup, direction: Direction) -> Iterable[StreamRow]:
@@ -191,6 +183,25 @@ def _media(setup: Setup, direction: Direction, stream: VideoStream | VoiceStream
         inputs=tuple(row.name for row in input_rows(setup) if row.stream == name),
         display=f"{direction.receiver.value}_display",
         rtcp=f"{name}_rtcp",
-        received_topic=received_topic(name),
-        backlog_topic=_backlog_topic(direction),
+        backlog_topic=backlog_topic(direction),
     )
+
+
+def partner_ports(setup: Setup) -> tuple[int, int]:
+    """The robot's port for a partner's samples, and the partner's for the robot's; on loopback."""
+    return setup.base_port + PARTNER_TAKEN, setup.base_port + PARTNER_GIVEN
+
+
+def leds_port(setup: Setup) -> int:
+    """The UDP port of the built-in LED panel."""
+    return setup.base_port + _LEDS_OFFSET
+
+
+def partner_camera(leg: RtcLeg) -> VideoStream:
+    """The partner's picture, in the size in which it is shown."""
+    return VideoStream(name=RTC_CAMERA, cap_bps=leg.taken_bps, stale_after_ms=_STALE_AFTER_MS)
+
+
+def partner_voice(leg: RtcLeg) -> VoiceStream:
+    """The partner's voice."""
+    return VoiceStream(name=RTC_VOICE, cap_bps=leg.voice_bps, stale_after_ms=_STALE_AFTER_MS)

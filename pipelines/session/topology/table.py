@@ -6,7 +6,6 @@ from functools import cached_property
 
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import PORTS, Setup
-from pipelines.session.topology.partner import partner_ports
 from pipelines.session.topology.rows import (
     CameraRow,
     HapticRow,
@@ -18,27 +17,110 @@ from pipelines.session.topology.rows import (
     TopicRow,
     VideoRow,
 )
+from pipelines.session.topology.streams import (
+    LAUNCHER_OFFSET,
+    camera_row,
+    input_rows,
+    link_row,
+    partner_ports,
+    stream_rows,
+)
+from pipelines.session.topology.topics import Topic
+from telepresence.haptics.device.spec import SIMULATED
 from telepresence.link.flows import Flow
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionOptions:
+    """What a session has beside what its setup says.
+
+    joystick: SPEC of the joystick. snapshots: with the process that keeps pictures as files.
+    pages: with the processes that serve a browser page at each end.
+    recorder: with the process that can record the session.
+    trainer: with the process that takes a trainer's requests.
+    tasks: with the processes by which tasks are done.
+    """
+
+    joystick: str = SIMULATED
+    snapshots: bool = False
+    pages: bool = False
+    recorder: bool = False
+    trainer: bool = False
+    tasks: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Topology:
     """All processes, streams and topics of a session of `setup`.
 
-    processes: in the order in which they are started. streams: by direction, and within one by
-    priority. Lookups by name raise KeyError for a name that the session does not have.
+    processes: in the order in which they are started; without any, it is the table of the streams.
+    Lookups by name raise KeyError for a name that the session does not have.
     segments: those that run on this machine. All rows are there in any case.
     """
 
     setup: Setup
-    processes: tuple[ProcessRow, ...]
-    streams: tuple[StreamRow, ...]
-    topics: tuple[TopicRow, ...]
-    links: tuple[LinkRow, ...]
-    inputs: tuple[InputRow, ...]
-    cameras: tuple[CameraRow, ...]
-    launcher_port: int
+    options: SessionOptions = SessionOptions()
+    processes: tuple[ProcessRow, ...] = ()
     segments: tuple[Segment, ...] = tuple(Segment)
+
+    @cached_property
+    def streams(self) -> tuple[StreamRow, ...]:
+        """The streams of the radio link, by direction, and within one by priority."""
+        return tuple(row for way in Direction for row in stream_rows(self.setup, way))
+
+    @cached_property
+    def links(self) -> tuple[LinkRow, ...]:
+        """The directions of the radio link."""
+        return tuple(link_row(self.setup, direction) for direction in Direction)
+
+    @cached_property
+    def inputs(self) -> tuple[InputRow, ...]:
+        """The cameras and microphones."""
+        return tuple(input_rows(self.setup))
+
+    @cached_property
+    def cameras(self) -> tuple[CameraRow, ...]:
+        """What can be selected for the uplink video."""
+        return tuple(camera_row(name, self.inputs) for name in self.setup.cameras)
+
+    @property
+    def launcher_port(self) -> int:
+        """The port that the launcher holds against a second session."""
+        return self.setup.base_port + LAUNCHER_OFFSET
+
+    @cached_property
+    def topics(self) -> tuple[TopicRow, ...]:
+        """The topics, in the order of their writers."""
+        return tuple(
+            TopicRow(
+                name=name,
+                writer=row.name,
+                readers=tuple(one.name for one in self.processes if name in one.reads),
+                sample=name.sample,
+            )
+            for row in self.processes
+            for name in row.writes
+        )
+
+    def reads(self, process: str) -> tuple[Topic, ...]:
+        """The topics that a process reads, as far as anything writes them."""
+        return tuple(name for name in self.process(process).reads if name in self._topics)
+
+    def sends(self, process: str) -> tuple[str, ...]:
+        """The streams that a process sends."""
+        return tuple(row.name for row in self.streams if row.sender == process)
+
+    def receives(self, process: str) -> tuple[str, ...]:
+        """The streams that a process receives."""
+        return tuple(row.name for row in self.streams if row.receiver == process)
+
+    def ports_of(self, process: str) -> tuple[int, ...]:
+        """The UDP ports on which a process listens."""
+        radio = (link.port for link in self.links if link.receiver == process)
+        out = {link.direction for link in self.links if link.sender == process}
+        entries = (row.entry_port for row in self.streams if row.direction in out)
+        exits = (row.exit_port for row in self.streams if row.receiver == process)
+        return (*self.process(process).ports, *radio, *entries, *exits)
 
     @property
     def ports(self) -> range:
@@ -79,7 +161,7 @@ class Topology:
             _, partner = partner_ports(self.setup)
             return tuple(port for port in self.ports if port != partner)
         radio = {self.radio_port(segment) for segment in Segment}
-        taken = (port for row in self.processes_here for port in row.ports)
+        taken = (port for row in self.processes_here for port in self.ports_of(row.name))
         return (self.launcher_port, *(port for port in taken if port not in radio))
 
     def runs(self, process: str) -> bool:
@@ -109,6 +191,11 @@ class Topology:
     def media_streams(self) -> tuple[MediaRow, ...]:
         """The pictures and voices, in the setup's order."""
         return tuple(self.media(stream.name) for stream in self.setup.streams)
+
+    @property
+    def video_streams(self) -> tuple[VideoRow, ...]:
+        """The pictures, in the setup's order."""
+        return tuple(row for row in self.media_streams if isinstance(row, VideoRow))
 
     def media(self, name: str) -> MediaRow:
         """The picture or voice `name`."""
@@ -161,7 +248,7 @@ class Topology:
 
     def topic(self, name: str) -> TopicRow:
         """The topic `name`."""
-        return next(row for row in self.topics if row.name == name)
+        return self._topics[name]
 
     def video(self, name: str) -> VideoRow:
         """The picture `name`."""
@@ -179,6 +266,10 @@ class Topology:
     @cached_property
     def _processes(self) -> Mapping[str, ProcessRow]:
         return {row.name: row for row in self.processes}
+
+    @cached_property
+    def _topics(self) -> Mapping[str, TopicRow]:
+        return {row.name: row for row in self.topics}
 
     @cached_property
     def _streams(self) -> Mapping[str, StreamRow]:

@@ -82,7 +82,7 @@ def processes_table(topology: Topology) -> Table:
                 "–" if row.segment is None else row.segment.value,
                 row.stage.name.lower(),
                 str(row.priority) if row.priority else "–",
-                _listed(row.reads),
+                _listed(topology.reads(row.name)),
                 _listed(row.writes),
                 row.what,
             )
@@ -125,7 +125,7 @@ def topics_table(topology: Topology) -> Table:
 def ports_table(topology: Topology) -> Table:
     """Whose each UDP port is, as an offset from the base port."""
     base = topology.setup.base_port
-    owner = {port: row.name for row in topology.processes for port in row.ports}
+    owner = {port: row.name for row in topology.processes for port in topology.ports_of(row.name)}
     owner[topology.launcher_port] = "launcher"
     uses = {topology.launcher_port: "held as long as the session runs, against a second one"}
     for link in topology.links:

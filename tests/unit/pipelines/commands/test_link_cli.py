@@ -8,7 +8,8 @@ from pipelines.commands import link
 from pipelines.commands.link_ports import channels, port_table
 from pipelines.session.datagrams import EndAddresses
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import Segment, topology_of
+from pipelines.session.topology import Segment
+from pipelines.table import topology_of
 from telepresence.link.protection.identity import MachineKey
 
 TASKBOARD, SPACEJUSTIN = BUILT_IN["taskboard"], BUILT_IN["spacejustin"]
@@ -118,7 +119,8 @@ def test_one_end_shows_and_binds_its_own_ports_only():
     assert "the other end" in video
     down = next(line for line in lines if line.startswith("downlink_video "))
     assert "198.51.100.2:27020" in down
-    both = [set(topology_of(SPACEJUSTIN).gateway(end).ports) for end in Segment]
+    table = topology_of(SPACEJUSTIN)
+    both = [set(table.ports_of(table.gateway(end).name)) for end in Segment]
     assert both[0] & both[1] == set()
     for end, bound in zip(Segment, both, strict=True):
         shown = {channel.in_port for channel in channels(topology_of(SPACEJUSTIN), [end])} - {None}

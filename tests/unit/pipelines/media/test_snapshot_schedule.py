@@ -5,7 +5,7 @@ from itertools import pairwise
 from kontur_av.clock import NS_PER_S
 from pipelines.media.snapshots import SnapshotSchedule
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 SPACEJUSTIN = topology_of(BUILT_IN["spacejustin"])
 #: When the session began.

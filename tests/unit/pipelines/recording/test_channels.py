@@ -6,7 +6,8 @@ from google.protobuf import descriptor_pb2
 from kontur_av.recorded_format import FORMAT_KEY
 from pipelines.recording.channels import channels_of, channels_table
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import Kind, topology_of
+from pipelines.session.topology import Kind
+from pipelines.table import topology_of
 
 SESSIONS = [topology_of(setup) for setup in BUILT_IN.values()]
 

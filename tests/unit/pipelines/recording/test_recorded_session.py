@@ -11,7 +11,7 @@ from pipelines.recording.joined import JoinedRecording, read_part
 from pipelines.recording.messages import NO_SAMPLE, RecordedPicture, UnitFacts, pack, unpack
 from pipelines.recording.recorded_session import read_session
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 ROWS = channels_of(topology_of(BUILT_IN["spacejustin"]))
 

@@ -37,7 +37,8 @@ from pipelines.recording.sources import Content, sources_of
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import Segment, topology_of
+from pipelines.session.topology import Segment
+from pipelines.table import topology_of
 
 SETUP = BUILT_IN["spacejustin"]
 TOPOLOGY = topology_of(SETUP, recorder=True)

@@ -21,7 +21,7 @@ from pipelines.session.figures import (
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.task_journal import TaskRow, TaskStep
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 from telepresence.link.figures import ContactFigures, ContactWindows
 from telepresence.tasks.experiment import Step
 

@@ -16,7 +16,7 @@ from pipelines.session.rows import (
     TxRow,
 )
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 SESSION = topology_of(BUILT_IN["spacejustin"])
 PERIOD_MS = 40

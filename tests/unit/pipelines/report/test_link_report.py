@@ -10,7 +10,8 @@ from pipelines.report.link_report import LinkView, build_link_report, summary_li
 from pipelines.report.model import GatewayReport, LinkReport, from_json, to_json
 from pipelines.session.figures import GatewayCounters, GatewayGauges, LoopCounters
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import Direction, Segment, topology_of
+from pipelines.session.topology import Direction, Segment
+from pipelines.table import topology_of
 from telepresence.link.gateway import Gateway
 
 SETUP = BUILT_IN["taskboard"]

@@ -14,7 +14,7 @@ from pipelines.session.figures import CaptureGauges, DisplayCounters, DisplayGau
 from pipelines.session.rows import OutRow, SampleReceivedRow
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 SETUP = BUILT_IN["taskboard"]
 

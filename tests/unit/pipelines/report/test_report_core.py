@@ -28,7 +28,8 @@ from pipelines.session.figures import (
 )
 from pipelines.session.rows import OutRow, ShownRow
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import Direction, topology_of
+from pipelines.session.topology import Direction
+from pipelines.table import topology_of
 from telepresence.link.figures import ContactFigures
 from telepresence.link.gateway import Gateway
 

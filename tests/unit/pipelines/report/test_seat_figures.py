@@ -27,7 +27,7 @@ from pipelines.session.figures import (
 from pipelines.session.rows import OutRow, SampleReceivedRow, SampleSentRow
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 SETUP = BUILT_IN["spacejustin"]
 TOPOLOGY = topology_of(SETUP, pages=True)

@@ -20,7 +20,8 @@ from pipelines.session.figures import (
 )
 from pipelines.session.rows import ShownRow
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import Segment, topology_of
+from pipelines.session.topology import Segment
+from pipelines.table import topology_of
 from telepresence.link.peer.open import OpenPath
 
 SETUP = BUILT_IN["spacejustin"]

@@ -11,7 +11,8 @@ from pipelines.seats.own_inputs import Given, OwnInputs
 from pipelines.seats.plan import seat_plan
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import Segment, topology_of
+from pipelines.session.topology import Segment
+from pipelines.table import topology_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 PLAN = seat_plan(

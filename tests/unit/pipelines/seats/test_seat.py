@@ -25,7 +25,8 @@ from pipelines.seats.seat import (
 from pipelines.session.seat_roles import Role
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import Segment, topology_of
+from pipelines.session.topology import Segment
+from pipelines.table import topology_of
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 

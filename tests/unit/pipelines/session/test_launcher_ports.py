@@ -9,7 +9,7 @@ from kontur_av.errors import ConfigError
 from pipelines.session.launcher import hold_ports
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.table import PORTS
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from kontur_av.rtp.sender import RtpSender
 from pipelines.session import reception
 from pipelines.session.reception import Incoming
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology import topology_of
+from pipelines.table import topology_of
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from pipelines.session.topology.rows import MediaRow, ProcessRow, VideoRow
 from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import Topic
 
 _ENCODING = "pipelines.media.process_video_send:run_video_send"
 
@@ -30,24 +31,11 @@ def replay_topology(
     codes these pictures. All other inputs are left out, and so is what merges their pictures.
     radio_after_ns: the radio's time 0, after the start of the session.
     """
-    rows = [
-        row
+    rows = (
+        _replayed(process, session, scripts, recoded or {}, radio_after_ns)
         for process in session.processes
-        if (row := _replayed(process, session, scripts, recoded or {}, radio_after_ns)) is not None
-    ]
-    written = {topic for row in rows for topic in row.writes}
-    rows = [replace(row, reads=tuple(t for t in row.reads if t in written)) for row in rows]
-    readers = {
-        topic: tuple(row.name for row in rows if topic in row.reads)
-        for row in rows
-        for topic in row.writes
-    }
-    topics = tuple(
-        replace(topic, readers=readers[topic.name])
-        for topic in session.topics
-        if topic.name in written
     )
-    return replace(session, processes=tuple(rows), topics=topics)
+    return replace(session, processes=tuple(row for row in rows if row is not None))
 
 
 def _replayed(
@@ -84,7 +72,7 @@ def _replayed(
     return process
 
 
-def _sent_topics(rows: list[MediaRow]) -> list[str]:
+def _sent_topics(rows: list[MediaRow]) -> list[Topic]:
     return [row.sent_topic for row in rows if isinstance(row, VideoRow)]
 
 
@@ -92,8 +80,8 @@ def _scripted(
     process: ProcessRow,
     script: Script,
     *,
-    reads: tuple[str, ...] = (),
-    writes: tuple[str, ...] = (),
+    reads: tuple[Topic, ...] = (),
+    writes: tuple[Topic, ...] = (),
 ) -> ProcessRow:
     return replace(
         process,

@@ -1,0 +1,99 @@
+"""The processes of robot and joystick, and of who drives the robot."""
+
+from pipelines.session.topology import (
+    ARM_ORDER_TOPIC,
+    ARM_STATE_TOPIC,
+    HAND_INPUT_TOPIC,
+    HAND_REQUEST_TOPIC,
+    JOYSTICK,
+    JOYSTICK_COMMAND_TOPIC,
+    JOYSTICK_STATE_TOPIC,
+    JOYSTICK_TRACE_TOPIC,
+    LOOP_PRIORITY,
+    MISSION_LEDS_TOPIC,
+    MISSION_PANEL_TOPIC,
+    OWNER_DESK,
+    ROBOT,
+    ROBOT_COMMAND_TOPIC,
+    ROBOT_ORDER_TOPIC,
+    ROBOT_STATUS_TOPIC,
+    ROBOT_TOPIC,
+    ROBOT_TRACE_TOPIC,
+    SECOND_ROBOT,
+    SECOND_ROBOT_TOPIC,
+    TRAINER_TOPIC,
+    WALL_TOPIC,
+    ProcessRow,
+    Segment,
+    Stage,
+    Topology,
+    given,
+    partner_ports,
+)
+from telepresence.haptics.device.spec import PAGE
+
+
+def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
+    """Robot, joystick, and what a partner's arm needs."""
+    setup, options = session.setup, session.options
+    shared, second = setup.partner_arm == "shared", setup.partner_arm == "second"
+    taken, _ = partner_ports(setup)
+    return (
+        ProcessRow(
+            name=ROBOT,
+            segment=Segment.GROUND,
+            stage=Stage.LINK,
+            run="pipelines.hand.process_ends:run_robot",
+            priority=LOOP_PRIORITY,
+            reads=(ROBOT_COMMAND_TOPIC, ROBOT_ORDER_TOPIC, ARM_ORDER_TOPIC),
+            writes=(
+                ROBOT_TOPIC,
+                ROBOT_STATUS_TOPIC,
+                ROBOT_TRACE_TOPIC,
+                *given(shared, ARM_STATE_TOPIC),
+            ),
+            ports=(taken,) if shared else (),
+            what="1 kHz loop of the robot and its task board",
+        ),
+        ProcessRow(
+            name=OWNER_DESK,
+            when=shared,
+            segment=Segment.GROUND,
+            stage=Stage.LINK,
+            run="pipelines.hand.process_owner:run_owner_desk",
+            reads=(ARM_STATE_TOPIC,),
+            writes=(ARM_ORDER_TOPIC,),
+            what="hands the robot over to a partner and back",
+        ),
+        ProcessRow(
+            name=SECOND_ROBOT,
+            when=second,
+            segment=Segment.GROUND,
+            stage=Stage.LINK,
+            run="pipelines.hand.partner_arm:run_second_robot",
+            priority=LOOP_PRIORITY,
+            writes=(SECOND_ROBOT_TOPIC,),
+            ports=(taken,),
+            what="1 kHz loop of the arm that a partner drives",
+        ),
+        ProcessRow(
+            name=JOYSTICK,
+            segment=Segment.SPACE,
+            stage=Stage.LINK,
+            run="pipelines.hand.process_ends:run_joystick",
+            priority=LOOP_PRIORITY,
+            reads=(
+                WALL_TOPIC,
+                *given(options.joystick == PAGE, HAND_INPUT_TOPIC),
+                HAND_REQUEST_TOPIC,
+                JOYSTICK_COMMAND_TOPIC,
+                TRAINER_TOPIC,
+                # A simulated cosmonaut looks at the task board and its LEDs.
+                MISSION_PANEL_TOPIC,
+                MISSION_LEDS_TOPIC,
+                *given(options.tasks, ROBOT_TOPIC),
+            ),
+            writes=(JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC),
+            what="1 kHz loop of the operator's joystick",
+        ),
+    )

@@ -1,0 +1,36 @@
+"""The processes of the radio link."""
+
+from pipelines.session.topology import (
+    LOOP_PRIORITY,
+    TRAINER_TOPIC,
+    ProcessRow,
+    Segment,
+    Stage,
+    Topology,
+    gateway_topic,
+    link_state_topic,
+)
+
+
+def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
+    """One gateway a segment."""
+    return tuple(
+        ProcessRow(
+            name=session.link(segment.transmits).sender,
+            segment=segment,
+            stage=Stage.LINK,
+            run="pipelines.link.process_gateway:run_gateway",
+            arguments={"segment": segment},
+            priority=LOOP_PRIORITY,
+            reads=(TRAINER_TOPIC,),
+            writes=(
+                session.link(segment.transmits).backlog_topic,
+                gateway_topic(segment),
+                link_state_topic(segment),
+                session.link(segment.transmits).sent_frames_topic,
+                session.link(segment.transmits.opposite).received_frames_topic,
+            ),
+            what="1 kHz slots: this segment's end of the radio link",
+        )
+        for segment in Segment
+    )

@@ -1,0 +1,142 @@
+"""The processes of pictures and voices, from captured to displayed."""
+
+from collections.abc import Iterable
+
+from pipelines.session.setup.table import STEREO, STEREO_INPUTS
+from pipelines.session.topology import (
+    FOLLOWED_TOPIC,
+    MISSION_LEDS_TOPIC,
+    ROBOT_TOPIC,
+    SELECTED_TOPIC,
+    STEREO_TOPIC,
+    TRAINER_TOPIC,
+    VOICE_PRIORITY,
+    InputRow,
+    Kind,
+    MediaRow,
+    ProcessRow,
+    Segment,
+    Stage,
+    Topology,
+    VideoRow,
+    given,
+)
+
+
+def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
+    """One process an input, two a stream, one display a segment; stereo merge and snapshots."""
+    setup = session.setup
+    stereo = STEREO in setup.cameras
+    return (
+        *(_capture(session, row) for row in session.inputs),
+        ProcessRow(
+            name="stereo",
+            when=stereo,
+            segment=Segment.GROUND,
+            stage=Stage.RELAY,
+            run="pipelines.media.process_stereo:run_stereo",
+            reads=tuple(row.topic for row in session.inputs if row.name in STEREO_INPUTS),
+            writes=(STEREO_TOPIC,),
+            what="merges the robot's two cameras into one picture",
+        ),
+        *(_sender(session, row) for row in session.media_streams),
+        *(_receiver(session, row) for row in session.media_streams),
+        *(row for segment in Segment for row in _displays(session, segment)),
+        ProcessRow(
+            name="snapshots",
+            when=session.options.snapshots,
+            segment=None,
+            stage=Stage.SINK,
+            run="pipelines.media.process_snapshots:run_snapshots",
+            reads=(
+                *(row.displayed_topic for row in session.video_streams),
+                *given(stereo, STEREO_TOPIC),
+            ),
+            what="keeps what is shown as PNG files",
+        ),
+    )
+
+
+def _capture(session: Topology, row: InputRow) -> ProcessRow:
+    media, video = session.media(row.stream), row.kind is Kind.VIDEO
+    return ProcessRow(
+        name=row.process,
+        segment=media.direction.sender,
+        stage=Stage.SOURCE,
+        run=f"pipelines.media.process_capture:{'run_camera' if video else 'run_microphone'}",
+        arguments={"name": row.name, "stream": media.stream} if video else {"name": row.name},
+        priority=0 if video else VOICE_PRIORITY,
+        reads=(
+            ROBOT_TOPIC,
+            row.page_topic,
+            *given(video, TRAINER_TOPIC, MISSION_LEDS_TOPIC),
+        ),
+        writes=(row.topic, *given(video, row.preview_topic)),
+        what="captures pictures" if video else "captures sound",
+    )
+
+
+def _sender(session: Topology, row: MediaRow) -> ProcessRow:
+    video = row.kind is Kind.VIDEO
+    # The camera of the uplink is selected; all other streams have one input.
+    selected = row.name == session.setup.uplink_video.name
+    cameras = (camera.topic for camera in session.cameras)
+    topic = None if selected else session.input(row.inputs[0]).topic
+    return ProcessRow(
+        name=row.sender,
+        segment=row.direction.sender,
+        stage=Stage.SENDER,
+        run=f"pipelines.media.process_{'video' if video else 'voice'}_send:"
+        f"run_{'video' if video else 'voice'}_send",
+        arguments={"stream": row.stream, "topic": topic},
+        priority=0 if video else VOICE_PRIORITY,
+        reads=(
+            *((SELECTED_TOPIC, *cameras) if topic is None else (topic,)),
+            *given(video, row.backlog_topic),
+            *given(selected and session.setup.region != "off", ROBOT_TOPIC),
+        ),
+        writes=(*given(selected, FOLLOWED_TOPIC), row.sent_topic),
+        what="encodes and sends pictures" if video else "encodes and sends sound",
+    )
+
+
+def _receiver(session: Topology, row: MediaRow) -> ProcessRow:
+    video = row.kind is Kind.VIDEO
+    shown = (one.lag_topic for one in session.video_streams if one.display == row.display)
+    return ProcessRow(
+        name=row.receiver,
+        segment=row.direction.receiver,
+        stage=Stage.RECEIVER,
+        run=f"pipelines.media.process_{'video' if video else 'voice'}_receive:"
+        f"run_{'video' if video else 'voice'}_receive",
+        arguments={"stream": row.stream},
+        priority=0 if video else VOICE_PRIORITY,
+        reads=() if video else tuple(shown),
+        writes=(
+            row.received_topic,
+            row.coded_topic,
+            *((row.decoded_topic,) if isinstance(row, VideoRow) else ()),
+        ),
+        what="receives and decodes pictures" if video else "receives and decodes sound",
+    )
+
+
+def _displays(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
+    """None where nothing is received."""
+    rows = [row for row in session.media_streams if row.direction.receiver is segment]
+    videos = [row for row in rows if isinstance(row, VideoRow)]
+    for name in dict.fromkeys(row.display for row in rows):
+        yield ProcessRow(
+            name=name,
+            segment=segment,
+            stage=Stage.SINK,
+            run="pipelines.media.process_display:run_display",
+            arguments={"streams": tuple(row.stream for row in rows)},
+            priority=VOICE_PRIORITY,
+            reads=tuple(row.received_topic for row in rows),
+            writes=(
+                *(row.displayed_topic for row in videos),
+                *(row.lag_topic for row in videos),
+            ),
+            what="shows pictures and plays sounds",
+        )

@@ -1,0 +1,102 @@
+"""The processes that serve the browser pages."""
+
+from collections.abc import Iterable
+
+from pipelines.session.topology import (
+    HAND_INPUT_TOPIC,
+    HAND_REQUEST_TOPIC,
+    JOYSTICK_STATE_TOPIC,
+    JOYSTICK_TRACE_TOPIC,
+    MISSION_GROUND_TOPIC,
+    MISSION_PANEL_TOPIC,
+    PAGES,
+    ROBOT_STATUS_TOPIC,
+    ROBOT_TRACE_TOPIC,
+    RTC_CODED_CAMERA_TOPIC,
+    RTC_DECODED_CAMERA_TOPIC,
+    RTC_VOICE_TOPIC,
+    SELECTED_TOPIC,
+    TMTC_TOPICS,
+    Kind,
+    ProcessRow,
+    Segment,
+    Stage,
+    Topic,
+    Topology,
+    VideoRow,
+    given,
+)
+
+
+def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
+    """One page server a segment: what it shows, and what its people tell, film and say."""
+    return (
+        ProcessRow(
+            name=PAGES[Segment.GROUND],
+            when=session.options.pages,
+            segment=Segment.GROUND,
+            stage=Stage.SINK,
+            run="pipelines.seats.process_page:run_page",
+            arguments={"segment": Segment.GROUND},
+            reads=(
+                *_received(session, Segment.GROUND),
+                MISSION_GROUND_TOPIC,
+                *given(session.options.tasks, ROBOT_STATUS_TOPIC),
+                RTC_CODED_CAMERA_TOPIC,
+                RTC_DECODED_CAMERA_TOPIC,
+                RTC_VOICE_TOPIC,
+                *_own_cameras(session),
+                SELECTED_TOPIC,
+                ROBOT_TRACE_TOPIC,
+            ),
+            writes=_taken_over(session, Segment.GROUND),
+            what="serves ground's page",
+        ),
+        ProcessRow(
+            name=PAGES[Segment.SPACE],
+            when=session.options.pages,
+            segment=Segment.SPACE,
+            stage=Stage.SINK,
+            run="pipelines.seats.process_page:run_page",
+            arguments={"segment": Segment.SPACE},
+            reads=(
+                *_received(session, Segment.SPACE),
+                MISSION_PANEL_TOPIC,
+                JOYSTICK_STATE_TOPIC,
+                JOYSTICK_TRACE_TOPIC,
+            ),
+            writes=(HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC, *_taken_over(session, Segment.SPACE)),
+            what="serves the operator's page",
+        ),
+    )
+
+
+def _received(session: Topology, segment: Segment) -> Iterable[Topic]:
+    """What comes through the link to a segment, and what its own end says."""
+    rows = [row for row in session.media_streams if row.direction.receiver is segment]
+    for row in rows:
+        if isinstance(row, VideoRow):
+            yield from (row.coded_topic, row.decoded_topic)
+    yield from (row.received_topic for row in rows if row.kind is Kind.VOICE)
+    yield session.link(segment.transmits).backlog_topic
+    yield TMTC_TOPICS[segment]
+
+
+def _own_cameras(session: Topology) -> Iterable[Topic]:
+    """What the ground sees of its own cameras: the picture as it is sent, and all of them small.
+
+    The pictures themselves only for a page that joins a stream of which nothing is known.
+    """
+    video = session.video(session.setup.uplink_video.name)
+    yield video.sent_topic
+    yield from (row.topic for row in session.cameras)
+    yield from (session.input(name).preview_topic for name in video.inputs)
+
+
+def _taken_over(session: Topology, segment: Segment) -> tuple[Topic, ...]:
+    """What pages give in place of the inputs of their segment."""
+    return tuple(
+        row.page_topic
+        for row in session.inputs
+        if session.media(row.stream).direction.sender is segment
+    )

@@ -1,0 +1,55 @@
+"""The table of a session: the rows of every room, gathered."""
+
+from collections.abc import Callable
+
+from pipelines.hand.rows import process_rows as hand
+from pipelines.link.rows import process_rows as link
+from pipelines.media.rows import process_rows as media
+from pipelines.mission.rows import process_rows as mission
+from pipelines.partner.rows import process_rows as partner
+from pipelines.recording.rows import process_rows as recording
+from pipelines.seats.rows import process_rows as seats
+from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import ProcessRow, SessionOptions, Topology
+from telepresence.haptics.device.spec import SIMULATED
+
+#: Within a stage, processes start in the order of the rooms.
+ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
+    recording,
+    link,
+    hand,
+    mission,
+    media,
+    seats,
+    partner,
+)
+
+
+def topology_of(
+    setup: Setup,
+    *,
+    joystick: str = SIMULATED,
+    snapshots: bool = False,
+    pages: bool = False,
+    recorder: bool = False,
+    trainer: bool = False,
+    tasks: bool = False,
+    segments: tuple[Segment, ...] = tuple(Segment),
+) -> Topology:
+    """The table of a session of `setup`.
+
+    The options are those of `SessionOptions`. segments: those that run on this machine.
+    """
+    options = SessionOptions(
+        joystick=joystick,
+        snapshots=snapshots,
+        pages=pages,
+        recorder=recorder,
+        trainer=trainer,
+        tasks=tasks,
+    )
+    streams = Topology(setup=setup, options=options, segments=segments)
+    rows = (row for room in ROOMS for row in room(streams) if row.when)
+    processes = tuple(sorted(rows, key=lambda row: row.stage))
+    return Topology(setup=setup, options=options, processes=processes, segments=segments)
