@@ -1,33 +1,30 @@
 """A segment's gateway process: UDP ports on one side, one transfer frame a slot on the other.
 
-`GatewaySlots` decides what happens when. This module has the sockets, the clock and the sleep.
+`GatewayEnd` and its `GatewaySlots` decide what happens when. This module has the sockets, the clock
+and the sleep.
 """
 
 import secrets
 import select
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
-from pipelines.link.clock_rows import note_clock
-from pipelines.link.ends import make_gateway
+from pipelines.link.gateway_end import GatewayEnd
 from pipelines.link.gateway_ports import GatewayPorts
 from pipelines.link.link_topics import LinkTopics
 from pipelines.link.peer_socket import PeerPlan, PeerSocket, make_path
 from pipelines.session.datagrams import EndAddresses
 from pipelines.session.exercises import new_exercises
-from pipelines.session.figures import GatewayCounters, GatewayGauges, LoopCounters, PeerGauges
+from pipelines.session.figures import GatewayCounters
 from pipelines.session.process import Context
 from pipelines.session.rows import LatenessRow, SendingRow
 from pipelines.session.topology import TRAINER_TOPIC, Segment
 from pipelines.session.training import Exercises
 from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
-from telepresence.link.radio import RadioPath
 from telepresence.link.received import HapticReceived, PacketReceived
-from telepresence.link.slots import GatewaySlots
 
 _ON_THIS_MACHINE = EndAddresses()
 
@@ -51,105 +48,67 @@ def run_gateway(
     The signal is lost when a trainer says so. With `peer`, the radio of both directions is then
     here, because it has one time only.
     """
-    row = context.topology.gateway(segment)
-    trainer = TRAINER_TOPIC in context.topology.reads(row.name)
-    clock, probe = context.clock, context.probe
-    gateway = make_gateway(
-        context.topology,
+    clock, topology = context.clock, context.topology
+    trainer = TRAINER_TOPIC in topology.reads(topology.gateway(segment).name)
+    end = GatewayEnd(
+        topology,
         segment,
+        context.probe,
         life=1 + secrets.randbelow(0xFFFF),
         secret=secrets.randbits(128),
         seed=context.seed,
         epoch_ns=context.started_ns + radio_after_ns,
         now_ns=clock.now_ns(),
+        first_ns=context.first_deadline_ns(topology.link(segment.transmits).profile.slot_ns),
         told_offset_ns=None if peer is None else clock.wall_offset_ns,
+        radio_both_ways=peer is not None and trainer,
     )
-    path = back = None
+    path = None
     if peer is not None:
-        core = make_path(peer, gateway.receiver.profile, clock.now_ns())
+        core = make_path(peer, end.gateway.receiver.profile, clock.now_ns())
         path = PeerSocket(core, peer.bind, clock.now_ns)
-        if trainer:
-            epoch_ns = context.started_ns + radio_after_ns
-            way_in = gateway.receiver.profile
-            back = context.setup.radio_path(way_in, seed=context.seed, epoch_ns=epoch_ns)
-            gateway.radio_in = back
-    ports = GatewayPorts(context.topology, segment, gateway, addresses, path)
-    slots = GatewaySlots(
-        gateway, first_ns=context.first_deadline_ns(gateway.sender.profile.slot_ns)
-    )
-    # Looked up once: what follows runs a thousand times a second.
-    clock_ns, sleep, frame_of_peer = clock.now_ns, select.select, ports.frame
-    handle_radio, poll_radio, next_event = (
-        gateway.handle_radio,
-        gateway.radio.poll_transmit,
-        gateway.next_event,
-    )
-    handle_slot, poll_timeout, poll_backlog = (
-        slots.handle_slot,
-        slots.poll_timeout if back is None else partial(_first, slots, back),
-        slots.poll_backlog,
-    )
-    to_listen, poll_flows, samples = [ports.radio], ports.poll_flows, ports.samples
-    to_peer, to_haptic_end, exits = ports.to_peer.send, ports.to_haptic_end.send, ports.exits
-    work = None if path is None else path.work
-    # Lists, because an array checks the type of each number.
-    lateness: list[int] = []
-    sending: list[int] = []
-    add_lateness, add_sending = lateness.append, sending.append
-    lateness_rows, sending_rows = probe.series(LatenessRow), probe.series(SendingRow)
-
-    def fill() -> None:
-        lateness_rows.extend_column(lateness)
-        sending_rows.extend_column(sending)
-        lateness.clear()
-        sending.clear()
-        schedule = slots.schedule
-        probe.count(LoopCounters(slips=schedule.slips, cycles=schedule.cycles))
-        probe.count(GatewayCounters(unsent=ports.to_peer.failed, strangers=ports.strangers()))
-        link = gateway.report(clock_ns())
-        probe.gauge(GatewayGauges(link=link))
-        note_clock(probe, link)
-        if path is not None:
-            report = None if back is None else back.report()
-            probe.gauge(PeerGauges(peer=path.report(), back=report))
-        if topics is not None:
-            topics.handle_figures(link, clock_ns())
-
-    def fetch_radio(now_ns: int) -> None:
-        # One frame a time: a second one is rare, and asking for it costs a system call.
-        frame = frame_of_peer()
-        if frame is None:
-            return
-        if back is not None:
-            back.handle_frame(frame, now_ns)
-        else:
-            take(frame, now_ns)
-        if now_ns >= slots.figures_ns and slots.poll_figures(now_ns, heard=True):
-            context.tick(now_ns)
-
-    def take(frame: bytes, now_ns: int) -> None:
-        handle_radio(frame, now_ns)
-        while (event := next_event()) is not None:
-            if isinstance(event, HapticReceived):
-                to_haptic_end(event.sample)
-            elif isinstance(event, PacketReceived):
-                exits[event.flow.name].send(event.data)
-
-    def follow(exercises: Exercises, now_ns: int) -> None:
-        for radio in (gateway.radio, back):
-            if radio is not None:
-                radio.handle_outage(exercises.los_ns, now_ns)
-
-    topics: LinkTopics | None = None
-    context.on_flush(fill)
+    ports = GatewayPorts(topology, segment, end.gateway, addresses, path)
+    loop = _GatewayLoop(context, end, ports, path)
     with ExitStack() as stack:
-        publish = exercises = None
         if tell_backlog:
             bus = stack.enter_context(context.open_bus())
-            publish = _backlog_publisher(context, segment, bus)
-            topics = LinkTopics(bus, context.topology, segment, gateway)
+            loop.publish = _backlog_publisher(context, segment, bus)
+            loop.topics = LinkTopics(bus, topology, segment, end.gateway)
             if trainer:
-                exercises = new_exercises(bus)
+                loop.exercises = new_exercises(bus)
+        loop.run()
+        # The last figures are told when the topics are closed.
+        loop.topics = None
+
+
+class _GatewayLoop:
+    """Sleeps, and does one step of `end` after the other.
+
+    publish, topics, exercises: what is told to the session, and what a trainer says.
+    """
+
+    def __init__(
+        self, context: Context, end: GatewayEnd, ports: GatewayPorts, path: PeerSocket | None
+    ) -> None:
+        self._context, self._end, self._ports, self._path = context, end, ports, path
+        self._slots, self._clock_ns = end.slots, context.clock.now_ns
+        self._to_haptic_end = ports.to_haptic_end.send
+        self.publish: Callable[[Backlog, int], None] | None = None
+        self.topics: LinkTopics | None = None
+        self.exercises: Callable[[], Exercises | None] | None = None
+        # Lists, because an array checks the type of each number.
+        self._lateness: list[int] = []
+        self._sending: list[int] = []
+        context.on_flush(self._tell)
+
+    def run(self) -> None:
+        """Go on until the process is to end."""
+        # Looked up once: what follows runs a thousand times a second.
+        context, clock_ns, sleep = self._context, self._clock_ns, select.select
+        end, slots = self._end, self._slots
+        poll_timeout, handle_time = end.poll_timeout, end.handle_time
+        poll_radio, to_peer = end.poll_transmit, self._ports.to_peer.send
+        to_listen = [self._ports.radio]
         alarm_ns = poll_timeout()
         while not context.stopping:
             wait_ns = alarm_ns - clock_ns()
@@ -157,52 +116,84 @@ def run_gateway(
             heard = sleep(to_listen, (), (), wait_ns / NS_PER_S if wait_ns > 0 else 0)[0]
             now_ns = clock_ns()
             if heard:
-                fetch_radio(now_ns)
-            if back is not None:
-                while (frame := back.poll_transmit(now_ns)) is not None:
-                    take(frame, now_ns)
-                if heard:
-                    alarm_ns = poll_timeout()
+                self._fetch_frame(now_ns)
+            if handle_time(now_ns):
+                self._deliver()
+                alarm_ns = poll_timeout()
             if now_ns < alarm_ns:
                 continue
             slot = now_ns >= slots.wake_ns
+            deadline_ns = slots.deadline_ns
             if slot:
-                if ready := poll_flows(0):
-                    slots.handle_datagrams(ports.datagrams(ready), now_ns)
-                now_ns = clock_ns()
-                slots.handle_ready(now_ns)
-                deadline_ns = slots.deadline_ns
-                while now_ns < deadline_ns:
-                    now_ns = clock_ns()
-                add_lateness(handle_slot(samples(), now_ns))
+                now_ns = self._run_slot(now_ns)
             while (frame := poll_radio(now_ns)) is not None:
                 to_peer(frame)
             if slot:
-                add_sending(clock_ns() - deadline_ns)
-                if work is not None and work(slots.deadline_ns):
-                    # What else can wait finds a slot of its own.
-                    alarm_ns = poll_timeout()
-                    continue
-                if publish is not None and (backlog := poll_backlog()) is not None:
-                    publish(backlog, now_ns)
-                if now_ns >= slots.figures_ns and slots.poll_figures(now_ns, heard=False):
-                    context.tick(now_ns)
-                # On one machine the peer's slot is at the same time, so its frame is most often
-                # here by now. To read in vain costs less than to ask.
-                fetch_radio(clock_ns())
-                if topics is not None and now_ns >= topics.due_ns:
-                    topics.handle_time(now_ns)
-                    if exercises is not None and (found := exercises()) is not None:
-                        follow(found, now_ns)
+                self._sending.append(clock_ns() - deadline_ns)
+                self._use_rest(now_ns)
             alarm_ns = poll_timeout()
-        # The last figures are told when the topics are closed.
-        topics = None
 
+    def _fetch_frame(self, now_ns: int) -> None:
+        # One frame a time: a second one is rare, and asking for it costs a system call.
+        frame = self._ports.frame()
+        if frame is None:
+            return
+        self._end.handle_frame(frame, now_ns)
+        self._deliver()
+        slots = self._slots
+        if now_ns >= slots.figures_ns and slots.poll_figures(now_ns, heard=True):
+            self._context.tick(now_ns)
 
-def _first(slots: GatewaySlots, back: RadioPath) -> int:
-    """When to wake up, with a radio on the way in."""
-    due_ns, alarm_ns = back.poll_timeout(), slots.poll_timeout()
-    return alarm_ns if due_ns is None else min(due_ns, alarm_ns)
+    def _deliver(self) -> None:
+        """What the other segment sent goes to the ports where it comes out."""
+        next_event, exits = self._end.next_event, self._ports.exits
+        while (event := next_event()) is not None:
+            if isinstance(event, HapticReceived):
+                self._to_haptic_end(event.sample)
+            elif isinstance(event, PacketReceived):
+                exits[event.flow.name].send(event.data)
+
+    def _run_slot(self, now_ns: int) -> int:
+        """Fill a frame at its deadline; return the instant."""
+        slots, ports, clock_ns = self._slots, self._ports, self._clock_ns
+        if ready := ports.poll_flows(0):
+            slots.handle_datagrams(ports.datagrams(ready), now_ns)
+        now_ns = clock_ns()
+        slots.handle_ready(now_ns)
+        deadline_ns = slots.deadline_ns
+        while now_ns < deadline_ns:
+            now_ns = clock_ns()
+        self._lateness.append(slots.handle_slot(ports.samples(), now_ns))
+        return now_ns
+
+    def _use_rest(self, now_ns: int) -> None:
+        """Do what has most of a slot left, right after the frame was sent."""
+        slots = self._slots
+        if self._path is not None and self._path.work(slots.deadline_ns):
+            # What else can wait finds a slot of its own.
+            return
+        if self.publish is not None and (backlog := slots.poll_backlog()) is not None:
+            self.publish(backlog, now_ns)
+        if now_ns >= slots.figures_ns and slots.poll_figures(now_ns, heard=False):
+            self._context.tick(now_ns)
+        # On one machine the peer's slot is at the same time, so its frame is most often here by
+        # now. To read in vain costs less than to ask.
+        self._fetch_frame(self._clock_ns())
+        if self.topics is not None and now_ns >= self.topics.due_ns:
+            self.topics.handle_time(now_ns)
+            if self.exercises is not None and (found := self.exercises()) is not None:
+                self._end.handle_exercises(found, now_ns)
+
+    def _tell(self) -> None:
+        probe, now_ns = self._context.probe, self._clock_ns()
+        for kind, instants in ((LatenessRow, self._lateness), (SendingRow, self._sending)):
+            probe.series(kind).extend_column(instants)
+            instants.clear()
+        ports = self._ports
+        probe.count(GatewayCounters(unsent=ports.to_peer.failed, strangers=ports.strangers()))
+        figures = self._end.tell(now_ns, None if self._path is None else self._path.report())
+        if self.topics is not None:
+            self.topics.handle_figures(figures, now_ns)
 
 
 def _backlog_publisher(

@@ -18,14 +18,13 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.hand.robot_desk import RobotDesk
-from pipelines.link.ends import make_gateway
+from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.choosing import CameraChoice
 from pipelines.mission.console import Console
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
 from pipelines.report.task_figures import task_report
-from pipelines.session.figures import GatewayGauges, LoopCounters
 from pipelines.session.probe import FLUSH_NS, Probe
 from pipelines.session.requests import Request, pack_line
 from pipelines.session.setup.table import Setup
@@ -44,7 +43,6 @@ from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.session import LIVES
 from telepresence.link.gateway import Gateway
 from telepresence.link.received import HapticReceived, PacketReceived
-from telepresence.link.slots import GatewaySlots
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
@@ -125,16 +123,13 @@ class Simulation:
         self._telling = telling = Telling(self.collector)
         self._epoch_ns = epoch_ns
         self.start_ns = self._now_ns = self._next_slot_ns = start_ns
-        self._slots = 0
         self._state: WorldState | None = None
         #: What waits for the next haptic cycle.
         self._samples_up: list[bytes] = []
         self._samples_down: list[bytes] = []
-        self._ground = self._gateway(Segment.GROUND)
-        self._space = self._gateway(Segment.SPACE)
-        self._slots_of = [
-            GatewaySlots(end, first_ns=start_ns) for end in (self._ground, self._space)
-        ]
+        ground_end, space_end = self._gateway(Segment.GROUND), self._gateway(Segment.SPACE)
+        self._ground, self._space = ground_end.gateway, space_end.gateway
+        self._slots_of = [ground_end.slots, space_end.slots]
         # When the next frame arrives: asked twice a slot, so without a detour.
         self._up_timeout = self._ground.radio.poll_timeout
         self._down_timeout = self._space.radio.poll_timeout
@@ -247,7 +242,6 @@ class Simulation:
             ground_slot((), slot_ns)
             space_slot((), slot_ns)
             tell_backlogs(slot_ns)
-            self._slots += 1
             now_ns = slot_ns + half_ns
             advance(now_ns)
             for sample in samples_down:
@@ -381,24 +375,24 @@ class Simulation:
                 if consumer is not None:
                     consumer(event.data, now_ns)
 
-    def _gateway(self, segment: Segment) -> Gateway:
-        gateway = make_gateway(
+    def _gateway(self, segment: Segment) -> GatewayEnd:
+        end = GatewayEnd(
             self.topology,
             segment,
+            self._probe(self.topology.gateway(segment).name),
             life=self._random(segment.value).randint(1, 0xFFFF),
             secret=self._random(f"{segment.value} secret").getrandbits(128),
             seed=self._seed,
             epoch_ns=self._epoch_ns,
             now_ns=self.start_ns,
+            first_ns=self.start_ns,
         )
-        probe = self._probe(self.topology.gateway(segment).name)
 
-        def fill() -> None:
-            probe.count(LoopCounters(cycles=self._slots))
-            probe.gauge(GatewayGauges(link=gateway.report(self._now_ns)))
+        def tell() -> None:
+            end.tell(self._now_ns)
 
-        self._telling.add(fill)
-        return gateway
+        self._telling.add(tell)
+        return end
 
     def _probe(self, process: str) -> Probe:
         return self._telling.probe(process)

@@ -14,8 +14,8 @@ from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, ROW
-from pipelines.link.ends import make_gateway
 from pipelines.link.frame_batch import pack_frames
+from pipelines.link.gateway_end import make_gateway
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.messages import (
     LinkReceived,

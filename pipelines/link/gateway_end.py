@@ -1,0 +1,158 @@
+"""One end of the link, live and simulated: gateway, slots, radio and figures. A core."""
+
+from kontur_av.clock import NS_PER_MS
+from pipelines.session.figures import GatewayGauges, LoopCounters, PeerGauges
+from pipelines.session.probe import Probe
+from pipelines.session.rows import ClockRow
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import Segment, Topology
+from pipelines.session.training import Exercises
+from telepresence.link.figures import GatewayFigures
+from telepresence.link.gateway import Gateway
+from telepresence.link.peer.figures import PeerFigures
+from telepresence.link.slots import GatewaySlots
+from telepresence.link.supervision.configuration import SupervisionTiming
+
+#: The time for an answer, without the radio's delay there and back.
+_TURNAROUND_NS = 200 * NS_PER_MS
+
+
+class GatewayEnd:
+    """Call `handle_frame` for each frame of the peer, and run `slots` as `GatewaySlots` says.
+
+    After either, take `next_event` until it is None, and send `poll_transmit` until it is None.
+    Call `handle_time` at `poll_timeout`.
+
+    life, secret, seed, epoch_ns, now_ns, told_offset_ns: as of `make_gateway`.
+    first_ns: the first slot.
+    radio_both_ways: the radio of the way in is here, too; otherwise the peer has it.
+    """
+
+    def __init__(
+        self,
+        topology: Topology,
+        segment: Segment,
+        probe: Probe,
+        *,
+        life: int,
+        secret: int,
+        seed: int,
+        epoch_ns: int,
+        now_ns: int,
+        first_ns: int,
+        told_offset_ns: int | None = None,
+        radio_both_ways: bool = False,
+    ) -> None:
+        self.gateway = gateway = make_gateway(
+            topology,
+            segment,
+            life=life,
+            secret=secret,
+            seed=seed,
+            epoch_ns=epoch_ns,
+            now_ns=now_ns,
+            told_offset_ns=told_offset_ns,
+        )
+        self.slots = GatewaySlots(gateway, first_ns=first_ns)
+        self._radio_in = None
+        if radio_both_ways:
+            profile = gateway.receiver.profile
+            self._radio_in = topology.setup.radio_path(profile, seed=seed, epoch_ns=epoch_ns)
+            gateway.radio_in = self._radio_in
+        self._probe = probe
+        self.next_event = gateway.next_event
+        self.poll_transmit = gateway.radio.poll_transmit
+
+    def handle_frame(self, frame: bytes, now_ns: int) -> None:
+        """A frame of the peer has come."""
+        if self._radio_in is None:
+            self.gateway.handle_radio(frame, now_ns)
+        else:
+            self._radio_in.handle_frame(frame, now_ns)
+
+    def handle_time(self, now_ns: int) -> bool:
+        """Take the frames that leave the radio of the way in; return whether that radio is here."""
+        if self._radio_in is None:
+            return False
+        while (frame := self._radio_in.poll_transmit(now_ns)) is not None:
+            self.gateway.handle_radio(frame, now_ns)
+        return True
+
+    def poll_timeout(self) -> int:
+        """When to wake up next: for a slot, or because a frame leaves the radio of either way."""
+        alarm_ns = self.slots.poll_timeout()
+        due_ns = None if self._radio_in is None else self._radio_in.poll_timeout()
+        return alarm_ns if due_ns is None else min(due_ns, alarm_ns)
+
+    def handle_exercises(self, exercises: Exercises, now_ns: int) -> None:
+        """A trainer wants the signal to be lost until an instant, on both ways."""
+        for radio in (self.gateway.radio, self._radio_in):
+            if radio is not None:
+                radio.handle_outage(exercises.los_ns, now_ns)
+
+    def tell(self, now_ns: int, peer: PeerFigures | None = None) -> GatewayFigures:
+        """Put the figures into the probe, and return the gateway's.
+
+        peer: the path to the other machine.
+        """
+        probe, schedule = self._probe, self.slots.schedule
+        probe.count(LoopCounters(slips=schedule.slips, cycles=schedule.cycles))
+        figures = self.gateway.report(now_ns)
+        probe.gauge(GatewayGauges(link=figures))
+        _note_clock(probe, figures)
+        if peer is not None:
+            back = None if self._radio_in is None else self._radio_in.report()
+            probe.gauge(PeerGauges(peer=peer, back=back))
+        return figures
+
+
+def make_gateway(
+    topology: Topology,
+    segment: Segment,
+    *,
+    life: int,
+    secret: int,
+    seed: int,
+    epoch_ns: int,
+    now_ns: int,
+    told_offset_ns: int | None = None,
+) -> Gateway:
+    """The core of one end, with the radio on its way out.
+
+    life: 1 to 65535; another value tells the peer that this end has restarted.
+    secret: a random number, by which the peer's answers are known; nobody else may know it.
+    seed, epoch_ns: the seed and the start of the radio; the same at both ends.
+    told_offset_ns: as of `Gateway`, for a peer on another machine.
+    """
+    setup = topology.setup
+    out, back = segment.transmits, segment.peer.transmits
+    transmit = topology.link(out).profile
+    return Gateway(
+        transmit=transmit,
+        transmit_flows=topology.flows(out),
+        receive=topology.link(back).profile,
+        receive_flows=topology.flows(back),
+        master=segment is Segment.GROUND,
+        life=life,
+        secret=secret,
+        now_ns=now_ns,
+        radio=setup.radio_path(transmit, seed=seed, epoch_ns=epoch_ns),
+        timing=_timing(setup),
+        told_offset_ns=told_offset_ns,
+    )
+
+
+def _timing(setup: Setup) -> SupervisionTiming:
+    """Return a timing that allows for the radio's delay."""
+    longest_delay_ns = round(setup.radio_profile.longest_delay_ns)
+    default = SupervisionTiming()
+    return SupervisionTiming(
+        round_trip_ns=max(default.round_trip_ns, 2 * longest_delay_ns + _TURNAROUND_NS)
+    )
+
+
+def _note_clock(probe: Probe, link: GatewayFigures) -> None:
+    """Add a row if the clock of the other machine is known."""
+    clock = link.clock
+    if clock is not None and clock.offset_ns is not None and clock.error_ns is not None:
+        probe.series(ClockRow).add(ClockRow(clock.at_ns, clock.offset_ns, clock.error_ns))
