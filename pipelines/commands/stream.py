@@ -10,7 +10,6 @@ from kontur_av.errors import ConfigError
 from kontur_av.sources import check_spec
 from kontur_av.sources.page import PAGE
 from pipelines.commands.common import output_that_may_fail
-from pipelines.commands.doctor import NEEDED_SHM_OCTETS, check_shared_memory
 from pipelines.commands.end_options import (
     add_end_arguments,
     chosen_end,
@@ -45,6 +44,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
+from pipelines.session.machine_checks import NEEDED_SHM_OCTETS, check_shared_memory
 from pipelines.session.recorder_control import write_wish
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup

@@ -2,10 +2,10 @@
 
 import pytest
 
-from pipelines.commands import doctor as doctor_module
-from pipelines.commands.doctor import (
+from pipelines.commands.doctor import doctor
+from pipelines.session import machine_checks
+from pipelines.session.machine_checks import (
     CHECKS,
-    doctor,
 )
 
 
@@ -19,8 +19,8 @@ def test_a_machine_that_runs_the_tests_has_all_that_is_needed() -> None:
 
 
 def test_refused_real_time_names_the_limits_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_module, "_RT_PRIORITY", 1000)
-    verdict = doctor_module.check_real_time()
+    monkeypatch.setattr(machine_checks, "_RT_PRIORITY", 1000)
+    verdict = machine_checks.check_real_time()
     assert verdict.state == "advice"
     assert "rtprio 1000" in verdict.mend
     assert "/etc/security/limits.d" in verdict.mend

@@ -6,13 +6,13 @@ import pytest
 
 from kontur_av.clock import ManualClock
 from kontur_av.topics.session_files import shared_memory
-from pipelines.commands import doctor as doctor_module
-from pipelines.commands.doctor import (
+from pipelines.commands.doctor import doctor
+from pipelines.session import machine_checks
+from pipelines.session.machine_checks import (
     Finding,
     check_shared_memory,
     check_timer,
     check_topics,
-    doctor,
 )
 from pipelines.session.topology import LOOP_PRIORITY
 
@@ -71,7 +71,7 @@ def test_the_timer_check_gives_the_lateness() -> None:
 
 
 def test_it_tries_the_priority_of_the_loops() -> None:
-    assert doctor_module._RT_PRIORITY == LOOP_PRIORITY
+    assert machine_checks._RT_PRIORITY == LOOP_PRIORITY
 
 
 def test_a_kernel_that_wakes_a_reader_only_once_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

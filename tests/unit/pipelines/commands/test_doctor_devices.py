@@ -3,7 +3,8 @@
 import errno
 from pathlib import Path
 
-from pipelines.commands.devices import cameras, devices, microphones
+from pipelines.commands.devices import devices
+from pipelines.media.input_devices import cameras, microphones
 
 PCM = """\
 00-00: ALC257 Analog : ALC257 Analog : playback 1 : capture 1

@@ -5,7 +5,7 @@ import platform
 import pytest
 
 from pipelines.cli import MISTAKE, main
-from pipelines.commands.doctor import check_python
+from pipelines.session.machine_checks import check_python
 
 
 @pytest.mark.parametrize("command", ["stream", "simulate", "devices", "bench"])
