@@ -11,8 +11,8 @@ _HEAD = """# Measurements
 
 `kontur-av bench all` wrote this page from the JSON files in `{folder}`;
 `kontur-av bench all --render` writes it again without measuring. A figure is the median of its
-runs, with the least and the largest run in brackets. On virtual time every run gives the same
-figures, so there is one run.
+runs, with the least and the largest run in brackets, where they differ. On virtual time every run
+gives the same figures, so there is one run.
 """
 
 
@@ -49,15 +49,15 @@ def _section(runs: Sequence[Record], *, with_machine: bool) -> str:
 def _table(group: str, found: Sequence[Headline]) -> list[str]:
     columns = list(dict.fromkeys(one.who for one in found))
     judged = list(dict.fromkeys(one.who for one in found if one.target))
-    heads = [group or "figure", "unit", *(who or "median (least to largest)" for who in columns)]
+    heads = [group or "figure", *(who or "median" for who in columns)]
     if judged:
         heads.append("target" if judged == columns else f"target ({', '.join(judged)})")
-    lines = [_line(heads), "|" + "|".join(["---", "---", *["--:"] * len(columns)])]
-    lines[-1] += "|---|" if judged else "|"
+    lines = [_line(heads), "|---" + "|--:" * len(columns) + "|---" * bool(judged) + "|"]
     for what, unit in dict.fromkeys((one.what, one.unit) for one in found):
         row = [one for one in found if (one.what, one.unit) == (what, unit)]
         cells = [_cell([one.value for one in row if one.who == who]) for who in columns]
-        lines.append(_line([what, unit, *cells, *[_verdict(row)] * bool(judged)]))
+        named = f"{what}, {unit}" if unit else what
+        lines.append(_line([named, *cells, *[_verdict(row)] * bool(judged)]))
     return lines
 
 
@@ -71,7 +71,7 @@ def _cell(values: Sequence[float | None]) -> str:
         return "–" if values else ""
     digits = _digits(known)
     middle, least, largest = (f"{of(known):.{digits}f}" for of in (median, min, max))
-    return middle if least == largest else f"{middle} ({least} to {largest})"
+    return middle if least == largest else f"{middle} ({least}…{largest})"
 
 
 def _verdict(row: Sequence[Headline]) -> str:
