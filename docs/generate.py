@@ -26,7 +26,7 @@ from pipelines.recording.channels import channels_table, fields_table
 from pipelines.report.keys import counters_table, keys_tables
 from pipelines.report.model import LinkReport, SessionReport
 from pipelines.setup.setup_file import load_setup
-from pipelines.topology import tables, topology_of
+from pipelines.topology import Topology, tables, topology_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("kontur_av", "telepresence", "pipelines")
@@ -253,15 +253,31 @@ def topology_blocks() -> dict[str, str]:
     return {
         "commands": commands_text(),
         "processes": tables.in_code(processes, "process").markdown(),
-        "ports": tables.ports_table(session).markdown(),
         "channels": channels.markdown(),
-        "recorded channels": channels_table(session).markdown(),
-        "recorded fields": fields_table().markdown(),
+        "recorded channels": recorded_channels(session),
+        "recorded fields": recorded_fields(),
         "report": keys_tables(SessionReport),
         "link report": keys_tables(LinkReport, without=SessionReport),
         "headlines": keys_tables(Headline),
         "counts": counters_table(),
     }
+
+
+def recorded_channels(session: Topology) -> str:
+    """A table of channels; those of one kind share a row."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for channel, schema, what in channels_table(session).rows:
+        alike.setdefault((schema, what), []).append(channel)
+    rows = [(", ".join(channels), *kind) for kind, channels in alike.items()]
+    return tables.Table(headings=("channels", "schema", "a message"), rows=rows).markdown()
+
+
+def recorded_fields() -> str:
+    """A list of fields for each schema."""
+    parts: dict[str, list[str]] = {}
+    for schema, field, kind, what in fields_table().rows:
+        parts.setdefault(schema, []).append(f"- {field} ({kind}): {what}")
+    return "\n\n".join("\n".join([f"{name}\n", *fields]) for name, fields in parts.items()) + "\n"
 
 
 def filled(document: str, blocks: dict[str, str]) -> str:
