@@ -26,7 +26,7 @@ from pipelines.recording.channels import channels_table, fields_table
 from pipelines.report.keys import counters_table, keys_tables
 from pipelines.report.model import LinkReport, SessionReport
 from pipelines.setup.setup_file import load_setup
-from pipelines.topology import Topology, tables, topology_of
+from pipelines.topology import tables, topology_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("kontur_av", "telepresence", "pipelines")
@@ -252,9 +252,9 @@ def topology_blocks() -> dict[str, str]:
     channels = tables.channels_table(session, topology_of(load_setup("taskboard")))
     return {
         "commands": commands_text(),
-        "processes": tables.in_code(processes, "process").markdown(),
+        "processes": joined(tables.in_code(processes, "process")).markdown(),
         "channels": channels.markdown(),
-        "recorded channels": recorded_channels(session),
+        "recorded channels": joined(channels_table(session)).markdown(),
         "recorded fields": recorded_fields(),
         "report": keys_tables(SessionReport),
         "link report": keys_tables(LinkReport, without=SessionReport),
@@ -263,13 +263,13 @@ def topology_blocks() -> dict[str, str]:
     }
 
 
-def recorded_channels(session: Topology) -> str:
-    """A table of channels; those of one kind share a row."""
-    alike: dict[tuple[str, str], list[str]] = {}
-    for channel, schema, what in channels_table(session).rows:
-        alike.setdefault((schema, what), []).append(channel)
-    rows = [(", ".join(channels), *kind) for kind, channels in alike.items()]
-    return tables.Table(headings=("channels", "schema", "a message"), rows=rows).markdown()
+def joined(table: tables.Table) -> tables.Table:
+    """Rows that are the same but for their first cell become one row."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for first, *others in table.rows:
+        alike.setdefault(tuple(others), []).append(first)
+    rows = [(", ".join(firsts), *others) for others, firsts in alike.items()]
+    return tables.Table(headings=table.headings, rows=rows)
 
 
 def recorded_fields() -> str:
