@@ -14,6 +14,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -37,19 +38,22 @@ HEAD = """# The Python interface
 These names are for users of the library. Import them from the package: `from kontur_av import ...`.
 Other modules are the project's own and may change. Instants are integer nanoseconds of one clock,
 `now_ns`. `samples/` has short scripts that use these names.
+
+Each name has its signature and the beginning of its docstring here. Parameters, units, shapes and
+errors are in the docstring: `python -c "import kontur_av; help(kontur_av.VideoSender)"`.
 """
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
 
 
 def python_page() -> str:
-    """docs/python.md: every exported name with its signature and docstring."""
+    """docs/python.md: every exported name with its signature and what it is for."""
     parts = [HEAD]
     for package in PACKAGES:
         module = griffe.load(
             package, search_paths=[ROOT], resolve_aliases=True, try_relative_path=False
         )
         names = sorted(exported(module), key=lambda name: (name.lower(), name))
-        parts.append(f"## `{package}`\n\n{text(module)}\n")
+        parts.append(f"## `{package}`\n\n{module.docstring.value}\n")
         if names:
             links = ", ".join(f"[{name}](#{anchor(name)})" for name in names)
             parts.append(f"{links}\n")
@@ -70,10 +74,10 @@ def entry(member: griffe.Object | griffe.Alias) -> str:
     """One exported name: its signature, its docstring, and its public methods."""
     if member.is_attribute:
         code = f"{member.name} = {member.value}"
-        return f"### {member.name}\n\n```python\n{code}\n```\n\n{text(member)}\n"
+        return f"### {member.name}\n\n```python\n{code}\n```\n\n{paragraph(member)}\n"
     lines = [f"### {member.name}\n\n```python"]
     if member.is_function:
-        lines += [signature(member), "```\n", text(member), ""]
+        lines += [signature(member), "```\n", paragraph(member), ""]
         return "\n".join(lines)
     bases = ", ".join(str(base) for base in member.bases)
     lines.append(f"class {member.name}({bases}):" if bases else f"class {member.name}:")
@@ -93,12 +97,12 @@ def entry(member: griffe.Object | griffe.Alias) -> str:
         lines.append(f"    {name}{kind}{default}".replace("'", '"'))
     if own_init:
         lines.append("    " + signature(init).replace("\n", "\n    "))
-    lines += ["```\n", text(member), ""]
+    lines += ["```\n", paragraph(member), ""]
     for name, found in public.items():
         if found.is_function:
-            lines.append(f"- `{name}{arguments(found)}`: {one_paragraph(found)}")
+            lines.append(f"- `{name}{arguments(found)}`: {sentence(found)}")
         elif "property" in found.labels:
-            lines.append(f"- `{name}: {found.annotation}`: {one_paragraph(found)}")
+            lines.append(f"- `{name}: {found.annotation}`: {sentence(found)}")
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -129,56 +133,15 @@ def _split(parameters: str) -> list[str]:
     return [part.strip() for part in parts]
 
 
-def text(found: griffe.Object | griffe.Alias) -> str:
-    """The docstring; its example after `Use::` becomes a block of Python."""
-    docstring = found.docstring.value if found.docstring else ""
-    docstring = listed(docstring, names_of(found))
-    body = re.sub(
-        r"(\w+)::\n\n((?:    .*\n?|\n)+)",
-        lambda match: f"{match[1]}:\n\n```python\n{_dedent(match[2])}\n```\n",
-        docstring,
-    )
-    return body.strip()
+def paragraph(found: griffe.Object | griffe.Alias) -> str:
+    """The first paragraph of the docstring."""
+    return " ".join(found.docstring.value.split("\n\n")[0].split()) if found.docstring else ""
 
 
-def names_of(found: griffe.Object | griffe.Alias) -> set[str]:
-    """What a docstring may explain: the parameters of a function, the fields of a class."""
-    names = set()
-    if found.is_class:
-        names |= {name for name, member in found.all_members.items() if member.is_attribute}
-        init = found.all_members.get("__init__")
-        names |= {parameter.name for parameter in init.parameters} if init is not None else set()
-    elif found.is_function:
-        names |= {parameter.name for parameter in found.parameters}
-    return names
-
-
-def listed(docstring: str, names: set[str]) -> str:
-    """Lines `name: text`, with their indented continuations, as items of a list."""
-    lines: list[str] = []
-    item = False
-    for line in docstring.splitlines():
-        begin = re.match(r"((?:\w+, )*\w+): ", line)
-        if begin and names.issuperset(begin[1].split(", ")):
-            told = ", ".join(f"`{name}`" for name in begin[1].split(", "))
-            if not item and lines and lines[-1]:
-                lines.append("")
-            lines.append(f"- {told}: {line[begin.end() :]}")
-            item = True
-        elif item and line:
-            lines.append(f"  {line.strip()}")
-        else:
-            item = False
-            lines.append(line)
-    return "\n".join(lines)
-
-
-def _dedent(block: str) -> str:
-    return "\n".join(line.removeprefix("    ") for line in block.rstrip().splitlines())
-
-
-def one_paragraph(found: griffe.Object | griffe.Alias) -> str:
-    return " ".join(found.docstring.value.split()) if found.docstring else ""
+def sentence(found: griffe.Object | griffe.Alias) -> str:
+    """The first sentence of the docstring."""
+    told = paragraph(found)
+    return re.split(r"(?<=\.) (?=[A-Z`(])", told)[0]
 
 
 def run_table() -> str:
@@ -215,21 +178,53 @@ def run_table() -> str:
 
 
 def commands_text() -> str:
-    """Every command with its arguments and options, from the parsers."""
-    return "\n".join(_command_texts(make_parser(), "kontur-av")).strip() + "\n"
+    """What several commands' options mean, then every command with those of its own.
+
+    The options of benches are left to `--help`.
+    """
+    commands = list(_commands(make_parser(), "kontur-av"))
+    rows = {name: _rows(one) for name, one in commands if not name.startswith("kontur-av bench ")}
+    counts = Counter(row for of in rows.values() for row in of)
+    # By option: its most frequent meaning, if at least three commands have it.
+    shared: dict[str, tuple[str, str]] = {}
+    for row, count in counts.most_common():
+        if count >= 3:
+            shared.setdefault(_option(row), row)
+    parts = ["## Options of several commands\n"]
+    for option, told in counts:
+        if (option, told) == shared.get(_option((option, told))):
+            parts.append(f"- {option}: {told}")
+    for name, parser in commands:
+        told = _sentence(parser.description)
+        if name not in rows:
+            parts.append(f"- `{name}`: {told}")
+            continue
+        parts.append(f"\n{'#' * (1 + len(name.split()[:-1]))} `{name}`\n\n{told}")
+        own = [row for row in rows[name] if row not in shared.values()]
+        also = [f"`{_option(row)}`" for row in rows[name] if row in shared.values()]
+        parts += [""] * bool(rows[name] or name.endswith("bench"))
+        parts += [f"- {option}" + f": {what}" * bool(what) for option, what in own]
+        parts += ["- " + "and " * bool(own) + ", ".join(also)] * bool(also)
+    return "\n".join(parts) + "\n"
 
 
-def _command_texts(parser: argparse.ArgumentParser, name: str) -> Iterator[str]:
+def _option(row: tuple[str, str]) -> str:
+    """`--seconds` of `--seconds S`."""
+    return row[0].strip("`").split()[0].rstrip(",")
+
+
+def _commands(
+    parser: argparse.ArgumentParser, name: str
+) -> Iterator[tuple[str, argparse.ArgumentParser]]:
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for word, inner in action.choices.items():
-                heading = "#" * (1 + len(name.split()))
-                yield f"{heading} `{name} {word}`\n\n{_sentence(inner.description)}\n"
-                yield from _options_table(inner)
-                yield from _command_texts(inner, f"{name} {word}")
+                yield f"{name} {word}", inner
+                yield from _commands(inner, f"{name} {word}")
 
 
-def _options_table(parser: argparse.ArgumentParser) -> Iterator[str]:
+def _rows(parser: argparse.ArgumentParser) -> list[tuple[str, str]]:
+    """Each option with its value, and what it means."""
     rows = []
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction | argparse._HelpAction):
@@ -239,10 +234,9 @@ def _options_table(parser: argparse.ArgumentParser) -> Iterator[str]:
             value = " ".join(value)
         words = ", ".join(action.option_strings) or str(value)
         shown = f"{words} {value}".strip() if action.option_strings else words
-        told = " ".join((action.help or "").split()).replace("%%", "%").replace("|", "\\|")
-        rows.append("| `" + shown.replace("|", "\\|") + f"` | {told} |")
-    if rows:
-        yield "| | |\n|---|---|\n" + "\n".join(rows) + "\n"
+        told = " ".join((action.help or "").split()).replace("%%", "%")
+        rows.append((f"`{shown}`", told))
+    return rows
 
 
 def _sentence(text: str | None) -> str:
@@ -256,21 +250,35 @@ def topology_blocks() -> dict[str, str]:
     processes = tables.processes_table(session)
     for heading in ("priority", "reads", "writes"):
         processes = processes.without(heading)
-    topics = tables.topics_table(session)
     channels = tables.channels_table(session, topology_of(load_setup("taskboard")))
     return {
         "commands": commands_text(),
-        "processes": tables.in_code(processes, "process").markdown(),
-        "topics": tables.in_code(topics, "topic", "writer", "readers").markdown(),
-        "ports": tables.ports_table(session).markdown(),
+        "processes": joined(tables.in_code(processes, "process")).markdown(),
         "channels": channels.markdown(),
-        "recorded channels": channels_table(session).markdown(),
-        "recorded fields": fields_table().markdown(),
+        "recorded channels": joined(channels_table(session)).markdown(),
+        "recorded fields": recorded_fields(),
         "report": keys_tables(SessionReport),
         "link report": keys_tables(LinkReport, without=SessionReport),
         "headlines": keys_tables(Headline),
         "counts": counters_table(),
     }
+
+
+def joined(table: tables.Table) -> tables.Table:
+    """Rows that are the same but for their first cell become one row."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for first, *others in table.rows:
+        alike.setdefault(tuple(others), []).append(first)
+    rows = [(", ".join(firsts), *others) for others, firsts in alike.items()]
+    return tables.Table(headings=table.headings, rows=rows)
+
+
+def recorded_fields() -> str:
+    """A list of fields for each schema."""
+    parts: dict[str, list[str]] = {}
+    for schema, field, kind, what in fields_table().rows:
+        parts.setdefault(schema, []).append(f"- {field} ({kind}): {what}")
+    return "\n\n".join("\n".join([f"{name}\n", *fields]) for name, fields in parts.items()) + "\n"
 
 
 def filled(document: str, blocks: dict[str, str]) -> str:

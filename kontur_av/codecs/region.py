@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from kontur_av.errors import ConfigError
 
 _BLOCK = 16
-#: The most quantiser steps. At 12 the pictures become late (docs/experiments/video-regions.md).
+#: The most quantiser steps. At 12 the pictures become late (docs/experiments/video.md).
 MOST_STEPS = 9
 
 

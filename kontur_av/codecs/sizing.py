@@ -2,7 +2,7 @@
 
 A small size loses detail by scaling, a large one by coding. While the picture stands, the loss by
 coding falls. Once it is below the loss by scaling, a larger size is better. Where much moves, a
-smaller quantiser is worth more than a larger size. docs/experiments/sizing.md has the figures.
+smaller quantiser is worth more than a larger size. docs/experiments/video.md has the figures.
 
 A change of size costs a key picture, which is coarse for about half a second. So the size grows
 only after the picture stood for some time. After each growth that was in vain, this time doubles.

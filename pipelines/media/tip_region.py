@@ -11,7 +11,7 @@ from telepresence.world.board_view import BoardView
 _STALE_NS = 200 * NS_PER_MS
 #: The sides of the region, as a share of the picture's longer side: 96 of 640 pixels.
 _SHARE = 0.15
-#: docs/experiments/video-regions.md: the tip gains 0.9 dB, the rest loses 0.1 to 0.4.
+#: docs/experiments/video.md: the tip gains 0.9 dB, the rest loses 0.1 to 0.4.
 _STEPS = 4
 
 

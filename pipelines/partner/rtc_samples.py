@@ -11,7 +11,7 @@ from pipelines.session.topology import partner_ports
 
 
 class SamplePorts:
-    """Between one partner's data channel and the robot's ports of `docs/partner.md`.
+    """Between one partner's data channel and the robot's ports of `docs/rtc.md`.
 
     The port of the robot's samples is taken while a partner is there, so a joystick on this machine
     can have it otherwise.

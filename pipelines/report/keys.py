@@ -2,31 +2,16 @@
 
 import dataclasses
 import inspect
+import itertools
 import re
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import msgspec
 
 from pipelines.session import figures
 
-_UNITS = {
-    "ns": "ns",
-    "us": "µs",
-    "ms": "ms",
-    "s": "s",
-    "bps": "bit/s",
-    "hz": "1/s",
-    "uj": "µJ",
-    "octets": "octets",
-    "percent": "%",
-    "n": "N",
-    "c": "°C",
-    "mm": "mm",
-    "km": "km",
-    "deg": "°",
-}
 #: By counter that is a table: what its keys are.
 _KEYS = {
     "strangers": "_PORT",
@@ -49,34 +34,35 @@ _WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool:
 
 
 def keys_tables(kind: type, *, without: type | None = None) -> str:
-    """A table for `kind` and one for each type below it, in the order in which they come."""
+    """A list for `kind` and one for each type below it, in the order in which they come."""
     listed = [] if without is None else _types_below(without)
     parts = []
     for one in _types_below(kind):
         if one in listed:
             continue
-        rows = ["| key | type | unit | what |", "|---|---|---|---|"]
-        rows += [
-            f"| `{key}` | {words} | {unit} | {what} |" for key, words, unit, what in _rows(one)
-        ]
+        rows = _listed(_rows(one))
         summary = inspect.getdoc(one) or ""
         parts.append(f"**{one.__name__}**: {summary.splitlines()[0]}\n\n" + "\n".join(rows))
     return "\n\n".join(parts) + "\n"
 
 
 def counters_table() -> str:
-    """A table of all counters, by the names that they have in a report."""
-    rows = ["| of | count | unit | what |", "|---|---|---|---|"]
+    """Lists of all counters, by the names that they have in a report."""
+    parts = []
     for kind in vars(figures).values():
         if not isinstance(kind, type) or kind.__base__ is not figures.Counters:
             continue
         described, of = comments(kind), (inspect.getdoc(kind) or "").splitlines()[0]
         prefix = "STREAM." if kind is figures.DisplayCounters else ""
-        for name, hint in typing.get_type_hints(kind).items():
-            suffix = _KEYS[name] if typing.get_origin(hint) is Mapping else ""
-            rows.append(f"| {of} | `{prefix}{name}{suffix}` | {_unit(name)} | {described[name]} |")
-            of = ""
-    return "\n".join(rows) + "\n"
+        rows = _listed(
+            (
+                f"`{prefix}{name}{_KEYS[name] if typing.get_origin(hint) is Mapping else ''}`",
+                described[name],
+            )
+            for name, hint in typing.get_type_hints(kind).items()
+        )
+        parts.append(f"**{of}**\n\n" + "\n".join(rows))
+    return "\n\n".join(parts) + "\n"
 
 
 def comments(kind: type) -> dict[str, str]:
@@ -98,11 +84,22 @@ def comments(kind: type) -> dict[str, str]:
     return found
 
 
-def _rows(kind: type) -> Iterator[tuple[str, str, str, str]]:
+def _listed(rows: Iterable[tuple[str, str]]) -> list[str]:
+    """Items of (key, comment); keys without a comment share an item with their neighbours."""
+    items = []
+    for what, alike in itertools.groupby(rows, key=lambda row: row[1]):
+        keys = [key for key, _ in alike]
+        items += [f"- {key}: {what}" for key in keys] if what else [f"- {', '.join(keys)}"]
+    return items
+
+
+def _rows(kind: type) -> Iterator[tuple[str, str]]:
+    """Each key with its type, unless it is an integer, and its comment; `?`: may be absent."""
     texts, hints = comments(kind), typing.get_type_hints(kind)
     for name, key, optional in _fields(kind):
         words = _words(hints[name], optional=optional)
-        yield key, words + (", optional" if optional else ""), _unit(name), texts.get(name, "")
+        told = f"`{key}`" + "?" * optional
+        yield told if words == _WORDS[int] else f"{told} ({words})", texts.get(name, "")
 
 
 def _fields(kind: type) -> Iterator[tuple[str, str, bool]]:
@@ -113,16 +110,6 @@ def _fields(kind: type) -> Iterator[tuple[str, str, bool]]:
     elif dataclasses.is_dataclass(kind):
         for plain in dataclasses.fields(kind):
             yield plain.name, plain.name, False
-
-
-def _unit(name: str) -> str:
-    """The unit at the end of a name; the name of a rate may have one more word after it."""
-    if name == "seconds":
-        return "s"
-    words = name.split("_")
-    if "bps" in words:
-        return _UNITS["bps"]
-    return _UNITS.get(words[-1], "") if len(words) > 1 else ""
 
 
 def _words(hint: object, *, optional: bool = False) -> str:

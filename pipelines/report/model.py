@@ -622,7 +622,7 @@ class ArmEventReport(Report, frozen=True, kw_only=True):
 
 
 class ArmReport(Report, frozen=True, kw_only=True):
-    """Who drives the robot, where a partner may, too (docs/partner.md)."""
+    """Who drives the robot, where a partner may, too (docs/rtc.md)."""
 
     #: `iss` or `partner`; null: nobody.
     owner: str | None
@@ -639,7 +639,7 @@ class ArmReport(Report, frozen=True, kw_only=True):
 
 
 class SecondArmReport(Report, frozen=True, kw_only=True):
-    """The arm that only a partner drives (docs/partner.md)."""
+    """The arm that only a partner drives (docs/rtc.md)."""
 
     #: Samples sent to the partner.
     sent: int

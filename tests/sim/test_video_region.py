@@ -1,6 +1,6 @@
 """With a region around the stylus its tip is sharper, the rest hardly coarser, and nothing late.
 
-`pytest -s tests/sim/test_video_region.py` prints the figures of docs/experiments/video-regions.md.
+`pytest -s tests/sim/test_video_region.py` prints the figures of docs/experiments/video.md.
 """
 
 from dataclasses import replace

@@ -11,32 +11,31 @@ _HEAD = """# Measurements
 
 `kontur-av bench all` wrote this page from the JSON files in `{folder}`;
 `kontur-av bench all --render` writes it again without measuring. A figure is the median of its
-runs, with the least and the largest run in brackets. On virtual time every run gives the same
-figures, so there is one run.
+runs, with the least and the largest run in brackets, where they differ. On virtual time every run
+gives the same figures, so there is one run. The machine is named where it changes.
 """
 
 
 def page(records: Sequence[Record], *, folder: str) -> str:
     """The page in Markdown. records: in the order of the sections; folder: of their files."""
-    sections = [_HEAD.format(folder=folder)]
-    machines = {str(record.machine) for record in records}
-    if len(machines) == 1:
-        sections.append(f"Machine: {machines.pop()}.\n")
-    for _, runs in groupby(records, key=lambda record: record.name):
-        sections.append(_section(list(runs), with_machine=bool(machines)))
+    sections, before = [_HEAD.format(folder=folder)], ""
+    for _, group in groupby(records, key=lambda record: record.name):
+        runs = list(group)
+        machine = "; ".join(dict.fromkeys(str(record.machine) for record in runs))
+        sections.append(_section(runs, machine if machine != before else ""))
+        before = machine
     return "\n".join(sections)
 
 
-def _section(runs: Sequence[Record], *, with_machine: bool) -> str:
+def _section(runs: Sequence[Record], machine: str) -> str:
     lines = [f"## {runs[0].title}", "", "```sh"]
     lines += [*dict.fromkeys(record.command for record in runs), "```", ""]
     dates = sorted({record.date[:10] for record in runs})
     codes = ", ".join(dict.fromkeys(record.code for record in runs))
     when = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
     lines.append(f"{len(runs)} run{'s' * (len(runs) > 1)}, {when}, code {codes}.")
-    if with_machine:
-        machines = dict.fromkeys(str(record.machine) for record in runs)
-        lines.append(f"Machine: {'; '.join(machines)}.")
+    if machine:
+        lines.append(f"Machine: {machine}.")
     for record in runs:
         if record.failure:
             lines.append(f"**Run {record.number} failed: {_safe(record.failure)}**")
@@ -49,15 +48,15 @@ def _section(runs: Sequence[Record], *, with_machine: bool) -> str:
 def _table(group: str, found: Sequence[Headline]) -> list[str]:
     columns = list(dict.fromkeys(one.who for one in found))
     judged = list(dict.fromkeys(one.who for one in found if one.target))
-    heads = [group or "figure", "unit", *(who or "median (least to largest)" for who in columns)]
+    heads = [group or "figure", *(who or "median" for who in columns)]
     if judged:
         heads.append("target" if judged == columns else f"target ({', '.join(judged)})")
-    lines = [_line(heads), "|" + "|".join(["---", "---", *["--:"] * len(columns)])]
-    lines[-1] += "|---|" if judged else "|"
+    lines = [_line(heads), "|---" + "|--:" * len(columns) + "|---" * bool(judged) + "|"]
     for what, unit in dict.fromkeys((one.what, one.unit) for one in found):
         row = [one for one in found if (one.what, one.unit) == (what, unit)]
         cells = [_cell([one.value for one in row if one.who == who]) for who in columns]
-        lines.append(_line([what, unit, *cells, *[_verdict(row)] * bool(judged)]))
+        named = f"{what}, {unit}" if unit else what
+        lines.append(_line([named, *cells, *[_verdict(row)] * bool(judged)]))
     return lines
 
 
@@ -71,7 +70,7 @@ def _cell(values: Sequence[float | None]) -> str:
         return "–" if values else ""
     digits = _digits(known)
     middle, least, largest = (f"{of(known):.{digits}f}" for of in (median, min, max))
-    return middle if least == largest else f"{middle} ({least} to {largest})"
+    return middle if least == largest else f"{middle} ({least}…{largest})"
 
 
 def _verdict(row: Sequence[Headline]) -> str:

@@ -229,17 +229,6 @@ def _headlines(results: Sequence[ClipResult]) -> list[Headline]:
             ):
                 group = f"{of.clip}, {of.rate}"
                 found.append(Headline(group=group, what=what, who=who, unit=unit, value=value))
-        found += [
-            Headline(
-                group=f"targets: {of.clip}, {of.rate}",
-                what=verdict.what,
-                unit=verdict.unit,
-                value=verdict.value,
-                target=verdict.target,
-                met=verdict.met,
-            )
-            for verdict in of.verdicts
-        ]
     for title, rows, verdicts in _groups(results):
         found += group_headlines(title, rows, verdicts)
     return found

@@ -196,7 +196,7 @@ class Setup:
     hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
         joystick (docs/haptics-mediated.md).
     rtc: the leg to a partner across the Internet; None: there is none.
-    partner_arm: what a partner's joystick may drive, at ports of its own (docs/partner.md).
+    partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).
     region: what of the uplink video is coded finer than the rest (docs/video.md).
     region_points: for a camera that is no built-in scene, the four corners of the task board in

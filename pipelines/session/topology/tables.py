@@ -122,26 +122,6 @@ def topics_table(topology: Topology) -> Table:
     )
 
 
-def ports_table(topology: Topology) -> Table:
-    """Whose each UDP port is, as an offset from the base port."""
-    base = topology.setup.base_port
-    owner = {port: row.name for row in topology.processes for port in topology.ports_of(row.name)}
-    owner[topology.launcher_port] = "launcher"
-    uses = {topology.launcher_port: "held as long as the session runs, against a second one"}
-    for link in topology.links:
-        uses[link.port] = f"frames of the {link.direction.value}"
-    for row in topology.streams:
-        uses[row.entry_port] = f"`{row.name}`, into the link"
-        uses[row.exit_port] = f"`{row.name}`, out of the link"
-    return Table(
-        headings=("offset", "listens", "takes"),
-        rows=[
-            (str(port - base), f"`{owner[port]}`" if port in owner else "yours", uses[port])
-            for port in sorted(uses)
-        ],
-    )
-
-
 def travels(row: StreamRow, topology: Topology) -> str:
     """What a program sends to a stream's port, in words."""
     if row.kind is Kind.HAPTIC:

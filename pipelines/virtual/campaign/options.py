@@ -24,7 +24,7 @@ def add_place_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--cluster",
         metavar="tcp://HOST:PORT",
-        help="let the workers of this Dask scheduler do the runs (docs/sweep.md)",
+        help="let the workers of this Dask scheduler do the runs (docs/simulation.md)",
     )
 
 

@@ -1,6 +1,7 @@
 """A sweep as a TOML file describes it: its cases, each a setup of its own. A shell.
 
-docs/sweep.md has an annotated file. A mistake is a ConfigError that names the field and the mend.
+docs/simulation.md has an annotated file. A mistake is a ConfigError that names the field and the
+mend.
 """
 
 import json
