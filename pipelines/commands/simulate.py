@@ -15,7 +15,12 @@ from pipelines.commands.replay_options import (
     load_recording,
     replay_setup,
 )
-from pipelines.commands.session_options import (
+from pipelines.commands.stream import check_sources, parse_sources
+from pipelines.recording.recorded_session import RecordedSession
+from pipelines.report.model import SessionReport
+from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.summary import print_summary
+from pipelines.session.options import (
     add_deadband_argument,
     add_hand_argument,
     add_radio_arguments,
@@ -24,11 +29,6 @@ from pipelines.commands.session_options import (
     hand_changes,
     radio_changes,
 )
-from pipelines.commands.stream import check_sources, parse_sources
-from pipelines.recording.recorded_session import RecordedSession
-from pipelines.report.model import SessionReport
-from pipelines.report.report_file import check_writable, write_report
-from pipelines.report.summary import print_summary
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.costs import CodingCosts

@@ -27,7 +27,15 @@ from pipelines.commands.rtc_leg import (
     bound_rtc,
     with_rtc,
 )
-from pipelines.commands.session_options import (
+from pipelines.commands.split_options import check_own_options, inputs_here
+from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
+from pipelines.link.peer_socket import PeerPlan
+from pipelines.recording.part_files import check_recordable, clear_parts
+from pipelines.report.collector import Collector
+from pipelines.report.report_file import check_writable
+from pipelines.report.seat_feed import SeatFeed
+from pipelines.session.launcher import Launcher, hold_ports, load_libraries
+from pipelines.session.options import (
     add_deadband_argument,
     add_hand_argument,
     add_radio_arguments,
@@ -37,14 +45,6 @@ from pipelines.commands.session_options import (
     port_changes,
     radio_changes,
 )
-from pipelines.commands.split_options import check_own_options, inputs_here
-from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
-from pipelines.link.peer_socket import PeerPlan
-from pipelines.recording.part_files import check_recordable, clear_parts
-from pipelines.report.collector import Collector
-from pipelines.report.report_file import check_writable
-from pipelines.report.seat_feed import SeatFeed
-from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.recorder_control import write_wish
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup

@@ -14,12 +14,12 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.charts import check_plot, save
-from pipelines.bench.children import ended_alike
-from pipelines.bench.console import open_console
-from pipelines.bench.result import as_json
 from pipelines.commands.stream import check_sources
+from pipelines.report.charts import check_plot, save
+from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable, write_report, write_text
+from pipelines.report.result import as_json
+from pipelines.session.children import ended_alike
 from pipelines.virtual.campaign.chart import chart
 from pipelines.virtual.campaign.figures import RunFigures, crashed, run_figures
 from pipelines.virtual.campaign.here import code_digest

@@ -2,7 +2,7 @@
 
 from pipelines.bench.all.records import Record
 from pipelines.bench.machine import Machine
-from pipelines.bench.result import Headline
+from pipelines.report.result import Headline
 
 MACHINE = Machine(cpu="Some CPU", cores=2, kernel="Linux 6", python="3.11.7", pyav="18.1.0")
 RECORD = Record(

@@ -55,7 +55,7 @@ ALLOWED = {
     # For the time of an import whose warnings are not ours.
     "kontur_av/codecs/libopus.py": {"_import_with"},
     "kontur_av/streams/encoding_thread.py": {"switch_threads_often"},
-    "pipelines/bench/children.py": {"ended_alike"},
+    "pipelines/session/children.py": {"ended_alike"},
     # For the time of a connection, whose warnings are told in one line of ours.
     "pipelines/virtual/campaign/cluster.py": {"_connected"},
     "pipelines/bench/fanout/run.py": {"_publish", "_read"},

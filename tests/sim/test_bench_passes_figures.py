@@ -8,8 +8,8 @@ from pipelines.bench.passes.figures import (
     faults,
     pass_figures,
 )
-from pipelines.bench.result import JsonReader, as_json
 from pipelines.commands.simulate import simulate
+from pipelines.report.result import JsonReader, as_json
 from pipelines.session.setup.built_in import BUILT_IN
 from telepresence.haptics.loop import HapticLink
 

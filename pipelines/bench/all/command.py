@@ -14,8 +14,8 @@ from pipelines.bench.all.page import page
 from pipelines.bench.all.plan import LENGTHS, Measurement, in_turn, measurements
 from pipelines.bench.all.records import path_of, read_record, read_records, write_record
 from pipelines.bench.all.run import measure
-from pipelines.bench.console import TableConsole, open_console
 from pipelines.bench.machine import code_digest
+from pipelines.report.console import TableConsole, open_console
 from pipelines.report.report_file import check_writable, write_text
 
 _DEFAULT_FOLDER = Path("measurements")

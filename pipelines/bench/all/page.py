@@ -5,7 +5,7 @@ from itertools import groupby
 from statistics import median
 
 from pipelines.bench.all.records import Record
-from pipelines.bench.result import Headline
+from pipelines.report.result import Headline
 
 _HEAD = """# Measurements
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.bench.machine import Machine
-from pipelines.bench.result import Headline, JsonReader, as_json
 from pipelines.report.report_file import write_report
+from pipelines.report.result import Headline, JsonReader, as_json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,9 +9,9 @@ from tempfile import TemporaryDirectory
 
 from pipelines.bench.all.plan import Measurement
 from pipelines.bench.all.records import Record, read_headlines
-from pipelines.bench.children import end_all, ended_alike
 from pipelines.bench.machine import this_machine
-from pipelines.bench.result import JsonReader
+from pipelines.report.result import JsonReader
+from pipelines.session.children import end_all, ended_alike
 
 
 def measure(measurement: Measurement, number: int, code: str) -> Record:

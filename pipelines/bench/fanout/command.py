@@ -19,14 +19,14 @@ from rich.table import Table
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import MAX_READERS
-from pipelines.bench.charts import check_plot, distributions, save
-from pipelines.bench.console import open_console
 from pipelines.bench.fanout.gstreamer import ShmSinkWay, lacking
 from pipelines.bench.fanout.run import PICTURES_HZ, FanOut, fan_out
 from pipelines.bench.fanout.ways import HEIGHT, WIDTH, QueueWay, TopicWay, Way
-from pipelines.bench.result import Headline, Percentiles, spread
-from pipelines.bench.result_file import write_result
+from pipelines.report.charts import check_plot, distributions, save
+from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
+from pipelines.report.result import Headline, Percentiles, spread
+from pipelines.report.result_file import write_result
 
 _READERS = (1, 4, 8, 16)
 #: As fast as possible: long enough for thousands of pictures.

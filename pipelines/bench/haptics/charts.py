@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipelines.bench.charts import COLOURS, new_figure
 from pipelines.bench.haptics.cell import Cell
 from pipelines.bench.haptics.figures import Trace, Values
 from pipelines.bench.haptics.map import StabilityMap
 from pipelines.bench.haptics.plan import CellPlan
+from pipelines.report.charts import COLOURS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

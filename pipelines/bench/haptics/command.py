@@ -9,8 +9,6 @@ from statistics import median
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.charts import check_plot, save
-from pipelines.bench.console import open_console
 from pipelines.bench.haptics.cell import Cell, full_grid, read_cell, small_grid
 from pipelines.bench.haptics.charts import chart
 from pipelines.bench.haptics.claims import Claim, claims, needed
@@ -20,9 +18,11 @@ from pipelines.bench.haptics.hands import HANDS
 from pipelines.bench.haptics.map import StabilityMap
 from pipelines.bench.haptics.plan import plan
 from pipelines.bench.haptics.run import run_cell
-from pipelines.bench.result import Headline, Json, as_json
-from pipelines.bench.result_file import write_result
+from pipelines.report.charts import check_plot, save
+from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
+from pipelines.report.result import Headline, Json, as_json
+from pipelines.report.result_file import write_result
 from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
 from pipelines.virtual.campaign.progress import Progress
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.console import open_console
 from pipelines.bench.machines.figures import (
     MachinesResult,
     SessionFigures,
@@ -20,11 +19,12 @@ from pipelines.bench.machines.figures import (
 )
 from pipelines.bench.machines.hosts import two_hosts
 from pipelines.bench.machines.run import split_report
-from pipelines.bench.result import Headline
-from pipelines.bench.result_file import write_result
 from pipelines.bench.session import live_report
-from pipelines.commands.session_options import add_setup_argument
+from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
+from pipelines.report.result import Headline
+from pipelines.report.result_file import write_result
+from pipelines.session.options import add_setup_argument
 from pipelines.session.setup.setup_file import load_setup
 
 _COLUMNS = ("one machine", "two machines", "difference")

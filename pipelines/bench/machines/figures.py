@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.bench.result import Headline, JsonReader
+from pipelines.report.result import Headline, JsonReader
 
 #: A latency on two machines may differ by this much from that on one.
 SAME_WITHIN_MS = 3.0

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from pipelines.bench.children import end_all, ended_alike
 from pipelines.bench.machines.hosts import Hosts
-from pipelines.bench.result import JsonReader
 from pipelines.link.key_files import make_key, trust
+from pipelines.report.result import JsonReader
+from pipelines.session.children import end_all, ended_alike
 from pipelines.session.setup.segments import Segment
 
 _PORT = 27_900

@@ -12,8 +12,6 @@ from pathlib import Path
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.charts import check_plot, distributions, save
-from pipelines.bench.console import open_console
 from pipelines.bench.page.browser import lacking
 from pipelines.bench.page.figures import ALONE, LIVE, DelayRun, PageResult, headlines
 from pipelines.bench.page.footage import FPS, coded
@@ -22,10 +20,12 @@ from pipelines.bench.page.pointer import pointer_run
 from pipelines.bench.page.session import PAGES, session_run
 from pipelines.bench.page.views import CONTENDERS, measured
 from pipelines.bench.page.voice import voice_run
-from pipelines.bench.result import Headline, spread
-from pipelines.bench.result_file import write_result
 from pipelines.bench.video.marks import NUMBERS
+from pipelines.report.charts import check_plot, distributions, save
+from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
+from pipelines.report.result import Headline, spread
+from pipelines.report.result_file import write_result
 
 #: For Chromium to start, beside the measured time.
 _SPARE_S = 60

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from math import isnan
 from statistics import median
 
-from pipelines.bench.result import Headline, Percentiles
+from pipelines.report.result import Headline, Percentiles
 
 OURS, PEER = "page", "aiortc to <video>"
 #: What else runs on the machine: only the page and its server, or a session with all its processes.

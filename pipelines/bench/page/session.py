@@ -10,12 +10,12 @@ from tempfile import TemporaryDirectory
 from time import monotonic, sleep
 
 from kontur_av.topics.session_files import session_root
-from pipelines.bench.children import end_all
 from pipelines.bench.page.alone import forked
 from pipelines.bench.page.browser import Browser
 from pipelines.bench.page.figures import SessionRun
 from pipelines.bench.page.watcher import watch_seat
-from pipelines.bench.result import JsonReader
+from pipelines.report.result import JsonReader
+from pipelines.session.children import end_all
 
 #: For a session to begin or to end, and for a page to show a picture.
 PATIENCE_S = 60.0

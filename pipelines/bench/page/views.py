@@ -16,8 +16,8 @@ from pipelines.bench.page.figures import OURS, PEER, ViewRun
 from pipelines.bench.page.footage import FPS
 from pipelines.bench.page.screen import Spot, VirtualScreen, watch
 from pipelines.bench.page.webrtc import serve_webrtc
-from pipelines.bench.result import spread
 from pipelines.bench.video.marks import NUMBERS
+from pipelines.report.result import spread
 from pipelines.session.topology import Segment
 
 _WIDTH, _HEIGHT = 820, 1000

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
-from pipelines.bench.result import Headline, JsonReader
+from pipelines.report.result import Headline, JsonReader
 from pipelines.virtual.campaign.tasks import Crash
 
 #: The least share of the usable time that the orbit predicts.

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.bench.result import JsonReader
 from pipelines.recording.messages import (
     NO_SAMPLE,
     LinkReceived,
@@ -23,6 +22,7 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
+from pipelines.report.result import JsonReader
 
 #: Samples and frames of a quarter of a second, at 1 kHz.
 _EDGE = 250

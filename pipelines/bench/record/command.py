@@ -10,7 +10,6 @@ from tempfile import TemporaryDirectory
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.console import TableConsole, open_console
 from pipelines.bench.record.agreement import compare
 from pipelines.bench.record.figures import (
     Cuts,
@@ -23,10 +22,11 @@ from pipelines.bench.record.figures import (
 )
 from pipelines.bench.record.recount import compare_files, recount
 from pipelines.bench.record.run import kills
-from pipelines.bench.result_file import write_result
 from pipelines.bench.session import live_report
-from pipelines.commands.session_options import add_setup_argument
+from pipelines.report.console import TableConsole, open_console
 from pipelines.report.report_file import check_writable
+from pipelines.report.result_file import write_result
+from pipelines.session.options import add_setup_argument
 from pipelines.session.setup.setup_file import load_setup
 
 

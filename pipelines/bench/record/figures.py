@@ -7,10 +7,10 @@ from statistics import median
 from mcap.opcode import Opcode
 
 from kontur_av.clock import NS_PER_S
-from pipelines.bench.result import Headline, JsonReader, spread
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.records import HEAD, MAGIC
 from pipelines.recording.scan import FoundMessage, Scan
+from pipelines.report.result import Headline, JsonReader, spread
 
 #: What is promised.
 MOST_LOST_S, MOST_CORES = 1.0, 0.15

@@ -8,8 +8,8 @@ from mcap.reader import make_reader
 
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.bench.record.agreement import Comparison, Recount, compare
-from pipelines.bench.result import JsonReader
 from pipelines.recording.part_files import present_parts
+from pipelines.report.result import JsonReader
 
 
 def recount(first: Path) -> Recount:

@@ -11,9 +11,9 @@ from random import Random
 from tempfile import TemporaryDirectory
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.children import end_all, ended_alike
 from pipelines.bench.record.figures import Kill, kill_of, scan_part
 from pipelines.recording.part_files import part_path
+from pipelines.session.children import end_all, ended_alike
 
 #: A session for so many kills at most, so that none becomes too long.
 _KILLS_A_SESSION = 20

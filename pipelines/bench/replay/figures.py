@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from pipelines.bench.result import Headline
 from pipelines.report.model import SessionReport, Spread
+from pipelines.report.result import Headline
 from pipelines.session.setup.table import NO_RADIO
 
 #: The case whose pictures must be those of the recording.

@@ -12,11 +12,8 @@ from pathlib import Path
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.console import open_console
 from pipelines.bench.page.browser import lacking as browser_lacking
 from pipelines.bench.page.footage import FPS, coded
-from pipelines.bench.result import Headline
-from pipelines.bench.result_file import write_result
 from pipelines.bench.rtc.figures import (
     IDLE,
     LEGS,
@@ -34,7 +31,10 @@ from pipelines.bench.rtc.pixel import SPARE_S, pixel_run
 from pipelines.bench.rtc.reception import reception_run
 from pipelines.bench.rtc.session import session_run
 from pipelines.bench.video.marks import NUMBERS
+from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
+from pipelines.report.result import Headline
+from pipelines.report.result_file import write_result
 
 _PORT = 8390
 _PARTS = ("pixel", "reception", "session")

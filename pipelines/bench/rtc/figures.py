@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import isnan
 from statistics import median
 
-from pipelines.bench.result import Headline, Percentiles
+from pipelines.report.result import Headline, Percentiles
 
 OURS, PEER = "kontur-av", "plain aiortc"
 #: How the leg is while the session runs. `full`: its network carries a third of the picture's rate.

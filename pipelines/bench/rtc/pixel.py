@@ -13,14 +13,14 @@ from time import sleep
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from pipelines.bench.children import end_all
 from pipelines.bench.page.alone import forked
 from pipelines.bench.page.browser import Browser
 from pipelines.bench.page.footage import FPS, HEIGHT, WIDTH, pictures
 from pipelines.bench.page.screen import VirtualScreen, watch
 from pipelines.bench.page.views import numbers, wait_for
-from pipelines.bench.result import spread
 from pipelines.bench.rtc.figures import PixelRun
+from pipelines.report.result import spread
+from pipelines.session.children import end_all
 
 _VIDEO = "video[data-programme=main]"
 _SCREEN = 820, 1000

@@ -23,7 +23,6 @@ from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.bench.page.alone import forked
 from pipelines.bench.page.footage import FPS, HEIGHT, WIDTH
 from pipelines.bench.page.views import numbers
-from pipelines.bench.result import spread
 from pipelines.bench.rtc.figures import OURS, ReceptionRun
 from pipelines.bench.video.marks import MARK_ROWS, levels, read_number
 from pipelines.partner.description import Kind
@@ -32,6 +31,7 @@ from pipelines.partner.peer import RtcPeer
 from pipelines.partner.programme import Programme
 from pipelines.partner.server import RtcServer
 from pipelines.partner.whip import WhipClient
+from pipelines.report.result import spread
 from pipelines.session.page_listener import PageListener
 
 _TOKEN = "bench"

@@ -11,12 +11,12 @@ from tempfile import TemporaryDirectory
 from time import monotonic, sleep
 
 from kontur_av.topics.session_files import session_root
-from pipelines.bench.children import end_all
 from pipelines.bench.page.session import PATIENCE_S, Session, live_session
-from pipelines.bench.result import JsonReader
 from pipelines.bench.rtc.figures import CUT, FULL, IDLE, NO_LEG, SessionRun
 from pipelines.bench.rtc.network import HOST, Network
 from pipelines.bench.rtc.partner import write_units
+from pipelines.report.result import JsonReader
+from pipelines.session.children import end_all
 
 _PERCENTILES = ("p50", "p99")
 

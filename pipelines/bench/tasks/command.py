@@ -8,9 +8,6 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.children import ended_alike
-from pipelines.bench.console import open_console
-from pipelines.bench.result_file import write_result
 from pipelines.bench.tasks.figures import (
     Session,
     faults,
@@ -21,12 +18,15 @@ from pipelines.bench.tasks.figures import (
     table_rows,
     task_pass,
 )
-from pipelines.commands.session_options import (
+from pipelines.report.console import open_console
+from pipelines.report.report_file import check_writable
+from pipelines.report.result_file import write_result
+from pipelines.session.children import ended_alike
+from pipelines.session.options import (
     add_radio_argument,
     add_setup_argument,
     radio_change,
 )
-from pipelines.report.report_file import check_writable
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
 from pipelines.virtual.campaign.sessions import session_results

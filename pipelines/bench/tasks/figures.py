@@ -7,7 +7,7 @@ from statistics import median
 from kontur_av.clock import NS_PER_S
 from pipelines.bench.passes.figures import PassFigures, pass_figures
 from pipelines.bench.passes.figures import faults as pass_faults
-from pipelines.bench.result import Headline, JsonReader
+from pipelines.report.result import Headline, JsonReader
 from pipelines.session.task_journal import OPEN, STEPS
 from pipelines.virtual.campaign.tasks import Crash
 from telepresence.tasks.experiment import Step

@@ -23,10 +23,6 @@ from rich.table import Table
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
-from pipelines.bench.charts import check_plot, distributions, save
-from pipelines.bench.console import open_console
-from pipelines.bench.result import Headline, Json, as_json
-from pipelines.bench.result_file import write_result
 from pipelines.bench.video.clips import CLIPS, Clip, clips
 from pipelines.bench.video.contenders import ContenderError, missing
 from pipelines.bench.video.crops import check_crops, shot_numbers, write_crops
@@ -51,7 +47,11 @@ from pipelines.bench.video.targets import (
     judge,
 )
 from pipelines.bench.video.vmaf import vmaf_program
+from pipelines.report.charts import check_plot, distributions, save
+from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
+from pipelines.report.result import Headline, Json, as_json
+from pipelines.report.result_file import write_result
 
 _WIDE_KBPS = (512.0, 530.0)
 _FPS = 30

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
-from pipelines.bench.children import ended_alike
 from pipelines.bench.video.clips import Clip, led_in, shared_array
 from pipelines.bench.video.contenders import Course, started
 from pipelines.bench.video.ends import Carried, Filmed, Watched, carry, film_to, watch
@@ -31,6 +30,7 @@ from pipelines.bench.video.marks import MARK_ROWS, read_all, read_number
 from pipelines.bench.video.quality import Luma, psnr_db, ssim, summarise
 from pipelines.bench.video.targets import CHROMIUM
 from pipelines.bench.video.vmaf import vmaf
+from pipelines.session.children import ended_alike
 
 _START_S = 30.0
 #: After the end of the camera, the last pictures have this long to arrive.

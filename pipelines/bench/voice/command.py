@@ -12,15 +12,15 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.sources.source import BLOCK_NS
-from pipelines.bench.charts import check_plot, distributions, save
-from pipelines.bench.console import open_console
-from pipelines.bench.result import Headline, Percentiles, spread
-from pipelines.bench.result_file import write_result
 from pipelines.bench.voice.gstreamer import Peer, listen_live, missing
 from pipelines.bench.voice.network import BURST_PACKETS, Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track, pesq_is_there, quality, speech_track
 from pipelines.bench.voice.virtual import Heard, listen, speak
+from pipelines.report.charts import check_plot, distributions, save
+from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
+from pipelines.report.result import Headline, Percentiles, spread
+from pipelines.report.result_file import write_result
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import VoiceStream
 

@@ -17,11 +17,11 @@ from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
 from kontur_av.rtp.wire import signed_32
 from kontur_av.sources.source import BLOCK_NS
-from pipelines.bench.children import ended_alike
 from pipelines.bench.ports import open_udp_ports
 from pipelines.bench.voice.network import Network
 from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, Track, lags
 from pipelines.bench.voice.virtual import Heard
+from pipelines.session.children import ended_alike
 
 _LOOPBACK = "127.0.0.1"
 _HEADER_OCTETS = 12

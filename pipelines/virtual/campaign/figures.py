@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pipelines.bench.passes.figures import PassFigures, faults, pass_figures
-from pipelines.bench.result import JsonReader
+from pipelines.report.result import JsonReader
 from pipelines.virtual.campaign.tasks import Crash, SessionTask
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from pipelines.bench.result import JsonReader
+from pipelines.report.result import JsonReader
 from pipelines.session.setup.table import Setup
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan

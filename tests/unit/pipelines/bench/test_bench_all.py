@@ -11,8 +11,8 @@ from pipelines.bench.all.page import page
 from pipelines.bench.all.plan import LENGTHS, LIVE_RUNS, in_turn, measurements
 from pipelines.bench.all.records import read_record, read_records, write_record
 from pipelines.bench.machine import code_digest, this_machine
-from pipelines.bench.result import Headline
 from pipelines.cli import main, make_parser
+from pipelines.report.result import Headline
 
 
 def with_value(number, value, met):

@@ -13,8 +13,8 @@ from pipelines.bench.passes.figures import (
     signal_s,
     usable_window,
 )
-from pipelines.bench.result import JsonReader
 from pipelines.cli import main
+from pipelines.report.result import JsonReader
 from pipelines.virtual.campaign.tasks import Crash
 
 S = 1_000_000_000

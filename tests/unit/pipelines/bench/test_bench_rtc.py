@@ -1,6 +1,5 @@
 """The figures of the leg to a partner."""
 
-from pipelines.bench.result import spread
 from pipelines.bench.rtc.figures import (
     CUT,
     NO_LEG,
@@ -13,6 +12,7 @@ from pipelines.bench.rtc.figures import (
     headlines,
 )
 from pipelines.bench.rtc.partner import read_units, write_units
+from pipelines.report.result import spread
 
 
 def session(leg, p99, lost=0):

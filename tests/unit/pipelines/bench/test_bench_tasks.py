@@ -2,7 +2,6 @@
 
 import pytest
 
-from pipelines.bench.result import JsonReader
 from pipelines.bench.tasks.figures import (
     faults,
     headings,
@@ -12,6 +11,7 @@ from pipelines.bench.tasks.figures import (
     table_rows,
     task_pass,
 )
+from pipelines.report.result import JsonReader
 from pipelines.session.task_journal import STEPS
 from pipelines.virtual.campaign.tasks import Crash
 

@@ -7,8 +7,8 @@ from synthetic_recording import LINK_CYCLES, LINK_NS, MS, PUBLISHED_NS, write_re
 
 from pipelines.bench.record.agreement import compare
 from pipelines.bench.record.recount import recount
-from pipelines.bench.result import JsonReader
 from pipelines.cli import main
+from pipelines.report.result import JsonReader
 
 SECONDS = 3.0
 

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from pipelines.bench.result import Headline, as_json
 from pipelines.report.report_file import write_report
+from pipelines.report.result import Headline, as_json
 
 
 def write_result(
