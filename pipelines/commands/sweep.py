@@ -14,7 +14,6 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.stream import check_sources
 from pipelines.report.charts import check_plot, save
 from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable, write_report, write_text
@@ -29,7 +28,7 @@ from pipelines.virtual.campaign.sessions import session_results
 from pipelines.virtual.campaign.sweep import Sweep, case_figures, csv_rows, headings, rows, task_key
 from pipelines.virtual.campaign.sweep_file import load_sweep
 from pipelines.virtual.campaign.tasks import Crash, Result, SessionTask
-from pipelines.virtual.inputs import check_sources as check_virtual_sources
+from pipelines.virtual.inputs import check_virtual_sources
 
 #: The runs that are over are kept this often.
 _KEEP_EVERY_S = 5.0
@@ -61,7 +60,6 @@ def run(args: argparse.Namespace) -> int:
     check_plot(args.plot)
     for case in sweep.cases if sweep.media else ():
         check_virtual_sources(case.setup)
-        check_sources(case.setup, case.setup.inputs)
     kept = _kept(args.report)
     runs = [kept.get(_key(sweep, task)) for task in sweep.tasks()]
     console = open_console(args, width=200, wanted=args.csv is not None)

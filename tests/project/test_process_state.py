@@ -66,7 +66,7 @@ ALLOWED = {
     "pipelines/cli.py": {"_loaded"},
     "pipelines/commands/common.py": {"stopped_by_signals"},
     "pipelines/commands/drive_far.py": {"_relay"},
-    "pipelines/commands/simulate.py": {"_run"},
+    "pipelines/virtual/simulate.py": {"_run"},
     "pipelines/session/launcher.py": {
         "Launcher.run",
         "Launcher._start",

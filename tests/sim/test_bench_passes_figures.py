@@ -8,9 +8,9 @@ from pipelines.bench.passes.figures import (
     faults,
     pass_figures,
 )
-from pipelines.commands.simulate import simulate
 from pipelines.report.result import JsonReader, as_json
 from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.virtual.simulate import simulate
 from telepresence.haptics.loop import HapticLink
 
 S = 1_000_000_000

@@ -20,7 +20,6 @@ from pipelines.bench.latency.runs import (
 )
 from pipelines.bench.latency.targets import MEANT_FOR, LatencyVerdict, judge
 from pipelines.bench.session import live_session
-from pipelines.commands.stream import check_sources
 from pipelines.report.charts import check_plot, save
 from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
@@ -38,7 +37,7 @@ from pipelines.session.options import (
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.inputs import check_sources as check_virtual_sources
+from pipelines.virtual.inputs import check_virtual_sources
 
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
 #: A longer lead of the force over its picture is noticeable.
@@ -195,7 +194,6 @@ def _setups(args: argparse.Namespace) -> list[Setup]:
     # Check the port of the live run before anything is measured.
     first = replace(chosen, base_port=args.base_port, **changes)
     check_virtual_sources(first)
-    check_sources(first, first.inputs)
     return [first, *(replace(setup, **changes) for setup in others)]
 
 

@@ -16,7 +16,6 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.replay.figures import SAME, Case, ReplayResult, headlines, rows
 from pipelines.bench.session import live_report
 from pipelines.commands.replay_options import check_caps, load_recording, recorded_setup
-from pipelines.commands.simulate import replay
 from pipelines.recording.recorded_session import RecordedSession
 from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
@@ -24,6 +23,7 @@ from pipelines.report.result_file import write_result
 from pipelines.session.options import add_setup_argument, radio_change
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
+from pipelines.virtual.simulate import replay
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -17,8 +17,6 @@ from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_session
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
-from pipelines.commands.simulate import simulate
-from pipelines.commands.stream import check_sources
 from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
@@ -28,7 +26,9 @@ from pipelines.report.sync.figures import PAIRS, SENSES, Event, skew_summary, sk
 from pipelines.report.sync.matching import Found
 from pipelines.session.options import radio_change
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.virtual.inputs import check_sources as check_virtual_sources
+from pipelines.session.setup.sources import check_sources
+from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.simulate import simulate
 
 _WORDS = {
     "video_haptic": "video after force",
