@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import pytest
 from bench_records import RECORD
 
-from pipelines.bench.all import command, run
-from pipelines.bench.all.plan import LIVE_RUNS
-from pipelines.bench.all.records import write_record
+from benchmarks.all import command, run
+from benchmarks.all.plan import LIVE_RUNS
+from benchmarks.all.records import write_record
 from pipelines.cli import main
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.bench.fanout import command as fanout
-from pipelines.bench.fanout.run import fan_out
-from pipelines.bench.fanout.ways import PICTURE_OCTETS, TopicWay, noise, read_stamp, stamp_picture
+from benchmarks.fanout import command as fanout
+from benchmarks.fanout.run import fan_out
+from benchmarks.fanout.ways import PICTURE_OCTETS, TopicWay, noise, read_stamp, stamp_picture
 from pipelines.cli import main
 
 SHARED_MEMORY = Path("/dev/shm")

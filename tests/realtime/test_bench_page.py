@@ -6,10 +6,10 @@ import shutil
 import numpy as np
 import pytest
 
-from pipelines.bench.page import command as page
-from pipelines.bench.page.figures import OURS, PEER
-from pipelines.bench.page.footage import HEIGHT, WIDTH, pictures
-from pipelines.bench.page.screen import Spot, number_at
+from benchmarks.page import command as page
+from benchmarks.page.figures import OURS, PEER
+from benchmarks.page.footage import HEIGHT, WIDTH, pictures
+from benchmarks.page.screen import Spot, number_at
 from pipelines.cli import main
 
 HERE = all(shutil.which(name) for name in ("chromium", "chromedriver", "Xvfb"))
@@ -39,8 +39,8 @@ def test_what_cannot_be_measured_is_refused(options, capsys):
 
 @pytest.mark.skipif(not HERE, reason="no chromium, no chromedriver or no Xvfb: apt-get install")
 def test_the_page_and_its_peer_show_numbered_pictures(tmp_path):
-    from pipelines.bench.page.footage import FPS, coded
-    from pipelines.bench.page.views import measured
+    from benchmarks.page.footage import FPS, coded
+    from benchmarks.page.views import measured
 
     units = coded(30 * FPS)
     for who in (OURS, PEER):

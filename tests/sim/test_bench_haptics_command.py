@@ -4,7 +4,7 @@ import json
 
 import cv2
 
-from pipelines.bench.haptics import claims as haptics_claims
+from benchmarks.haptics import claims as haptics_claims
 from pipelines.cli import main
 
 CELL = ["--cell", "delay=100", "--seconds", "4", "--jobs", "1"]

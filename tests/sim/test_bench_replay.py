@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from synthetic_recording import write_recording
 
-from pipelines.bench.replay.figures import SAME, Case, ReplayResult, headlines
+from benchmarks.replay.figures import SAME, Case, ReplayResult, headlines
 from pipelines.cli import main
 from pipelines.report.model import SessionReport, from_json
 

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from pipelines.bench.voice import command as voice
-from pipelines.bench.voice.network import Network
-from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
-from pipelines.bench.voice.virtual import listen, speak
+from benchmarks.voice import command as voice
+from benchmarks.voice.network import Network
+from benchmarks.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
+from benchmarks.voice.virtual import listen, speak
 from pipelines.cli import main
 from pipelines.session.setup.built_in import BUILT_IN
 

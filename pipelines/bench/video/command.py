@@ -21,13 +21,8 @@ from pathlib import Path
 import cv2
 from rich.table import Table
 
-from kontur_av.errors import ConfigError
-from kontur_av.media import parse_size
-from pipelines.bench.video.clips import CLIPS, Clip, clips
-from pipelines.bench.video.contenders import ContenderError, missing
-from pipelines.bench.video.crops import check_crops, shot_numbers, write_crops
-from pipelines.bench.video.figures import ContenderFigures
-from pipelines.bench.video.groups import (
+from benchmarks.video.crops import check_crops, shot_numbers, write_crops
+from benchmarks.video.groups import (
     OTHERS,
     TUNED_ON,
     GroupRow,
@@ -36,7 +31,13 @@ from pipelines.bench.video.groups import (
     group_rows,
     group_verdicts,
 )
-from pipelines.bench.video.marks import NUMBERS, check_width
+from benchmarks.video.vmaf import vmaf_program
+from kontur_av.errors import ConfigError
+from kontur_av.media import parse_size
+from pipelines.bench.marks import NUMBERS, check_width
+from pipelines.bench.video.clips import CLIPS, Clip, clips
+from pipelines.bench.video.contenders import ContenderError, missing
+from pipelines.bench.video.figures import ContenderFigures
 from pipelines.bench.video.run import CHROMIUM_LEAD_S, Trial, TrialTerms, measure
 from pipelines.bench.video.targets import (
     CONTENDERS,
@@ -46,7 +47,6 @@ from pipelines.bench.video.targets import (
     VideoVerdict,
     judge,
 )
-from pipelines.bench.video.vmaf import vmaf_program
 from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable

@@ -11,11 +11,11 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from benchmarks.video.bridge import BridgeOptions
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.rtp.sdp import parse_sdp, write_sdp
 from pipelines.bench.ports import open_udp_ports
-from pipelines.bench.video.bridge import BridgeOptions
 from pipelines.bench.video.targets import CHROMIUM, DEFAULT, OURS, TUNED
 
 _NEEDED = ("x264enc", "avdec_h264", "rtph264pay", "rtph264depay", "y4mdec", "y4menc")
@@ -226,7 +226,7 @@ def _browsers(codec: str, course: Course) -> Iterator[tuple[Process, Process]]:
     )
     bridge = Process(
         "the bridge to Chromium",
-        [sys.executable, "-m", "pipelines.bench.video.bridge", options.words()],
+        [sys.executable, "-m", "benchmarks.video.bridge", options.words()],
         course.directory / "bridge.log",
         (),
     )

@@ -13,8 +13,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.video.vmaf import vmaf
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
+from pipelines.bench.marks import MARK_ROWS, read_all, read_number
 from pipelines.bench.video.clips import Clip, led_in, shared_array
 from pipelines.bench.video.contenders import Course, started
 from pipelines.bench.video.ends import Carried, Filmed, Watched, carry, film_to, watch
@@ -26,10 +28,8 @@ from pipelines.bench.video.figures import (
     percentiles,
     shown,
 )
-from pipelines.bench.video.marks import MARK_ROWS, read_all, read_number
 from pipelines.bench.video.quality import Luma, psnr_db, ssim, summarise
 from pipelines.bench.video.targets import CHROMIUM
-from pipelines.bench.video.vmaf import vmaf
 from pipelines.session.children import ended_alike
 
 _START_S = 30.0

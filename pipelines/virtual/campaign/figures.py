@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pipelines.bench.passes.figures import PassFigures, faults, pass_figures
 from pipelines.report.result import JsonReader
+from pipelines.virtual.campaign.pass_figures import PassFigures, faults, pass_figures
 from pipelines.virtual.campaign.tasks import Crash, SessionTask
 
 

@@ -8,12 +8,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.video.bridge import through_the_channel
+from benchmarks.video.crops import detail, shot_numbers, side_by_side
+from benchmarks.video.groups import group_headlines, group_rows, group_verdicts
+from benchmarks.video.packages import PACKAGED, cached, matching
+from benchmarks.video.vmaf import scores
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, planes
-from pipelines.bench.video.bridge import through_the_channel
+from pipelines.bench.marks import (
+    NUMBERS,
+    SQUARES,
+    draw_number,
+    levels,
+    read_all,
+    read_number,
+)
 from pipelines.bench.video.channel import ThinChannel, muxed_payload_octets, rtp_payload_octets
 from pipelines.bench.video.clips import Clip, crop_size, film, led_in, mirrored, scene
-from pipelines.bench.video.crops import detail, shot_numbers, side_by_side
 from pipelines.bench.video.figures import (
     ContenderFigures,
     largest_bps,
@@ -22,19 +33,8 @@ from pipelines.bench.video.figures import (
     percentiles,
     shown,
 )
-from pipelines.bench.video.groups import group_headlines, group_rows, group_verdicts
-from pipelines.bench.video.marks import (
-    NUMBERS,
-    SQUARES,
-    draw_number,
-    levels,
-    read_all,
-    read_number,
-)
-from pipelines.bench.video.packages import PACKAGED, cached, matching
 from pipelines.bench.video.quality import BEST_DB, QualityMeans, psnr_db, ssim, summarise
 from pipelines.bench.video.targets import DEFAULT, NARROW, OURS, STRANGE, TUNED, WIDE, judge
-from pipelines.bench.video.vmaf import scores
 from pipelines.cli import main
 
 MS, S = 1_000_000, 1_000_000_000

@@ -1,0 +1,97 @@
+"""From the records of `kontur-av bench all` to `docs/measurements.md`. A core."""
+
+from collections.abc import Sequence
+from itertools import groupby
+from statistics import median
+
+from benchmarks.all.records import Record
+from pipelines.report.result import Headline
+
+_HEAD = """# Measurements
+
+`kontur-av bench all` wrote this page from the JSON files in `{folder}`;
+`kontur-av bench all --render` writes it again without measuring. A figure is the median of its
+runs, with the least and the largest run in brackets. On virtual time every run gives the same
+figures, so there is one run.
+"""
+
+
+def page(records: Sequence[Record], *, folder: str) -> str:
+    """The page in Markdown. records: in the order of the sections; folder: of their files."""
+    sections = [_HEAD.format(folder=folder)]
+    machines = {str(record.machine) for record in records}
+    if len(machines) == 1:
+        sections.append(f"Machine: {machines.pop()}.\n")
+    for _, runs in groupby(records, key=lambda record: record.name):
+        sections.append(_section(list(runs), with_machine=bool(machines)))
+    return "\n".join(sections)
+
+
+def _section(runs: Sequence[Record], *, with_machine: bool) -> str:
+    lines = [f"## {runs[0].title}", "", "```sh"]
+    lines += [*dict.fromkeys(record.command for record in runs), "```", ""]
+    dates = sorted({record.date[:10] for record in runs})
+    codes = ", ".join(dict.fromkeys(record.code for record in runs))
+    when = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
+    lines.append(f"{len(runs)} run{'s' * (len(runs) > 1)}, {when}, code {codes}.")
+    if with_machine:
+        machines = dict.fromkeys(str(record.machine) for record in runs)
+        lines.append(f"Machine: {'; '.join(machines)}.")
+    for record in runs:
+        if record.failure:
+            lines.append(f"**Run {record.number} failed: {_safe(record.failure)}**")
+    found = [headline for record in runs for headline in record.headlines]
+    for group in dict.fromkeys(headline.group for headline in found):
+        lines += ["", *_table(group, [one for one in found if one.group == group])]
+    return "\n".join([*lines, ""])
+
+
+def _table(group: str, found: Sequence[Headline]) -> list[str]:
+    columns = list(dict.fromkeys(one.who for one in found))
+    judged = list(dict.fromkeys(one.who for one in found if one.target))
+    heads = [group or "figure", "unit", *(who or "median (least to largest)" for who in columns)]
+    if judged:
+        heads.append("target" if judged == columns else f"target ({', '.join(judged)})")
+    lines = [_line(heads), "|" + "|".join(["---", "---", *["--:"] * len(columns)])]
+    lines[-1] += "|---|" if judged else "|"
+    for what, unit in dict.fromkeys((one.what, one.unit) for one in found):
+        row = [one for one in found if (one.what, one.unit) == (what, unit)]
+        cells = [_cell([one.value for one in row if one.who == who]) for who in columns]
+        lines.append(_line([what, unit, *cells, *[_verdict(row)] * bool(judged)]))
+    return lines
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(map(_safe, cells))} |"
+
+
+def _cell(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    if not known:
+        return "–" if values else ""
+    digits = _digits(known)
+    middle, least, largest = (f"{of(known):.{digits}f}" for of in (median, min, max))
+    return middle if least == largest else f"{middle} ({least} to {largest})"
+
+
+def _verdict(row: Sequence[Headline]) -> str:
+    judged = [one for one in row if one.met is not None]
+    if not judged:
+        return ""
+    missed = sum(not one.met for one in judged)
+    if not missed:
+        return f"{judged[0].target}: met"
+    part = "" if missed == len(judged) else f" in {missed} of {len(judged)} runs"
+    return f"{judged[0].target}: **missed**{part}"
+
+
+def _digits(values: Sequence[float]) -> int:
+    """Decimals for about three digits of the largest value; none for whole numbers."""
+    if all(value == round(value) for value in values):
+        return 0
+    largest = max(abs(value) for value in values)
+    return next((digits for digits, least in ((0, 1000), (1, 10), (2, 1)) if largest >= least), 3)
+
+
+def _safe(text: str) -> str:
+    return text.replace("|", "\\|")
