@@ -1,4 +1,4 @@
-"""`kontur-av bench passes`: figures and verdict of simulated sessions."""
+"""Figures and verdict of the passes of simulated sessions."""
 
 from dataclasses import replace
 

@@ -1,19 +1,16 @@
-"""`kontur-av bench tasks`: figures and verdict of a pass with a plan."""
+"""Figures and verdict of a pass with a plan of tasks."""
 
 import pytest
 
 from pipelines.report.result import JsonReader
 from pipelines.session.task_journal import STEPS
 from pipelines.virtual.campaign.task_figures import (
-    faults,
-    headings,
-    headlines,
-    markdown,
-    summary,
-    table_rows,
-    task_pass,
+    task_faults,
+    task_figures,
+    task_names,
+    task_numbers,
 )
-from pipelines.virtual.campaign.tasks import Crash
+from telepresence.tasks.plan import PlannedTask, SessionPlan
 
 
 def run(name="aiming", result="finished", seconds=20.0, steps=STEPS):
@@ -48,15 +45,14 @@ def of(*runs, seconds=100.0, signal_s=100.0):
         "failures": [],
         "tasks": list(runs),
     }
-    return task_pass(JsonReader(body))
+    return task_figures(JsonReader(body))
 
 
 def test_a_pass_is_usable_if_a_task_is_finished_in_the_order_of_the_steps():
     early = run(result="lost_signal", seconds=None, steps=(*STEPS[:4], STEPS[8]))
-    assert faults(of(run(), early)) == []
-    assert faults(of(early)) == ["no task finished"]
-    assert faults(of()) == ["no task finished"]
-    assert faults(Crash("gone")) == ["crashed"]
+    assert task_faults(of(run(), early)) == []
+    assert task_faults(of(early)) == ["no task finished"]
+    assert task_faults(of()) == ["no task finished"]
 
 
 @pytest.mark.parametrize(
@@ -69,7 +65,7 @@ def test_a_pass_is_usable_if_a_task_is_finished_in_the_order_of_the_steps():
     ],
 )
 def test_a_step_in_another_place_or_twice_or_left_out_of_a_finished_run_is_a_fault(steps):
-    assert faults(of(run(steps=steps))) == ["out of order"]
+    assert task_faults(of(run(steps=steps))) == ["out of order"]
 
 
 def test_the_panel_may_learn_of_a_lost_run_after_its_end_but_in_order():
@@ -77,53 +73,30 @@ def test_the_panel_may_learn_of_a_lost_run_after_its_end_but_in_order():
     at_start = STEPS[4]
     for steps in ((*told, *ended, shown, last), (*told, shown, *ended, at_start)):
         late = run(result="lost_signal", seconds=None, steps=steps)
-        assert faults(of(run(), late)) == []
+        assert task_faults(of(run(), late)) == []
     for steps in (
         (*told, *ended, last, shown),
         (*told, *ended, shown, shown),
         (*ended, *told, shown),
     ):
         wrong = run(result="lost_signal", seconds=None, steps=steps)
-        assert faults(of(run(), wrong)) == ["out of order"]
+        assert task_faults(of(run(), wrong)) == ["out of order"]
 
 
 def test_the_last_step_may_miss_the_contact():
-    assert faults(of(run(steps=STEPS[:-1]))) == []
+    assert task_faults(of(run(steps=STEPS[:-1]))) == []
 
 
 def test_a_run_that_is_open_long_after_the_signal_was_lost_is_left_hanging():
     open_one = run(result="open", seconds=None, steps=STEPS[:3])
-    assert "left hanging" in faults(of(run(), open_one, signal_s=60.0))
-    assert "left hanging" not in faults(of(run(), open_one, signal_s=80.0))
-    assert faults(of(run(), open_one)) == []
+    assert "left hanging" in task_faults(of(run(), open_one, signal_s=60.0))
+    assert "left hanging" not in task_faults(of(run(), open_one, signal_s=80.0))
+    assert task_faults(of(run(), open_one)) == []
 
 
-def test_the_table_has_a_row_for_each_pass_and_a_column_for_each_task():
-    names = ("aiming", "line")
-    sessions = {
-        7: of(run(seconds=20.0), run(seconds=23.0), run("line", "timed_out", 60.0, STEPS[:9])),
-        2: Crash("gone"),
-    }
-    crashed, good = table_rows(sessions, names)
-    assert crashed[0] == "2" and crashed[-1] == "crashed"
-    assert len(crashed) == len(good) == len(headings(names))
-    assert dict(zip(headings(names), good, strict=True)) == {
-        "seed": "7",
-        "usable s": "100.0 of 100.0",
-        "contacts": "1",
-        "runs": "3",
-        "aiming": "2, 21.5 s",
-        "line": "0",
-        "aborted": "0",
-        "timed out": "1",
-        "lost signal": "0",
-        "verdict": "usable",
-    }
-    assert summary(sessions) == "1 of 2 sessions usable. 3 runs: 2 finished, 1 timed out."
-    assert "| 7 | 100.0 of 100.0 | 1 | 3 | 2, 21.5 s | 0 |" in markdown(sessions, names, "title")
-    assert [(one.value, one.met) for one in headlines(sessions, names)] == [
-        (50.0, False),
-        (1.0, None),
-        (21.5, None),
-        (None, None),
-    ]
+def test_a_task_has_the_median_time_of_its_finished_runs():
+    plan = SessionPlan(tasks=(PlannedTask(name="aiming"), PlannedTask(name="line")))
+    done = of(run(seconds=20.0), run(seconds=23.0), run("line", "timed_out", 60.0, STEPS[:9]))
+    assert task_names(plan) == ("tasks_begun", "tasks_finished", "aiming_s", "line_s")
+    assert task_numbers(done) == {"tasks_begun": 3, "tasks_finished": 2, "aiming_s": 21.5}
+    assert task_names(None) == ()
