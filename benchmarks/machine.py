@@ -1,17 +1,12 @@
-"""The machine and the code of a measurement: a figure without them cannot be compared."""
+"""The machine of a measurement: a figure without it cannot be compared."""
 
 import os
 import platform
 import re
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 
 import av
-
-import kontur_av
-import pipelines
-import telepresence
 
 _CPU_INFO = Path("/proc/cpuinfo")
 
@@ -42,15 +37,3 @@ def this_machine() -> Machine:
         python=platform.python_version(),
         pyav=av.__version__,
     )
-
-
-def code_digest() -> str:
-    """A digest of the modules of the three packages: equal for equal code."""
-    digest = sha256()
-    for package in (kontur_av, telepresence, pipelines):
-        root = Path(str(package.__file__)).parent
-        for path in sorted(root.rglob("*")):
-            if path.suffix in (".py", ".toml"):
-                digest.update(path.relative_to(root.parent).as_posix().encode())
-                digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]

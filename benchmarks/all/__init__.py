@@ -1,1 +1,1 @@
-"""`kontur-av bench all`."""
+"""`python -m benchmarks all`."""

@@ -1,4 +1,4 @@
-"""`kontur-av bench all`: every bench, often enough to know its spread, and the page of figures.
+"""`python -m benchmarks all`: every bench, often enough to know its spread, and the page.
 
 Each run is a command of its own, as a reader would type it. Its headline figures are kept as JSON;
 the page is made of these files alone. A run whose file is there, of the same command and the same
@@ -10,19 +10,19 @@ from collections import Counter
 from pathlib import Path
 
 from benchmarks.all.page import page
-from benchmarks.all.plan import LENGTHS, Measurement, in_turn, measurements
+from benchmarks.all.plan import Measurement, in_turn, measurements
 from benchmarks.all.records import path_of, read_record, read_records, write_record
 from benchmarks.all.run import measure
-from benchmarks.machine import code_digest
 from kontur_av.errors import ConfigError
 from pipelines.report.console import TableConsole, open_console
 from pipelines.report.report_file import check_writable, write_text
+from pipelines.virtual.campaign.here import PACKAGES, code_digest
 
 _DEFAULT_FOLDER = Path("measurements")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench all`."""
+    """The options of `python -m benchmarks all`."""
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
         "--quick", dest="length", action="store_const", const="quick", help="15 minutes (default)"
@@ -89,7 +89,7 @@ def _make(folder: Path) -> None:
 
 def _measure(plan: list[Measurement], folder: Path, console: TableConsole, *, again: bool) -> int:
     """How many runs failed."""
-    code = code_digest()
+    code = code_digest((*PACKAGES, "benchmarks"))
     failed: Counter[str] = Counter()
     for measurement, number in in_turn(plan):
         path = path_of(folder, measurement.name, number)
@@ -111,7 +111,7 @@ def _measure(plan: list[Measurement], folder: Path, console: TableConsole, *, ag
 
 
 def _text(folder: Path) -> str:
-    names = [measurement.name for measurement in measurements(LENGTHS[0])]
+    names = [measurement.name for measurement in measurements("full")]
     return page(read_records(folder, names), folder=folder.name)
 
 

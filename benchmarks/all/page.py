@@ -1,4 +1,4 @@
-"""From the records of `kontur-av bench all` to `docs/measurements.md`. A core."""
+"""From the records of `python -m benchmarks all` to `docs/measurements.md`. A core."""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -9,8 +9,8 @@ from pipelines.report.result import Headline
 
 _HEAD = """# Measurements
 
-`kontur-av bench all` wrote this page from the JSON files in `{folder}`;
-`kontur-av bench all --render` writes it again without measuring. A figure is the median of its
+`python -m benchmarks all` wrote this page from the JSON files in `{folder}`;
+`python -m benchmarks all --render` writes it again without measuring. A figure is the median of its
 runs, with the least and the largest run in brackets. On virtual time every run gives the same
 figures, so there is one run.
 """

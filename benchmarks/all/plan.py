@@ -1,4 +1,4 @@
-"""Which benches `kontur-av bench all` runs, with which options, and how often. A core."""
+"""What `python -m benchmarks all` runs, with which options, and how often. A core."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,19 +13,14 @@ LIVE_RUNS = 3
 class Measurement:
     """A command, and how often it runs.
 
-    name: of its files and for `--only`. title: of its section. words: of the command, after
-    `kontur-av bench`. runs: 1 where all is on virtual time, so that every run is the same.
+    name: of its files and for `--only`. title: of its section. command: what a reader types to
+    measure it again. runs: 1 where all is on virtual time, so that every run is the same.
     """
 
     name: str
     title: str
-    words: tuple[str, ...]
+    command: str
     runs: int = LIVE_RUNS
-
-    @property
-    def command(self) -> str:
-        """What a reader types to measure it again."""
-        return " ".join(("kontur-av bench", *self.words))
 
 
 _TITLES = {
@@ -35,20 +30,26 @@ _TITLES = {
     "voice": "Speech through a lossy network",
     "link": "The radio link",
     "protection": "What protection costs the link",
-    "machines": "A session on two machines",
     "haptics": "Stability and passivity of the hand",
     "sync": "Sight, hearing and touch, by content: virtual time",
     "sync-live": "Sight, hearing and touch, by content: live",
     "passes": "Sessions of a whole pass",
     "tasks": "Tasks in passes, by a simulated cosmonaut",
-    "fanout": "One picture for many processes",
     "page": "The browser pages",
     "rtc": "The leg to a partner",
     "record": "Recordings",
-    "replay": "A recorded session through other links",
 }
-#: Measurements that have another name than their bench.
-_BENCH = {"sync-live": "sync", "protection": "link"}
+#: Commands of measurements; all others are `python -m benchmarks` with their names.
+_COMMANDS = {
+    "latency": "kontur-av bench latency",
+    "cpu": "kontur-av bench cpu",
+    "link": "kontur-av bench link",
+    "protection": "kontur-av bench link",
+    "sync": "kontur-av bench sync",
+    "sync-live": "kontur-av bench sync",
+    "passes": "kontur-av sweep benchmarks/sweeps/passes.toml",
+    "tasks": "kontur-av sweep benchmarks/sweeps/tasks.toml",
+}
 #: Clips that no setting was tuned on, one that was, and the contenders of the targets.
 _VIDEO = " ".join(
     f"--only {name}"
@@ -59,7 +60,7 @@ _VIDEO = " ".join(
 )
 _VIRTUAL = ("haptics", "sync", "passes", "tasks")
 
-#: In all three the benches and their order are the same.
+#: `quick` leaves out passes, which take hours; `smoke` both sweeps.
 _OPTIONS: Mapping[str, Mapping[str, str]] = {
     "quick": {
         "latency": "--seconds 10 --live-seconds 10",
@@ -68,17 +69,13 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "voice": "--seconds 10",
         "link": "--seconds 5 --blackouts 20",
         "protection": "--protected --runs 1 --seconds 10",
-        "machines": "--runs 1 --seconds 10",
         "haptics": "--grid small",
         "sync": "--seconds 60",
         "sync-live": "--live --seconds 15",
-        "passes": "--sessions 3 --no-media",
-        "tasks": "--sessions 23",
-        "fanout": "--seconds 2 --readers 1,8",
+        "tasks": "",
         "page": "--runs 1 --seconds 8",
         "rtc": "--runs 1 --seconds 10",
         "record": "--kills 10 --cuts 500 --pairs 1 --seconds 20",
-        "replay": "--seconds 20",
     },
     "full": {
         "latency": "--seconds 60 --live-seconds 60",
@@ -87,17 +84,14 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "voice": "--seconds 40",
         "link": "--seconds 20 --blackouts 100",
         "protection": "--protected --runs 1 --seconds 20",
-        "machines": "--runs 1 --seconds 60",
         "haptics": "--grid full",
         "sync": "--seconds 300",
         "sync-live": "--live --seconds 60",
-        "passes": "--sessions 23",
-        "tasks": "--sessions 23",
-        "fanout": "--seconds 10",
+        "passes": "",
+        "tasks": "",
         "page": "--runs 1 --seconds 30",
         "rtc": "--runs 1 --seconds 30",
         "record": "--kills 200 --cuts 0 --pairs 3 --seconds 60",
-        "replay": "--seconds 120",
     },
     "smoke": {
         "latency": "--seconds 1 --live-seconds 5",
@@ -106,17 +100,12 @@ _OPTIONS: Mapping[str, Mapping[str, str]] = {
         "voice": "--seconds 1",
         "link": "--seconds 1 --blackouts 1",
         "protection": "--protected --runs 1 --seconds 2",
-        "machines": "--runs 1 --seconds 4",
         "haptics": "--cell delay=100 --seconds 4",
         "sync": "--seconds 10",
         "sync-live": "--live --seconds 8",
-        "passes": "--sessions 1 --seconds 4 --radio clean --no-media",
-        "tasks": "--sessions 1 --seconds 40 --radio clean",
-        "fanout": "--seconds 0.2 --readers 1",
         "page": "--runs 1 --seconds 2",
         "rtc": "--runs 1 --seconds 3 --only reception",
         "record": "--kills 1 --cuts 10 --pairs 1 --seconds 5",
-        "replay": "--seconds 5",
     },
 }
 #: `smoke` shows that all of it works; its figures mean nothing.
@@ -137,7 +126,7 @@ def measurements(length: str, only: str | None = None) -> list[Measurement]:
         Measurement(
             name=name,
             title=_TITLES[name],
-            words=(_BENCH.get(name, name), *words.split()),
+            command=f"{_COMMANDS.get(name, f'python -m benchmarks {name}')} {words}".strip(),
             runs=1 if name in _VIRTUAL or length == "smoke" else LIVE_RUNS,
         )
         for name, words in options.items()

@@ -1,4 +1,4 @@
-"""What is kept of each run of `kontur-av bench all`: a small JSON file a run."""
+"""What is kept of each run of `python -m benchmarks all`: a small JSON file a run."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -64,7 +64,7 @@ def read_record(path: Path) -> Record:
             headlines=tuple(read_headlines(found)),
         )
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: no record of `bench all` ({error})") from None
+        raise ConfigError(f"{path}: no record of `benchmarks all` ({error})") from None
 
 
 def read_headlines(report: JsonReader) -> Iterable[Headline]:

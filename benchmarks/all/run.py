@@ -1,4 +1,4 @@
-"""One run of `kontur-av bench all`: a bench in a process of its own, and what is kept of it."""
+"""One run of `benchmarks all`: a bench in a process of its own, and what is kept of it."""
 
 import json
 import subprocess
@@ -14,12 +14,18 @@ from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all, ended_alike
 
 
+def words_of(command: str) -> list[str]:
+    """The words for Python of a command as a reader types it."""
+    program, *words = command.split()
+    return ["-m", "pipelines.cli", *words] if program == "kontur-av" else words
+
+
 def measure(measurement: Measurement, number: int, code: str) -> Record:
     """Run the bench once. A bench that wrote no report has a record without headlines."""
     began = datetime.now(UTC)
     with ended_alike(), TemporaryDirectory() as name:
         report_file, output = Path(name) / "report.json", Path(name) / "output"
-        command = [sys.executable, "-m", "pipelines.cli", "bench", *measurement.words]
+        command = [sys.executable, *words_of(measurement.command)]
         with output.open("wb") as log:
             process = subprocess.Popen(
                 [*command, "--report", str(report_file)],

@@ -1,1 +1,1 @@
-"""`kontur-av bench haptics`."""
+"""`python -m benchmarks haptics`."""

@@ -1,4 +1,4 @@
-"""One cell of the grid of `kontur-av bench haptics`: a channel, a wall and a hand."""
+"""One cell of the grid of `python -m benchmarks haptics`: a channel, a wall and a hand."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields

@@ -1,4 +1,4 @@
-"""The chart of `kontur-av bench haptics`: the courses of chosen cells, and maps of stability."""
+"""The chart of `benchmarks haptics`: the courses of chosen cells, and maps of stability."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""`kontur-av bench haptics`: stability and passivity of the hand over a grid of radios."""
+"""`python -m benchmarks haptics`: stability and passivity of the hand over a grid of radios."""
 
 import argparse
 from collections.abc import Sequence
@@ -67,7 +67,7 @@ def _row(figures: CellFigures) -> Json:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench haptics`."""
+    """The options of `python -m benchmarks haptics`."""
     parser.add_argument(
         "--seconds",
         type=float,

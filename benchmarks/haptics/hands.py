@@ -1,4 +1,4 @@
-"""The hands of `kontur-av bench haptics`: what holds the handle, and how it touches. A core."""
+"""The hands of `benchmarks haptics`: what holds the handle, and how it touches. A core."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

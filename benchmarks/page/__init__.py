@@ -1,1 +1,1 @@
-"""`kontur-av bench page`."""
+"""`python -m benchmarks page`."""

@@ -1,4 +1,4 @@
-"""`kontur-av bench page`: the browser pages, from the topic to the pixel and from the pointer back.
+"""`python -m benchmarks page`: the browser pages, from topic to pixel, and from the pointer back.
 
 Chromium draws on a virtual screen (Xvfb) without a frame limit; a process of its own reads the
 numbers of the pictures from the framebuffer. The peer is aiortc with a <video> and no playout
@@ -20,7 +20,7 @@ from benchmarks.page.session import PAGES, session_run
 from benchmarks.page.views import CONTENDERS, measured
 from benchmarks.page.voice import voice_run
 from kontur_av.errors import ConfigError
-from pipelines.bench.marks import NUMBERS
+from pipelines.bench.course.marks import NUMBERS
 from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
@@ -33,7 +33,7 @@ _MOST_OPEN_S = 86_400.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench page`."""
+    """The options of `python -m benchmarks page`."""
     parser.add_argument("--runs", type=int, default=3, metavar="N", help="of each (default 3)")
     parser.add_argument(
         "--seconds", type=float, default=15.0, metavar="S", help="of each run (default 15)"

@@ -1,1 +1,1 @@
-"""`kontur-av bench record`."""
+"""`python -m benchmarks record`."""

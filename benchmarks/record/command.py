@@ -1,4 +1,4 @@
-"""`kontur-av bench record`: what a kill and a cut cost a recording, and a recording a session.
+"""`python -m benchmarks record`: what a kill and a cut cost a recording, and a recording a session.
 
 With `--compare`: whether a recording says the same as the report of its session.
 """
@@ -31,7 +31,7 @@ from pipelines.session.setup.setup_file import load_setup
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench record`."""
+    """The options of `python -m benchmarks record`."""
     add_setup_argument(parser, default="spacejustin")
     parser.add_argument(
         "--kills", type=int, default=20, metavar="N", help="of the recorder (default 20)"

@@ -1,1 +1,1 @@
-"""`kontur-av bench rtc`."""
+"""`python -m benchmarks rtc`."""

@@ -1,4 +1,4 @@
-"""`kontur-av bench rtc`: the leg to a partner across the Internet.
+"""`python -m benchmarks rtc`: the leg to a partner across the Internet.
 
 Three parts, in turn: from the capture to the pixel of the partner's browser (Chromium on a virtual
 screen, whose framebuffer another process reads); a partner's media until they are decoded, beside
@@ -30,7 +30,7 @@ from benchmarks.rtc.pixel import SPARE_S, pixel_run
 from benchmarks.rtc.reception import reception_run
 from benchmarks.rtc.session import session_run
 from kontur_av.errors import ConfigError
-from pipelines.bench.marks import NUMBERS
+from pipelines.bench.course.marks import NUMBERS
 from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
 from pipelines.report.result import Headline
@@ -41,7 +41,7 @@ _PARTS = ("pixel", "reception", "session")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench rtc`."""
+    """The options of `python -m benchmarks rtc`."""
     parser.add_argument("--runs", type=int, default=3, metavar="N", help="of each (default 3)")
     parser.add_argument(
         "--seconds", type=float, default=15.0, metavar="S", help="of each run (default 15)"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.marks import MARK_ROWS
+from pipelines.bench.course.marks import MARK_ROWS
 from pipelines.bench.video.clips import Clip
 from pipelines.bench.video.quality import Luma, psnr_db
 

@@ -1,1 +1,1 @@
-"""`kontur-av bench voice`."""
+"""`python -m benchmarks voice`."""

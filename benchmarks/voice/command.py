@@ -1,4 +1,4 @@
-"""`kontur-av bench voice`: mouth to ear, rate and quality under loss, beside GStreamer."""
+"""`python -m benchmarks voice`: mouth to ear, rate and quality under loss, beside GStreamer."""
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
@@ -59,7 +59,7 @@ class VoiceResult:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench voice`."""
+    """The options of `python -m benchmarks voice`."""
     parser.add_argument(
         "--seconds", type=float, default=40.0, metavar="S", help="of speech (default 40)"
     )

@@ -84,7 +84,7 @@ SHELLS = {
     "benchmarks/video/bridge.py": "an event loop with sockets, and FIFOs",
     "pipelines/bench/video/clips.py": "shared memory",
     "pipelines/bench/video/contenders.py": "runs commands",
-    "pipelines/bench/video/ends.py": "processes, FIFOs and sockets",
+    "pipelines/bench/course/ends.py": "processes, FIFOs and sockets",
     "benchmarks/video/packages.py": "runs pip and apt, and keeps files",
     "pipelines/bench/video/run.py": "sockets, and sleep",
     "benchmarks/video/vmaf.py": "runs FFmpeg",

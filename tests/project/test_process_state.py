@@ -61,7 +61,7 @@ ALLOWED = {
     "benchmarks/fanout/run.py": {"_publish", "_read"},
     "benchmarks/page/alone.py": {"_serve"},
     "pipelines/bench/video/command.py": {"run"},
-    "pipelines/bench/video/ends.py": {"_become"},
+    "pipelines/bench/course/ends.py": {"_become"},
     # The command itself, in a process of its own.
     "pipelines/cli.py": {"_loaded"},
     "pipelines/commands/common.py": {"stopped_by_signals"},

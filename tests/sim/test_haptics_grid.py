@@ -1,4 +1,4 @@
-"""The corner cells of the grid of `kontur-av bench haptics`: passive, calm and bounded, or not."""
+"""The corner cells of the grid of `benchmarks haptics`: passive, calm and bounded, or not."""
 
 import numpy as np
 import pytest

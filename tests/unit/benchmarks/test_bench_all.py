@@ -1,18 +1,26 @@
-"""`kontur-av bench all`: its plan, its records, its page, and resuming a measurement."""
+"""`python -m benchmarks all`: its plan, its records, its page, and resuming a measurement."""
 
 from dataclasses import replace
 
 import pytest
 from bench_records import MACHINE, RECORD
+from places import ROOT
 
+from benchmarks import BENCHMARKS
+from benchmarks.__main__ import main, make_parser
 from benchmarks.all.page import page
 from benchmarks.all.plan import LENGTHS, LIVE_RUNS, in_turn, measurements
 from benchmarks.all.records import read_record, read_records, write_record
-from benchmarks.machine import code_digest, this_machine
+from benchmarks.all.run import words_of
+from benchmarks.machine import this_machine
 from kontur_av.errors import ConfigError
 from pipelines.bench import BENCHES
-from pipelines.cli import main, make_parser
+from pipelines.cli import make_parser as make_command_parser
 from pipelines.report.result import Headline
+from pipelines.virtual.campaign.here import PACKAGES, code_digest
+
+#: Sweeps take long.
+LEFT_OUT = {"quick": {"passes"}, "full": set(), "smoke": {"passes", "tasks"}}
 
 
 def with_value(number, value, met):
@@ -23,9 +31,16 @@ def with_value(number, value, met):
 @pytest.mark.parametrize("length", LENGTHS)
 def test_every_bench_is_in_the_plan_and_every_command_is_one(length):
     plan = measurements(length)
-    assert {one.words[0] for one in plan} == set(BENCHES) - {"all"}
+    names = {one.name for one in plan}
+    assert {"passes", "tasks"} - names == LEFT_OUT[length]
+    benches = {words[1] for one in plan if (words := words_of(one.command)[2:])[0] == "bench"}
+    assert benches == set(BENCHES) - {"video"}
+    assert set(BENCHMARKS) - {"all"} <= names
     for one in plan:
-        make_parser("bench").parse_args(one.command.split()[1:])
+        _, module, *words = words_of(one.command)
+        parser = make_command_parser() if module == "pipelines.cli" else make_parser()
+        parser.parse_args(words)
+        assert words[0] != "sweep" or (ROOT / words[1]).is_file()
 
 
 def test_live_benches_run_at_least_three_times():
@@ -47,7 +62,7 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
     assert read_record(tmp_path / "latency-1.json") == RECORD
     assert read_records(tmp_path, ["cpu", "latency"]) == [RECORD]
     (tmp_path / "latency-2.json").write_text('{"name": "latency"}')
-    with pytest.raises(ConfigError, match=r"latency-2\.json: no record of `bench all`"):
+    with pytest.raises(ConfigError, match=r"latency-2\.json: no record of `benchmarks all`"):
         read_records(tmp_path, ["latency"])
 
 
@@ -91,7 +106,7 @@ def test_a_failed_run_and_another_machine_are_on_the_page():
     ],
 )
 def test_mistakes_are_one_line(options, message, capsys):
-    assert main(["bench", "all", *options]) == 2
+    assert main(["all", *options]) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
@@ -101,4 +116,6 @@ def test_machine_and_code_are_named():
     machine = this_machine()
     assert machine.cores >= 1
     assert machine.kernel.startswith("Linux")
-    assert len(code_digest()) == 12
+    assert len(code_digest()) == 16
+    # An empty tree has the digest of no text at all.
+    assert len({code_digest(), code_digest((*PACKAGES, "benchmarks")), code_digest(())}) == 3

@@ -1,16 +1,16 @@
-"""`kontur-av bench haptics`: cells, channel, schedule and the command."""
+"""`python -m benchmarks haptics`: cells, channel, schedule and the command."""
 
 from collections import Counter
 from itertools import pairwise
 
 import pytest
 
+from benchmarks.__main__ import main
 from benchmarks.haptics.cell import Cell, full_grid, read_cell, small_grid
 from benchmarks.haptics.channel import SampleChannel
 from benchmarks.haptics.hands import HANDS
 from benchmarks.haptics.plan import plan
 from kontur_av.errors import ConfigError
-from pipelines.cli import main
 
 MS = 1_000_000
 
@@ -114,5 +114,5 @@ def test_the_hold_comes_after_all_blackouts_and_is_long_enough_for_an_oscillatio
 
 def test_a_wrong_option_is_refused_in_one_line(capsys):
     for options in (["--cell", "delay=5000"], ["--seconds", "1"], ["--jobs", "0"]):
-        assert main(["bench", "haptics", *options]) == 2
+        assert main(["haptics", *options]) == 2
         assert capsys.readouterr().err.count("\n") == 1

@@ -1,4 +1,4 @@
-"""What `bench record` makes of torn files and of reports."""
+"""What `benchmarks record` makes of torn files and of reports."""
 
 from recordings import WALL_NS, Step, write
 

@@ -1,12 +1,12 @@
-"""`kontur-av bench voice`: reproducible figures, and the parts that they come from."""
+"""`python -m benchmarks voice`: reproducible figures, and the parts that they come from."""
 
 import numpy as np
 import pytest
 
+from benchmarks.__main__ import main
 from benchmarks.voice.gstreamer import laid_out
 from benchmarks.voice.network import BURST_PACKETS, Network
 from benchmarks.voice.speech import lags, speech_track
-from pipelines.cli import main
 from pipelines.session.setup.built_in import BUILT_IN
 
 SETUP = BUILT_IN["spacejustin"]
@@ -65,5 +65,5 @@ def test_the_sound_of_a_peer_is_laid_out_as_a_sound_card_plays_it():
     [["--seconds", "0"], ["--jitter-ms", "21"], ["--delay-ms", "-1"], ["--plot", "x.jpg"]],
 )
 def test_impossible_options_are_refused(wrong, capsys):
-    assert main(["bench", "voice", *wrong]) == 2
+    assert main(["voice", *wrong]) == 2
     assert wrong[0] in capsys.readouterr().err

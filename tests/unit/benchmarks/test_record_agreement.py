@@ -1,13 +1,13 @@
-"""`bench record --compare` counts a recording again, and finds what its report says differently."""
+"""`benchmarks record --compare`: a recording counted again, and compared with its report."""
 
 import json
 
 import pytest
 from synthetic_recording import LINK_CYCLES, LINK_NS, MS, PUBLISHED_NS, write_recording
 
+from benchmarks.__main__ import main
 from benchmarks.record.agreement import compare
 from benchmarks.record.recount import recount
-from pipelines.cli import main
 from pipelines.report.result import JsonReader
 
 SECONDS = 3.0
@@ -97,7 +97,7 @@ def test_what_differs_is_found(counted, written):
 
 
 def test_the_command_compares_files_or_refuses_them_in_one_line(written, counted, tmp_path, capsys):
-    report, words = tmp_path / "a.json", ("bench", "record", "--compare")
+    report, words = tmp_path / "a.json", ("record", "--compare")
     report.write_text(json.dumps(report_of(counted, written)))
     assert main([*words, str(written.paths[0]), str(report)]) == 0
     assert " 0 differ" in capsys.readouterr().out
