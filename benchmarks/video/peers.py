@@ -14,7 +14,7 @@ from benchmarks.video.bridge import BridgeOptions
 from benchmarks.video.targets import CHROMIUM, DEFAULT, TUNED
 from kontur_av.clock import NS_PER_S
 from pipelines.bench.video.contenders import (
-    OURS,
+    KONTUR_AV,
     Contender,
     ContenderError,
     Course,
@@ -212,7 +212,7 @@ def _wait_for_words(path: Path, process: Process, right: Callable[[str], bool]) 
 CONTENDERS = {
     one.name: one
     for one in (
-        OURS,
+        KONTUR_AV,
         *(
             Contender(name=name, started=partial(_gstreamer, encoder), missing=_no_gstreamer)
             for name, encoder in _ENCODERS.items()

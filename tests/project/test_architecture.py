@@ -52,43 +52,16 @@ SHELLS = {
     "kontur_av/sources/camera.py": "a device",
     "kontur_av/sources/microphone.py": "a device",
     "kontur_av/sources/pipe.py": "a FIFO",
-    "benchmarks/all/run.py": "runs commands, and asks for the date",
     "pipelines/session/children.py": "ends processes",
     "pipelines/report/console.py": "the terminal",
-    "benchmarks/fanout/gstreamer.py": "a library that starts threads, and files",
-    "benchmarks/fanout/run.py": "processes",
-    "benchmarks/fanout/ways.py": "asks for the process's number",
-    "benchmarks/machines/hosts.py": "runs ip(8)",
-    "benchmarks/machines/run.py": "runs commands",
     "pipelines/bench/latency/runs.py": "tries the clock",
-    "benchmarks/machine.py": "asks the system what it is",
-    "benchmarks/haptics/grid.py": "processes",
     "pipelines/bench/link/live.py": "runs commands",
     "pipelines/bench/link/protected.py": "runs commands, and sockets",
-    "benchmarks/page/alone.py": "processes",
-    "benchmarks/page/screen.py": "a virtual screen",
-    "benchmarks/page/heap.py": "a browser",
-    "benchmarks/page/pointer.py": "an X server",
-    "benchmarks/page/session.py": "runs commands",
-    "benchmarks/page/views.py": "processes and sockets",
-    "benchmarks/page/voice.py": "files",
-    "benchmarks/page/watcher.py": "sockets",
-    "benchmarks/page/webrtc.py": "sockets",
-    "benchmarks/rtc/network.py": "runs ip(8) and tc(8)",
-    "benchmarks/rtc/partner.py": "an event loop with sockets",
-    "benchmarks/rtc/pixel.py": "runs commands, and a browser",
-    "benchmarks/rtc/reception.py": "processes and sockets",
-    "benchmarks/rtc/session.py": "runs commands",
-    "benchmarks/record/run.py": "runs commands, and kills a process",
     "pipelines/bench/session.py": "runs commands",
-    "benchmarks/video/bridge.py": "an event loop with sockets, and FIFOs",
     "pipelines/bench/video/clips.py": "shared memory",
     "pipelines/bench/video/contenders.py": "runs commands",
     "pipelines/bench/course/ends.py": "processes, FIFOs and sockets",
-    "benchmarks/video/packages.py": "runs pip and apt, and keeps files",
     "pipelines/bench/video/run.py": "sockets, and sleep",
-    "benchmarks/video/vmaf.py": "runs FFmpeg",
-    "benchmarks/voice/gstreamer.py": "runs commands and listens to them",
     "pipelines/virtual/campaign/cluster.py": "the sockets of a cluster",
     "pipelines/virtual/campaign/options.py": "asks for the number of processors",
     "pipelines/virtual/campaign/progress.py": "the terminal, and asks for the time",
@@ -152,13 +125,10 @@ SHELL_FOLDERS = ("pipelines/commands/",)
 FILES = {
     "kontur_av/sources/file.py",
     "kontur_av/sources/recording.py",
-    "benchmarks/all/records.py",
     "pipelines/report/charts.py",
     "pipelines/bench/ports.py",
     "pipelines/report/result_file.py",
     "pipelines/bench/sync/footage.py",
-    "benchmarks/video/crops.py",
-    "benchmarks/voice/speech.py",
     "pipelines/virtual/campaign/here.py",
     "pipelines/virtual/campaign/sweep_file.py",
     "pipelines/recording/export/csv_files.py",
@@ -189,12 +159,8 @@ USERS_OF_SHELLS = {
     "pipelines/session/options.py": "opens radios that an option names",
     "pipelines/session/setup/sources.py": "tries sources, and compares paths",
     "pipelines/virtual/simulate.py": "starts workers",
-    "benchmarks/haptics/charts.py": "draws charts",
     "pipelines/bench/latency/charts.py": "draws charts",
     "pipelines/bench/link/cost.py": "measures CPU time",
-    "benchmarks/page/browser.py": "a browser",
-    "benchmarks/record/recount.py": "files of a recording",
-    "benchmarks/voice/virtual.py": "hears recorded speech",
     "pipelines/partner/programme.py": "connections of partners",
     "pipelines/partner/whip.py": "the HTTP of a media server",
     "pipelines/report/live.py": "the terminal, and the launcher's processes",
@@ -226,7 +192,6 @@ USERS_OF_SHELLS = {
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
     "kontur_av/sources/page.py": {"PAGE"},
-    "benchmarks/all/records.py": {"Record"},
     "telepresence/haptics/device/spec.py": {"PAGE", "SIMULATED"},
     "kontur_av/clock.py": {
         "NS_PER_MS",
@@ -302,9 +267,8 @@ LIBRARIES = {
     "telepresence/tasks/task_files.py": ({"pathlib"}, "a file"),
     "telepresence/toml_file.py": ({"msgspec", "pathlib", "tomllib"}, "a file"),
     "telepresence/world/": ({"cv2"}, "draws"),
-    "benchmarks/page/footage.py": ({"av"}, "codes pictures"),
-    "benchmarks/record/figures.py": ({"mcap"}, "names of records"),
     "pipelines/report/result.py": ({"pathlib"}, "writes a path as text"),
+    "pipelines/bench/video/tables.py": ({"rich"}, "tables as text"),
     "pipelines/bench/video/quality.py": ({"cv2"}, "compares pictures"),
     "telepresence/world/speech_files.py": ({"av", "pathlib"}, "files"),
     "pipelines/session/probe.py": ({"pickle"}, "a message as octets"),
@@ -419,6 +383,12 @@ def test_imports_run_one_way(package):
         if module.startswith(f"{package}/") and (found := imported(module) & later)
     }
     assert not wrong
+
+
+def test_nothing_imports_the_benchmarks():
+    """They lie outside of the wheel; only their tests and the documents' generator may."""
+    samples = [path.relative_to(ROOT).as_posix() for path in (ROOT / "samples").rglob("*.py")]
+    assert [one for one in [*modules(), *samples] if "benchmarks" in imported(one)] == []
 
 
 def rooms_of_pipelines(module: str) -> set[str]:

@@ -58,8 +58,6 @@ ALLOWED = {
     "pipelines/session/children.py": {"ended_alike"},
     # For the time of a connection, whose warnings are told in one line of ours.
     "pipelines/virtual/campaign/cluster.py": {"_connected"},
-    "benchmarks/fanout/run.py": {"_publish", "_read"},
-    "benchmarks/page/alone.py": {"_serve"},
     "pipelines/bench/video/command.py": {"run"},
     "pipelines/bench/course/ends.py": {"_become"},
     # The command itself, in a process of its own.

@@ -7,19 +7,19 @@ import pytest
 from benchmarks.__main__ import main as benchmark
 from benchmarks.video.peers import CONTENDERS
 from benchmarks.video.targets import DEFAULT
-from pipelines.bench.video.contenders import OURS
+from pipelines.bench.video.targets import OURS
 from pipelines.cli import main
 
 pytestmark = pytest.mark.realtime
 
 
-@pytest.mark.parametrize("name", [OURS.name, DEFAULT])
+@pytest.mark.parametrize("name", [OURS, DEFAULT])
 def test_a_short_run_gives_figures(name, tmp_path, capsys):
     if (reason := CONTENDERS[name].missing()) is not None:
         pytest.skip(reason)
     report, plot = tmp_path / "figures.json", tmp_path / "latency.png"
     options = ["--seconds", "3", "--size", "320x240", "--report", str(report), "--plot", str(plot)]
-    if name == OURS.name:
+    if name == OURS:
         assert main(["bench", "video", *options]) == 0
     else:
         assert benchmark(["video", *options, "--only", name, "--only", "scene"]) == 0
@@ -40,7 +40,7 @@ def test_a_short_run_gives_figures(name, tmp_path, capsys):
     assert found["rtp_1s_bps"] > found["payload_1s_bps"] > 10_000
     assert found["sender_cpu_s"] > 0
     assert found["receiver_cpu_s"] > 0
-    if name == OURS.name:
+    if name == OURS:
         assert found["payload_1s_bps"] <= 85_000
         # A report of the receiver came back, so the sender knows of its feedback.
         assert found["answers"] > 0

@@ -23,10 +23,10 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from pipelines.bench.course.marks import NUMBERS, check_width
 from pipelines.bench.video.clips import SCENE, Clip, film, scene
-from pipelines.bench.video.contenders import OURS, ContenderError
+from pipelines.bench.video.contenders import KONTUR_AV, ContenderError
 from pipelines.bench.video.run import TrialTerms, measure
 from pipelines.bench.video.tables import figures_table, headlines, notes, verdicts_table
-from pipelines.bench.video.targets import ALONE, judge
+from pipelines.bench.video.targets import ALONE, OURS, judge
 from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
@@ -72,24 +72,24 @@ def run(args: argparse.Namespace) -> int:
     for name, make in _clips(args.clip, width, height, round((args.seconds + 1) * FPS)).items():
         clip = make()
         try:
-            trial = measure(OURS, clip, terms)
+            trial = measure(KONTUR_AV, clip, terms)
         except ContenderError as error:
             say(f"{name}: {error}")
             return 1
-        measured = {OURS.name: trial.figures}
+        measured = {OURS: trial.figures}
         title = f"{name}, {rate}"
         console.print(figures_table(title, measured))
-        for note in notes(OURS.name, trial.figures):
+        for note in notes(OURS, trial.figures):
             say(note)
         verdicts = judge(measured, ALONE, args.cap_kbps)
         console.print(verdicts_table(f"{title}: targets", verdicts))
         row = as_json(trial.figures)
         assert isinstance(row, dict)
         latencies: dict[str, Json] = {"latencies_ms": as_json(trial.latencies_ms)}
-        body[name] = {"targets": as_json(verdicts), OURS.name: row | latencies}
+        body[name] = {"targets": as_json(verdicts), OURS: row | latencies}
         found += headlines(title, measured, verdicts)
         write_result(args.report, {rate: body}, found, digits=4)
-        panels[f"{title}: capture to displayed"] = {OURS.name: trial.latencies_ms}
+        panels[f"{title}: capture to displayed"] = {OURS: trial.latencies_ms}
     if args.plot is not None:
         save(distributions(panels, axis="capture to displayed, ms"), args.plot)
     return 0

@@ -14,6 +14,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.rtp.sdp import parse_sdp, write_sdp
 from pipelines.bench.ports import open_udp_ports
+from pipelines.bench.video.targets import OURS
 
 _START_S = 30.0
 _STOP_S = 5.0
@@ -185,4 +186,4 @@ class Contender:
     muxed: bool = False
 
 
-OURS = Contender(name="kontur-av", started=_started)
+KONTUR_AV = Contender(name=OURS, started=_started)

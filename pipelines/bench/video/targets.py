@@ -3,9 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pipelines.bench.video.contenders import OURS
 from pipelines.bench.video.figures import ContenderFigures
 
+#: The contender of this project.
+OURS = "kontur-av"
 #: From the figures of a contender to the value that counts.
 Value = Callable[[ContenderFigures], float]
 
@@ -106,7 +107,7 @@ def judge(
     measured: Mapping[str, ContenderFigures], targets: Sequence[Target], cap_kbps: float
 ) -> list[VideoVerdict]:
     """A verdict on each target that can be judged; a relative target needs a peer."""
-    if OURS.name not in measured:
+    if OURS not in measured:
         return []
     found = [_verdict(target, measured, cap_kbps) for target in targets]
     return [verdict for verdict in found if verdict is not None]
@@ -115,7 +116,7 @@ def judge(
 def _verdict(
     target: Target, measured: Mapping[str, ContenderFigures], cap_kbps: float
 ) -> VideoVerdict | None:
-    value = target.value(measured[OURS.name])
+    value = target.value(measured[OURS])
     against = ""
     if target.of_cap:
         value /= 10 * cap_kbps

@@ -10,12 +10,9 @@ from benchmarks.video.groups import group_headlines, group_rows, group_verdicts
 from benchmarks.video.packages import PACKAGED, cached, matching
 from benchmarks.video.targets import DEFAULT, NARROW, STRANGE, TUNED, WIDE
 from benchmarks.video.vmaf import scores
-from pipelines.bench.video.contenders import OURS as KONTUR_AV
 from pipelines.bench.video.figures import ContenderFigures
 from pipelines.bench.video.quality import QualityMeans
-from pipelines.bench.video.targets import judge
-
-OURS = KONTUR_AV.name
+from pipelines.bench.video.targets import OURS, judge
 
 
 def figures(**changes) -> ContenderFigures:
