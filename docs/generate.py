@@ -20,11 +20,11 @@ from pathlib import Path
 
 import griffe
 
-from pipelines.bench.result import Headline
 from pipelines.cli import make_parser
 from pipelines.recording.channels import channels_table, fields_table
 from pipelines.report.keys import counters_table, keys_tables
 from pipelines.report.model import LinkReport, SessionReport
+from pipelines.report.result import Headline
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import tables
 from pipelines.table import topology_of

@@ -5,7 +5,7 @@ import gc
 import os
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 
 from kontur_av import __version__
@@ -16,7 +16,7 @@ WELL, FAILED, MISTAKE = 0, 1, 2
 INTERRUPTED = 128 + 2
 
 
-class _Parser(argparse.ArgumentParser):
+class CommandParser(argparse.ArgumentParser):
     """A parser that reports mistakes as ConfigError, in one line like all others."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
@@ -32,7 +32,7 @@ _COMMANDS = {
     "simulate": "run a session on virtual time: the same seed, the same report",
     "sweep": "run many sessions on virtual time: any fields, radios and seeds, one table",
     "joystick": "list joysticks, check one, or drive a robot with one",
-    "bench": "measure latency, quality, stability and cost",
+    "bench": "measure this machine and this link: latency, sync, pictures, cost",
     "send": "send one stream as plain RTP, under a hard cap",
     "receive": "receive one stream of plain RTP",
     "publish": "send a picture and a voice to a media server, by WebRTC",
@@ -56,7 +56,7 @@ _COMMANDS = {
 
 def make_parser(only: str | None = None) -> argparse.ArgumentParser:
     """The parser of all commands; with `only`, no other command's module is loaded."""
-    parser = _Parser(
+    parser = CommandParser(
         prog="kontur-av",
         description="Video, voice and force feedback through one thin radio link.",
     )
@@ -96,22 +96,34 @@ def _loaded(command: str, *, alone: bool) -> argparse.ArgumentParser:
         gc.enable()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 well, 1 something failed, 2 the user's mistake, 130 interrupted."""
+def exit_code(work: Callable[[], int], name: str) -> int:
+    """What `work` returns; 2 with one line for the user's mistake, 130 if interrupted.
+
+    name: of the program, at the beginning of that line.
+    """
     # Before NumPy is loaded: its library's threads would not survive the launcher's forks.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
+        return work()
+    except ConfigError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return MISTAKE
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 0 well, 1 something failed, 2 the user's mistake, 130 interrupted."""
+
+    def work() -> int:
         words = sys.argv[1:] if arguments is None else list(arguments)
         _check_system(words[0] if words else "")
         parser = _loaded(words[0] if words else "", alone=arguments is None)
         args = parser.parse_args(words)
         result: int = args.run(args)
-    except ConfigError as error:
-        print(f"kontur-av: {error}", file=sys.stderr)
-        return MISTAKE
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    return result
+        return result
+
+    return exit_code(work, "kontur-av")
 
 
 if __name__ == "__main__":

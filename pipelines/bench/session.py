@@ -9,8 +9,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.children import end_all, ended_alike
-from pipelines.bench.result import JsonReader
+from pipelines.report.result import JsonReader
+from pipelines.session.children import end_all, ended_alike
 
 #: How much longer than the session the command may take to start and to end.
 _PATIENCE_S = 60

@@ -2,7 +2,6 @@
 
 import argparse
 import ipaddress
-import os
 import re
 import signal
 import socket
@@ -12,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
+from pipelines.report.console import discard_output
 
 
 def check_options(args: argparse.Namespace) -> None:
@@ -80,13 +80,6 @@ def output_that_may_fail() -> Iterator[None]:
         sys.stdout.flush()
     except OSError:
         discard_output()
-
-
-def discard_output() -> None:
-    """Drop the rest of the output, because writing it at the exit would fail again."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    os.close(nowhere)
 
 
 @contextmanager

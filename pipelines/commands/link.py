@@ -18,18 +18,18 @@ from pipelines.commands.end_options import (
     path_line,
 )
 from pipelines.commands.link_ports import port_table
-from pipelines.commands.session_options import (
-    add_radio_arguments,
-    add_setup_argument,
-    port_changes,
-    radio_changes,
-)
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.report_file import check_writable, write_report
 from pipelines.session.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
 from pipelines.session.launcher import Launcher, hold_port, launcher_cpu_s
+from pipelines.session.options import (
+    add_radio_arguments,
+    add_setup_argument,
+    port_changes,
+    radio_changes,
+)
 from pipelines.session.process import LOOPBACK
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import Segment, Topology

@@ -1,12 +1,11 @@
 """`kontur-av simulate`: a session on virtual time, as fast as the machine goes."""
 
 import argparse
-import gc
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import output_that_may_fail, stopped_by_signals
 from pipelines.commands.replay_options import (
@@ -15,7 +14,11 @@ from pipelines.commands.replay_options import (
     load_recording,
     replay_setup,
 )
-from pipelines.commands.session_options import (
+from pipelines.commands.stream import parse_sources
+from pipelines.report.model import SessionReport
+from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.summary import print_summary
+from pipelines.session.options import (
     add_deadband_argument,
     add_hand_argument,
     add_radio_arguments,
@@ -24,27 +27,16 @@ from pipelines.commands.session_options import (
     hand_changes,
     radio_changes,
 )
-from pipelines.commands.stream import check_sources, parse_sources
-from pipelines.recording.recorded_session import RecordedSession
-from pipelines.report.model import SessionReport
-from pipelines.report.report_file import check_writable, write_report
-from pipelines.report.summary import print_summary
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.costs import CodingCosts
-from pipelines.virtual.inputs import check_sources as check_virtual_sources
-from pipelines.virtual.replay import Replay
-from pipelines.virtual.session import Selection, Simulation
-from pipelines.virtual.workers import Workers
+from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.session import Selection
+from pipelines.virtual.simulate import replay, simulate
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.spec import is_simulated, open_device
 from telepresence.haptics.hand import Hand
-from telepresence.tasks.definitions import Catalogue
-from telepresence.tasks.plan import SessionPlan
 from telepresence.tasks.plan_file import load_plan
-
-#: The virtual time between two checks whether to stop.
-_STRIDE_NS = 50 * NS_PER_MS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -140,7 +132,6 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
         radio_start_s=args.radio_start,
     )
     check_virtual_sources(setup)
-    check_sources(setup, setup.inputs)
     selections = parse_selections(args.select, setup, args.seconds)
     plan = None if args.plan is None else load_plan(args.plan)
     if plan is not None:
@@ -191,80 +182,6 @@ def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
             recode=str(args.replay) if args.recode else None,
             stopped=stopped,
         )
-
-
-def simulate(
-    setup: Setup,
-    *,
-    seconds: float,
-    seed: int,
-    media: bool = True,
-    selections: Sequence[Selection] = (),
-    costs: CodingCosts | None = None,
-    stopped: Callable[[], bool] = lambda: False,
-    plan: tuple[SessionPlan, Catalogue] | None = None,
-    joystick: JoystickDevice | None = None,
-) -> SessionReport:
-    """Simulate `seconds` of virtual time. The same arguments give the same report.
-
-    plan: of `telepresence.tasks.plan_file.load_plan`; None: the hand taps targets all the time.
-    joystick: as of `Simulation`.
-
-    stopped: called again and again; True ends the simulation early.
-    """
-    with Workers() as workers:
-        simulation = Simulation(
-            setup,
-            workers,
-            seed=seed,
-            media=media,
-            selections=selections,
-            costs=costs,
-            plan=plan,
-            joystick=joystick,
-        )
-        _run(simulation, round(seconds * NS_PER_S), stopped)
-        return simulation.report()
-
-
-def replay(
-    session: RecordedSession,
-    setup: Setup,
-    *,
-    seed: int,
-    seconds: float | None = None,
-    media: bool = True,
-    costs: CodingCosts | None = None,
-    recode: str | None = None,
-    stopped: Callable[[], bool] = lambda: False,
-) -> SessionReport:
-    """Send a recorded session through the link of `setup` on virtual time.
-
-    seconds: of virtual time; None: until everything has arrived. recode, seed, media, costs: as of
-    `Replay`. stopped: as of `simulate`.
-    """
-    with Workers() as workers:
-        simulation = Replay(
-            session, setup, workers, seed=seed, media=media, costs=costs, recode=recode
-        )
-        end_ns = simulation.end_ns
-        if seconds is not None:
-            end_ns = min(end_ns, simulation.start_ns + round(seconds * NS_PER_S))
-        _run(simulation, end_ns, stopped)
-        return simulation.report()
-
-
-def _run(simulation: Simulation, end_ns: int, stopped: Callable[[], bool]) -> None:
-    # The present objects stay until the end, so the garbage collector need not visit them.
-    gc.collect()
-    gc.freeze()
-    try:
-        now_ns = simulation.start_ns
-        while now_ns < end_ns and not stopped():
-            now_ns = min(now_ns + _STRIDE_NS, end_ns)
-            simulation.run(now_ns)
-    finally:
-        gc.unfreeze()
 
 
 def parse_selections(options: Sequence[str], setup: Setup, seconds: float) -> list[Selection]:

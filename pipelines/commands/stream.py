@@ -1,13 +1,12 @@
 """`kontur-av stream`: a whole telepresence session on this machine, and its report."""
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from kontur_av.sources import check_spec
 from kontur_av.sources.page import PAGE
 from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.end_options import (
@@ -26,16 +25,6 @@ from pipelines.commands.rtc_leg import (
     bound_rtc,
     with_rtc,
 )
-from pipelines.commands.session_options import (
-    add_deadband_argument,
-    add_hand_argument,
-    add_radio_arguments,
-    add_setup_argument,
-    deadband_changes,
-    hand_changes,
-    port_changes,
-    radio_changes,
-)
 from pipelines.commands.split_options import check_own_options, inputs_here
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
 from pipelines.link.peer_socket import PeerPlan
@@ -45,9 +34,20 @@ from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.machine_checks import NEEDED_SHM_OCTETS, check_shared_memory
+from pipelines.session.options import (
+    add_deadband_argument,
+    add_hand_argument,
+    add_radio_arguments,
+    add_setup_argument,
+    deadband_changes,
+    hand_changes,
+    port_changes,
+    radio_changes,
+)
 from pipelines.session.recorder_control import write_wish
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import STEREO, Setup, VideoStream
 from pipelines.session.topology import RTC, Segment, Topology
 from pipelines.table import topology_of
@@ -209,41 +209,12 @@ def parse_sources(options: Sequence[str]) -> Mapping[str, str]:
     return sources
 
 
-def check_sources(setup: Setup, inputs: Sequence[str]) -> None:
-    """ConfigError for the first source that cannot be opened, before anything has started.
-
-    inputs: those that are captured here.
-    """
-    scenes: dict[str, Iterable[str]] = {"video": video_scenes(), "audio": audio_scenes()}
-    _check_shared(setup, inputs)
-    for name in inputs:
-        kind = setup.kind_of(name)
-        try:
-            check_spec(setup.source(name), kind, scenes[kind])
-        except ConfigError as error:
-            raise ConfigError(f"input {name}: {error}") from None
-
-
 def _check_page_sources(setup: Setup, inputs: Sequence[str], *, pages: bool) -> None:
     for name in inputs:
         if setup.source(name) == PAGE and not pages:
             raise ConfigError(
                 f"input {name}: source {PAGE} needs the pages: leave --no-page out, "
                 "or give it another source"
-            )
-
-
-def _check_shared(setup: Setup, inputs: Sequence[str]) -> None:
-    # A camera serves one program only, and two readers of one FIFO each get torn pictures.
-    taken: dict[Path, str] = {}
-    for name in inputs:
-        family, _, place = setup.source(name).partition(":")
-        if family not in ("v4l2", "pipe"):
-            continue
-        other = taken.setdefault(Path(place).resolve(), name)
-        if other != name:
-            raise ConfigError(
-                f"input {name}: {family}:{place} is that of input {other}: give each its own"
             )
 
 

@@ -14,22 +14,29 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.charts import check_plot, save
-from pipelines.bench.children import ended_alike
-from pipelines.bench.console import open_console
-from pipelines.bench.result import as_json
-from pipelines.commands.stream import check_sources
-from pipelines.report.report_file import check_writable, write_report, write_text
+from pipelines.report.charts import check_plot, save
+from pipelines.report.console import open_console
+from pipelines.report.report_file import check_writable, write_text
+from pipelines.report.result_file import write_result
+from pipelines.session.children import ended_alike
 from pipelines.virtual.campaign.chart import chart
 from pipelines.virtual.campaign.figures import RunFigures, crashed, run_figures
 from pipelines.virtual.campaign.here import code_digest
 from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
 from pipelines.virtual.campaign.progress import Progress
 from pipelines.virtual.campaign.sessions import session_results
-from pipelines.virtual.campaign.sweep import Sweep, case_figures, csv_rows, headings, rows, task_key
+from pipelines.virtual.campaign.sweep import (
+    Sweep,
+    case_figures,
+    csv_rows,
+    headings,
+    headlines,
+    rows,
+    task_key,
+)
 from pipelines.virtual.campaign.sweep_file import load_sweep
 from pipelines.virtual.campaign.tasks import Crash, Result, SessionTask
-from pipelines.virtual.inputs import check_sources as check_virtual_sources
+from pipelines.virtual.inputs import check_virtual_sources
 
 #: The runs that are over are kept this often.
 _KEEP_EVERY_S = 5.0
@@ -61,7 +68,6 @@ def run(args: argparse.Namespace) -> int:
     check_plot(args.plot)
     for case in sweep.cases if sweep.media else ():
         check_virtual_sources(case.setup)
-        check_sources(case.setup, case.setup.inputs)
     kept = _kept(args.report)
     runs = [kept.get(_key(sweep, task)) for task in sweep.tasks()]
     console = open_console(args, width=200, wanted=args.csv is not None)
@@ -128,15 +134,14 @@ def _figures(sweep: Sweep, task: SessionTask, result: Result) -> RunFigures:
 
 
 def _keep(path: Path | None, sweep: Sweep, runs: Sequence[RunFigures | None]) -> None:
-    if path is None:
-        return
+    cases = case_figures(sweep, runs)
     body = {
         "seconds": sweep.seconds,
         "media": sweep.media,
-        "cases": case_figures(sweep, runs),
+        "cases": cases,
         "runs": [run for run in runs if run is not None],
     }
-    write_report(path, as_json(body))
+    write_result(path, body, headlines(sweep, cases))
 
 
 def _kept(path: Path | None) -> dict[str, RunFigures]:

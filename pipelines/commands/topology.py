@@ -5,7 +5,7 @@ import shutil
 from dataclasses import replace
 
 from pipelines.commands.common import output_that_may_fail
-from pipelines.commands.session_options import add_setup_argument, port_changes
+from pipelines.session.options import add_setup_argument, port_changes
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology.graph import dot
 from pipelines.session.topology.tables import processes_table, streams_table, topics_table

@@ -34,7 +34,7 @@ from pipelines.session.access import headers as page_headers
 from pipelines.session.page_listener import PageListener
 
 _SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
-_STATIC = Path(__file__).parents[1] / "page" / "static"
+_STATIC = Path(__file__).parents[1] / "seats" / "static"
 _TYPES = {
     ".css": "text/css",
     ".html": "text/html",

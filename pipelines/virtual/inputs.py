@@ -13,6 +13,7 @@ from kontur_av.sources.stereo import StereoPairer
 from pipelines.media.capturing import Capturing
 from pipelines.session.figures import StereoCounters
 from pipelines.session.probe import Probe
+from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import VOICE_PACKETS_PER_S, Setup
 from pipelines.virtual.agenda import Agenda
 from pipelines.virtual.studio import Picture, Shot
@@ -24,8 +25,8 @@ ShowPicture = Callable[[Picture, CaptureStamp, int], None]
 ShowSound = Callable[[CaptureStamp, WorldState | None, int], None]
 
 
-def check_sources(setup: Setup) -> None:
-    """Raise ConfigError for an input that exists in real time only: a pipe, a device or a page."""
+def check_virtual_sources(setup: Setup) -> None:
+    """ConfigError for an input that cannot be opened, or exists in real time only: a pipe, say."""
     for name in setup.inputs:
         kind, colon, _ = setup.source(name).partition(":")
         if (colon and kind in ("pipe", "v4l2", "alsa")) or setup.source(name) == PAGE:
@@ -33,6 +34,7 @@ def check_sources(setup: Setup) -> None:
                 f"input {name}: {setup.source(name)} lives in real time; "
                 "a simulation takes scene:NAME, a media file or mcap:FILE#CHANNEL"
             )
+    check_sources(setup, setup.inputs)
 
 
 class _Input:

@@ -1,8 +1,8 @@
 """A run that `kontur-av bench all` could have kept."""
 
-from pipelines.bench.all.records import Record
-from pipelines.bench.machine import Machine
-from pipelines.bench.result import Headline
+from benchmarks.all.records import Record
+from benchmarks.machine import Machine
+from pipelines.report.result import Headline
 
 MACHINE = Machine(cpu="Some CPU", cores=2, kernel="Linux 6", python="3.11.7", pyav="18.1.0")
 RECORD = Record(

@@ -8,9 +8,9 @@ must be complete.
 import numpy as np
 import pytest
 
-from pipelines.bench.voice.gstreamer import Peer, listen_live, missing
-from pipelines.bench.voice.network import Network
-from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
+from benchmarks.voice.gstreamer import Peer, listen_live, missing
+from benchmarks.voice.network import Network
+from benchmarks.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
 
 pytestmark = pytest.mark.interop
 

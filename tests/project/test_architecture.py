@@ -52,42 +52,16 @@ SHELLS = {
     "kontur_av/sources/camera.py": "a device",
     "kontur_av/sources/microphone.py": "a device",
     "kontur_av/sources/pipe.py": "a FIFO",
-    "pipelines/bench/all/run.py": "runs commands, and asks for the date",
-    "pipelines/bench/children.py": "ends processes",
-    "pipelines/bench/fanout/gstreamer.py": "a library that starts threads, and files",
-    "pipelines/bench/fanout/run.py": "processes",
-    "pipelines/bench/fanout/ways.py": "asks for the process's number",
-    "pipelines/bench/machines/hosts.py": "runs ip(8)",
-    "pipelines/bench/machines/run.py": "runs commands",
+    "pipelines/session/children.py": "ends processes",
+    "pipelines/report/console.py": "the terminal",
     "pipelines/bench/latency/runs.py": "tries the clock",
-    "pipelines/bench/machine.py": "asks the system what it is",
-    "pipelines/bench/haptics/grid.py": "processes",
     "pipelines/bench/link/live.py": "runs commands",
     "pipelines/bench/link/protected.py": "runs commands, and sockets",
-    "pipelines/bench/page/alone.py": "processes",
-    "pipelines/bench/page/screen.py": "a virtual screen",
-    "pipelines/bench/page/heap.py": "a browser",
-    "pipelines/bench/page/pointer.py": "an X server",
-    "pipelines/bench/page/session.py": "runs commands",
-    "pipelines/bench/page/views.py": "processes and sockets",
-    "pipelines/bench/page/voice.py": "files",
-    "pipelines/bench/page/watcher.py": "sockets",
-    "pipelines/bench/page/webrtc.py": "sockets",
-    "pipelines/bench/rtc/network.py": "runs ip(8) and tc(8)",
-    "pipelines/bench/rtc/partner.py": "an event loop with sockets",
-    "pipelines/bench/rtc/pixel.py": "runs commands, and a browser",
-    "pipelines/bench/rtc/reception.py": "processes and sockets",
-    "pipelines/bench/rtc/session.py": "runs commands",
-    "pipelines/bench/record/run.py": "runs commands, and kills a process",
     "pipelines/bench/session.py": "runs commands",
-    "pipelines/bench/video/bridge.py": "an event loop with sockets, and FIFOs",
     "pipelines/bench/video/clips.py": "shared memory",
     "pipelines/bench/video/contenders.py": "runs commands",
-    "pipelines/bench/video/ends.py": "processes, FIFOs and sockets",
-    "pipelines/bench/video/packages.py": "runs pip and apt, and keeps files",
+    "pipelines/bench/course/ends.py": "processes, FIFOs and sockets",
     "pipelines/bench/video/run.py": "sockets, and sleep",
-    "pipelines/bench/video/vmaf.py": "runs FFmpeg",
-    "pipelines/bench/voice/gstreamer.py": "runs commands and listens to them",
     "pipelines/virtual/campaign/cluster.py": "the sockets of a cluster",
     "pipelines/virtual/campaign/options.py": "asks for the number of processors",
     "pipelines/virtual/campaign/progress.py": "the terminal, and asks for the time",
@@ -151,13 +125,10 @@ SHELL_FOLDERS = ("pipelines/commands/",)
 FILES = {
     "kontur_av/sources/file.py",
     "kontur_av/sources/recording.py",
-    "pipelines/bench/all/records.py",
-    "pipelines/bench/charts.py",
+    "pipelines/report/charts.py",
     "pipelines/bench/ports.py",
-    "pipelines/bench/result_file.py",
+    "pipelines/report/result_file.py",
     "pipelines/bench/sync/footage.py",
-    "pipelines/bench/video/crops.py",
-    "pipelines/bench/voice/speech.py",
     "pipelines/virtual/campaign/here.py",
     "pipelines/virtual/campaign/sweep_file.py",
     "pipelines/recording/export/csv_files.py",
@@ -184,14 +155,12 @@ USERS_OF_SHELLS = {
     "kontur_av/sources/source.py": "waits for its next block",
     "kontur_av/sources/spec.py": "opens sources",
     "kontur_av/topics/bus.py": "shared memory",
-    "pipelines/bench/console.py": "the terminal",
     "pipelines/virtual/campaign/chart.py": "draws charts",
-    "pipelines/bench/haptics/charts.py": "draws charts",
+    "pipelines/session/options.py": "opens radios that an option names",
+    "pipelines/session/setup/sources.py": "tries sources, and compares paths",
+    "pipelines/virtual/simulate.py": "starts workers",
     "pipelines/bench/latency/charts.py": "draws charts",
     "pipelines/bench/link/cost.py": "measures CPU time",
-    "pipelines/bench/page/browser.py": "a browser",
-    "pipelines/bench/record/recount.py": "files of a recording",
-    "pipelines/bench/voice/virtual.py": "hears recorded speech",
     "pipelines/partner/programme.py": "connections of partners",
     "pipelines/partner/whip.py": "the HTTP of a media server",
     "pipelines/report/live.py": "the terminal, and the launcher's processes",
@@ -223,7 +192,6 @@ USERS_OF_SHELLS = {
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
     "kontur_av/sources/page.py": {"PAGE"},
-    "pipelines/bench/all/records.py": {"Record"},
     "telepresence/haptics/device/spec.py": {"PAGE", "SIMULATED"},
     "kontur_av/clock.py": {
         "NS_PER_MS",
@@ -299,9 +267,8 @@ LIBRARIES = {
     "telepresence/tasks/task_files.py": ({"pathlib"}, "a file"),
     "telepresence/toml_file.py": ({"msgspec", "pathlib", "tomllib"}, "a file"),
     "telepresence/world/": ({"cv2"}, "draws"),
-    "pipelines/bench/page/footage.py": ({"av"}, "codes pictures"),
-    "pipelines/bench/record/figures.py": ({"mcap"}, "names of records"),
-    "pipelines/bench/result.py": ({"pathlib"}, "writes a path as text"),
+    "pipelines/report/result.py": ({"pathlib"}, "writes a path as text"),
+    "pipelines/bench/video/tables.py": ({"rich"}, "tables as text"),
     "pipelines/bench/video/quality.py": ({"cv2"}, "compares pictures"),
     "telepresence/world/speech_files.py": ({"av", "pathlib"}, "files"),
     "pipelines/session/probe.py": ({"pickle"}, "a message as octets"),
@@ -416,6 +383,12 @@ def test_imports_run_one_way(package):
         if module.startswith(f"{package}/") and (found := imported(module) & later)
     }
     assert not wrong
+
+
+def test_nothing_imports_the_benchmarks():
+    """They lie outside of the wheel; only their tests and the documents' generator may."""
+    samples = [path.relative_to(ROOT).as_posix() for path in (ROOT / "samples").rglob("*.py")]
+    assert [one for one in [*modules(), *samples] if "benchmarks" in imported(one)] == []
 
 
 def rooms_of_pipelines(module: str) -> set[str]:

@@ -20,6 +20,11 @@ def modules_in_the_root() -> int:
     return len([path for path in (ROOT / "pipelines").glob("*.py") if path.name != "__init__.py"])
 
 
+def lines_of_code(folder: str) -> int:
+    """Lines of all Python files of a folder."""
+    return sum(lines(str(file.relative_to(ROOT))) for file in (ROOT / folder).rglob("*.py"))
+
+
 def lines(name: str) -> int:
     """Lines of a file."""
     return len((ROOT / name).read_text(encoding="utf-8").splitlines())
@@ -34,6 +39,9 @@ def words(name: str) -> int:
 COUNTS = (
     ("`dict[str, Any]` in the packages", untyped_tables, 7),
     ("modules in the root of pipelines", modules_in_the_root, 6),
+    ("lines of benchmarks", lambda: lines_of_code("benchmarks"), 7000),
+    ("lines of pipelines/bench", lambda: lines_of_code("pipelines/bench"), 4550),
+    ("lines of pipelines/bench/video", lambda: lines_of_code("pipelines/bench/video"), 1300),
     ("lines of samples/send_numpy.py", lambda: lines("samples/send_numpy.py"), 40),
     ("lines of samples/receive_numpy.py", lambda: lines("samples/receive_numpy.py"), 40),
     ("lines of README.md", lambda: lines("README.md"), 200),

@@ -55,18 +55,16 @@ ALLOWED = {
     # For the time of an import whose warnings are not ours.
     "kontur_av/codecs/libopus.py": {"_import_with"},
     "kontur_av/streams/encoding_thread.py": {"switch_threads_often"},
-    "pipelines/bench/children.py": {"ended_alike"},
+    "pipelines/session/children.py": {"ended_alike"},
     # For the time of a connection, whose warnings are told in one line of ours.
     "pipelines/virtual/campaign/cluster.py": {"_connected"},
-    "pipelines/bench/fanout/run.py": {"_publish", "_read"},
-    "pipelines/bench/page/alone.py": {"_serve"},
     "pipelines/bench/video/command.py": {"run"},
-    "pipelines/bench/video/ends.py": {"_become"},
+    "pipelines/bench/course/ends.py": {"_become"},
     # The command itself, in a process of its own.
     "pipelines/cli.py": {"_loaded"},
     "pipelines/commands/common.py": {"stopped_by_signals"},
     "pipelines/commands/drive_far.py": {"_relay"},
-    "pipelines/commands/simulate.py": {"_run"},
+    "pipelines/virtual/simulate.py": {"_run"},
     "pipelines/session/launcher.py": {
         "Launcher.run",
         "Launcher._start",

@@ -9,6 +9,7 @@ from dataclasses import fields
 import pytest
 from places import ROOT
 
+from benchmarks.__main__ import make_parser as make_benchmark_parser
 from pipelines.cli import make_parser
 from pipelines.report.collector import Collector
 from pipelines.report.model import to_builtins
@@ -25,7 +26,7 @@ def blocks(text: str, language: str = "sh") -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
-def commands_in(text: str) -> list[list[str]]:
+def commands_in(text: str, program: str = "kontur-av") -> list[list[str]]:
     """Every call of kontur-av in the code blocks of a document, as its arguments."""
     found: list[list[str]] = []
     for block in blocks(text):
@@ -36,9 +37,10 @@ def commands_in(text: str) -> list[list[str]]:
                     call = None
                 elif call is not None:
                     call.append(word)
-                elif word.rpartition("/")[2] == "kontur-av":
+                elif (name := word.rpartition("/")[2]) in ("kontur-av", "benchmarks"):
                     call = []
-                    found.append(call)
+                    if name == program:
+                        found.append(call)
     return found
 
 
@@ -54,6 +56,8 @@ def subcommands() -> dict[str, argparse.ArgumentParser]:
 def test_the_cli_accepts_every_documented_command(document):
     for arguments in commands_in(document.read_text(encoding="utf-8")):
         make_parser().parse_args(arguments)
+    for arguments in commands_in(document.read_text(encoding="utf-8"), "benchmarks"):
+        make_benchmark_parser().parse_args(arguments)
 
 
 def test_the_table_of_commands_has_each_command():

@@ -9,8 +9,8 @@ import pytest
 from places import ROOT
 from unit_room import closed_doors
 
-from pipelines.commands.simulate import simulate
 from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.virtual.simulate import simulate
 
 
 @pytest.mark.parametrize(

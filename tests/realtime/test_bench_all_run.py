@@ -1,4 +1,4 @@
-"""`kontur-av bench all`: runs, kept records, and resuming a measurement."""
+"""`python -m benchmarks all`: runs, kept records, and resuming a measurement."""
 
 import sys
 from types import SimpleNamespace
@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import pytest
 from bench_records import RECORD
 
-from pipelines.bench.all import command, run
-from pipelines.bench.all.plan import LIVE_RUNS
-from pipelines.bench.all.records import write_record
-from pipelines.cli import main
+from benchmarks.__main__ import main
+from benchmarks.all import command, run
+from benchmarks.all.plan import LIVE_RUNS
+from benchmarks.all.records import write_record
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def bench(tmp_path, monkeypatch):
         "headline = dict(group='', what='x', who='', unit='ms', value=1.5, target='', met=None)\n"
         "json.dump({'headlines': [headline]}, open(sys.argv[-1], 'w'))\n"
         "print('the last words')\n"
-        "sys.exit('passes' in sys.argv)\n"
+        "sys.exit('sweep' in sys.argv)\n"
     )
     shell = tmp_path / "python"
     shell.write_text(f'#!/bin/sh\nexec {sys.executable} {script} "$@"\n')
@@ -34,7 +34,7 @@ def bench(tmp_path, monkeypatch):
 
 def test_existing_runs_are_kept_and_missing_ones_are_made(bench, tmp_path, capsys, monkeypatch):
     write = tmp_path / "page.md"
-    words = ["bench", "all", "--only", "cpu,haptics", "--write", str(write)]
+    words = ["all", "--only", "cpu,haptics", "--write", str(write)]
     assert main(words) == 0
     assert bench() == LIVE_RUNS + 1
     assert sorted(path.name for path in (tmp_path / "page").iterdir()) == [
@@ -46,7 +46,7 @@ def test_existing_runs_are_kept_and_missing_ones_are_made(bench, tmp_path, capsy
     assert main(words) == 0
     assert bench() == LIVE_RUNS + 2
     assert "cpu, run 1 of 3: kept" in capsys.readouterr().out
-    monkeypatch.setattr(command, "code_digest", lambda: "other code")
+    monkeypatch.setattr(command, "code_digest", lambda packages: "other code")
     assert main(words) == 0
     assert bench() == 2 * LIVE_RUNS + 3
     assert main([*words, "--again"]) == 0
@@ -55,15 +55,15 @@ def test_existing_runs_are_kept_and_missing_ones_are_made(bench, tmp_path, capsy
 
 def test_a_bench_that_fails_is_an_exit_code_and_on_the_page(bench, tmp_path):
     write = tmp_path / "page.md"
-    assert main(["bench", "all", "--only", "passes", "--write", str(write)]) == 1
+    assert main(["all", "--only", "tasks", "--write", str(write)]) == 1
     assert "**Run 1 failed: the last words**" in write.read_text()
 
 
 def test_the_page_is_rendered_without_measuring(bench, tmp_path, capsys):
     write_record(tmp_path, RECORD)
-    assert main(["bench", "all", "--render", "--out", str(tmp_path)]) == 0
+    assert main(["all", "--render", "--out", str(tmp_path)]) == 0
     assert "# Measurements" in capsys.readouterr().out
-    assert main(["bench", "all", "--render", "--out", str(tmp_path / "nowhere")]) == 2
+    assert main(["all", "--render", "--out", str(tmp_path / "nowhere")]) == 2
     assert bench() == 0
 
 
@@ -77,5 +77,5 @@ def test_an_interrupted_measurement_still_writes_its_page(bench, tmp_path, monke
 
     monkeypatch.setattr(command, "measure", interrupted)
     write = tmp_path / "page.md"
-    assert main(["bench", "all", "--only", "cpu", "--write", str(write)]) == 130
+    assert main(["all", "--only", "cpu", "--write", str(write)]) == 130
     assert "1 run," in write.read_text()

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import pytest
 
 from pipelines.bench import session
-from pipelines.bench.children import end_all, ended_alike
-from pipelines.bench.video.ends import End
+from pipelines.bench.course.ends import End
+from pipelines.session.children import end_all, ended_alike
 
 
 def test_a_second_interrupt_ends_all_at_once():

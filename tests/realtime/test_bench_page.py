@@ -1,4 +1,4 @@
-"""`kontur-av bench page`: the whole way once, in a real Chromium on a virtual screen."""
+"""`python -m benchmarks page`: the whole way once, in a real Chromium on a virtual screen."""
 
 import json
 import shutil
@@ -6,11 +6,11 @@ import shutil
 import numpy as np
 import pytest
 
-from pipelines.bench.page import command as page
-from pipelines.bench.page.figures import OURS, PEER
-from pipelines.bench.page.footage import HEIGHT, WIDTH, pictures
-from pipelines.bench.page.screen import Spot, number_at
-from pipelines.cli import main
+from benchmarks.__main__ import main
+from benchmarks.page import command as page
+from benchmarks.page.figures import OURS, PEER
+from benchmarks.page.footage import HEIGHT, WIDTH, pictures
+from benchmarks.page.screen import Spot, number_at
 
 HERE = all(shutil.which(name) for name in ("chromium", "chromedriver", "Xvfb"))
 
@@ -26,21 +26,21 @@ def test_a_number_is_read_where_the_picture_is_on_the_screen():
 def test_a_machine_without_a_browser_measures_nothing_and_says_so(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(page, "lacking", lambda: "chromium is missing: apt-get install chromium")
     report = tmp_path / "page.json"
-    assert main(["bench", "page", "--report", str(report)]) == 0
+    assert main(["page", "--report", str(report)]) == 0
     assert "not measured: chromium is missing" in capsys.readouterr().out
     assert json.loads(report.read_text())["headlines"] == []
 
 
 @pytest.mark.parametrize("options", [("--seconds", "0"), ("--seconds", "900"), ("--runs", "0")])
 def test_what_cannot_be_measured_is_refused(options, capsys):
-    assert main(["bench", "page", *options]) == 2
+    assert main(["page", *options]) == 2
     assert options[0] in capsys.readouterr().err
 
 
 @pytest.mark.skipif(not HERE, reason="no chromium, no chromedriver or no Xvfb: apt-get install")
 def test_the_page_and_its_peer_show_numbered_pictures(tmp_path):
-    from pipelines.bench.page.footage import FPS, coded
-    from pipelines.bench.page.views import measured
+    from benchmarks.page.footage import FPS, coded
+    from benchmarks.page.views import measured
 
     units = coded(30 * FPS)
     for who in (OURS, PEER):

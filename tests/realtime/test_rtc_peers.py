@@ -8,10 +8,10 @@ import aiohttp
 import pytest
 from partners import SENDS, kept, pictures, receiving, send, sending, sounds, until
 
+from benchmarks.page.footage import coded
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.rtp.payload_h264 import split_annex_b
-from pipelines.bench.page.footage import coded
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.keeper import Keeper
 from pipelines.partner.programme import Programme

@@ -118,3 +118,20 @@ def test_a_report_of_another_kind_is_refused_in_one_line(swept, capsys):
     error = capsys.readouterr().err
     assert "is no report of this version's `sweep`" in error
     assert error.count("\n") == 1
+
+
+def test_sessions_with_a_plan_are_judged_by_their_tasks(tmp_path, capsys):
+    plan, file, kept = tmp_path / "plan.toml", tmp_path / "tasks.toml", tmp_path / "r.json"
+    plan.write_text('skill = 1.0\n[[task]]\nname = "aiming"\n')
+    words = 'seconds = 36\nmedia = false\nplan = "plan.toml"\n[[grid]]\nradio = "clean"\n'
+    file.write_text(words)
+    assert main(["sweep", str(file), "--report", str(kept)]) == 0
+    assert "1 of 1 usable" in capsys.readouterr().out
+    report = json.loads(kept.read_text())
+    (run,) = report["runs"]
+    assert run["figures"]["tasks_finished"] == 1
+    assert run["figures"]["aiming_s"] > 1
+    assert report["headlines"][0]["met"]
+    plan.write_text('[[task]]\nname = "nothing"\n')
+    assert main(["sweep", str(file)]) == 2
+    assert "nothing" in capsys.readouterr().err

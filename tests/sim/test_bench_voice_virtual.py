@@ -1,4 +1,4 @@
-"""`kontur-av bench voice`: voices on virtual time, and the command that prints their figures."""
+"""`benchmarks voice`: voices on virtual time, and the command that prints their figures."""
 
 import json
 
@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from pipelines.bench.voice import command as voice
-from pipelines.bench.voice.network import Network
-from pipelines.bench.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
-from pipelines.bench.voice.virtual import listen, speak
-from pipelines.cli import main
+from benchmarks.__main__ import main
+from benchmarks.voice import command as voice
+from benchmarks.voice.network import Network
+from benchmarks.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
+from benchmarks.voice.virtual import listen, speak
 from pipelines.session.setup.built_in import BUILT_IN
 
 SETUP = BUILT_IN["spacejustin"]
@@ -50,7 +50,7 @@ def test_the_command_writes_its_figures(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(voice, "_LOSSES", (0.0, 0.1))
     report, plot = tmp_path / "v.json", tmp_path / "v.png"
     options = ["--seconds", "1", "--no-live", "--report", str(report), "--plot", str(plot)]
-    assert main(["bench", "voice", *options]) == 0
+    assert main(["voice", *options]) == 0
     figures = json.loads(report.read_text())["voice"]
     assert set(figures) == {"8 kbit/s", "64 kbit/s"}
     assert all(len(rows) == 3 for rows in figures.values())
@@ -65,7 +65,7 @@ def test_a_missing_peer_or_pesq_is_one_line(monkeypatch, capsys):
     monkeypatch.setattr(voice, "pesq_is_there", lambda: False)
     monkeypatch.setattr(voice, "missing", lambda: "it is not installed")
     monkeypatch.setattr(voice, "_LOSSES", (0.0, 0.1))
-    assert main(["bench", "voice", "--seconds", "1"]) == 0
+    assert main(["voice", "--seconds", "1"]) == 0
     out = capsys.readouterr().out
     assert "no quality: PESQ is missing (pip install 'kontur-av[bench]')" in out
     assert "no GStreamer: it is not installed" in out

@@ -10,7 +10,6 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
-from pipelines.commands.simulate import simulate
 from pipelines.media.gain import STEADY_NS, gain_of
 from pipelines.media.session_streams import video_sender
 from pipelines.media.stream_figures import Outgoing
@@ -20,6 +19,7 @@ from pipelines.session.rows import OutRow
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Direction
 from pipelines.table import topology_of
+from pipelines.virtual.simulate import simulate
 from telepresence.link.flows import Level
 from telepresence.link.gateway import Gateway
 

@@ -1,13 +1,13 @@
-"""The corner cells of the grid of `kontur-av bench haptics`: passive, calm and bounded, or not."""
+"""The corner cells of the grid of `benchmarks haptics`: passive, calm and bounded, or not."""
 
 import numpy as np
 import pytest
 
-from pipelines.bench.haptics.cell import Cell
-from pipelines.bench.haptics.claims import claims, needed
-from pipelines.bench.haptics.figures import CellFigures
-from pipelines.bench.haptics.plan import plan
-from pipelines.bench.haptics.run import run_cell
+from benchmarks.haptics.cell import Cell
+from benchmarks.haptics.claims import claims, needed
+from benchmarks.haptics.figures import CellFigures
+from benchmarks.haptics.plan import plan
+from benchmarks.haptics.run import run_cell
 from telepresence.haptics.joystick_controller import JoystickController
 from telepresence.haptics.passivity import Port
 from telepresence.haptics.sample import Feedback

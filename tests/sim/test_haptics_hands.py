@@ -2,10 +2,10 @@
 
 import pytest
 
-from pipelines.bench.haptics.cell import Cell
-from pipelines.bench.haptics.claims import claims
-from pipelines.bench.haptics.hands import HANDS, BenchHand
-from pipelines.bench.haptics.run import run_cell
+from benchmarks.haptics.cell import Cell
+from benchmarks.haptics.claims import claims
+from benchmarks.haptics.hands import HANDS, BenchHand
+from benchmarks.haptics.run import run_cell
 from telepresence.haptics.hand import HandModel
 
 #: Stiffness (N/m), damping (N s/m), mass (kg), and a cell; a controller that switched its force

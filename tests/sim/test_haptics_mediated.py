@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from mediated_pair import MediatedPair
 
-from pipelines.commands.simulate import simulate
 from pipelines.session.setup.setup_file import load_setup
+from pipelines.virtual.simulate import simulate
 from telepresence.haptics.board import WALL_X_M, WallModel
 from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, HandModel, Waypoint
 from telepresence.haptics.mediated.renderer import RendererModel

@@ -10,7 +10,6 @@ from told import message
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.cli import main
-from pipelines.commands.simulate import simulate
 from pipelines.report import join
 from pipelines.report.collector import Collector
 from pipelines.report.model import EndTrace, SessionReport, from_json, to_json
@@ -21,6 +20,7 @@ from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
+from pipelines.virtual.simulate import simulate
 
 SECONDS = 8
 #: The clock of space runs ahead by this, and its instants count from another start.

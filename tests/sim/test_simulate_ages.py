@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from pipelines.commands.simulate import simulate
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.simulate import simulate
 from telepresence.link.radio import load_radio
 
 DELAY_MS = 2.0

@@ -4,10 +4,10 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
-from pipelines.commands.simulate import simulate
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.task_journal import STEPS
+from pipelines.virtual.simulate import simulate
 from telepresence.tasks.plan import PlanFollower
 from telepresence.tasks.plan_file import load_plan
 

@@ -8,9 +8,9 @@ import time
 from itertools import count
 
 from kontur_av.clock import NS_PER_S
-from pipelines.commands.simulate import simulate
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.session import Simulation
+from pipelines.virtual.simulate import simulate
 from pipelines.virtual.workers import Workers
 
 

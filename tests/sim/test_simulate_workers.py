@@ -11,7 +11,7 @@ for _ in range(20):
     cv2.connectedComponentsWithStats(noise)
     cv2.resize(noise, (640, 480), interpolation=cv2.INTER_AREA)
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.commands.simulate import simulate
+from pipelines.virtual.simulate import simulate
 print(simulate(BUILT_IN["taskboard"], seconds=0.5, seed=1).seconds)
 """
 

@@ -6,10 +6,10 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from pipelines.commands.simulate import simulate
 from pipelines.report.summary import first_line, print_summary, stages_line, streams_table
 from pipelines.report.warnings import restart_warning
 from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.virtual.simulate import simulate
 
 
 @pytest.fixture(scope="module")

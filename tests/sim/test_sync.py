@@ -8,9 +8,9 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
 from kontur_av.streams import voice_sender
 from kontur_av.streams.video_receiver import VideoReceiver
-from pipelines.commands.simulate import simulate
 from pipelines.report.model import Ranks
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.virtual.simulate import simulate
 from telepresence.haptics.loop import HapticLink
 from telepresence.link.radio import load_radio
 

@@ -9,11 +9,11 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import Quality
-from pipelines.commands.simulate import simulate
 from pipelines.media.following import CameraFollower
 from pipelines.media.showing import Showing
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.session import Selection
+from pipelines.virtual.simulate import simulate
 from telepresence.link.radio import load_radio
 
 DELAY_MS = 2.0

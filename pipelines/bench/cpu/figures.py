@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from pipelines.bench.result import Headline, JsonReader
+from pipelines.report.result import Headline, JsonReader
 
 VIDEO = "uplink_video"
 

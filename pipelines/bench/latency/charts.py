@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from pipelines.bench.charts import COLOURS, new_figure
+from pipelines.report.charts import COLOURS, new_figure
 from pipelines.report.terms import TERMS
 
 if TYPE_CHECKING:

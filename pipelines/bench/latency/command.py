@@ -10,8 +10,6 @@ from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
-from pipelines.bench.charts import check_plot, save
-from pipelines.bench.console import open_console
 from pipelines.bench.latency.charts import lead_chart
 from pipelines.bench.latency.runs import (
     VIRTUAL_CLOCK,
@@ -21,24 +19,25 @@ from pipelines.bench.latency.runs import (
     virtual_run,
 )
 from pipelines.bench.latency.targets import MEANT_FOR, LatencyVerdict, judge
-from pipelines.bench.result import Headline, Json, JsonReader
-from pipelines.bench.result_file import write_result
 from pipelines.bench.session import live_session
-from pipelines.commands.session_options import (
+from pipelines.report.charts import check_plot, save
+from pipelines.report.console import open_console
+from pipelines.report.report_file import check_writable
+from pipelines.report.result import Headline, Json, JsonReader
+from pipelines.report.result_file import write_result
+from pipelines.report.sync.limits import LIMITS
+from pipelines.report.terms import TERMS
+from pipelines.session.options import (
     add_deadband_argument,
     add_radio_argument,
     add_setup_argument,
     deadband_changes,
     radio_change,
 )
-from pipelines.commands.stream import check_sources
-from pipelines.report.report_file import check_writable
-from pipelines.report.sync.limits import LIMITS
-from pipelines.report.terms import TERMS
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.inputs import check_sources as check_virtual_sources
+from pipelines.virtual.inputs import check_virtual_sources
 
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
 #: A longer lead of the force over its picture is noticeable.
@@ -195,7 +194,6 @@ def _setups(args: argparse.Namespace) -> list[Setup]:
     # Check the port of the live run before anything is measured.
     first = replace(chosen, base_port=args.base_port, **changes)
     check_virtual_sources(first)
-    check_sources(first, first.inputs)
     return [first, *(replace(setup, **changes) for setup in others)]
 
 

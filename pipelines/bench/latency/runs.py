@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from pipelines.bench.result import JsonReader, as_json
-from pipelines.commands.simulate import simulate
+from pipelines.report.result import JsonReader, as_json
 from pipelines.session.setup.table import Setup
+from pipelines.virtual.simulate import simulate
 
 _READINGS = 2000
 

@@ -6,7 +6,7 @@ The bounds hold for `spacejustin` on the radio `clean`, on virtual time.
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.bench.result import Headline, JsonReader
+from pipelines.report.result import Headline, JsonReader
 
 #: In ms. Force: p99.9, above the delay of the radio. Pictures and voice: p99, the delay of the
 #: radio included. Skew: p95.

@@ -10,7 +10,6 @@ from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.bench.console import open_console
 from pipelines.bench.link.cost import slot_cost
 from pipelines.bench.link.live import LoopPunctuality, live_punctuality
 from pipelines.bench.link.paired import WAYS, headlines
@@ -28,9 +27,10 @@ from pipelines.bench.link.virtual import (
     header_octets,
     voice_waits,
 )
-from pipelines.bench.result import Headline, Json, Percentiles, as_json, spread
-from pipelines.bench.result_file import write_result
+from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
+from pipelines.report.result import Headline, Json, Percentiles, as_json, spread
+from pipelines.report.result_file import write_result
 from pipelines.session.setup.setup_file import load_setup
 from telepresence.link.profile import DOWNLINK, UPLINK
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from kontur_av.clock import NS_PER_MS, NS_PER_US, MonotonicClock
 from kontur_av.meters import Histogram
 from pipelines.bench.link.virtual import FILE, FLOWS, VIDEO, VOICE, Talker
-from pipelines.bench.result import Percentiles
+from pipelines.report.result import Percentiles
 from telepresence.link.flows import Level
 from telepresence.link.profile import LinkProfile
 from telepresence.link.receiver import LinkReceiver

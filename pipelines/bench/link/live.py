@@ -5,8 +5,8 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 
-from pipelines.bench.result import JsonReader
 from pipelines.bench.session import live_report
+from pipelines.report.result import JsonReader
 
 #: The end of `cyclictest`'s histogram, in µs; it counts later wake-ups apart.
 _LONGEST_US = 20_000

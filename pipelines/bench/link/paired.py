@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from kontur_av.clock import NS_PER_US
-from pipelines.bench.result import Headline
+from pipelines.report.result import Headline
 
 #: By way: how the path between the gateways is kept.
 PLAIN, PROTECTED, REKEYED = "insecure", "protected", "protected, new keys often"

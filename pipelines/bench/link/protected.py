@@ -15,10 +15,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.bench.children import end_all, ended_alike
 from pipelines.bench.link.paired import PLAIN, REKEYED, EndFigures, PairedRun, delays_us
-from pipelines.bench.result import JsonReader
 from pipelines.link.key_files import make_key, trust
+from pipelines.report.result import JsonReader
+from pipelines.session.children import end_all, ended_alike
 from pipelines.session.process import LOOPBACK
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import Segment, Topology

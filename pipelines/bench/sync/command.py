@@ -15,20 +15,20 @@ from rich.table import Table
 from kontur_av.clock import NS_PER_MS
 from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
-from pipelines.bench.charts import check_plot, distributions, save
-from pipelines.bench.console import open_console
-from pipelines.bench.result import Headline, Json, JsonReader, as_json
-from pipelines.bench.result_file import write_result
 from pipelines.bench.session import live_session
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
-from pipelines.commands.session_options import radio_change
-from pipelines.commands.simulate import simulate
-from pipelines.commands.stream import check_sources
+from pipelines.report.charts import check_plot, distributions, save
+from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
+from pipelines.report.result import Headline, Json, JsonReader, as_json
+from pipelines.report.result_file import write_result
 from pipelines.report.sync.figures import PAIRS, SENSES, Event, skew_summary, skews_ns
 from pipelines.report.sync.matching import Found
+from pipelines.session.options import radio_change
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.virtual.inputs import check_sources as check_virtual_sources
+from pipelines.session.setup.sources import check_sources
+from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.simulate import simulate
 
 _WORDS = {
     "video_haptic": "video after force",

@@ -4,7 +4,7 @@ import os
 import resource
 import socket
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
-from pipelines.bench.children import ended_alike
+from pipelines.bench.course.ends import Carried, Filmed, Watched, carry, film_to, watch
+from pipelines.bench.course.marks import MARK_ROWS, read_all, read_number
 from pipelines.bench.video.clips import Clip, led_in, shared_array
-from pipelines.bench.video.contenders import Course, started
-from pipelines.bench.video.ends import Carried, Filmed, Watched, carry, film_to, watch
+from pipelines.bench.video.contenders import Contender, Course
 from pipelines.bench.video.figures import (
     ContenderFigures,
     largest_bps,
@@ -27,17 +27,16 @@ from pipelines.bench.video.figures import (
     percentiles,
     shown,
 )
-from pipelines.bench.video.marks import MARK_ROWS, read_all, read_number
 from pipelines.bench.video.quality import Luma, psnr_db, ssim, summarise
-from pipelines.bench.video.targets import CHROMIUM
-from pipelines.bench.video.vmaf import vmaf
+from pipelines.session.children import ended_alike
 
 _START_S = 30.0
 #: After the end of the camera, the last pictures have this long to arrive.
 _REST_S = 1.5
-#: Before the clip Chromium gets this much of it backwards, so that its estimate of the rate
-#: settles, and what its start has put into the channel's queue is gone. There is no cut between.
-CHROMIUM_LEAD_S = 10
+
+
+#: Scores of pairs of picture and original, in order of time; empty for no measure.
+Score = Callable[[Iterable[tuple[Luma, Luma]]], list[float]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +44,7 @@ class TrialTerms:
     """The same for all contenders.
 
     settle_s: length of the beginning that counts only against the cap. lead_s: before that, this
-    much of the clip backwards, which Chromium gets anyway. wide: of the wide channel.
+    much of the clip backwards, or more for a contender that needs it. wide: of the wide channel.
     """
 
     fps: int = 30
@@ -69,13 +68,20 @@ class Trial:
     shots: dict[int, tuple[int, Luma]]
 
 
-def measure(name: str, clip: Clip, terms: TrialTerms, *, shot_numbers: Sequence[int] = ()) -> Trial:
-    """Measure contender `name`.
+def measure(
+    contender: Contender,
+    clip: Clip,
+    terms: TrialTerms,
+    *,
+    shot_numbers: Sequence[int] = (),
+    score: Score = lambda _: [],
+) -> Trial:
+    """Measure one contender.
 
-    shot_numbers: of the pictures to keep. Raises ContenderError when it does not run, EndError when
-    the bench itself fails.
+    shot_numbers: of the pictures to keep. score: another measure of quality, as VMAF. Raises
+    ContenderError when the contender does not run, EndError when the bench itself fails.
     """
-    lead_s = max(terms.lead_s, CHROMIUM_LEAD_S) if name in CHROMIUM else terms.lead_s
+    lead_s = max(terms.lead_s, contender.lead_s)
     lead = lead_s * terms.fps
     clip = led_in(clip, lead)
     terms = replace(terms, settle_s=terms.settle_s + lead_s)
@@ -96,11 +102,11 @@ def measure(name: str, clip: Clip, terms: TrialTerms, *, shot_numbers: Sequence[
             exit=exit_port,
             directory=directory,
         )
-        channel = carry(course, round(terms.channel_kbps * 1000), muxed=name in CHROMIUM)
+        channel = carry(course, round(terms.channel_kbps * 1000), muxed=contender.muxed)
         stack.callback(channel.close)
         screen = watch(str(course.screen), lumas)
         stack.callback(screen.close)
-        sender, receiver = stack.enter_context(started(name, course))
+        sender, receiver = stack.enter_context(contender.started(course))
         camera = film_to(clip, str(course.film), terms.fps, _START_S)
         stack.callback(camera.close)
         filmed: Filmed = camera.result(_START_S + 2 * len(clip.order) / terms.fps + 10)
@@ -121,6 +127,7 @@ def measure(name: str, clip: Clip, terms: TrialTerms, *, shot_numbers: Sequence[
         (sender_cpu_s, receiver_cpu_s),
         meter.others(),
         {number: number + lead for number in shot_numbers},
+        score,
     )
 
 
@@ -134,6 +141,7 @@ def _figures(
     cpu_s: tuple[float, float],
     others_cores: float,
     shot_numbers: Mapping[int, int],
+    score: Score,
 ) -> Trial:
     first = terms.settle_s * terms.fps
     numbers = _numbers(filmed, watched)
@@ -148,7 +156,7 @@ def _figures(
         for index, number in enumerate(numbers)
         if number is not None and number >= first
     ]
-    scores = vmaf(compared)
+    scores = score(compared)
     counted_ns = filmed.captured_ns[first:]
     unreadable = sum(number is None for number in numbers)
     payload_1s_bps, payload_100ms_bps = largest_bps(carried.came_ns, carried.payload_octets)

@@ -1,17 +1,14 @@
 """The targets of `bench video`, and whether a run reached them. A core."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from pipelines.bench.video.figures import ContenderFigures
 
-#: The contenders: this project, two encoders of GStreamer, and Chromium with two codecs.
-OURS, DEFAULT, TUNED = "kontur-av", "gst-default", "gst-tuned"
-CHROMIUM = {"chromium-h264": "H264", "chromium-vp9": "VP9"}
-CONTENDERS = (OURS, DEFAULT, TUNED, *CHROMIUM)
-
+#: The contender of this project.
+OURS = "kontur-av"
 #: From the figures of a contender to the value that counts.
-_Value = Callable[[ContenderFigures], float]
+Value = Callable[[ContenderFigures], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +32,7 @@ class VideoVerdict:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Target:
+class Target:
     """A bound for `value` of kontur-av; a relative target compares with the best peer.
 
     most: whether the bound is the largest value allowed; otherwise it is the smallest.
@@ -45,7 +42,7 @@ class _Target:
 
     what: str
     unit: str
-    value: _Value
+    value: Value
     bound: float
     most: bool
     peers: Callable[[str], bool] | None = None
@@ -53,23 +50,15 @@ class _Target:
     of_cap: bool = False
 
 
-def _any_peer(name: str) -> bool:
-    return name in (DEFAULT, TUNED)
-
-
-def _tuned(name: str) -> bool:
-    return name == TUNED
-
-
-_P99 = _Target(
+P99 = Target(
     what="capture to displayed, p99",
     unit="ms",
     value=lambda found: found.latency_ms["p99"],
     bound=45,
     most=True,
 )
-_CAPS = (
-    _Target(
+CAPS = (
+    Target(
         what="largest 1 s window of payload",
         unit="% of the cap",
         value=lambda found: found.payload_1s_bps,
@@ -77,7 +66,7 @@ _CAPS = (
         most=True,
         of_cap=True,
     ),
-    _Target(
+    Target(
         what="largest 0.1 s window of payload",
         unit="% of its share",
         value=lambda found: found.payload_100ms_bps,
@@ -86,82 +75,36 @@ _CAPS = (
         of_cap=True,
     ),
 )
-
-_WORST = "PSNR of the worst 5 %, over the better peer"
-#: At 85 kbit/s in a channel of 88.
-NARROW = (
-    _Target(
+#: Of this project alone, at 85 kbit/s in a channel of 88.
+ALONE = (
+    Target(
         what="capture to displayed, p50",
         unit="ms",
         value=lambda found: found.latency_ms["p50"],
         bound=35,
         most=True,
     ),
-    _P99,
-    _Target(
-        what="PSNR, over the better peer",
-        unit="dB",
-        value=lambda found: found.psnr_db.mean,
-        bound=1,
-        most=False,
-        peers=_any_peer,
-    ),
-    _Target(
-        what=_WORST,
-        unit="dB",
-        value=lambda found: found.psnr_db.worst,
-        bound=1,
-        most=False,
-        peers=_any_peer,
-    ),
-    _Target(
+    P99,
+    Target(
         what="displayed",
         unit="/s",
         value=lambda found: found.per_second,
         bound=28,
         most=False,
     ),
-    _Target(
+    Target(
         what="longest gap",
         unit="ms",
         value=lambda found: found.longest_gap_ms,
         bound=100,
         most=True,
     ),
-    *_CAPS,
-    _Target(
-        what="CPU of both ends, of the thriftier peer's",
-        unit="times",
-        value=lambda found: found.cpu_s,
-        bound=1.5,
-        most=True,
-        peers=_any_peer,
-        ratio=True,
-    ),
-)
-
-#: The same on clips that no setting was tuned on.
-STRANGE = tuple(
-    replace(target, bound=1.5) if target.what == _WORST else target for target in NARROW
-)
-
-#: At 512 kbit/s in a channel of 530.
-WIDE = (
-    _P99,
-    _Target(
-        what="PSNR, over the tuned peer",
-        unit="dB",
-        value=lambda found: found.psnr_db.mean,
-        bound=0,
-        most=False,
-        peers=_tuned,
-    ),
-    *_CAPS,
+    *CAPS,
 )
 
 
 def judge(
-    measured: Mapping[str, ContenderFigures], targets: Sequence[_Target], cap_kbps: float
+    measured: Mapping[str, ContenderFigures], targets: Sequence[Target], cap_kbps: float
 ) -> list[VideoVerdict]:
     """A verdict on each target that can be judged; a relative target needs a peer."""
     if OURS not in measured:
@@ -171,7 +114,7 @@ def judge(
 
 
 def _verdict(
-    target: _Target, measured: Mapping[str, ContenderFigures], cap_kbps: float
+    target: Target, measured: Mapping[str, ContenderFigures], cap_kbps: float
 ) -> VideoVerdict | None:
     value = target.value(measured[OURS])
     against = ""

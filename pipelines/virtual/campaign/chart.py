@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from pipelines.bench.charts import COLOURS, new_figure
+from pipelines.report.charts import COLOURS, new_figure
 from pipelines.virtual.campaign.figures import FIGURES
 from pipelines.virtual.campaign.sweep import CaseFigures, Spread, Sweep, Value
 

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pipelines.bench.passes.figures import PassFigures, faults, pass_figures
-from pipelines.bench.result import JsonReader
+from pipelines.report.result import JsonReader
+from pipelines.virtual.campaign.pass_figures import PassFigures, faults, pass_figures
+from pipelines.virtual.campaign.task_figures import task_faults, task_figures, task_numbers
 from pipelines.virtual.campaign.tasks import Crash, SessionTask
 
 
@@ -24,8 +25,7 @@ def _latency(latency_ms: Mapping[str, float] | None, percentile: str) -> float |
 
 def _haptic(direction: str) -> Callable[[PassFigures], float | None]:
     def found(of: PassFigures) -> float | None:
-        channel = of.haptic.get(direction)
-        return None if channel is None else _latency(channel.latency_ms, "p99")
+        return _latency(of.haptic_ms.get(direction), "p99")
 
     return found
 
@@ -53,11 +53,6 @@ def _shown_hz(of: PassFigures) -> float | None:
     return stream.frames_displayed / of.signal_s
 
 
-def _skew(of: PassFigures) -> float | None:
-    skew = of.skew_ms.get("video_haptic")
-    return None if skew is None else skew.get("p95")
-
-
 def _cap(of: PassFigures) -> float | None:
     return max((100.0 * stream.cap_share for stream in of.streams.values()), default=None)
 
@@ -73,7 +68,7 @@ FIGURES = (
     Figure("video_p99_ms", "video p99 ms", _stream("uplink_video", "p99")),
     Figure("shown_hz", "shown/s", _shown_hz),
     Figure("voice_p99_ms", "voice p99 ms", _stream("uplink_voice", "p99")),
-    Figure("skew_p95_ms", "skew p95 ms", _skew),
+    Figure("skew_p95_ms", "skew p95 ms", lambda of: of.skew_p95_ms),
     Figure("cap_pct", "cap %", _cap),
     Figure("least_uj", "least µJ", lambda of: of.least_energy_uj),
 )
@@ -81,7 +76,7 @@ FIGURES = (
 
 @dataclass(frozen=True, kw_only=True)
 class RunFigures:
-    """One run. key: a digest of what was run. faults: as of `bench passes`; none: usable.
+    """One run. key: a digest of what was run. faults: of the pass and of its tasks; none: usable.
 
     figures: by name; None for what this run does not have. error: the last words of a run that gave
     no report.
@@ -98,9 +93,14 @@ def run_figures(task: SessionTask, key: str, report: JsonReader, keys: Sequence[
     """The figures of the run of `task`. keys: of further numbers in the report, with dots."""
     found = pass_figures(report, start_s=task.setup.radio_profile.start_s)
     figures = {figure.name: _rounded(figure.of(found)) for figure in FIGURES}
+    wrong = faults(found)
+    if task.plan is not None:
+        tasks = task_figures(report)
+        wrong += task_faults(tasks)
+        figures |= {name: _rounded(value) for name, value in task_numbers(tasks).items()}
     for name in keys:
         figures[name] = _number(report, name)
-    return RunFigures(key=key, seed=task.seed, faults=tuple(faults(found)), figures=figures)
+    return RunFigures(key=key, seed=task.seed, faults=tuple(wrong), figures=figures)
 
 
 def crashed(task: SessionTask, key: str, crash: Crash) -> RunFigures:

@@ -7,19 +7,20 @@ from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-_ROOT = Path(__file__).resolve().parents[2]
-_PACKAGES = ("kontur_av", "telepresence", "pipelines")
+_ROOT = Path(__file__).resolve().parents[3]
+PACKAGES = ("kontur_av", "telepresence", "pipelines")
 #: Libraries whose versions may change a figure.
 _LIBRARIES = ("numpy", "av", "opencv-python-headless", "opuslib", "sgp4")
 
 
 @cache
-def code_digest() -> str:
-    """A digest of the text of all modules."""
+def code_digest(packages: tuple[str, ...] = PACKAGES) -> str:
+    """A digest of the text of all modules, and of the tables beside them."""
     digest = sha256()
-    for package in _PACKAGES:
-        for path in sorted((_ROOT / package).rglob("*.py")):
-            digest.update(f"{path.relative_to(_ROOT)}\0".encode() + path.read_bytes())
+    for package in packages:
+        for path in sorted((_ROOT / package).rglob("*")):
+            if path.suffix in (".py", ".toml"):
+                digest.update(f"{path.relative_to(_ROOT)}\0".encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 

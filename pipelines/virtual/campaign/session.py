@@ -10,11 +10,10 @@ import sys
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.simulate import simulate
-from pipelines.commands.stream import check_sources
 from pipelines.report.report_file import write_report
 from pipelines.virtual.campaign.tasks import SessionTask
-from pipelines.virtual.inputs import check_sources as check_virtual_sources
+from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.simulate import simulate
 
 #: The exit codes of a session that ran, and of one that its setup forbids.
 RAN, REFUSED = 0, 2
@@ -26,7 +25,6 @@ def main() -> int:
     assert isinstance(task, SessionTask)
     try:
         check_virtual_sources(task.setup)
-        check_sources(task.setup, task.setup.inputs)
         report = simulate(
             task.setup,
             seconds=task.seconds,

@@ -12,8 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.children import end_all
-from pipelines.bench.result import JsonReader
+from pipelines.report.result import JsonReader
+from pipelines.session.children import end_all
 from pipelines.virtual.campaign.cluster import Cluster
 from pipelines.virtual.campaign.session import REFUSED
 from pipelines.virtual.campaign.tasks import Crash, Result, SessionResult, SessionTask

@@ -6,9 +6,13 @@ from hashlib import sha256
 from statistics import median
 from typing import TypeAlias
 
+from pipelines.report.result import Headline
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.campaign.figures import FIGURES, RunFigures
+from pipelines.virtual.campaign.task_figures import task_names
 from pipelines.virtual.campaign.tasks import SessionTask
+from telepresence.tasks.definitions import Catalogue
+from telepresence.tasks.plan import SessionPlan
 
 #: A value of a field, as a table shows it.
 Value: TypeAlias = "int | float | str"
@@ -26,14 +30,16 @@ class Case:
 class Sweep:
     """What a file asks for.
 
-    seconds: of virtual time. fields: all that a grid varies. keys: of further figures in a report.
-    x, y: the axes of the plot; x None: chosen by `x_field`.
+    seconds: of virtual time. plan: of the tasks in every session; None for none. fields: all that a
+    grid varies. keys: of further figures in a report. x, y: the axes of the plot; x None: chosen by
+    `x_field`.
     """
 
     name: str
     seconds: float
     seeds: Sequence[int]
     media: bool
+    plan: tuple[SessionPlan, Catalogue] | None = None
     cases: Sequence[Case]
     fields: Sequence[str]
     keys: Sequence[str]
@@ -43,12 +49,19 @@ class Sweep:
     @property
     def figures(self) -> list[str]:
         """The names of all figures."""
-        return [*(figure.name for figure in FIGURES), *self.keys]
+        tasks = task_names(None if self.plan is None else self.plan[0])
+        return [*(figure.name for figure in FIGURES), *tasks, *self.keys]
 
     def tasks(self) -> list[SessionTask]:
         """All runs: case by case, and in each its seeds."""
         return [
-            SessionTask(setup=case.setup, seconds=self.seconds, seed=seed, media=self.media)
+            SessionTask(
+                setup=case.setup,
+                seconds=self.seconds,
+                seed=seed,
+                media=self.media,
+                plan=self.plan,
+            )
             for case in self.cases
             for seed in self.seeds
         ]
@@ -68,7 +81,8 @@ class Sweep:
 def task_key(task: SessionTask, keys: Sequence[str], code: str) -> str:
     """A digest of what decides the figures of a run. code: of the program's own text."""
     setup = task.setup
-    what = (setup, setup.radio_profile, task.seconds, task.seed, task.media, tuple(keys), code)
+    radio, plan = setup.radio_profile, task.plan
+    what = (setup, radio, task.seconds, task.seed, task.media, plan, tuple(keys), code)
     return sha256(repr(what).encode()).hexdigest()[:24]
 
 
@@ -83,7 +97,7 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True)
 class CaseFigures:
-    """A case over its seeds. runs: those that are over; usable: as of `bench passes`."""
+    """A case over its seeds. runs: those that are over; usable: those without a fault."""
 
     values: Mapping[str, Value]
     runs: int
@@ -176,3 +190,26 @@ def csv_rows(sweep: Sweep, runs: Sequence[RunFigures | None]) -> Iterator[list[V
             *("" if value is None else value for value in found),
             ", ".join(run.faults) or "usable",
         ]
+
+
+def headlines(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[Headline]:
+    """Each case for the page of measurements: usable runs, and the medians of its figures."""
+    names = {figure.name: figure.heading for figure in FIGURES}
+    found = []
+    for case in cases:
+        group = ", ".join(f"{name} {_text(value)}" for name, value in case.values.items())
+        found.append(
+            Headline(
+                group=group,
+                what="usable runs",
+                unit="%",
+                value=100 * case.usable / max(1, case.runs),
+                target="100",
+                met=case.usable == case.runs == len(sweep.seeds),
+            )
+        )
+        for name, spread in case.figures.items():
+            if spread is not None:
+                what = f"{names.get(name, name)}: median of the runs"
+                found.append(Headline(group=group, what=what, unit="", value=spread.median))
+    return found

@@ -23,9 +23,9 @@ from pipelines.session.setup.table import (
     STEREO_INPUTS,
     Setup,
 )
-from pipelines.virtual.campaign.figures import FIGURES
 from pipelines.virtual.campaign.sweep import Case, Sweep, Value
 from telepresence.link.radio.profile_file import radio_from_table
+from telepresence.tasks.plan_file import load_plan
 from telepresence.toml_file import read_toml, typed
 
 _MOST_RUNS = 100_000
@@ -51,6 +51,7 @@ class _File:
         default=1, metadata={"like": "a number of seeds or a list of them, like 5 or [1, 2]"}
     )
     media: bool = True
+    plan: str | None = None
     figures: tuple[str, ...] = field(
         default=(), metadata={"like": 'a list of keys of a report, like ["link.uplink.frames"]'}
     )
@@ -61,12 +62,12 @@ def load_sweep(path: Path) -> Sweep:
     """The sweep in a file; ConfigError."""
     table = read_toml(path, "sweep")
     try:
-        return _sweep(path.stem, typed(table, _File, "a sweep"))
+        return _sweep(path, typed(table, _File, "a sweep"))
     except ConfigError as error:
         raise ConfigError(f"sweep {path}: {error}") from None
 
 
-def _sweep(name: str, file: _File) -> Sweep:
+def _sweep(path: Path, file: _File) -> Sweep:
     if not 0 < file.seconds <= _MOST_SECONDS:
         raise ConfigError(f"seconds is {file.seconds:g}: take more than 0, at most {_MOST_SECONDS}")
     seeds = _seeds(file.seeds)
@@ -84,11 +85,16 @@ def _sweep(name: str, file: _File) -> Sweep:
             values = dict(zip(grid, chosen, strict=True))
             case = _case(file.setup, values, number)
             found.setdefault(tuple((name, str(value)) for name, value in case.values.items()), case)
+    plan = None if file.plan is None else load_plan(path.parent / file.plan)
+    if plan is not None:
+        for case in found.values():
+            plan[0].check(plan[1], case.setup.cameras, case.setup.name)
     sweep = Sweep(
-        name=name,
+        name=path.stem,
         seconds=file.seconds,
         seeds=seeds,
         media=file.media,
+        plan=plan,
         cases=tuple(found.values()),
         fields=tuple(dict.fromkeys(name for grid in grids for name in grid)),
         keys=file.figures,
@@ -211,6 +217,5 @@ def _shown(value: object) -> Value:
 def _check_plot(sweep: Sweep) -> None:
     if sweep.x is not None and sweep.x not in sweep.fields:
         raise ConfigError(f"plot.x is {sweep.x!r}: take one of {', '.join(sweep.fields)}")
-    known = [*(figure.name for figure in FIGURES), *sweep.keys]
-    if sweep.y not in known:
-        raise ConfigError(f"plot.y is {sweep.y!r}: take one of {', '.join(known)}")
+    if sweep.y not in sweep.figures:
+        raise ConfigError(f"plot.y is {sweep.y!r}: take one of {', '.join(sweep.figures)}")

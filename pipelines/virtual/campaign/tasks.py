@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from pipelines.bench.result import JsonReader
+from pipelines.report.result import JsonReader
 from pipelines.session.setup.table import Setup
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
@@ -13,7 +13,7 @@ class SessionTask:
     """A session on virtual time, whole: no file is needed to run it, but those of its sources.
 
     seconds: of virtual time. media: False leaves haptics and telecommands alone. plan: as of
-    `pipelines.commands.simulate.simulate`.
+    `pipelines.virtual.simulate.simulate`.
     """
 
     setup: Setup

@@ -6,8 +6,8 @@ import cv2
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.bench.charts import check_plot, distributions, save
 from pipelines.cli import main
+from pipelines.report.charts import check_plot, distributions, save
 
 # On its first import on a machine it starts a program that lists the fonts.
 pytest.importorskip("matplotlib.font_manager")
@@ -43,7 +43,7 @@ def test_a_chart_that_cannot_be_written_is_refused(tmp_path):
 
 
 def test_without_matplotlib_plot_names_the_extra(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("pipelines.bench.charts.find_spec", lambda name: None)
+    monkeypatch.setattr("pipelines.report.charts.find_spec", lambda name: None)
     plot = str(tmp_path / "lead.png")
     assert main(["bench", "latency", "--no-live", "--seconds", "1", "--plot", plot]) == 2
     error = capsys.readouterr().err

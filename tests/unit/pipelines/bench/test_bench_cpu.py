@@ -7,8 +7,8 @@ from places import ROOT
 
 from pipelines.bench.cpu import command
 from pipelines.bench.cpu.figures import CpuResult, CpuRun, headlines, read_run
-from pipelines.bench.result import JsonReader
 from pipelines.cli import main
+from pipelines.report.result import JsonReader
 
 
 def report(cpu_s, count=9):

@@ -4,8 +4,8 @@ import pytest
 
 from pipelines.bench.latency.charts import lead_chart
 from pipelines.bench.latency.targets import judge
-from pipelines.bench.result import JsonReader
 from pipelines.cli import main
+from pipelines.report.result import JsonReader
 from pipelines.report.terms import TERMS
 
 

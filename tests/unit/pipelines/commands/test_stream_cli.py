@@ -9,7 +9,7 @@ import pytest
 from kontur_av.clock import MonotonicClock
 from pipelines.cli import main, make_parser
 from pipelines.commands import stream
-from pipelines.commands.session_options import radio_changes
+from pipelines.session.options import radio_changes
 from pipelines.session.setup.setup_file import load_setup
 
 TOML = """

@@ -15,7 +15,7 @@ from synthetic_recording import (
 )
 
 from kontur_av.rtp.payload_h264 import join_annex_b, split_annex_b
-from pipelines.bench.video import marks
+from pipelines.bench.course import marks
 from pipelines.cli import main
 from pipelines.recording.export.film import FilmClock, FilmUnits
 from pipelines.recording.joined import JoinedMessage

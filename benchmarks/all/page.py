@@ -1,0 +1,96 @@
+"""From the records of `python -m benchmarks all` to `docs/measurements.md`. A core."""
+
+from collections.abc import Sequence
+from itertools import groupby
+from statistics import median
+
+from benchmarks.all.records import Record
+from pipelines.report.result import Headline
+
+_HEAD = """# Measurements
+
+`python -m benchmarks all` wrote this page from the JSON files in `{folder}`;
+`python -m benchmarks all --render` writes it again without measuring. A figure is the median of its
+runs, with the least and the largest run in brackets, where they differ. On virtual time every run
+gives the same figures, so there is one run. The machine is named where it changes.
+"""
+
+
+def page(records: Sequence[Record], *, folder: str) -> str:
+    """The page in Markdown. records: in the order of the sections; folder: of their files."""
+    sections, before = [_HEAD.format(folder=folder)], ""
+    for _, group in groupby(records, key=lambda record: record.name):
+        runs = list(group)
+        machine = "; ".join(dict.fromkeys(str(record.machine) for record in runs))
+        sections.append(_section(runs, machine if machine != before else ""))
+        before = machine
+    return "\n".join(sections)
+
+
+def _section(runs: Sequence[Record], machine: str) -> str:
+    lines = [f"## {runs[0].title}", "", "```sh"]
+    lines += [*dict.fromkeys(record.command for record in runs), "```", ""]
+    dates = sorted({record.date[:10] for record in runs})
+    codes = ", ".join(dict.fromkeys(record.code for record in runs))
+    when = dates[0] if len(dates) == 1 else f"{dates[0]} to {dates[-1]}"
+    lines.append(f"{len(runs)} run{'s' * (len(runs) > 1)}, {when}, code {codes}.")
+    if machine:
+        lines.append(f"Machine: {machine}.")
+    for record in runs:
+        if record.failure:
+            lines.append(f"**Run {record.number} failed: {_safe(record.failure)}**")
+    found = [headline for record in runs for headline in record.headlines]
+    for group in dict.fromkeys(headline.group for headline in found):
+        lines += ["", *_table(group, [one for one in found if one.group == group])]
+    return "\n".join([*lines, ""])
+
+
+def _table(group: str, found: Sequence[Headline]) -> list[str]:
+    columns = list(dict.fromkeys(one.who for one in found))
+    judged = list(dict.fromkeys(one.who for one in found if one.target))
+    heads = [group or "figure", *(who or "median" for who in columns)]
+    if judged:
+        heads.append("target" if judged == columns else f"target ({', '.join(judged)})")
+    lines = [_line(heads), "|---" + "|--:" * len(columns) + "|---" * bool(judged) + "|"]
+    for what, unit in dict.fromkeys((one.what, one.unit) for one in found):
+        row = [one for one in found if (one.what, one.unit) == (what, unit)]
+        cells = [_cell([one.value for one in row if one.who == who]) for who in columns]
+        named = f"{what}, {unit}" if unit else what
+        lines.append(_line([named, *cells, *[_verdict(row)] * bool(judged)]))
+    return lines
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(map(_safe, cells))} |"
+
+
+def _cell(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    if not known:
+        return "–" if values else ""
+    digits = _digits(known)
+    middle, least, largest = (f"{of(known):.{digits}f}" for of in (median, min, max))
+    return middle if least == largest else f"{middle} ({least}…{largest})"
+
+
+def _verdict(row: Sequence[Headline]) -> str:
+    judged = [one for one in row if one.met is not None]
+    if not judged:
+        return ""
+    missed = sum(not one.met for one in judged)
+    if not missed:
+        return f"{judged[0].target}: met"
+    part = "" if missed == len(judged) else f" in {missed} of {len(judged)} runs"
+    return f"{judged[0].target}: **missed**{part}"
+
+
+def _digits(values: Sequence[float]) -> int:
+    """Decimals for about three digits of the largest value; none for whole numbers."""
+    if all(value == round(value) for value in values):
+        return 0
+    largest = max(abs(value) for value in values)
+    return next((digits for digits, least in ((0, 1000), (1, 10), (2, 1)) if largest >= least), 3)
+
+
+def _safe(text: str) -> str:
+    return text.replace("|", "\\|")

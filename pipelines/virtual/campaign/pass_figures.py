@@ -1,0 +1,224 @@
+"""The figures by which a session of a pass is judged, and the verdict. A core."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from kontur_av.clock import NS_PER_S
+from pipelines.report.result import JsonReader
+from pipelines.virtual.campaign.tasks import Crash
+
+#: The least share of the usable time that the orbit predicts.
+USABLE_SHARE = 0.99
+#: A stream that shows nothing, or a channel that moves no sample, is stuck after this time with a
+#: signal in the predicted window.
+LONGEST_PAUSE_S = {"shown": 3.0, "felt": 1.0}
+#: One-way delays that a session of samples takes to begin (docs/haptics-sample.md).
+HAPTIC_BEGIN_DELAYS = 5
+#: Rounding down at both ports makes the observed energy too small by this at most (µJ).
+ROUNDING_UJ = 2
+#: The largest rate over 100 ms, as a share of the cap (docs/video.md).
+BURST_SHARE = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frames:
+    """Frames of one direction of the link."""
+
+    frames: int
+    frames_lost: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LongestPauses:
+    """The longest pause (s) with a signal: of any stream, and of samples in any direction."""
+
+    shown: float
+    felt: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stream:
+    """One media stream. frames_displayed: None for a voice.
+
+    latency_ms: percentiles, `max` and `count`. cap_share, burst_share: the largest rate over 1 s
+    and over 100 ms, as shares of the cap.
+    """
+
+    latency_ms: dict[str, float]
+    cap_share: float
+    burst_share: float
+    frames_displayed: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassFigures:
+    """One session.
+
+    predicted_s, usable_s: the time that the orbit predicts as usable, and what of it had a signal;
+    None where the radio has no contact. longest_delay_s: of the radio. signal_s: time with a
+    signal, at the end that had less. skew_p95_ms: of the picture after the force.
+    least_energy_uj: the least energy that a passivity observer saw.
+    """
+
+    seconds: float
+    predicted_s: float | None
+    usable_s: float | None
+    longest_delay_s: float
+    signal_s: float
+    frames: dict[str, Frames]
+    haptic_ms: dict[str, dict[str, float]]
+    longest_pause_s: LongestPauses
+    streams: dict[str, Stream]
+    skew_p95_ms: float | None
+    least_energy_uj: float | None
+    failures: list[str]
+
+
+def pass_figures(report: JsonReader, *, start_s: float = 0.0) -> PassFigures:
+    """The figures of a session.
+
+    start_s: when the session began, after the acquisition of signal.
+    """
+    window = usable_window(report, start_s)
+    gateways = dict(report.items("gateways"))
+    ends = {end: of.at("supervision") for end, of in gateways.items() if of.has("supervision")}
+    radio = report.at("gateways", "ground")
+    return PassFigures(
+        seconds=report.number("seconds"),
+        predicted_s=None if window is None else round(window[1] - window[0], 3),
+        usable_s=None if window is None else round(signal_s(report, *window), 3),
+        longest_delay_s=(radio.number_or_none("radio", "delay_max_ns") or 0) / NS_PER_S,
+        signal_s=min((of.number("contact_ns") / NS_PER_S for of in ends.values()), default=0.0),
+        frames={
+            name: Frames(frames=link.count("frames"), frames_lost=link.count("frames_lost"))
+            for name, link in report.items("link")
+        },
+        haptic_ms={name: _numbers(of.at("latency_ms")) for name, of in report.items("haptic")},
+        longest_pause_s=LongestPauses(
+            shown=_longest_pause_s(report, "streams", window),
+            felt=_longest_pause_s(report, "haptic", window),
+        ),
+        streams={name: _stream(stream) for name, stream in report.items("streams")},
+        skew_p95_ms=report.number_or_none("skew_ms", "video_haptic", "p95"),
+        least_energy_uj=least_energy_uj(report),
+        failures=[failure.text() for failure in report.elements("failures")],
+    )
+
+
+def _numbers(of: JsonReader) -> dict[str, float]:
+    """The numbers of an object, without its other values."""
+    return {
+        name: value.number()
+        for name, value in of.items()
+        if isinstance(value.value, int | float) and not isinstance(value.value, bool)
+    }
+
+
+def _stream(stream: JsonReader) -> Stream:
+    cap_bps = stream.number("cap_bps")
+    shown = "frames_displayed"
+    return Stream(
+        latency_ms=_numbers(stream.at("latency_ms")),
+        cap_share=round(stream.number("payload_bps_max_1s") / cap_bps, 4),
+        burst_share=round(stream.number("payload_bps_max_100ms") / cap_bps, 4),
+        frames_displayed=stream.count(shown) if stream.has(shown) else None,
+    )
+
+
+def usable_window(report: JsonReader, start_s: float) -> tuple[float, float] | None:
+    """Begin and end (s) of the usable contact in the session, as the orbit predicts it.
+
+    The whole session where the radio has no orbit; None where the session misses the contact.
+    """
+    ground, seconds = report.at("gateways", "ground"), report.number("seconds")
+    if not ground.has("radio", "contact"):
+        return 0.0, seconds
+    contact = ground.at("radio", "contact")
+    begin_s = max(0.0, contact.number("usable_from_s") - start_s)
+    end_s = min(seconds, contact.number("usable_to_s") - start_s)
+    return (begin_s, end_s) if end_s > begin_s else None
+
+
+def signal_s(report: JsonReader, begin_s: float, end_s: float) -> float:
+    """The time (s) between two instants in which an end had a signal, at the end that had less."""
+    heard = []
+    for _, gateway in report.items("gateways"):
+        total_ns = 0.0
+        for acquired_ns, lost_ns in _windows_ns(gateway):
+            last_ns = end_s * NS_PER_S if lost_ns is None else min(lost_ns, end_s * NS_PER_S)
+            total_ns += max(0, last_ns - max(acquired_ns, begin_s * NS_PER_S))
+        heard.append(total_ns / NS_PER_S)
+    return min(heard, default=0.0)
+
+
+def _windows_ns(gateway: JsonReader) -> Iterator[tuple[float, float | None]]:
+    """(acquisition, loss) of each contact of one end; None for one that lasts."""
+    if gateway.has("supervision", "contacts"):
+        for window in gateway.elements("supervision", "contacts"):
+            yield window.number("acquired_ns"), window.number_or_none("lost_ns")
+
+
+def _longest_pause_s(
+    report: JsonReader, channels: str, window: tuple[float, float] | None
+) -> float:
+    """The longest part of a pause of one of `channels` with a signal throughout, in the window."""
+    if window is None:
+        return 0.0
+    longest_s = 0.0
+    for name, channel in report.items(channels):
+        # The signal at the receiving end counts.
+        end = "space" if name.startswith("up") else "ground"
+        contacts = list(_windows_ns(report.at("gateways", end)))
+        for pause in channel.elements("pauses_s"):
+            begin_s, end_s = (instant.number() for instant in pause.elements())
+            for acquired_ns, lost_ns in contacts:
+                last_s = report.number("seconds") if lost_ns is None else lost_ns / NS_PER_S
+                first_s = max(begin_s, acquired_ns / NS_PER_S, window[0])
+                longest_s = max(longest_s, min(end_s, last_s, window[1]) - first_s)
+    return round(longest_s, 3)
+
+
+def least_energy_uj(report: JsonReader) -> float | None:
+    """The least energy (µJ) that a passivity observer has seen; None if there is none."""
+    places = (report.at(name) for name in ("haptic", "processes") if report.has(name))
+    return min((least for place in places for least in _values("least_uj", place)), default=None)
+
+
+def _values(name: str, table: JsonReader) -> Iterator[float]:
+    for key, part in table.items():
+        if isinstance(part.value, Mapping):
+            yield from _values(name, part)
+        elif key == name and part.value is not None:
+            yield part.number()
+
+
+def faults(session: PassFigures | Crash) -> list[str]:
+    """What is wrong with a session, one word each; an empty list means a usable pass."""
+    if isinstance(session, Crash):
+        return ["crashed"]
+    found = []
+    predicted_s, usable_s = session.predicted_s, session.usable_s
+    if (
+        predicted_s is None
+        or usable_s is None
+        or usable_s < USABLE_SHARE * predicted_s - _acquisition_s(session)
+    ):
+        found.append("unusable")
+    pauses = session.longest_pause_s
+    felt_s = LONGEST_PAUSE_S["felt"] + HAPTIC_BEGIN_DELAYS * session.longest_delay_s
+    if pauses.shown > LONGEST_PAUSE_S["shown"] or pauses.felt > felt_s:
+        found.append("stuck")
+    if session.least_energy_uj is not None and session.least_energy_uj < -ROUNDING_UJ:
+        found.append("unstable")
+    if any(of.cap_share > 1 or of.burst_share > BURST_SHARE for of in session.streams.values()):
+        found.append("over its cap")
+    if session.failures:
+        found.append("failed")
+    return found
+
+
+def _acquisition_s(session: PassFigures) -> float:
+    """How long the acquisition of signal may take at the beginning, with the radio's delay."""
+    if session.predicted_s != session.seconds:
+        return 0.0
+    return 0.1 + session.longest_delay_s

@@ -1,0 +1,69 @@
+"""`python -m benchmarks voice`: reproducible figures, and the parts that they come from."""
+
+import numpy as np
+import pytest
+
+from benchmarks.__main__ import main
+from benchmarks.voice.gstreamer import laid_out
+from benchmarks.voice.network import BURST_PACKETS, Network
+from benchmarks.voice.speech import lags, speech_track
+from pipelines.session.setup.built_in import BUILT_IN
+
+SETUP = BUILT_IN["spacejustin"]
+
+
+def test_loss_share_and_burst_length_are_as_configured():
+    for loss in (0.02, 0.1):
+        assert len(Network(loss=loss).lost(20_000, spared=50)) / 20_000 == pytest.approx(
+            loss, rel=0.15
+        )
+        lost = Network(loss=loss, bursts=True).lost(60_000, spared=50)
+        assert len(lost) / 60_000 == pytest.approx(loss, rel=0.15)
+        bursts = sum(number - 1 not in lost for number in lost)
+        assert len(lost) / bursts == pytest.approx(BURST_PACKETS, rel=0.15)
+        assert min(lost) >= 50
+    assert Network(loss=0.0).lost(1000, spared=0) == frozenset()
+
+
+@pytest.fixture(scope="module")
+def track():
+    return speech_track(1)
+
+
+def test_a_lag_is_found_although_the_speakers_repeat_themselves():
+    track = speech_track(40)
+    for late in (-700, 0, 9_000):
+        # The second round is the louder one.
+        heard = np.roll(track.samples, late) // 2
+        heard[len(heard) // 2 :] *= 2
+        assert set(lags(track, heard)[2:-2]) == {late}
+
+
+def test_the_sound_of_a_peer_is_laid_out_as_a_sound_card_plays_it():
+    """Packets follow each other despite jitter of timestamps, but a gap above 40 ms stays.
+
+    GstAudioBaseSink, `alignment-threshold`: 40 ms.
+    """
+    first = 2**32 - 500  # the timestamps go round
+    block = np.arange(1, 961, dtype=np.int16)
+
+    def arrivals(*timestamps):
+        return [
+            (10 * i, (first + timestamp) % 2**32, block) for i, timestamp in enumerate(timestamps)
+        ]
+
+    sound, places = laid_out(arrivals(0, 960 + 1900, 1920 - 900))
+    assert np.array_equal(sound, np.tile(block, 3))
+    assert places == [(0, 0), (10, 960), (20, 1920)]
+    sound, places = laid_out(arrivals(0, 960 + 1921, 1920 + 1921))
+    assert np.array_equal(sound, np.concatenate([block, np.zeros(1921, np.int16), block, block]))
+    assert places == [(0, 0), (10, 2881), (20, 3841)]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [["--seconds", "0"], ["--jitter-ms", "21"], ["--delay-ms", "-1"], ["--plot", "x.jpg"]],
+)
+def test_impossible_options_are_refused(wrong, capsys):
+    assert main(["voice", *wrong]) == 2
+    assert wrong[0] in capsys.readouterr().err

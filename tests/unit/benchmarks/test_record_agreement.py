@@ -1,0 +1,115 @@
+"""`benchmarks record --compare`: a recording counted again, and compared with its report."""
+
+import json
+
+import pytest
+from synthetic_recording import LINK_CYCLES, LINK_NS, MS, PUBLISHED_NS, write_recording
+
+from benchmarks.__main__ import main
+from benchmarks.record.agreement import compare
+from benchmarks.record.recount import recount
+from pipelines.report.result import JsonReader
+
+SECONDS = 3.0
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return write_recording(tmp_path_factory.mktemp("counted") / "a.mcap", seconds=SECONDS, parts=2)
+
+
+@pytest.fixture(scope="module")
+def counted(written):
+    return recount(written.paths[0])
+
+
+def latency(ms):
+    return {"p50": ms, "p95": ms, "count": 1}
+
+
+def stream_report(counted, name, **more):
+    octets = counted.octets[f"/{name}/sent"]
+    return {
+        "frames_sent": counted.units[f"/{name}/sent"],
+        "frames_displayed": len(counted.latencies_ms[f"/{name}/received"]),
+        "payload_bps_mean": octets * 8 / SECONDS,
+        "latency_ms": latency((LINK_NS + PUBLISHED_NS) / MS),
+        **more,
+    }
+
+
+def report_of(counted, written):
+    """What the report of this session would say."""
+    links = {
+        name: {
+            "frames": sent.frames,
+            "frames_lost": counted.newest_received[name].frames_lost,
+            "frames_dropped": {"fecf": counted.newest_received[name].frames_dropped},
+            "octets": {each.what: each.octets for each in sent.carried},
+        }
+        for name, sent in counted.newest_sent.items()
+    }
+    size = {"coded_size": [320, 240]}
+    return {
+        "seconds": SECONDS,
+        "streams": {
+            "uplink_video": stream_report(counted, "uplink_video", **size),
+            "uplink_voice": stream_report(counted, "uplink_voice"),
+        },
+        "haptic": {
+            key: {"sent": 3000, "latency_ms": latency(LINK_CYCLES)} for key in ("up", "down")
+        },
+        "link": links,
+        "recorder": {
+            "channels": {topic: {"kept": count} for topic, count in counted.messages.items()}
+        },
+    }
+
+
+def test_a_recording_agrees_with_the_report_of_its_session(counted, written):
+    assert counted.units["/uplink_video/sent"] == len(written.units["uplink_video"])
+    assert counted.messages.total() == sum(map(len, written.told.values()))
+    assert counted.samples_sent("up") == (3000, 0)
+    found = compare(counted, JsonReader(report_of(counted, written)))
+    assert [one.what for one in found if not one.agrees] == []
+    assert {"ms", "bit/s", ""} == {one.unit for one in found}
+
+
+def test_what_differs_is_found(counted, written):
+    report = report_of(counted, written)
+    report["streams"]["uplink_video"]["frames_sent"] += 2
+    report["streams"]["uplink_voice"]["latency_ms"] = latency(LINK_NS / MS)
+    report["haptic"]["up"]["sent"] += 300
+    report["haptic"]["down"]["latency_ms"] = latency(LINK_CYCLES + 2)
+    report["link"]["uplink"]["frames_lost"] += 300
+    report["recorder"]["channels"]["/events"]["kept"] -= 1
+    found = compare(counted, JsonReader(report))
+    assert sorted(one.what for one in found if not one.agrees) == [
+        "/events, messages",
+        "haptic_down, latency p50",
+        "haptic_down, latency p95",
+        "haptic_up, samples sent",
+        "uplink, frames lost",
+        "uplink_video, units sent",
+        "uplink_voice, latency p50",
+        "uplink_voice, latency p95",
+    ]
+
+
+def test_the_command_compares_files_or_refuses_them_in_one_line(written, counted, tmp_path, capsys):
+    report, words = tmp_path / "a.json", ("record", "--compare")
+    report.write_text(json.dumps(report_of(counted, written)))
+    assert main([*words, str(written.paths[0]), str(report)]) == 0
+    assert " 0 differ" in capsys.readouterr().out
+    torn, other = tmp_path / "torn.mcap", tmp_path / "other.json"
+    torn.write_bytes(written.paths[0].read_bytes()[:-100])
+    other.write_text("{}")
+    for recording, told, why in (
+        (torn, report, "is no whole MCAP file"),
+        (tmp_path / "none.mcap", report, "cannot be read"),
+        (written.paths[0], other, "is no report of a recorded session"),
+        (written.paths[0], torn, "is no JSON"),
+    ):
+        assert main([*words, str(recording), str(told)]) == 2
+        error = capsys.readouterr().err
+        assert why in error and error.count("\n") == 1
