@@ -1,8 +1,8 @@
 """The transfer frame: primary header, insert zone, data zone, FECF.
 
 CCSDS 732.0-B-5 (AOS Space Data Link Protocol, Issue 5), clauses 4.1.2 (primary header), 4.1.3
-(insert zone), 4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/link-format.md shows both frames
-and lists the deviations from the standard.
+(insert zone), 4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/link-format.md shows both
+frames and lists the deviations from the standard.
 """
 
 import struct

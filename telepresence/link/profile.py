@@ -34,8 +34,8 @@ class LinkProfile:
     scid, vcid: spacecraft and virtual channel identifier in the primary header (0..255, 0..62; 63
         is for the standard's idle frames).
     pointer_in_vcid: the first header pointer, 0 to 31, is added to `vcid` instead of an M_PDU
-        header (docs/link-format.md gives the reason). Only for insert and packet zones of together up to
-        27 octets, and a `vcid` up to 31.
+        header (docs/link-format.md gives the reason). Only for insert and packet zones of together
+        up to 27 octets, and a `vcid` up to 31.
 
     Raises ConfigError for values that do not fit together.
     """
