@@ -1,7 +1,7 @@
 """The cap of a video stream rises while slots leave haptic samples out, in steps.
 
 A new cap costs a key picture, so the cap rises late and in steps. It falls at once, because the
-room is no longer there. docs/experiments/deadband.md has the measured gain.
+room is no longer there. docs/experiments/haptics.md has the measured gain.
 """
 
 from fractions import Fraction
@@ -15,7 +15,7 @@ from pipelines.session.setup.table import Setup, VideoStream
 STEADY_NS = 2 * NS_PER_S
 #: That time doubles after each step that did not last, up to this.
 MOST_STEADY_NS = 32 * NS_PER_S
-#: A step must last this long to gain more than its change costs (docs/experiments/deadband.md).
+#: A step must last this long to gain more than its change costs (docs/experiments/haptics.md).
 LASTED_NS = 10 * NS_PER_S
 #: Free rate that is left unused: it may fall by 96 bits a millisecond, and is reported every 4 ms.
 RESERVE_BPS = 2_000

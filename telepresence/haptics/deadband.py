@@ -32,7 +32,7 @@ POSITION_FLOOR_M = 0.1e-3
 #: A moving hand may differ by the distance that it covers in this time (chosen).
 POSITION_LAG_NS = NS_PER_MS
 #: Energy granted since the last sample that may be held back. The peer cannot act on credit that
-#: it has not received (docs/experiments/deadband.md). The robot spends more of it than the hand.
+#: it has not received (docs/experiments/haptics.md). The robot spends more of it than the hand.
 COMMAND_ENERGY_UJ = 50
 FEEDBACK_ENERGY_UJ = 500
 #: The peer counts as silent after 20 ms, so two samples in a row may still be lost.

@@ -178,7 +178,7 @@ class SupervisionFigures:
     role: str
     #: The number of this end's present life.
     life: int
-    #: The state of the link (docs/link-contact.md).
+    #: The state of the link (docs/link.md).
     state: str
     #: The reason for it.
     why: str

@@ -1,8 +1,8 @@
 """The transfer frame: primary header, insert zone, data zone, FECF.
 
 CCSDS 732.0-B-5 (AOS Space Data Link Protocol, Issue 5), clauses 4.1.2 (primary header), 4.1.3
-(insert zone), 4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/link.md shows both frames
-and lists the deviations from the standard.
+(insert zone), 4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/link-format.md shows both
+frames and lists the deviations from the standard.
 """
 
 import struct
@@ -186,7 +186,7 @@ def _halves(tail: bytes) -> tuple[list[int], list[int]]:
     return high, low
 
 
-# The tag octet begins each piece, unless the piece just continues a packet (docs/link-packets.md):
+# The tag octet begins each piece, unless the piece just continues a packet (docs/link-format.md):
 # bit 7: the piece's length follows (CLOSED); else the piece fills the zone to its end.
 # bits 6..3: kind: control, or one of rtp_forms; bits 2..0: number of the flow, or control code.
 CLOSED = 0x80

@@ -5,7 +5,7 @@ Samples come in order. What is sent after the last disturbance comes out. Each l
 counted where it was dropped, and the octet counts are exact.
 
 The radio loses, repeats and reorders frames. It flips up to three bits, or a burst of up to 16,
-which the FECF always detects (docs/link.md has what it may miss).
+which the FECF always detects (docs/link-format.md has what it may miss).
 """
 
 import struct

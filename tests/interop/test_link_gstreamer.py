@@ -97,12 +97,12 @@ def pipelines_of(document):
     return [" ".join(shlex.split(line)) for line in found]
 
 
-@pytest.mark.parametrize("document", ["README.md", "docs/link-examples.md"])
+@pytest.mark.parametrize("document", ["README.md", "docs/gateways.md"])
 def test_the_documents_example_shows_a_picture_to_a_late_receiver(document, tmp_path):
     needs("x264enc", "rtph264pay", "rtph264depay", "avdec_h264", "udpsink")
     (send,) = (line for line in pipelines_of(document) if "port=27010" in line)
     (receive, *_) = (
-        line for line in pipelines_of("docs/link-examples.md") if "udpsrc port=27012" in line
+        line for line in pipelines_of("docs/gateways.md") if "udpsrc port=27012" in line
     )
     raw = tmp_path / "out.i420"
     with RunningLink("--setup", "spacejustin", "--radio", "cable", directory=tmp_path) as link:

@@ -1,4 +1,4 @@
-"""Contexts and compressed headers octet by octet, computed by hand from docs/link-headers.md."""
+"""Contexts and compressed headers octet by octet, computed by hand from docs/link-format.md."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""The supervision message octet by octet, as docs/link-messages.md defines it."""
+"""The supervision message octet by octet, as docs/link-format.md defines it."""
 
 import pytest
 from hypothesis import given

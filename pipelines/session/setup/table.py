@@ -192,9 +192,9 @@ class Setup:
         (docs/radio.md). `telepresence.link.radio.load_radio` reads one from a file.
     radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
     deadband: unless `off`, haptic samples are left out while nobody would feel the difference. The
-        uplink video gets the room: as a higher rate, or a lower delay (docs/deadband.md).
+        uplink video gets the room: as a higher rate, or a lower delay (docs/haptics-sample.md).
     hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
-        joystick (docs/haptics-mediated.md).
+        joystick (docs/haptics-controllers.md).
     rtc: the leg to a partner across the Internet; None: there is none.
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).

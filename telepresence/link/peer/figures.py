@@ -51,7 +51,7 @@ class PeerFigures:
     taken: int
     #: Datagrams of handshakes that were heeded.
     handshake_datagrams: int
-    #: Dropped datagrams by reason: `stranger`, or those of docs/link-protection.md.
+    #: Dropped datagrams by reason: `stranger`, or those of docs/security.md.
     dropped: Mapping[str, int]
     #: The newest 50.
     events: tuple[PeerEvent, ...]

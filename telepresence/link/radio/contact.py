@@ -6,7 +6,7 @@ The link margin in dB, above the level with a bit error rate of 1e-6, is
     e = exp(−((elevation − horizon) / edge)²)
 
 with F(t) a random curve of mean 0 and variance 1. It depends only on the seed and on time, so both
-directions fade together. docs/radio-model.md has the reasons.
+directions fade together. docs/radio.md has the reasons.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """The supervision message: twelve octets that the two ends of the link exchange.
 
-It takes the first 12 octets of a packet zone; docs/link-packets.md says which first header pointer
+It takes the first 12 octets of a packet zone; docs/link-format.md says which first header pointer
 marks it. All numbers are big-endian; the layout is this project's own.
 
 octet 0, high 4 bits   version, whose position never changes
@@ -44,7 +44,7 @@ MASTER, _SIGNAL, _APPLICATION, _FRESH, _SENDING = 0x10, 0x08, 0x04, 0x02, 0x01
 
 
 class LinkState(IntEnum):
-    """How far the two ends have come; docs/link-contact.md shows the transitions.
+    """How far the two ends have come; docs/link.md shows the transitions.
 
     CHECK: the local check has not passed.
     SEARCH: no signal, or no message in it yet.
