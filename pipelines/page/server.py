@@ -6,6 +6,7 @@ import socket
 import ssl
 from collections import deque
 from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from itertools import count
@@ -33,7 +34,7 @@ from pipelines.cores.tmtc_messages import unpack_news
 from pipelines.page.access import Access, AccessError, Found, Kind, headers
 from pipelines.page.console_link import ask_console
 from pipelines.page.feeds import Feed, State
-from pipelines.page.local_key import filmed_key, key_of
+from pipelines.page.key_picture_maker import KeyPictureMaker
 from pipelines.page.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.page.own_inputs import Given
 from pipelines.page.plan import SeatStream, Unpack, Via, seat_plan
@@ -167,6 +168,7 @@ class PageServer:
         #: By stream: the pictures that its sender may encode, and from which topic they come.
         self._filmed: dict[int, tuple[str, Feed, deque[tuple[int, I420]]]] = {}
         self._coding: set[int] = set()
+        self._maker = KeyPictureMaker()
         self._hand: Writer | None = None
         self._commands: Writer | None = None
         if segment is Segment.SPACE:
@@ -222,6 +224,7 @@ class PageServer:
                 *filmed,
             ):
                 feed.close()
+            self._maker.close()
 
     def _tls(self) -> ssl.SSLContext | None:
         if self._listener.scheme != "https" or self._listener.certificate is None:
@@ -306,7 +309,7 @@ class PageServer:
         self._coding.add(stream.index)
         picture = lease.video().data.copy()
         taken = partial(self._seat.handle_decoded, stream.index, rtp_timestamp=timestamp)
-        self._begin(self._code(stream.index, partial(key_of, picture), taken))
+        self._begin(self._code(stream.index, self._maker.of_picture(picture), taken))
 
     def _match(self, stream: int, unit: CodedUnit, stamp: CaptureStamp) -> None:
         """A unit whose picture may be here, for those who cannot begin otherwise."""
@@ -314,15 +317,12 @@ class PageServer:
             if capture_ns == stamp.capture_ns:
                 self._coding.add(stream)
                 taken = partial(self._seat.handle_filmed, stream, sequence=stamp.sequence)
-                coded = partial(filmed_key, picture, unit.width, unit.height)
-                self._begin(self._code(stream, coded, taken))
+                made = self._maker.of_filmed(picture, unit.width, unit.height)
+                self._begin(self._code(stream, made, taken))
                 return
 
-    async def _code(
-        self, stream: int, coded: Callable[[], bytes], taken: Callable[[bytes], bool]
-    ) -> None:
-        # In a thread, because it takes longer than pages may wait.
-        key = await asyncio.to_thread(coded)
+    async def _code(self, stream: int, made: Future[bytes], taken: Callable[[bytes], bool]) -> None:
+        key = await asyncio.wrap_future(made)
         self._coding.discard(stream)
         taken(key)
         self._settle()

@@ -110,6 +110,7 @@ SHELLS = {
     "pipelines/page/console_link.py": "the console's socket",
     "pipelines/page/recorder_link.py": "the recorder's socket, the name of a file",
     "pipelines/page/feeds.py": "topics on an event loop",
+    "pipelines/page/key_picture_maker.py": "a thread",
     "pipelines/page/server.py": "the sockets of browsers",
     "pipelines/recording/control.py": "the recorder's socket",
     "pipelines/recording/part_files.py": "files and threads",
