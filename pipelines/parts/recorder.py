@@ -8,7 +8,7 @@ goes on, in a new part.
 """
 
 import select
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from pathlib import Path
 
 import msgspec
@@ -251,6 +251,8 @@ class _Recording:
         """End the recording, and return its counts."""
         for _, reader in self._readers:
             reader.close()
+        wait(self._keys.values(), _CLOSE_S)
+        self._exchange_keys()
         self._recorder.handle_end(self._now_ns())
         self._pump(most_octets=1 << 62)
         self._files.close(_CLOSE_S)
