@@ -8,7 +8,8 @@ from msgspec.structs import replace
 from kontur_av.clock import NS_PER_US
 from pipelines.cores.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.page.outbox import Outbox
-from pipelines.page.texts import CommandLine, CommandRequest, CommandsText
+from pipelines.page.page_requests import CommandRequest
+from pipelines.page.texts import CommandLine, CommandsText
 
 _MOST_LINES = 60
 _MOST_OPEN = 8

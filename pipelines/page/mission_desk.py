@@ -16,9 +16,10 @@ from pipelines.cores.tmtc_messages import (
 )
 from pipelines.page.chat_log import ChatLog
 from pipelines.page.command_desk import CommandAnswered, CommandDesk
+from pipelines.page.page_requests import ChatRequest, CommandRequest
 from pipelines.page.radio_words import radio_text
 from pipelines.page.telemetry_log import TelemetryLog
-from pipelines.page.texts import ChatRequest, CommandRequest, pack_text
+from pipelines.page.texts import pack_text
 from pipelines.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary import Dictionary
 

@@ -9,9 +9,10 @@ from kontur_av.media import CaptureStamp
 from pipelines.cores.seat_roles import VIEWER_WORDS, Role
 from pipelines.page.messages import OwnPicture, Ping, pack_pong, parse_media_message
 from pipelines.page.page_clock import PageClock
+from pipelines.page.page_requests import parse_media_request
 from pipelines.page.plan import SeatInput, SeatPlan
 from pipelines.page.rates import TokenBucket
-from pipelines.page.texts import AnswerText, pack_text, parse_media_request
+from pipelines.page.texts import AnswerText, pack_text
 
 _TEXT_HZ = _PING_HZ = 20
 _SOUND_HZ, _SOUND_BURST = 60, 50

@@ -10,20 +10,16 @@
 """
 
 import asyncio
-import logging
 import secrets
-import ssl
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Protocol
 
 from aiohttp import web
 
 from kontur_av.clock import Clock
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.page.access import Access, AccessError
-from pipelines.page.access import Kind as Asked
-from pipelines.page.access import headers as page_headers
+from pipelines.page.access import AccessError
+from pipelines.page.web_site import SHUTDOWN_S, WebSite, quiet_log
 from pipelines.rtc.description import MOST_SDP_OCTETS, read_candidates, write_candidates
 from pipelines.rtc.door import Door, Refusal
 from pipelines.rtc.ice_servers import IceServers
@@ -34,15 +30,8 @@ from pipelines.rtc.samples import SamplePeer
 from pipelines.runtime.page_listener import PageListener
 
 _SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
-_STATIC = Path(__file__).parents[1] / "page" / "static"
-_TYPES = {
-    ".css": "text/css",
-    ".html": "text/html",
-    ".js": "text/javascript",
-    ".svg": "image/svg+xml",
-}
-#: In the HTML file: where the page's files are, what can be watched, whether anything is taken.
-_BASE, _PROGRAMMES, _TAKES = "__BASE__", "__PROGRAMMES__", "__TAKES__"
+#: In the HTML file: what can be watched, whether anything is taken.
+_PROGRAMMES, _TAKES = "__PROGRAMMES__", "__TAKES__"
 _SESSION = "/session/"
 _HAPTICS = "/haptics"
 #: A connection that does not come about is ended; the partner's own patience is as long.
@@ -96,19 +85,12 @@ class RtcServer:
         samples: Samples | None = None,
     ) -> None:
         self._samples = samples
-        self._listener, self._clock, self._handle = listener, clock, handle
+        self._clock, self._handle = clock, handle
         self._servers, self._most_bps = servers, most_bps
         self._wall_offset_ns = wall_offset_ns
         self.programmes = {programme.name: programme for programme in programmes}
         self.door = Door(token=listener.operator_token)
-        self._access = Access(
-            seat="rtc",
-            scheme=listener.scheme,
-            port=listener.port,
-            names=listener.names,
-            operator_token=listener.operator_token,
-            viewer_token=listener.viewer_token,
-        )
+        self._site = WebSite(listener, seat="rtc")
         self._sessions: dict[str, _Session] = {}
         self._runner: web.AppRunner | None = None
         #: The connection by which the partner sends; None while there is none.
@@ -129,14 +111,13 @@ class RtcServer:
         application = web.Application(client_max_size=MOST_SDP_OCTETS)
         # One handler: the address tells a stranger nothing before the token is known.
         application.router.add_route("*", "/{path:.*}", self._answer)
-        quiet = logging.getLogger("pipelines.rtc.http")
-        quiet.addHandler(logging.NullHandler())
-        quiet.propagate = False
         self._runner = web.AppRunner(
-            application, access_log=None, logger=quiet, shutdown_timeout=_CLOSE_S
+            application,
+            access_log=None,
+            logger=quiet_log("pipelines.rtc.http"),
+            shutdown_timeout=SHUTDOWN_S,
         )
-        await self._runner.setup()
-        await web.SockSite(self._runner, self._listener.socket, ssl_context=self._tls()).start()
+        await self._site.start(self._runner)
 
     async def close(self) -> None:
         """End all connections, and serve no more."""
@@ -147,45 +128,21 @@ class RtcServer:
         if self._runner is not None:
             await self._runner.cleanup()
 
-    def _tls(self) -> ssl.SSLContext | None:
-        if self._listener.certificate is None:
-            return None
-        tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        tls.load_cert_chain(self._listener.certificate)
-        return tls
-
     async def _answer(self, request: web.Request) -> web.StreamResponse:
         path = request.raw_path.partition("?")[0]
         try:
             if path in ("/whip", _HAPTICS) or path.startswith(("/whep/", _SESSION)):
                 return await self._signal(request, path)
-            return self._file(request)
+            words = {
+                _PROGRAMMES: " ".join(self.programmes),
+                _TAKES: "false" if self._handle is None else "true",
+            }
+            return self._site.file(request, self._site.find(request), words)
         except AccessError as error:
-            return web.Response(status=error.status, text=f"{error}\n")
+            return self._site.refuse(error)
         except ProtocolError as error:
             self.garbage += 1
             return web.Response(status=400, text=f"{error}\n")
-
-    def _file(self, request: web.Request) -> web.Response:
-        """The page, or one of its files."""
-        found = self._access.find(
-            request.method, request.raw_path, request.host, request.headers.get("Origin")
-        )
-        page = found.kind is Asked.PAGE
-        if not page and found.kind is not Asked.FILE:
-            raise AccessError(404, "no such file")
-        name = "rtc.html" if page else found.name
-        file = _STATIC / name
-        if file.suffix not in _TYPES or not file.is_file():
-            raise AccessError(404, "no such file")
-        text = file.read_text(encoding="utf-8")
-        if page:
-            text = text.replace(_BASE, f"/{found.token}/static/")
-            text = text.replace(_PROGRAMMES, " ".join(self.programmes))
-            text = text.replace(_TAKES, "false" if self._handle is None else "true")
-        return web.Response(
-            text=text, content_type=_TYPES[file.suffix], headers=page_headers(request.host)
-        )
 
     async def _signal(self, request: web.Request, path: str) -> web.Response:
         now_ns = self._clock.now_ns()

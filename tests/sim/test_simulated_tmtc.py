@@ -8,7 +8,7 @@ from pipelines.cores.seat_roles import Role
 from pipelines.cores.tmtc import PUS_RATE_BPS
 from pipelines.cores.tmtc_messages import CommandUpdate, K2aciArrived, K2aciUpdate, Reported
 from pipelines.page.mission_desk import MissionDesk
-from pipelines.page.texts import CommandRequest
+from pipelines.page.page_requests import CommandRequest
 from pipelines.setup.segments import Segment
 from telepresence.link.radio import Blackout, RadioProfile
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary

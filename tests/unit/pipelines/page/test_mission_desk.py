@@ -17,9 +17,9 @@ from pipelines.cores.tmtc_messages import (
     SendK2aci,
 )
 from pipelines.page.mission_desk import MissionDesk
+from pipelines.page.page_requests import ChatRequest, CommandRequest
 from pipelines.page.radio_words import radio_text
 from pipelines.page.telemetry_log import level_of
-from pipelines.page.texts import ChatRequest, CommandRequest
 from pipelines.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 

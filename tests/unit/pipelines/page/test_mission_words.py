@@ -5,7 +5,7 @@ import re
 import pytest
 
 from pipelines.cores import seat_roles
-from pipelines.page.server import STATIC
+from pipelines.page.web_site import STATIC
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.experiment import Phase, Step
 from telepresence.tmtc.k2aci import PanelMode, TaskResult
