@@ -14,10 +14,10 @@ from pipelines.page.access import AccessError, Kind
 from pipelines.page.key_pictures import KeyPictures
 from pipelines.page.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.page.own_inputs import Given
-from pipelines.page.page_sockets import Message, PageSockets
 from pipelines.page.plan import seat_plan
 from pipelines.page.seat import Seat
 from pipelines.page.seat_deeds import SeatDeeds
+from pipelines.page.seat_sockets import Message, SeatSockets
 from pipelines.page.seat_topics import SeatTopics
 from pipelines.page.web_site import SHUTDOWN_S, WebSite, quiet_log
 from pipelines.runtime.process import Context
@@ -58,7 +58,7 @@ class PageServer:
         )
         self._seat = Seat(plan, first_command=self._now_ns())
         self._serving = ServingLoop(context, self._handle_time)
-        self._sockets = PageSockets(self._now_ns)
+        self._sockets = SeatSockets(self._now_ns)
         self._wakes: dict[int, asyncio.Event] = {}
         self._media = 0
         self._keys = KeyPictures(self._seat, self._serving, bus, self._settle)

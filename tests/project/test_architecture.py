@@ -111,7 +111,7 @@ SHELLS = {
     "pipelines/page/recorder_link.py": "the recorder's socket, the name of a file",
     "pipelines/page/feeds.py": "topics on an event loop",
     "pipelines/page/server.py": "the sockets of browsers",
-    "pipelines/page/page_sockets.py": "the sockets of browsers",
+    "pipelines/page/seat_sockets.py": "the sockets of browsers",
     "pipelines/page/key_pictures.py": "a thread that codes",
     "pipelines/recording/control.py": "the recorder's socket",
     "pipelines/recording/part_files.py": "files and threads",

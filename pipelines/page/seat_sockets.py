@@ -9,6 +9,7 @@ from aiohttp import WSMessage, WSMsgType, web
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
+from pipelines.page.access import AccessError
 
 #: The kernel's buffer for one page: a stalled page keeps less than a second, and gets the newest.
 _SEND_OCTETS = 64 << 10
@@ -23,25 +24,32 @@ Message = bytes | str
 Take = Callable[[Message], None]
 
 
-class PageSockets:
+class SeatSockets:
     """All web sockets of a server. connections, garbage, closed: counted since the start."""
 
     def __init__(self, now_ns: Callable[[], int]) -> None:
         self.connections = self.garbage = self.closed = 0
         self._now_ns = now_ns
-        self._open: set[PageSocket] = set()
+        self._open: set[SeatSocket] = set()
 
-    async def open(self, request: web.BaseRequest, most_octets: int) -> "PageSocket":
+    def __len__(self) -> int:
+        """Sockets that are open."""
+        return len(self._open)
+
+    async def open(self, request: web.BaseRequest, most_octets: int) -> "SeatSocket":
         """Answer a request with a web socket. most_octets: of a message of the page."""
         # aiohttp refuses messages of its limit, too.
         ws = web.WebSocketResponse(
             timeout=_CLOSE_S, compress=False, max_msg_size=most_octets + 1, writer_limit=0
         )
-        await ws.prepare(request)
+        try:
+            await ws.prepare(request)
+        except web.HTTPException as error:
+            raise AccessError(error.status, "this address is for web sockets") from None
         self.connections += 1
-        return PageSocket(ws, request.transport, self._now_ns)
+        return SeatSocket(ws, request.transport, self._now_ns)
 
-    async def receive(self, one: "PageSocket", take: Take) -> None:
+    async def receive(self, one: "SeatSocket", take: Take) -> None:
         """Take what comes until the socket is closed; close it after garbage."""
         self._open.add(one)
         try:
@@ -63,7 +71,7 @@ class PageSockets:
         await asyncio.gather(*(one.close(_GOING_AWAY, "the server ends") for one in self._open))
 
 
-class PageSocket:
+class SeatSocket:
     """One web socket. ws: as aiohttp wants it for an answer."""
 
     def __init__(
