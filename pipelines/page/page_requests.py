@@ -1,4 +1,4 @@
-"""What pages ask for, as JSON. `docs/generate.py` writes their types in `static/texts.js` from it.
+"""What pages ask for, as JSON. `.ci/web/texts.py` writes their types to `static/texts.js`.
 
 Requests are checked in full: those with a field too many, or one of another type, are refused.
 """

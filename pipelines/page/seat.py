@@ -6,7 +6,7 @@ from itertools import count
 from types import MappingProxyType
 from typing import NamedTuple
 
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ProtocolError
@@ -134,9 +134,9 @@ class Seat:
         if role is Role.OPERATOR or not refusal(role, self.plan.segment, "hand"):
             self._hand.handle_joined(number)
         seat = replace(self.plan.text, streams=(), previews=()) if plain else self.plan.text
-        page.queue.put_answer(
-            texts.hello(seat, role=role.value, page=number, now_us=now_ns // NS_PER_US)
-        )
+        now_us = now_ns // NS_PER_US
+        hello = texts.HelloText(role=role, page=number, now_us=now_us, **asdict(seat))
+        page.queue.put_answer(texts.pack_text(hello))
         self._tell_mission()
         for kind, text in self.mission.texts.items():
             page.queue.put_newest(kind, text)

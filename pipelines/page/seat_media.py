@@ -16,7 +16,8 @@ from pipelines.page.messages import (
     pack_unit,
 )
 from pipelines.page.open_page import OpenPage
-from pipelines.page.plan import SeatStream, Via
+from pipelines.page.plan import SeatStream
+from pipelines.page.texts import Via
 from pipelines.page.unit_history import KeptUnit, UnitHistory
 
 

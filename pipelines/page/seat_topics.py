@@ -11,8 +11,9 @@ from pipelines.cores.hand_topics import unpack_status
 from pipelines.cores.tmtc_messages import unpack_news
 from pipelines.page.feeds import Feed, State
 from pipelines.page.key_pictures import KeyPictures
-from pipelines.page.plan import Unpack, Via
+from pipelines.page.plan import Unpack
 from pipelines.page.seat import Seat
+from pipelines.page.texts import Via
 from pipelines.runtime.serving_loop import ServingLoop
 from pipelines.topology import JOYSTICK_STATE_TOPIC, SELECTED_TOPIC, TMTC_TOPICS, Segment
 from telepresence.link.backlog import Backlog

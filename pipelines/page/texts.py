@@ -1,22 +1,36 @@
 """The JSON texts that a seat's server sends to its pages.
 
-`docs/generate.py` writes the types of `static/texts.js` from them.
+`.ci/web/texts.py` writes the types of `static/texts.js` from them.
 """
 
+from enum import Enum
 from typing import Literal
 
 import msgspec
 
+from pipelines.cores.seat_roles import Role
+from pipelines.setup.segments import Segment
+
+Level = Literal["good", "warn", "bad", "none"]
+
 _ENCODER = msgspec.json.Encoder()
 
 
+class Via(Enum):
+    """How a page gets a stream: as it was received, as it was sent, or as sound."""
+
+    CODED = "coded"
+    SENT = "sent"
+    SOUND = "sound"
+
+
 class StreamText(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A stream that a page is sent. via: `coded`, `sent` or `sound`."""
+    """A stream that a page is sent."""
 
     index: int
     name: str
-    kind: str
-    via: str
+    kind: Literal["video", "voice"]
+    via: Via
     cap_bps: int
     stale_after_ms: float
     width: int | None = None
@@ -45,7 +59,7 @@ class InputText(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     index: int
     name: str
-    kind: str
+    kind: Literal["video", "audio"]
     width: int | None = None
     height: int | None = None
     fps: float | None = None
@@ -71,7 +85,7 @@ class BoardText(msgspec.Struct, frozen=True, kw_only=True):
 class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     """What does not change at a seat. tasks: whether the session has any."""
 
-    seat: str
+    seat: Segment
     setup: str
     session: str
     streams: tuple[StreamText, ...]
@@ -86,6 +100,14 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     passes: tuple["PassText", ...] = ()
     tasks: bool = False
     task_list: tuple["TaskText", ...] = ()
+
+
+class HelloText(SeatText, frozen=True, kw_only=True, tag_field="kind", tag="hello"):
+    """The first text of a connection. page: its number."""
+
+    role: Role
+    page: int
+    now_us: int
 
 
 class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
@@ -175,7 +197,7 @@ class ValueText(msgspec.Struct, frozen=True, kw_only=True):
     application: str
     name: str
     value: bool | int | float | str | None
-    level: str
+    level: Level
     at_us: int
 
 
@@ -203,9 +225,9 @@ class EventsText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", ta
 
 
 class RadioText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="radio"):
-    """Whether both directions carry, in words. level: `good`, `warn`, `bad` or `none`."""
+    """Whether both directions carry, in words."""
 
-    level: str
+    level: Level
     words: str
 
 
@@ -261,12 +283,6 @@ class PassText(msgspec.Struct, frozen=True, kw_only=True):
     acquisition_s: float
     loss_s: float
     peak_deg: float
-
-
-def hello(seat: SeatText, *, role: str, page: int, now_us: int) -> str:
-    """Return the first text of a connection."""
-    said: dict[str, object] = {"kind": "hello", "role": role, "page": page, "now_us": now_us}
-    return pack_text(said | msgspec.to_builtins(seat))
 
 
 def pack_text(text: msgspec.Struct | dict[str, object]) -> str:

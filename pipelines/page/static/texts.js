@@ -1,30 +1,39 @@
 /**
  * The types of the JSON texts that a seat's server and its page exchange.
  *
- * Names are those on the wire. `_us`: the session's monotonic clock. `_m`: metres of the workspace.
+ * Written by .ci/web/texts.py: change what the server packs, not this file. `_us`: the session's
+ * monotonic clock. `_m`: metres of the workspace.
  */
 
+/** @typedef {number | string | boolean | null} Figure */
+
+/** @typedef {"good" | "warn" | "bad" | "none"} Level */
+
+/** @typedef {"call" | "ping" | "report" | "housekeeping_on" | "housekeeping_off"} Verb */
+
 /**
- * A stream that the page is sent. `via`: as it was decoded, as it was sent, or sound.
+ * A stream that a page is sent.
  * @typedef {object} StreamText
  * @property {number} index
  * @property {string} name
  * @property {"video" | "voice"} kind
  * @property {"coded" | "sent" | "sound"} via
+ * @property {number} cap_bps
+ * @property {number} stale_after_ms
  * @property {number} [width]
  * @property {number} [height]
  * @property {number} [fps]
- * @property {number} [cap_bps]
- * @property {number} [stale_after_ms]
  */
 
 /**
+ * A camera that can be selected.
  * @typedef {object} CameraText
  * @property {string} name
  * @property {string[]} inputs
  */
 
 /**
+ * The small pictures of an input.
  * @typedef {object} PreviewText
  * @property {number} index
  * @property {string} input
@@ -33,7 +42,7 @@
  */
 
 /**
- * An input that the seat's own camera or microphone can take over.
+ * An input that a page's own camera or microphone can take over.
  * @typedef {object} InputText
  * @property {number} index
  * @property {string} name
@@ -44,40 +53,24 @@
  */
 
 /**
+ * The workspace of the joystick, from its middle.
+ * @typedef {object} WorkspaceText
+ * @property {number} half_width_m
+ * @property {number} half_height_m
+ */
+
+/**
+ * The robot's task board; its middle is (0, 0). lights_m: of the LED panel, with tasks.
  * @typedef {object} BoardText
  * @property {number} width_m
  * @property {number} height_m
  * @property {number} wall_x_m
  * @property {[number, number][]} leds_m
- * @property {[number, number][]} [lights_m] The LED panel's, in a session with tasks.
+ * @property {[number, number][]} lights_m
  */
 
 /**
- * The first text of a connection.
- * @typedef {object} HelloText
- * @property {"hello"} kind
- * @property {"space" | "ground"} seat
- * @property {"operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "viewer"} role
- * @property {number} page
- * @property {number} now_us
- * @property {string} setup
- * @property {string} session
- * @property {StreamText[]} streams
- * @property {CameraText[]} cameras
- * @property {PreviewText[]} [previews]
- * @property {InputText[]} inputs
- * @property {string} joystick
- * @property {{half_width_m: number, half_height_m: number}} workspace
- * @property {BoardText} board
- * @property {Record<string, unknown>} [caps]
- * @property {ApplicationText[]} applications
- * @property {PassText[]} passes
- * @property {boolean} tasks Whether the session has any.
- * @property {{name: string, text: string}[]} task_list In space: those that can be selected.
- */
-
-/**
- * A parameter of telemetry. `low`, `high`: limits, null without.
+ * A parameter, and from where on it is coloured.
  * @typedef {object} ParameterText
  * @property {string} name
  * @property {string} unit
@@ -86,14 +79,28 @@
  * @property {number | null} high
  */
 
-/** @typedef {{name: string, parameters: string[], interval_s: number, on: boolean}} StructureText */
-/** @typedef {{name: string, arguments: string[], text: string}} FunctionText */
+/**
+ * A housekeeping report. on: from the start.
+ * @typedef {object} StructureText
+ * @property {string} name
+ * @property {string[]} parameters
+ * @property {number} interval_s
+ * @property {boolean} on
+ */
 
 /**
- * An application of telecommands and telemetry.
+ * A function that a telecommand starts.
+ * @typedef {object} FunctionText
+ * @property {string} name
+ * @property {string[]} arguments
+ * @property {string} text
+ */
+
+/**
+ * An application of the dictionary.
  * @typedef {object} ApplicationText
  * @property {string} name
- * @property {"space" | "ground"} end
+ * @property {string} end
  * @property {string} text
  * @property {ParameterText[]} parameters
  * @property {StructureText[]} structures
@@ -101,21 +108,65 @@
  */
 
 /**
- * A pass ahead; `_s` from the acquisition of this session's own.
- * @typedef {{acquisition: string, acquisition_s: number, loss_s: number, peak_deg: number}} PassText
+ * A pass ahead. `_s`: from the acquisition of this session's own pass.
+ * @typedef {object} PassText
+ * @property {string} acquisition
+ * @property {number} acquisition_s
+ * @property {number} loss_s
+ * @property {number} peak_deg
  */
 
 /**
+ * A task that can be selected. text: for the cosmonaut.
+ * @typedef {object} TaskText
+ * @property {string} name
+ * @property {string} text
+ */
+
+/**
+ * The first text of a connection. page: its number.
+ * @typedef {object} HelloText
+ * @property {"hello"} kind
+ * @property {"ground" | "space"} seat
+ * @property {string} setup
+ * @property {string} session
+ * @property {StreamText[]} streams
+ * @property {CameraText[]} cameras
+ * @property {PreviewText[]} previews
+ * @property {InputText[]} inputs
+ * @property {string} joystick
+ * @property {WorkspaceText} workspace
+ * @property {BoardText} board
+ * @property {Record<string, number>} caps
+ * @property {ApplicationText[]} applications
+ * @property {PassText[]} passes
+ * @property {boolean} tasks
+ * @property {TaskText[]} task_list
+ * @property {"operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "viewer"} role
+ * @property {number} page
+ * @property {number} now_us
+ */
+
+/**
+ * The joystick's state in words.
  * @typedef {object} JoystickText
  * @property {string} state
  * @property {string} reason
  * @property {boolean} dead_man
  * @property {number} force_limit_n
- * @property {string} [device]
+ * @property {string} device
  */
 
 /**
- * Sent ten times a second; it is also the heartbeat.
+ * Who holds the handle, and who asks for it, by numbers of pages.
+ * @typedef {object} HandText
+ * @property {number | null} holder
+ * @property {boolean} you
+ * @property {number | null} wanted_by
+ */
+
+/**
+ * The heartbeat, 10 times a second, and at each change.
  * @typedef {object} StateText
  * @property {"state"} kind
  * @property {number} now_us
@@ -123,31 +174,34 @@
  * @property {boolean} signal
  * @property {string | null} camera
  * @property {JoystickText | null} joystick
- * @property {{holder: number | null, you: boolean, wanted_by: number | null}} hand
+ * @property {HandText} hand
  * @property {Record<string, number | null>} inputs
  */
 
-/** @typedef {number | string | boolean | null} Figure */
-
 /**
+ * A direction of the link, counted since the session began. octets: by what they carried. drops:
+ * packets, by level. lost: frames.
  * @typedef {object} LinkCounts
- * @property {Record<string, number>} octets By what they carried, since the start.
- * @property {Record<string, number>} drops Packets, by level.
+ * @property {Record<string, number>} octets
+ * @property {Record<string, number>} drops
  * @property {number} lost
  * @property {number} slips
  */
 
 /**
+ * A process. cpu: share of a core over the last 2 s; None: not known yet.
  * @typedef {object} ProcessText
  * @property {string} name
  * @property {string | null} segment
- * @property {number | null} cpu Share of a core over the last 2 s.
+ * @property {number | null} cpu
  * @property {number} restarts
  * @property {boolean} running
- * @property {string | null} error
+ * @property {string} error
  */
 
 /**
+ * One event. number: from 1 on. at_us: on the session's clock. what: `link`, `process`, `camera`,
+ * `stale`, `joystick`, `input` or `session`.
  * @typedef {object} EventText
  * @property {number} number
  * @property {number} at_us
@@ -156,7 +210,8 @@
  */
 
 /**
- * Sent every 500 ms.
+ * What a page gets twice a second. at_us: on the session's clock. seconds: since the session
+ * began.
  * @typedef {object} FiguresText
  * @property {"figures"} kind
  * @property {number} at_us
@@ -169,7 +224,7 @@
  */
 
 /**
- * The answer to the request of this number.
+ * The answer to a request of this number. error: "" if it was carried out.
  * @typedef {object} AnswerText
  * @property {"answer"} kind
  * @property {number} request
@@ -179,21 +234,26 @@
  */
 
 /**
- * A line of the chat. `state`: waiting, delivered or refused; received from the other end.
+ * A line of the chat. state: `waiting`, `delivered`, `refused`; `received` from the others.
  * @typedef {object} ChatLine
  * @property {number} number
  * @property {number} at_us
  * @property {string} sender
  * @property {string} text
- * @property {"waiting" | "delivered" | "refused" | "received"} state
+ * @property {string} state
  * @property {string} [reason]
  * @property {number} [round_trip_ms]
  */
 
-/** @typedef {{kind: "chat", lines: ChatLine[]}} ChatText The whole chat. */
+/**
+ * The whole chat, as far as it is kept.
+ * @typedef {object} ChatText
+ * @property {"chat"} kind
+ * @property {ChatLine[]} lines
+ */
 
 /**
- * A telecommand of this seat, and what became of it.
+ * A telecommand of this seat. stage, done, ok, verified: as in `CommandUpdate`.
  * @typedef {object} CommandLine
  * @property {number} number
  * @property {number} at_us
@@ -208,37 +268,58 @@
  * @property {number} [tries]
  */
 
-/** @typedef {{kind: "commands", commands: CommandLine[]}} CommandsText */
-
-/** @typedef {"good" | "warn" | "bad" | "none"} Level */
+/**
+ * The telecommands of this seat.
+ * @typedef {object} CommandsText
+ * @property {"commands"} kind
+ * @property {CommandLine[]} commands
+ */
 
 /**
+ * A parameter's newest value. value: None if it is no number. at_us: when it was heard.
  * @typedef {object} ValueText
  * @property {string} application
  * @property {string} name
  * @property {Figure} value
- * @property {Level} level The colour of its limit.
- * @property {number} at_us When it was heard here.
+ * @property {Level} level
+ * @property {number} at_us
  */
 
-/** @typedef {{kind: "values", values: ValueText[]}} ValuesText */
+/**
+ * All parameters that were reported.
+ * @typedef {object} ValuesText
+ * @property {"values"} kind
+ * @property {ValueText[]} values
+ */
 
 /**
+ * An event of an application of either end.
  * @typedef {object} EventLine
  * @property {number} number
  * @property {number} at_us
  * @property {string} application
  * @property {string} name
- * @property {"info" | "low" | "medium" | "high"} severity
+ * @property {string} severity
  * @property {Record<string, Figure>} values
  */
 
-/** @typedef {{kind: "events", events: EventLine[]}} EventsText */
-
-/** @typedef {{kind: "radio", level: Level, words: string}} RadioText */
+/**
+ * The newest events.
+ * @typedef {object} EventsText
+ * @property {"events"} kind
+ * @property {EventLine[]} events
+ */
 
 /**
- * What the mission control panel shows; `_m` of the workspace.
+ * Whether both directions carry, in words.
+ * @typedef {object} RadioText
+ * @property {"radio"} kind
+ * @property {Level} level
+ * @property {string} words
+ */
+
+/**
+ * The panel, as `telepresence.tasks.panel.PanelView` has it; handle_m: where the handle is.
  * @typedef {object} PanelText
  * @property {"panel"} kind
  * @property {string} mode
@@ -254,7 +335,35 @@
  */
 
 /**
- * Where the experiment is: Elemop, state of the panel, newest steps, newest runs.
+ * A task that can be selected.
+ * @typedef {object} TaskListed
+ * @property {string} name
+ * @property {string} text
+ */
+
+/**
+ * A step of a run, at an instant of the session's clock.
+ * @typedef {object} StepShown
+ * @property {number} at_ns
+ * @property {number} run
+ * @property {string} task
+ * @property {string} step
+ */
+
+/**
+ * A run that is over. seconds: from its start; None if it never started.
+ * @typedef {object} RunShown
+ * @property {string} task
+ * @property {number} run
+ * @property {string} result
+ * @property {string} reason
+ * @property {number | null} seconds
+ */
+
+/**
+ * The experiment: its phase, the present task ("" without), Elemop, and what the panel shows.
+ * tasks: in the catalogue's order, by whose index telecommands name them. steps: the newest ones.
+ * runs: the newest ones. planned: a plan selects the tasks.
  * @typedef {object} ExperimentText
  * @property {"experiment"} kind
  * @property {string} phase
@@ -262,18 +371,24 @@
  * @property {number} run
  * @property {string} elemop
  * @property {string} panel
- * @property {string} [reason]
- * @property {{name: string, text: string}[]} tasks
- * @property {{at_ns: number, run: number, task: string, step: string}[]} steps
- * @property {{task: string, run: number, result: string, reason: string, seconds: number | null}[]} runs
- * @property {boolean} planned A plan selects the tasks.
+ * @property {TaskListed[]} tasks
+ * @property {StepShown[]} steps
+ * @property {RunShown[]} runs
+ * @property {boolean} planned
  */
 
 /**
+ * The robot controller. life: of its process. handled: number of the newest order. x_m, y_m: of
+ * the tip. push_n: the board's force. goal_m: where it rests after a move. fault: one line, "" for
+ * none. error: its kind, a `telepresence.tasks.robot_control.Fault`. halted: the newest sample of
+ * the joystick says that it is. commanded: number of the newest `RobotCommand`; None for none.
+ * command_refusal: why that was refused, "" if it was carried out. step_hz: cycles of the
+ * controller, in the last second.
  * @typedef {object} RobotText
  * @property {"robot"} kind
+ * @property {number} life
  * @property {boolean} powered
- * @property {string} mode
+ * @property {"position" | "torque" | "telepresence" | "impedance"} mode
  * @property {number} x_m
  * @property {number} y_m
  * @property {number} push_n
@@ -283,13 +398,24 @@
  * @property {number} refused
  * @property {number} handled
  * @property {boolean} halted
- * @property {number} [step_hz]
+ * @property {string} error
+ * @property {number | null} commanded
+ * @property {string} command_refusal
+ * @property {number} step_hz
  */
 
-/**
- * @typedef {HelloText | StateText | FiguresText | AnswerText | ChatText | CommandsText | ValuesText
- *   | EventsText | RadioText | PanelText | ExperimentText | RobotText} ServerText
- */
+/** @typedef {HelloText
+ *   | StateText
+ *   | FiguresText
+ *   | AnswerText
+ *   | ChatText
+ *   | CommandsText
+ *   | ValuesText
+ *   | EventsText
+ *   | RadioText
+ *   | PanelText
+ *   | ExperimentText
+ *   | RobotText} ServerText */
 
 /**
  * What a page may ask for.
@@ -298,14 +424,9 @@
  *   | {do: "hand", action: "take" | "give" | "ask" | "refuse"}
  *   | {do: "session", action: "start" | "stop"}
  *   | {do: "record", action: "start" | "stop"}
- *   | {do: "input", name: string, on: boolean}
+ *   | {do: "command", application: string, verb?: Verb, name?: string, arguments?: (boolean | number | string)[]}
  *   | {do: "chat", text: string}
- *   | {do: "command", application: string, verb?: Verb, name?: string, arguments?: Figure[]}} Request
- */
-
-/**
- * What a telecommand asks for: a function, a sign of life, a report.
- * @typedef {"call" | "ping" | "report" | "housekeeping_on" | "housekeeping_off"} Verb
+ *   | {do: "input", name: string, on: boolean}} Request
  */
 
 export {};
