@@ -109,26 +109,29 @@ def _structs(hint: Any) -> Iterator[type[msgspec.Struct]]:
 
 def _typedef(struct: type[msgspec.Struct]) -> str:
     words = " ".join((inspect.getdoc(struct) or "").split())
-    lines = [*_wrapped(words), f"@typedef {{object}} {_name(struct)}"]
+    fields = ", ".join(_fields(struct))
+    lines = [*_wrapped(words), *_wrapped(f"@typedef {{{{{fields}}}}} {_name(struct)}", "  ")]
+    return "\n".join(["/**", *(f" * {line}" for line in lines), " */"]) + "\n"
+
+
+def _fields(struct: type[msgspec.Struct]) -> Iterator[str]:
     kind = SENT.get(struct) or struct.__struct_config__.tag
     if kind is not None:
-        lines.append(f'@property {{"{kind}"}} kind')
+        yield f'kind: "{kind}"'
     omits = struct.__struct_config__.omit_defaults
     for field in msgspec.structs.fields(struct):
         optional = omits and not field.required
         # What is left out is never null.
-        hint = field.type
-        name = f"[{field.encode_name}]" if optional else field.encode_name
-        lines.append(f"@property {{{_type(hint, nullable=not optional)}}} {name}")
-    return "\n".join(["/**", *(f" * {line}" for line in lines), " */"]) + "\n"
+        hint = _type(field.type, nullable=not optional)
+        yield f"{field.encode_name}{'?' if optional else ''}: {hint}"
 
 
-def _wrapped(words: str) -> list[str]:
+def _wrapped(words: str, indent: str = "") -> list[str]:
     lines = [""]
     for word in words.split():
         if len(lines[-1]) + len(word) > 95:
-            lines.append("")
-        lines[-1] = f"{lines[-1]} {word}".strip()
+            lines.append(indent)
+        lines[-1] += f" {word}" if lines[-1].strip() else word
     return lines
 
 

@@ -13,368 +13,212 @@
 
 /**
  * A stream that a page is sent.
- * @typedef {object} StreamText
- * @property {number} index
- * @property {string} name
- * @property {"video" | "voice"} kind
- * @property {"coded" | "sent" | "sound"} via
- * @property {number} cap_bps
- * @property {number} stale_after_ms
- * @property {number} [width]
- * @property {number} [height]
- * @property {number} [fps]
+ * @typedef {{index: number, name: string, kind: "video" | "voice", via: "coded" | "sent" |
+ *   "sound", cap_bps: number, stale_after_ms: number, width?: number, height?: number, fps?:
+ *   number}} StreamText
  */
 
 /**
  * A camera that can be selected.
- * @typedef {object} CameraText
- * @property {string} name
- * @property {string[]} inputs
+ * @typedef {{name: string, inputs: string[]}} CameraText
  */
 
 /**
  * The small pictures of an input.
- * @typedef {object} PreviewText
- * @property {number} index
- * @property {string} input
- * @property {number} width
- * @property {number} height
+ * @typedef {{index: number, input: string, width: number, height: number}} PreviewText
  */
 
 /**
  * An input that a page's own camera or microphone can take over.
- * @typedef {object} InputText
- * @property {number} index
- * @property {string} name
- * @property {"video" | "audio"} kind
- * @property {number} [width]
- * @property {number} [height]
- * @property {number} [fps]
+ * @typedef {{index: number, name: string, kind: "video" | "audio", width?: number, height?:
+ *   number, fps?: number}} InputText
  */
 
 /**
  * The workspace of the joystick, from its middle.
- * @typedef {object} WorkspaceText
- * @property {number} half_width_m
- * @property {number} half_height_m
+ * @typedef {{half_width_m: number, half_height_m: number}} WorkspaceText
  */
 
 /**
  * The robot's task board; its middle is (0, 0). lights_m: of the LED panel, with tasks.
- * @typedef {object} BoardText
- * @property {number} width_m
- * @property {number} height_m
- * @property {number} wall_x_m
- * @property {[number, number][]} leds_m
- * @property {[number, number][]} lights_m
+ * @typedef {{width_m: number, height_m: number, wall_x_m: number, leds_m: [number, number][],
+ *   lights_m: [number, number][]}} BoardText
  */
 
 /**
  * A parameter, and from where on it is coloured.
- * @typedef {object} ParameterText
- * @property {string} name
- * @property {string} unit
- * @property {string} text
- * @property {number | null} low
- * @property {number | null} high
+ * @typedef {{name: string, unit: string, text: string, low: number | null, high: number | null}}
+ *   ParameterText
  */
 
 /**
  * A housekeeping report. on: from the start.
- * @typedef {object} StructureText
- * @property {string} name
- * @property {string[]} parameters
- * @property {number} interval_s
- * @property {boolean} on
+ * @typedef {{name: string, parameters: string[], interval_s: number, on: boolean}} StructureText
  */
 
 /**
  * A function that a telecommand starts.
- * @typedef {object} FunctionText
- * @property {string} name
- * @property {string[]} arguments
- * @property {string} text
+ * @typedef {{name: string, arguments: string[], text: string}} FunctionText
  */
 
 /**
  * An application of the dictionary.
- * @typedef {object} ApplicationText
- * @property {string} name
- * @property {string} end
- * @property {string} text
- * @property {ParameterText[]} parameters
- * @property {StructureText[]} structures
- * @property {FunctionText[]} functions
+ * @typedef {{name: string, end: string, text: string, parameters: ParameterText[], structures:
+ *   StructureText[], functions: FunctionText[]}} ApplicationText
  */
 
 /**
  * A pass ahead. `_s`: from the acquisition of this session's own pass.
- * @typedef {object} PassText
- * @property {string} acquisition
- * @property {number} acquisition_s
- * @property {number} loss_s
- * @property {number} peak_deg
+ * @typedef {{acquisition: string, acquisition_s: number, loss_s: number, peak_deg: number}}
+ *   PassText
  */
 
 /**
  * A task that can be selected. text: for the cosmonaut.
- * @typedef {object} TaskText
- * @property {string} name
- * @property {string} text
+ * @typedef {{name: string, text: string}} TaskText
  */
 
 /**
  * The first text of a connection. page: its number.
- * @typedef {object} HelloText
- * @property {"hello"} kind
- * @property {"ground" | "space"} seat
- * @property {string} setup
- * @property {string} session
- * @property {StreamText[]} streams
- * @property {CameraText[]} cameras
- * @property {PreviewText[]} previews
- * @property {InputText[]} inputs
- * @property {string} joystick
- * @property {WorkspaceText} workspace
- * @property {BoardText} board
- * @property {Record<string, number>} caps
- * @property {ApplicationText[]} applications
- * @property {PassText[]} passes
- * @property {boolean} tasks
- * @property {TaskText[]} task_list
- * @property {"operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "viewer"} role
- * @property {number} page
- * @property {number} now_us
+ * @typedef {{kind: "hello", seat: "ground" | "space", setup: string, session: string, streams:
+ *   StreamText[], cameras: CameraText[], previews: PreviewText[], inputs: InputText[], joystick:
+ *   string, workspace: WorkspaceText, board: BoardText, caps: Record<string, number>,
+ *   applications: ApplicationText[], passes: PassText[], tasks: boolean, task_list: TaskText[],
+ *   role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "viewer", page:
+ *   number, now_us: number}} HelloText
  */
 
 /**
  * The joystick's state in words.
- * @typedef {object} JoystickText
- * @property {string} state
- * @property {string} reason
- * @property {boolean} dead_man
- * @property {number} force_limit_n
- * @property {string} device
+ * @typedef {{state: string, reason: string, dead_man: boolean, force_limit_n: number, device:
+ *   string}} JoystickText
  */
 
 /**
  * Who holds the handle, and who asks for it, by numbers of pages.
- * @typedef {object} HandText
- * @property {number | null} holder
- * @property {boolean} you
- * @property {number | null} wanted_by
+ * @typedef {{holder: number | null, you: boolean, wanted_by: number | null}} HandText
  */
 
 /**
  * The heartbeat, 10 times a second, and at each change.
- * @typedef {object} StateText
- * @property {"state"} kind
- * @property {number} now_us
- * @property {"connected" | "lost"} link
- * @property {boolean} signal
- * @property {string | null} camera
- * @property {JoystickText | null} joystick
- * @property {HandText} hand
- * @property {Record<string, number | null>} inputs
+ * @typedef {{kind: "state", now_us: number, link: "connected" | "lost", signal: boolean, camera:
+ *   string | null, joystick: JoystickText | null, hand: HandText, inputs: Record<string, number |
+ *   null>}} StateText
  */
 
 /**
  * A direction of the link, counted since the session began. octets: by what they carried. drops:
  * packets, by level. lost: frames.
- * @typedef {object} LinkCounts
- * @property {Record<string, number>} octets
- * @property {Record<string, number>} drops
- * @property {number} lost
- * @property {number} slips
+ * @typedef {{octets: Record<string, number>, drops: Record<string, number>, lost: number, slips:
+ *   number}} LinkCounts
  */
 
 /**
  * A process. cpu: share of a core over the last 2 s; None: not known yet.
- * @typedef {object} ProcessText
- * @property {string} name
- * @property {string | null} segment
- * @property {number | null} cpu
- * @property {number} restarts
- * @property {boolean} running
- * @property {string} error
+ * @typedef {{name: string, segment: string | null, cpu: number | null, restarts: number, running:
+ *   boolean, error: string}} ProcessText
  */
 
 /**
  * One event. number: from 1 on. at_us: on the session's clock. what: `link`, `process`, `camera`,
  * `stale`, `joystick`, `input` or `session`.
- * @typedef {object} EventText
- * @property {number} number
- * @property {number} at_us
- * @property {string} what
- * @property {string} text
+ * @typedef {{number: number, at_us: number, what: string, text: string}} EventText
  */
 
 /**
  * What a page gets twice a second. at_us: on the session's clock. seconds: since the session
  * began.
- * @typedef {object} FiguresText
- * @property {"figures"} kind
- * @property {number} at_us
- * @property {number} seconds
- * @property {"running" | "stopped"} state
- * @property {Record<string, Figure>} figures
- * @property {Record<string, LinkCounts>} link
- * @property {ProcessText[]} processes
- * @property {EventText[]} events
+ * @typedef {{kind: "figures", at_us: number, seconds: number, state: "running" | "stopped",
+ *   figures: Record<string, Figure>, link: Record<string, LinkCounts>, processes: ProcessText[],
+ *   events: EventText[]}} FiguresText
  */
 
 /**
  * The answer to a request of this number. error: "" if it was carried out.
- * @typedef {object} AnswerText
- * @property {"answer"} kind
- * @property {number} request
- * @property {boolean} ok
- * @property {string} error
- * @property {number} [round_trip_ms]
+ * @typedef {{kind: "answer", request: number, ok: boolean, error: string, round_trip_ms?: number}}
+ *   AnswerText
  */
 
 /**
  * A line of the chat. state: `waiting`, `delivered`, `refused`; `received` from the others.
- * @typedef {object} ChatLine
- * @property {number} number
- * @property {number} at_us
- * @property {string} sender
- * @property {string} text
- * @property {string} state
- * @property {string} [reason]
- * @property {number} [round_trip_ms]
+ * @typedef {{number: number, at_us: number, sender: string, text: string, state: string, reason?:
+ *   string, round_trip_ms?: number}} ChatLine
  */
 
 /**
  * The whole chat, as far as it is kept.
- * @typedef {object} ChatText
- * @property {"chat"} kind
- * @property {ChatLine[]} lines
+ * @typedef {{kind: "chat", lines: ChatLine[]}} ChatText
  */
 
 /**
  * A telecommand of this seat. stage, done, ok, verified: as in `CommandUpdate`.
- * @typedef {object} CommandLine
- * @property {number} number
- * @property {number} at_us
- * @property {string} who
- * @property {string} words
- * @property {string} stage
- * @property {boolean} [done]
- * @property {boolean} [ok]
- * @property {boolean} [verified]
- * @property {string} [reason]
- * @property {number} [round_trip_ms]
- * @property {number} [tries]
+ * @typedef {{number: number, at_us: number, who: string, words: string, stage: string, done?:
+ *   boolean, ok?: boolean, verified?: boolean, reason?: string, round_trip_ms?: number, tries?:
+ *   number}} CommandLine
  */
 
 /**
  * The telecommands of this seat.
- * @typedef {object} CommandsText
- * @property {"commands"} kind
- * @property {CommandLine[]} commands
+ * @typedef {{kind: "commands", commands: CommandLine[]}} CommandsText
  */
 
 /**
  * A parameter's newest value. value: None if it is no number. at_us: when it was heard.
- * @typedef {object} ValueText
- * @property {string} application
- * @property {string} name
- * @property {Figure} value
- * @property {Level} level
- * @property {number} at_us
+ * @typedef {{application: string, name: string, value: Figure, level: Level, at_us: number}}
+ *   ValueText
  */
 
 /**
  * All parameters that were reported.
- * @typedef {object} ValuesText
- * @property {"values"} kind
- * @property {ValueText[]} values
+ * @typedef {{kind: "values", values: ValueText[]}} ValuesText
  */
 
 /**
  * An event of an application of either end.
- * @typedef {object} EventLine
- * @property {number} number
- * @property {number} at_us
- * @property {string} application
- * @property {string} name
- * @property {string} severity
- * @property {Record<string, Figure>} values
+ * @typedef {{number: number, at_us: number, application: string, name: string, severity: string,
+ *   values: Record<string, Figure>}} EventLine
  */
 
 /**
  * The newest events.
- * @typedef {object} EventsText
- * @property {"events"} kind
- * @property {EventLine[]} events
+ * @typedef {{kind: "events", events: EventLine[]}} EventsText
  */
 
 /**
  * Whether both directions carry, in words.
- * @typedef {object} RadioText
- * @property {"radio"} kind
- * @property {Level} level
- * @property {string} words
+ * @typedef {{kind: "radio", level: Level, words: string}} RadioText
  */
 
 /**
  * The panel, as `telepresence.tasks.panel.PanelView` has it; handle_m: where the handle is.
- * @typedef {object} PanelText
- * @property {"panel"} kind
- * @property {string} mode
- * @property {string} task
- * @property {number} run
- * @property {string} text
- * @property {string} words
- * @property {[number, number]} start_m
- * @property {number} distance_m
- * @property {number} held_s
- * @property {[number, number]} handle_m
- * @property {boolean} dead_man
+ * @typedef {{kind: "panel", mode: string, task: string, run: number, text: string, words: string,
+ *   start_m: [number, number], distance_m: number, held_s: number, handle_m: [number, number],
+ *   dead_man: boolean}} PanelText
  */
 
 /**
  * A task that can be selected.
- * @typedef {object} TaskListed
- * @property {string} name
- * @property {string} text
+ * @typedef {{name: string, text: string}} TaskListed
  */
 
 /**
  * A step of a run, at an instant of the session's clock.
- * @typedef {object} StepShown
- * @property {number} at_ns
- * @property {number} run
- * @property {string} task
- * @property {string} step
+ * @typedef {{at_ns: number, run: number, task: string, step: string}} StepShown
  */
 
 /**
  * A run that is over. seconds: from its start; None if it never started.
- * @typedef {object} RunShown
- * @property {string} task
- * @property {number} run
- * @property {string} result
- * @property {string} reason
- * @property {number | null} seconds
+ * @typedef {{task: string, run: number, result: string, reason: string, seconds: number | null}}
+ *   RunShown
  */
 
 /**
  * The experiment: its phase, the present task ("" without), Elemop, and what the panel shows.
  * tasks: in the catalogue's order, by whose index telecommands name them. steps: the newest ones.
  * runs: the newest ones. planned: a plan selects the tasks.
- * @typedef {object} ExperimentText
- * @property {"experiment"} kind
- * @property {string} phase
- * @property {string} task
- * @property {number} run
- * @property {string} elemop
- * @property {string} panel
- * @property {TaskListed[]} tasks
- * @property {StepShown[]} steps
- * @property {RunShown[]} runs
- * @property {boolean} planned
+ * @typedef {{kind: "experiment", phase: string, task: string, run: number, elemop: string, panel:
+ *   string, tasks: TaskListed[], steps: StepShown[], runs: RunShown[], planned: boolean}}
+ *   ExperimentText
  */
 
 /**
@@ -384,24 +228,11 @@
  * the joystick says that it is. commanded: number of the newest `RobotCommand`; None for none.
  * command_refusal: why that was refused, "" if it was carried out. step_hz: cycles of the
  * controller, in the last second.
- * @typedef {object} RobotText
- * @property {"robot"} kind
- * @property {number} life
- * @property {boolean} powered
- * @property {"position" | "torque" | "telepresence" | "impedance"} mode
- * @property {number} x_m
- * @property {number} y_m
- * @property {number} push_n
- * @property {[number, number] | null} goal_m
- * @property {string} fault
- * @property {number} faults
- * @property {number} refused
- * @property {number} handled
- * @property {boolean} halted
- * @property {string} error
- * @property {number | null} commanded
- * @property {string} command_refusal
- * @property {number} step_hz
+ * @typedef {{kind: "robot", life: number, powered: boolean, mode: "position" | "torque" |
+ *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
+ *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
+ *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number}}
+ *   RobotText
  */
 
 /** @typedef {HelloText
