@@ -21,6 +21,7 @@ from pipelines.cores.task_journal import TaskRow, TaskStep
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import DEPTH, EventLog, ProcessNow
 from pipelines.setup.built_in import BUILT_IN
+from pipelines.setup.setup_file import load_setup
 from pipelines.topology import topology_of
 from telepresence.link.figures import ContactFigures, ContactWindows
 from telepresence.tasks.experiment import Step
@@ -102,9 +103,7 @@ def test_a_pass_begins_and_ends_when_its_orbit_says():
         nearest_km=1,
         farthest_km=1,
     )
-    radio = SimpleNamespace(start_s=-2.0)
-    session = Session()
-    session.log._setup = SimpleNamespace(radio_profile=radio, streams=(), inputs=())
+    session = Session(load_setup("taskboard", changes={"radio": "iss-pass"}, radio_start_s=-2.0))
     session.told("ground_gateway", gateway(windows=windows))
     assert session.look(1.9) == []
     assert session.look(2.2) == [(2_000_000, "link", "radio: the pass begins")]
