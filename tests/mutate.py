@@ -25,7 +25,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 UNIT = "tests/unit"
 LINK = f"{UNIT}/telepresence/link"
-PRIORITIES = "tests/sim/test_link_priorities.py"
+PRIORITIES = "tests/unit/telepresence/link/test_link_priorities.py"
 
 #: The tests of a module that its folder in tests/unit does not hold, or those of the folder that
 #: suffice. Quick ones first, because the first failure ends a run.
@@ -65,7 +65,7 @@ NEAR: dict[str, tuple[str, ...]] = {
         f"{LINK}/test_link_bucket.py",
         f"{LINK}/test_link_gateway.py",
         f"{LINK}/test_link_backlog.py",
-        "tests/sim/test_link_ages.py",
+        "tests/unit/telepresence/link/test_link_ages.py",
         "tests/fuzz/test_link_reader.py",
         PRIORITIES,
     ),
@@ -84,34 +84,34 @@ NEAR: dict[str, tuple[str, ...]] = {
         f"{LINK}/test_link_gateway.py",
         "tests/fuzz/test_link_fuzz.py",
         "tests/fuzz/test_link_loss.py",
-        "tests/sim/test_link_strangers.py",
+        "tests/unit/telepresence/link/test_link_strangers.py",
         PRIORITIES,
     ),
     "telepresence/link/compression/header_compression.py": (
         f"{LINK}/compression",
         "tests/vectors/test_link_header_forms.py",
-        "tests/sim/test_link_headers.py",
+        "tests/unit/telepresence/link/compression/test_link_headers.py",
     ),
     "telepresence/link/supervision/supervisor.py": (
-        "tests/sim/test_link_supervision_counts.py",
+        "tests/unit/telepresence/link/supervision/test_link_supervision_counts.py",
         f"{LINK}/test_link_gateway.py",
         "tests/vectors/test_supervision_messages.py",
         "tests/fuzz/test_link_supervision_fuzz.py",
-        "tests/sim/test_link_supervision.py",
-        "tests/sim/test_link_supervision_loss.py",
-        "tests/sim/test_link_supervision_application.py",
-        "tests/sim/test_link_strangers.py",
+        "tests/unit/telepresence/link/supervision/test_link_supervision.py",
+        "tests/unit/telepresence/link/supervision/test_link_supervision_loss.py",
+        "tests/unit/telepresence/link/supervision/test_link_supervision_application.py",
+        "tests/unit/telepresence/link/test_link_strangers.py",
     ),
     "telepresence/haptics/passivity.py": (
         f"{UNIT}/telepresence/haptics/test_haptics_ends.py",
         f"{UNIT}/telepresence/haptics/test_passivity.py",
-        "tests/sim/test_haptics_passivity.py",
-        "tests/sim/test_haptics_replay.py",
+        "tests/unit/telepresence/haptics/test_haptics_passivity.py",
+        "tests/unit/telepresence/haptics/test_haptics_replay.py",
     ),
     "telepresence/haptics/robot_controller.py": (
         f"{UNIT}/telepresence/haptics/test_haptics_ends.py",
-        "tests/sim/test_haptics_direction.py",
-        "tests/sim/test_haptics_passivity.py",
+        "tests/unit/telepresence/haptics/test_haptics_direction.py",
+        "tests/unit/telepresence/haptics/test_haptics_passivity.py",
     ),
     "pipelines/report/collector.py": (f"{UNIT}/pipelines/report",),
     "pipelines/report/journeys.py": (f"{UNIT}/pipelines/report",),
