@@ -32,7 +32,10 @@ class SerialLast(LoadScopeScheduling):
     """
 
     def _split_scope(self, nodeid: str) -> str:
-        return "serial" if is_serial(nodeid) else nodeid
+        if is_serial(nodeid):
+            return "serial"
+        # Simulations of one file share their runs.
+        return nodeid.partition("::")[0] if nodeid.startswith("tests/sim/") else nodeid
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         # What a crashed worker leaves is appended.
