@@ -22,7 +22,8 @@ skill = 1.0
 files = ["short.xml"]
 [[task]]
 name = "reach"
-repeat = 2
+[[task]]
+name = "aiming"
 [[task]]
 name = "roam"
 """
@@ -32,10 +33,12 @@ TASKS = """<Tasks>
     <Operation ref="beginTelepresence"/>
     <Elemop ref="highlightLed7"/>
     <Elemop ref="checkPos7"/>
+    <Elemop ref="highlightLed0"/>
+    <Elemop ref="checkPos0"/>
     <Operation ref="endTelepresence"/>
   </Operation>
   <Task name="reach" start="startAiming" exec="execReach" start_x_mm="-45" start_y_mm="0"
-        text="Reach the LED that lights up."/>
+        text="Reach each LED that lights up."/>
   <Wait name="roamFreely" seconds="300"/>
   <Operation name="execRoam">
     <Operation ref="beginTelepresence"/>
@@ -124,7 +127,7 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
         eventually(lambda: not watched.see(RobotStatus).powered, "the robot without power")
         assert watched.see(RobotStatus).life == life
         listed = session.ask("task", "list").stdout
-        assert "run 2 reach: aborted: the task's process was restarted" in listed
+        assert "run 2 aiming: aborted: the task's process was restarted" in listed
         eventually(lambda: watched.see(ExperimentShown).run == 3, "run 3")
         assert session.ask("task", "select", "line").returncode == 1
         assert session.ask("task", "abort").returncode == 0
@@ -140,7 +143,7 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
     files = sorted(runs.iterdir())
     assert [path.name for path in files] == [
         "run-001-reach.mcap",
-        "run-002-reach.mcap",
+        "run-002-aiming.mcap",
         "run-003-roam.mcap",
     ]
     assert report["processes"]["tasks"]["counts"]["unrecorded"] == 0
