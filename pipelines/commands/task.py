@@ -12,7 +12,7 @@ from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.telecommand import Sending
 from pipelines.cores.mission_messages import ExperimentShown, unpack
 from pipelines.cores.tmtc_messages import SendCommand
-from pipelines.runtime.control import running_sessions
+from pipelines.runtime.asking import running_sessions
 from pipelines.runtime.tmtc_socket import tmtc_socket_name
 from pipelines.setup.segments import Segment
 from pipelines.topology import MISSION_GROUND_TOPIC, TASKS, TMTC_TOPICS

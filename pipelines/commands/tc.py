@@ -11,7 +11,7 @@ from pipelines.cores.tmtc_words import (
     SHORT_VERBS,
     command_from_words,
 )
-from pipelines.runtime.control import running_sessions
+from pipelines.runtime.asking import running_sessions
 from pipelines.runtime.tmtc_socket import tmtc_socket_name
 from pipelines.setup.segments import Segment
 from pipelines.topology import TMTC_TOPICS

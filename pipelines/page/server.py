@@ -31,7 +31,6 @@ from pipelines.cores.hand_topics import (
 from pipelines.cores.seat_roles import Role
 from pipelines.cores.tmtc_messages import unpack_news
 from pipelines.page.access import Access, AccessError, Found, Kind, headers
-from pipelines.page.console_link import ask_console
 from pipelines.page.feeds import Feed, State
 from pipelines.page.local_key import filmed_key, key_of
 from pipelines.page.messages import MOST_SEAT_OCTETS, most_media_octets
@@ -39,7 +38,6 @@ from pipelines.page.own_inputs import Given
 from pipelines.page.plan import SeatStream, Unpack, Via, seat_plan
 from pipelines.page.recorder_link import ask_recorder
 from pipelines.page.seat import (
-    CameraAsked,
     CommandGiven,
     HandMoved,
     RecordingAsked,
@@ -352,8 +350,6 @@ class PageServer:
                 case CommandGiven(request) if self._commands is not None:
                     stamp = CaptureStamp(self._now_ns(), next(self._numbers), "page")
                     self._commands.publish_octets(pack_request(request), stamp)
-                case CameraAsked():
-                    self._begin(self._ask(event))
                 case SessionOrdered(order):
                     self._context.order(order, self._now_ns())
                 case RecordingAsked():
@@ -392,16 +388,6 @@ class PageServer:
                 feed = Feed(self._loop, self._bus, topic, partial(_keep, kept), depth=_DEPTH)
                 self._filmed[index] = topic, feed, kept
                 feed.open()
-
-    async def _ask(self, asked: CameraAsked) -> None:
-        answer = await ask_console(self._context.session, asked.camera)
-        self._seat.handle_selection(
-            asked,
-            error="" if answer.ok else answer.error or "the selection failed",
-            round_trip_ms=answer.round_trip_ms,
-            now_ns=self._now_ns(),
-        )
-        self._settle()
 
     async def _record(self, asked: RecordingAsked) -> None:
         error = await ask_recorder(self._context.session, begin=asked.begin)

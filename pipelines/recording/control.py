@@ -17,7 +17,7 @@ from pipelines.recording.requests import (
     parse_record_answer,
     parse_wish,
 )
-from pipelines.runtime.control import running_sessions
+from pipelines.runtime.asking import running_sessions
 
 _SOCKET, _WISH = "recorder", "recording"
 #: How long a recorder may take to answer: it writes a slow disk's file to its end first.

@@ -43,7 +43,6 @@ from telepresence.link.figures import (
     SenderFigures,
     SupervisionFigures,
 )
-from telepresence.tmtc.packets import Housekeeping, SelectAck, SelectCamera, parse_packet
 from telepresence.tmtc.pus.head import apid_of, is_packet, is_telecommand, message_of
 
 H264, OPUS = "h264", "opus"
@@ -414,21 +413,6 @@ def packet_words(data: bytes) -> str:
         service, subtype = message_of(data)
         way = "telecommand to" if is_telecommand(data) else "report of"
         return f"PUS {service},{subtype}: {way} application {apid_of(data):#x}"
-    try:
-        message = parse_packet(data).message
-    except ProtocolError:
-        return _wall_words(data)
-    if isinstance(message, SelectCamera):
-        return f"select {message.name}, token {message.token}"
-    if isinstance(message, SelectAck):
-        done = "done" if message.ok else "refused"
-        return f"select {done}, token {message.token}: {message.name} is selected"
-    assert isinstance(message, Housekeeping)
-    touch = "contact" if message.contact else "no contact"
-    return f"housekeeping: {message.name} is selected, {touch}, {message.force_n:.3f} N"
-
-
-def _wall_words(data: bytes) -> str:
     try:
         wall = parse_wall(data).wall
     except ProtocolError:

@@ -17,6 +17,7 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import ReceivedUnit, join_annex_b, split_annex_b
 from kontur_av.streams.video_sender import VideoSender
+from pipelines.cores.following import Choice
 from pipelines.cores.gain import gain_of
 from pipelines.cores.replaying import ReplayedEnd, ReplayTime
 from pipelines.cores.session_streams import video_sender, voice_sender
@@ -31,7 +32,7 @@ from pipelines.simulation.senders import RecordedVideoProcess, RecordedVoiceProc
 from pipelines.simulation.session import HapticEnd, Simulation
 from pipelines.simulation.studio import SAME_DB, Originals, VideoDecoding, VideoStudio
 from pipelines.simulation.workers import Coder, Workers
-from pipelines.topology import TELECOMMAND, TELEMETRY, Segment
+from pipelines.topology import TELECOMMAND, TELEMETRY
 from telepresence.link.gateway import Gateway
 
 #: The link begins this and two round trips before the first instant, so that it is connected then.
@@ -125,23 +126,9 @@ class Replay(Simulation):
     def _make_media(self, scene: Scene) -> Media:
         return ReplayedMedia(scene, self._confirm, self._session, self.time, self._recode)
 
-    def _set_choice_timer(self, now_ns: int) -> None:
-        """Housekeeping is in the recording."""
-
-    def _take_telecommand(self, data: bytes, now_ns: int) -> None:
-        """It is executed, although the pictures of the camera that it selects are not shown."""
-        if self.tmtc.handle_packet(Segment.GROUND, data, now_ns):
-            return
-        self._choice.handle_packet(data, now_ns)
-        self._confirm(self._choice.choice.number, now_ns)
-
-    def _acknowledge(self, now_ns: int) -> None:
-        """So are acknowledgements."""
-        while self._choice.poll_transmit(now_ns) is not None:
-            pass
-
-    def _console_sends(self, now_ns: int) -> None:
-        """And telecommands."""
+    def _follow(self, choice: Choice, now_ns: int) -> None:
+        """Confirm at once. The pictures are those of the recording, whatever is selected."""
+        self._confirm(choice.number, now_ns)
 
 
 def _send(gateway: Gateway, stream: str, data: bytes, now_ns: int) -> None:

@@ -29,6 +29,9 @@ from telepresence.tmtc.pus.verification import Stage
 
 _T = TypeVar("_T", Parameter, Structure, FunctionDefinition)
 
+#: Why a telecommand ended without verification.
+UNANSWERED = "no verification came"
+SUPERSEDED = "a later request came"
 _MOST_OPEN = 16
 _EVENTS_DEPTH = 256
 
@@ -165,7 +168,16 @@ class PusUser:
         table = self._dictionary.application(application)
         found = _known(table.functions, function, "function", table)
         data = bytes([found.number]) + pack_values(table.named(found.arguments), arguments)
+        if found.newest:
+            self._supersede(table.apid, data[:1], now_ns)
         return self._send(table, 8, 1, data, now_ns)
+
+    def _supersede(self, apid: int, function: bytes, now_ns: int) -> None:
+        """End open calls of this function."""
+        for number, one in list(self._open.items()):
+            command = one.command
+            if (command.apid, command.service, command.data[:1]) == (apid, 8, function):
+                self._give_up(number, SUPERSEDED, now_ns)
 
     def ping(self, application: str, *, now_ns: int) -> int | None:
         """Ask whether the application is alive (17,1)."""
@@ -287,14 +299,8 @@ class PusUser:
             if now_ns < one.due_ns:
                 continue
             if one.tries and now_ns - one.first_ns >= self._patience_ns:
-                del self._open[number]
-                reason = "no verification came" if one.stage is None else "its end was not verified"
-                waited_ns = now_ns - one.first_ns
-                self._add(
-                    CommandResult(
-                        number, one.application, False, False, reason, waited_ns, one.tries
-                    )
-                )
+                reason = UNANSWERED if one.stage is None else "its end was not verified"
+                self._give_up(number, reason, now_ns)
                 continue
             self.repeated += one.tries > 0
             one.tries += 1
@@ -305,6 +311,13 @@ class PusUser:
             self.sent += 1
             return pack_packet(one.command)
         return None
+
+    def _give_up(self, number: int, reason: str, now_ns: int) -> None:
+        one = self._open.pop(number)
+        waited_ns = now_ns - one.first_ns
+        self._add(
+            CommandResult(number, one.application, False, False, reason, waited_ns, one.tries)
+        )
 
     def poll_timeout(self) -> int | None:
         """When `poll_transmit` has something to do; None while no telecommand is open."""
