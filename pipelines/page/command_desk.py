@@ -119,12 +119,10 @@ class CommandDesk:
         opened = self._open.pop(update.id, None)
         if opened is not None:
             camera = self._selects.pop(update.id, "")
-            if update.ok:
-                self._events.append(CommandAnswered(*opened, "", update.round_trip_ms, camera))
-            elif camera:
-                self._answer(*opened, selection_error(camera, update))
-            else:
-                self._answer(*opened, update.reason or update.stage)
+            error = "" if update.ok else update.reason or update.stage
+            if camera and error:
+                camera, error = "", selection_error(camera, update)
+            self._events.append(CommandAnswered(*opened, error, update.round_trip_ms, camera))
 
     def _answer(self, page: int, request: int, error: str) -> None:
         self._events.append(CommandAnswered(page, request, error, 0.0))
