@@ -22,7 +22,7 @@ import griffe
 from pipelines.bench.result import Headline
 from pipelines.cli import make_parser
 from pipelines.recording.channels import channels_table, fields_table
-from pipelines.report.keys import counters_table, keys_tables
+from pipelines.report.keys import counts_table, keys_tables
 from pipelines.report.model import LinkReport, SessionReport
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import tables, topology_of
@@ -268,7 +268,7 @@ def topology_blocks() -> dict[str, str]:
         "report": keys_tables(SessionReport),
         "link report": keys_tables(LinkReport, without=SessionReport),
         "headlines": keys_tables(Headline),
-        "counts": counters_table(),
+        "counts": counts_table(),
     }
 
 

@@ -14,12 +14,13 @@ from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
 from pipelines.link.clock_rows import note_clock
 from pipelines.link.ends import make_gateway
+from pipelines.link.figures import SocketFigures, WayInFigures
 from pipelines.link.gateway_ports import GatewayPorts
 from pipelines.link.link_topics import LinkTopics
 from pipelines.link.peer_socket import PeerPlan, PeerSocket, make_path
 from pipelines.session.datagrams import EndAddresses
 from pipelines.session.exercises import new_exercises
-from pipelines.session.figures import GatewayCounters, GatewayGauges, LoopCounters, PeerGauges
+from pipelines.session.figures import LoopFigures
 from pipelines.session.process import Context
 from pipelines.session.rows import LatenessRow, SendingRow
 from pipelines.session.topology import Segment
@@ -102,14 +103,15 @@ def run_gateway(
         lateness.clear()
         sending.clear()
         schedule = slots.schedule
-        probe.count(LoopCounters(slips=schedule.slips, cycles=schedule.cycles))
-        probe.count(GatewayCounters(unsent=ports.to_peer.failed, strangers=ports.strangers()))
+        probe.tell(LoopFigures(slips=schedule.slips, cycles=schedule.cycles))
+        probe.tell(SocketFigures(unsent=ports.to_peer.failed, strangers=ports.strangers()))
         link = gateway.report(clock_ns())
-        probe.gauge(GatewayGauges(link=link))
+        probe.tell(link)
         note_clock(probe, link)
         if path is not None:
-            report = None if back is None else back.report()
-            probe.gauge(PeerGauges(peer=path.report(), back=report))
+            probe.tell(path.report())
+        if back is not None:
+            probe.tell(WayInFigures(radio_back=back.report()))
         if topics is not None:
             topics.handle_figures(link, clock_ns())
 

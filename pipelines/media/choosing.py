@@ -5,8 +5,8 @@ from collections import deque
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.media.camera_selector import Selector
+from pipelines.media.figures import SelectorFigures
 from pipelines.media.following import Choice
-from pipelines.session.figures import SelectorCounters, SelectorGauges
 from pipelines.session.probe import Probe
 from pipelines.session.setup.table import Setup
 from telepresence.tmtc import (
@@ -112,9 +112,9 @@ class CameraChoice:
     def tell(self) -> None:
         """Put the counters into the probe."""
         telecommands = self._telecommands
-        self._probe.gauge(SelectorGauges(selected=self.selected))
-        self._probe.count(
-            SelectorCounters(
+        self._probe.tell(
+            SelectorFigures(
+                selected=self.selected,
                 switches=self._selector.switches,
                 telecommands=telecommands.executed,
                 telecommands_repeated=telecommands.duplicates,

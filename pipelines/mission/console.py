@@ -3,7 +3,7 @@
 from collections import deque
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.session.figures import ConsoleCounters
+from pipelines.mission.figures import ConsoleFigures
 from pipelines.session.probe import Probe
 from pipelines.session.requests import Answer, Request, pack_line, parse_request
 from pipelines.session.setup.table import Setup
@@ -116,8 +116,8 @@ class Console:
     def tell(self) -> None:
         """Put the counters into the probe."""
         sender = self._sender
-        self._probe.count(
-            ConsoleCounters(
+        self._probe.tell(
+            ConsoleFigures(
                 telecommands=sender.sent,
                 telecommands_repeated=sender.repeated,
                 garbage=sender.garbage,

@@ -19,6 +19,7 @@ from pipelines.media.unit_history import KeptUnit, UnitHistory
 from pipelines.mission.tmtc_messages import TmtcNews, TmtcRequest
 from pipelines.seats import texts
 from pipelines.seats.client_queue import ClientQueue, Message
+from pipelines.seats.figures import HOLDER
 from pipelines.seats.figures_log import FiguresLog
 from pipelines.seats.hand_gate import HandGate
 from pipelines.seats.joystick_desk import JoystickDesk
@@ -27,7 +28,6 @@ from pipelines.seats.own_inputs import OwnInputs
 from pipelines.seats.ownership import HandleOwnership
 from pipelines.seats.plan import SeatPlan, Shown, Via
 from pipelines.seats.rates import TokenBucket
-from pipelines.session.figures import HOLDER
 from pipelines.session.messages import (
     DAMAGED,
     KEY,

@@ -31,6 +31,7 @@ from pipelines.media.local_key import filmed_key, key_of
 from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.console_link import ask_console
+from pipelines.seats.figures import PageFigures
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import SeatStream, Unpack, Via, seat_plan
 from pipelines.seats.recorder_link import ask_recorder
@@ -45,7 +46,6 @@ from pipelines.seats.seat import (
 )
 from pipelines.session.access import Access, AccessError, Found, Kind, headers
 from pipelines.session.feeds import Feed, State
-from pipelines.session.figures import PageCounters, PageGauges
 from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.seat_roles import Role
@@ -611,9 +611,10 @@ class PageServer:
 
     def _tell(self) -> None:
         probe = self._context.probe
-        probe.gauge(PageGauges(watching=self._seat.watching, holder=self._seat.holder or 0))
-        probe.count(
-            PageCounters(
+        probe.tell(
+            PageFigures(
+                watching=self._seat.watching,
+                holder=self._seat.holder or 0,
                 connections=self._connections,
                 refused=dict(self._refused),
                 garbage=self._garbage,

@@ -21,11 +21,11 @@ from pipelines.hand.robot_desk import RobotDesk
 from pipelines.link.ends import make_gateway
 from pipelines.media.choosing import CameraChoice
 from pipelines.mission.console import Console
+from pipelines.report.arm_figures import run_since
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
-from pipelines.report.task_figures import task_report
-from pipelines.session.figures import GatewayGauges, LoopCounters
+from pipelines.session.figures import LoopFigures
 from pipelines.session.probe import FLUSH_NS, Probe
 from pipelines.session.requests import Request, pack_line
 from pipelines.session.setup.table import Setup
@@ -299,7 +299,7 @@ class Simulation:
         )
         mission = self.mission
         rows = None if mission is None else mission.journal.report()
-        tasks = None if rows is None else task_report(rows, self.start_ns)
+        tasks = None if rows is None else [run_since(self.start_ns, row) for row in rows]
         return msgspec.structs.replace(report, simulation=simulation, tasks=tasks)
 
     @property
@@ -393,8 +393,8 @@ class Simulation:
         probe = self._probe(self.topology.gateway(segment).name)
 
         def fill() -> None:
-            probe.count(LoopCounters(cycles=self._slots))
-            probe.gauge(GatewayGauges(link=gateway.report(self._now_ns)))
+            probe.tell(LoopFigures(cycles=self._slots))
+            probe.tell(gateway.report(self._now_ns))
 
         self._telling.add(fill)
         return gateway

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.bench.result import Headline, JsonReader
 from pipelines.virtual.campaign.tasks import Crash
 
@@ -170,6 +170,9 @@ def _stream(stream: JsonReader) -> Stream:
     def count(name: str) -> int | None:
         return stream.count(name) if stream.has(name) else None
 
+    def milliseconds(name: str) -> float | None:
+        return round(stream.number(name) / NS_PER_MS, 3) if stream.has(name) else None
+
     cap_bps = stream.number("cap_bps")
     return Stream(
         latency_ms=_numbers(stream.at("latency_ms")),
@@ -180,11 +183,11 @@ def _stream(stream: JsonReader) -> Stream:
         frames_captured=count("frames_captured"),
         frames_displayed=count("frames_displayed"),
         frames_concealed=count("frames_concealed"),
-        stale_ms=stream.number_or_none("stale_ms"),
+        stale_ms=milliseconds("stale_ns"),
         stale_episodes=count("stale_episodes"),
-        frozen_ms=stream.number_or_none("frozen_ms"),
+        frozen_ms=milliseconds("frozen_ns"),
         frozen_episodes=count("frozen_episodes"),
-        damaged_ms=stream.number_or_none("damaged_ms"),
+        damaged_ms=milliseconds("damaged_ns"),
         damaged_episodes=count("damaged_episodes"),
     )
 

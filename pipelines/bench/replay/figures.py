@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from kontur_av.clock import NS_PER_S
 from pipelines.bench.result import Headline
 from pipelines.report.model import SessionReport, Spread
 from pipelines.session.setup.table import NO_RADIO
@@ -74,7 +75,12 @@ def _figures(report: SessionReport) -> Iterator[_Figure]:
     for key, what in (("up", "force"), ("down", "motion")):
         samples = report.haptic[key]
         yield from _latency(f"{what}, one way", samples.latency_ms)
-        yield f"{what}, samples lost", "%", _percent(samples.lost, samples.sent), None
+        yield (
+            f"{what}, samples lost",
+            "%",
+            _percent(samples.receiver.lost, samples.sender.sent),
+            None,
+        )
 
 
 def _pictures(name: str, report: SessionReport) -> Iterator[_Figure]:
@@ -95,16 +101,20 @@ def _pictures(name: str, report: SessionReport) -> Iterator[_Figure]:
         yield f"{name}, {what}", "%", value, target
     yield f"{name}, PSNR against those sent, mean", "dB", replayed.psnr_db_mean, None
     yield f"{name}, PSNR, worst 5 %", "dB", replayed.psnr_db_p5, None
-    yield f"{name}, displayed", "pictures/s", shown.frames_displayed / report.seconds, None
+    yield f"{name}, displayed", "pictures/s", shown.display.frames_displayed / report.seconds, None
     yield from _latency(f"{name}, capture to display", shown.latency_ms)
-    for what, value in (("frozen", shown.frozen_ms), ("damaged", shown.damaged_ms)):
-        share = None if value is None or not shown.frames_displayed else value / report.seconds / 10
+    for what, value_ns in (
+        ("frozen", shown.display.frozen_ns),
+        ("damaged", shown.display.damaged_ns),
+    ):
+        displayed = shown.display.frames_displayed
+        share = value_ns / NS_PER_S / report.seconds * 100 if displayed else None
         yield f"{name}, {what}", "% of time", share, None
 
 
 def _sound(name: str, report: SessionReport) -> Iterator[_Figure]:
     heard = report.streams[name]
-    yield f"{name}, packets lost", "%", _percent(heard.rtp_lost, heard.rtp_packets), None
+    yield f"{name}, packets lost", "%", _percent(heard.rtp.rtp_lost, heard.rtp.rtp_packets), None
     yield from _latency(f"{name}, mouth to ear", heard.latency_ms)
 
 
