@@ -46,7 +46,7 @@ def over(told: T, earlier: T) -> T:
 
     What they do not know (None), or no longer tell (a record in a mapping), is as it was before.
     """
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     for name, marks in marks_of(_kind(told)).items():
         value, before = getattr(told, name), getattr(earlier, name)
         if value is None and before is not None and _NEWEST not in marks:

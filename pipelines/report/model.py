@@ -716,7 +716,7 @@ def to_builtins(report: Any) -> Any:
         return [to_builtins(one) for one in report]
     if isinstance(report, Enum):
         return report.value
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
     kind: Any = type(report)
     for name, key, optional, flat in keys_of(kind):
         value = getattr(report, name)
@@ -749,7 +749,7 @@ def _nested(found: Any, hint: Any) -> Any:
         return (
             {key: _nested(one, arguments[1]) for key, one in found.items()} if arguments else found
         )
-    made: dict[str, Any] = {}
+    made: dict[str, object] = {}
     hints, rows = get_type_hints(hint), keys_of(hint)
     for name, key, _, flat in rows:
         if flat and not _is_record(_type_of(hints[name])):

@@ -68,7 +68,7 @@ def video(**changed):
         "frames_captured": 3000,
         "frames_displayed": 2400,
         "pauses_s": [],
-        "stale_ms": 0.0,
+        "stale_ns": 0,
         "stale_episodes": 0,
         "latency_ms": {"p50": 48.0, "p99": 60.0, "count": 2400, "stages": {}},
     } | changed
@@ -140,7 +140,7 @@ def test_a_signal_lost_for_more_than_a_hundredth_of_the_window_is_unusable():
 
 def test_the_table_has_a_cell_for_every_heading():
     whole = report(windows=((20, None),), contact=CONTACT)
-    whole["streams"]["uplink_video"] = video(frozen_ms=1500.0, damaged_ms=200.0)
+    whole["streams"]["uplink_video"] = video(frozen_ns=1_500_000_000, damaged_ns=200_000_000)
     sessions = {2: Crash("killed"), 1: pass_figures(JsonReader(whole))}
     lines = markdown(sessions, "two").splitlines()
     rows = [line for line in lines if line.startswith("|")]
@@ -157,7 +157,7 @@ def test_an_empty_stream_has_no_latencies():
     silent = report(windows=((20, None),), contact=CONTACT)
     none = dict.fromkeys(("p50", "p99", "p99.9", "max"), 0.0) | {"count": 0}
     silent["haptic"]["up"]["latency_ms"] = none
-    silent["streams"]["uplink_video"] = video(frozen_ms=0.0, damaged_ms=0.0, latency_ms=none)
+    silent["streams"]["uplink_video"] = video(frozen_ns=0, damaged_ns=0, latency_ms=none)
     lines = markdown({1: pass_figures(JsonReader(silent))}, "one").splitlines()
     assert "| 20.00 / 20.00 |  |  |" in lines[4]
     assert lines[-1] == "1 of 1 sessions usable."
