@@ -376,7 +376,7 @@ def command_messages(seconds, contacts):
     at_ns = BEGIN_NS + round(seconds * S) - MS
     losses = (ChannelLoss(channel="/camera/head", missed=2, dropped=1),)
     yield told("/recorder/losses", at_ns, 0, pack(RecorderLosses(session_ns=at_ns, losses=losses)))
-    figures = (RecordedFigure.of("uplink_video.frames_sent", 30),)
+    figures = (RecordedFigure(name="uplink_video.state", number=0.0, text="fresh"),)
     yield told("/figures", at_ns, 1, pack(RecordedFigures(session_ns=at_ns, figures=figures)))
 
 
