@@ -16,10 +16,11 @@ CLOCK = MonotonicClock()
 
 
 @contextmanager
-def running(session, part, *, setup=SETUP, **arguments):
+def running(session, part, *, setup=SETUP, pages=False, **arguments):
     """Run a part in a thread; yields a function that returns all its figures so far."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    context = Context(session=session, topology=topology_of(setup), clock=CLOCK, link=theirs)
+    topology = topology_of(setup, pages=pages)
+    context = Context(session=session, topology=topology, clock=CLOCK, link=theirs)
     ours.setblocking(False)
     reported = Message()
 

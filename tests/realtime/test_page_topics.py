@@ -78,7 +78,7 @@ def newest_level(reader):
 def test_a_page_takes_a_camera_over_and_the_scene_returns(session):
     with (
         TopicBus(session) as bus,
-        running(session, run_camera, name="iss_camera", stream=STREAM, page=PAGE) as listen,
+        running(session, run_camera, name="iss_camera", stream=STREAM, pages=True) as listen,
     ):
         reader, page = bus.reader(INPUT), bus.writer(PAGE, max_octets=PICTURE_OCTETS)
         eventually(lambda: newest_level(reader) == -1 or None)
@@ -115,7 +115,7 @@ def test_a_source_behind_a_page_goes_on_with_its_newest_picture(session, tmp_pat
     with (
         TopicBus(session) as bus,
         running(
-            session, run_camera, setup=setup, name="iss_camera", stream=STREAM, page=PAGE
+            session, run_camera, setup=setup, name="iss_camera", stream=STREAM, pages=True
         ) as listen,
     ):
         reader, page = bus.reader(INPUT), bus.writer(PAGE, max_octets=PICTURE_OCTETS)
@@ -170,7 +170,7 @@ def test_previews_alone_are_drawn_and_are_small(session):
 def test_a_page_speaks_in_place_of_a_microphone(session):
     with (
         TopicBus(session) as bus,
-        running(session, run_microphone, name="iss_mic", page="page/iss_mic") as listen,
+        running(session, run_microphone, name="iss_mic", pages=True) as listen,
     ):
         reader = bus.reader("input/iss_mic", depth=8)
         page = bus.writer("page/iss_mic", max_octets=1920)
