@@ -5,7 +5,7 @@ import asyncio
 from collections.abc import Callable
 from itertools import count
 
-from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.clock import NS_PER_US
 from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AccessUnit, AudioFrame, CaptureStamp, Quality
 from kontur_av.meters import RateMeter
@@ -29,8 +29,9 @@ from pipelines.partner.wish import WISH_OCTETS, Wish
 from pipelines.session.feeds import Feed
 from pipelines.session.figures import RtcCounters, RtcGauges
 from pipelines.session.messages import UNKNOWN_US
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import Context
 from pipelines.session.sample_topic import SampleTopic
+from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
 from pipelines.session.topology import (
     RTC,
@@ -78,9 +79,10 @@ class _Leg:
         leg = context.setup.rtc
         assert leg is not None
         self._context, self._clock = context, context.clock
-        self._loop = asyncio.get_running_loop()
-        self._uplink = _Uplink(context, bus, leg, self._loop)
-        self._downlink = _Downlink(context, bus, self._loop)
+        self._serving = ServingLoop(context, self._handle_time)
+        loop = self._serving.loop
+        self._uplink = _Uplink(context, bus, leg, loop)
+        self._downlink = _Downlink(context, bus, loop)
         self._partner = _Partner(context, bus)
         self._programmes = [self._uplink.programme]
         if self._downlink.programme.sends:
@@ -93,51 +95,30 @@ class _Leg:
             servers=servers,
             most_bps=leg.taken_bps,
             wall_offset_ns=context.clock.wall_offset_ns,
-            samples=None
-            if context.setup.partner_arm == "none"
-            else SamplePorts(context, self._loop),
+            samples=None if context.setup.partner_arm == "none" else SamplePorts(context, loop),
         )
         self._hands = SampleTally()
         self._tally = Tally()
         self._known: set[RtcPeer] = set()
         self._stood: set[RtcPeer] = set()
         self._connections = self._restarts = 0
-        self._ended: asyncio.Future[None] = self._loop.create_future()
 
     async def run(self) -> None:
         """Serve until the process shall end."""
-        self._loop.set_exception_handler(self._handle_bug)
         self._context.on_flush(self._tell)
         await self._server.start()
         self._uplink.open()
         self._downlink.open()
-        self._tick()
         try:
-            await self._ended
+            await self._serving.run()
         finally:
             self._uplink.close()
             self._downlink.close()
             await self._server.close()
 
-    def _tick(self) -> None:
-        self._context.tick(self._clock.now_ns())
-        if self._context.stopping:
-            if not self._ended.done():
-                self._ended.set_result(None)
-            return
-        self._loop.call_later(PATIENCE_NS / NS_PER_S, self._tick)
+    def _handle_time(self, _: int) -> None:
         self._uplink.handle_time()
         self._count()
-
-    def _handle_bug(self, loop: asyncio.AbstractEventLoop, told: dict[str, object]) -> None:
-        """End the process for our own mistakes; the launcher starts it again."""
-        error = told.get("exception")
-        if isinstance(error, ConnectionError | OSError | TimeoutError):
-            return
-        if isinstance(error, BaseException) and not self._ended.done():
-            self._ended.set_exception(error)
-        else:
-            loop.default_exception_handler(told)
 
     def _count(self) -> None:
         self._hands.handle_peer(self._server.hand)

@@ -17,7 +17,7 @@ These have none there:
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -82,12 +82,12 @@ class SeatDirection(msgspec.Struct, frozen=True, kw_only=True):
 class SeatMessage(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="figures"):
     """What a page gets twice a second.
 
-    at_us: on the session's clock. seconds: since the session began. state: `running` or `stopped`.
+    at_us: on the session's clock. seconds: since the session began.
     """
 
     at_us: int
     seconds: float
-    state: str
+    state: Literal["running", "stopped"]
     figures: Mapping[str, Figure]
     link: Mapping[str, SeatDirection]
     processes: Sequence[SeatProcess]

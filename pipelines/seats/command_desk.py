@@ -8,7 +8,8 @@ from msgspec.structs import replace
 from kontur_av.clock import NS_PER_US
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.seats.outbox import Outbox
-from pipelines.seats.texts import CommandLine, CommandRequest, CommandsText
+from pipelines.seats.page_requests import CommandRequest
+from pipelines.seats.texts import CommandLine, CommandsText
 
 _MOST_LINES = 60
 _MOST_OPEN = 8

@@ -7,9 +7,10 @@ from kontur_av.clock import NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from pipelines.seats.page_clock import PageClock
+from pipelines.seats.page_requests import parse_media_request
 from pipelines.seats.plan import SeatInput, SeatPlan
 from pipelines.seats.rates import TokenBucket
-from pipelines.seats.texts import AnswerText, pack_text, parse_media_request
+from pipelines.seats.texts import AnswerText, pack_text
 from pipelines.session.messages import OwnPicture, Ping, pack_pong, parse_media_message
 from pipelines.session.seat_roles import VIEWER_WORDS, Role
 

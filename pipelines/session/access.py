@@ -70,9 +70,9 @@ class Access:
         self._names = frozenset(names) or frozenset(_LOOPBACK)
         self._far = not all(_is_loopback(name) for name in self._names)
         self._tokens = {
-            Role.OPERATOR: operator_token.encode(),
-            Role.VIEWER: viewer_token.encode(),
-            **{Role(role): token.encode() for role, token in role_tokens.items()},
+            Role.OPERATOR: operator_token,
+            Role.VIEWER: viewer_token,
+            **{Role(role): token for role, token in role_tokens.items()},
         }
 
     def find(self, method: str, target: str, host: str, origin: str | None) -> Found:
@@ -116,10 +116,14 @@ class Access:
         return port == self._port and (name in self._names or (self._far and _is_address(name)))
 
     def _role_of(self, token: str) -> Role | None:
-        given = token.encode("utf-8", "surrogateescape")
         # Each is compared in full, so that the time tells nothing.
-        found = [role for role, own in self._tokens.items() if hmac.compare_digest(given, own)]
-        return found[0] if given and found else None
+        found = [role for role, own in self._tokens.items() if is_token(token, own)]
+        return found[0] if token and found else None
+
+
+def is_token(given: str, own: str) -> bool:
+    """Whether a stranger has given the token, compared in constant time."""
+    return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), own.encode())
 
 
 def _token_of(query: str) -> str:

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from pipelines.seats.server import STATIC
 from pipelines.session import seat_roles
+from pipelines.session.web_site import STATIC
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.experiment import Phase, Step
 from telepresence.tmtc.k2aci import PanelMode, TaskResult

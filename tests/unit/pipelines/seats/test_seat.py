@@ -14,12 +14,12 @@ from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import (
+from pipelines.seats.seat import Seat
+from pipelines.seats.seat_events import (
     CameraAsked,
     CommandGiven,
     HandMoved,
     RecordingAsked,
-    Seat,
     SessionOrdered,
 )
 from pipelines.session.seat_roles import Role
@@ -69,7 +69,7 @@ def hand(sequence, *, dead_man=True, x=0.0):
 def give_unit(seat, number, *, key=False, damaged=False, stream=0):
     unit = CodedUnit(data=KEY if key else DELTA, key=key, damaged=damaged, width=64, height=48)
     stamp = CaptureStamp(number * NS_PER_MS, number, "uplink_video", rtp_timestamp=number)
-    seat.handle_unit(stream, unit, stamp, number)
+    seat.media.handle_unit(stream, unit, stamp, number)
 
 
 def units(messages):
@@ -138,14 +138,14 @@ def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits
     seat = seat_of()
     give_unit(seat, 0, key=True)
     give_unit(seat, 5)
-    assert seat.wanted_pictures() == []
+    assert seat.media.wanted_pictures() == []
     page = seat.handle_opened(Role.VIEWER, 0)
     assert units(sent(seat, page)) == []
-    assert seat.wanted_pictures() == [0]
-    assert not seat.handle_decoded(0, KEY, 4)
+    assert seat.media.wanted_pictures() == [0]
+    assert not seat.media.handle_decoded(0, KEY, 4)
     give_unit(seat, 6)
-    assert seat.handle_decoded(0, KEY, 5)
-    assert seat.wanted_pictures() == []
+    assert seat.media.handle_decoded(0, KEY, 5)
+    assert seat.media.wanted_pictures() == []
     assert units(sent(seat, page)) == [(5, 5), (0, 6)]
 
 
@@ -155,13 +155,13 @@ def test_what_the_selected_camera_films_is_wanted_only_while_a_page_waits_for_it
     give_unit(seat, 0, key=True, stream=stream)
     give_unit(seat, 5, stream=stream)
     seat.handle_camera("static", 0)
-    assert seat.wanted_filmed() == {}
+    assert seat.media.wanted_filmed(seat.camera) == {}
     page = seat.handle_opened(Role.VIEWER, 0)
     assert units(sent(seat, page)) == []
-    assert seat.wanted_filmed() == {stream: TOPOLOGY.camera("static").topic}
-    assert not seat.handle_filmed(stream, KEY, 4)
-    assert seat.handle_filmed(stream, KEY, 5)
-    assert seat.wanted_filmed() == {}
+    assert seat.media.wanted_filmed(seat.camera) == {stream: TOPOLOGY.camera("static").topic}
+    assert not seat.media.handle_filmed(stream, KEY, 4)
+    assert seat.media.handle_filmed(stream, KEY, 5)
+    assert seat.media.wanted_filmed(seat.camera) == {}
     give_unit(seat, 6, stream=stream)
     assert units(sent(seat, page))[-1] == (0, 6)
 
@@ -171,9 +171,9 @@ def test_every_page_gets_sound_haptics_and_previews():
     pages = [seat.handle_opened(Role.VIEWER, 0) for _ in range(2)]
     for page in pages:
         sent(seat, page)
-    seat.handle_sound(2, b"\1\0" * 960, CaptureStamp(5, 1, "x", Quality.CONCEALED))
-    seat.handle_haptics(1, np.zeros(BLOCK_ROWS, ROW).tobytes())
-    seat.handle_preview(3, empty_picture(160, 120), CaptureStamp(5, 1, "head"))
+    seat.media.handle_sound(2, b"\1\0" * 960, CaptureStamp(5, 1, "x", Quality.CONCEALED))
+    seat.media.handle_haptics(1, np.zeros(BLOCK_ROWS, ROW).tobytes())
+    seat.media.handle_preview(3, empty_picture(160, 120), CaptureStamp(5, 1, "head"))
     for page in pages:
         assert [message[:3] for message in sent(seat, page)] == [
             *(b"\2\2\1", b"\3\1\x14", b"\4\3\xa0")
@@ -310,7 +310,7 @@ def test_all_pages_of_a_seat_see_one_chat_and_a_plain_one_sees_nothing_else():
     sent(seat, page)
     ask(seat, page, "chat", text="hello")
     give_unit(seat, 0, key=True)
-    seat.handle_haptics(0, np.zeros(BLOCK_ROWS, ROW).tobytes())
+    seat.media.handle_haptics(0, np.zeros(BLOCK_ROWS, ROW).tobytes())
     seat.handle_time(NS_PER_S)
     seen, watched = sent(seat, page), sent(seat, plain)
     chats = [one for one in watched if '"chat"' in one]
