@@ -6,6 +6,7 @@ import socket
 import ssl
 from collections import deque
 from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from itertools import count
@@ -27,7 +28,7 @@ from pipelines.hand.hand_topics import (
     unpack_status,
 )
 from pipelines.media.following import Choice
-from pipelines.media.local_key import filmed_key, key_of
+from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.console_link import ask_console
@@ -167,6 +168,7 @@ class PageServer:
         #: By stream: the pictures that its sender may encode, and from which topic they come.
         self._filmed: dict[int, tuple[str, Feed, deque[tuple[int, I420]]]] = {}
         self._coding: set[int] = set()
+        self._maker = KeyPictureMaker()
         self._hand: Writer | None = None
         self._commands: Writer | None = None
         if segment is Segment.SPACE:
@@ -222,6 +224,7 @@ class PageServer:
                 *filmed,
             ):
                 feed.close()
+            self._maker.close()
 
     def _tls(self) -> ssl.SSLContext | None:
         if self._listener.scheme != "https" or self._listener.certificate is None:
@@ -306,7 +309,7 @@ class PageServer:
         self._coding.add(stream.index)
         picture = lease.video().data.copy()
         taken = partial(self._seat.handle_decoded, stream.index, rtp_timestamp=timestamp)
-        self._begin(self._code(stream.index, partial(key_of, picture), taken))
+        self._begin(self._code(stream.index, self._maker.of_picture(picture), taken))
 
     def _match(self, stream: int, unit: CodedUnit, stamp: CaptureStamp) -> None:
         """A unit whose picture may be here, for those who cannot begin otherwise."""
@@ -314,15 +317,12 @@ class PageServer:
             if capture_ns == stamp.capture_ns:
                 self._coding.add(stream)
                 taken = partial(self._seat.handle_filmed, stream, sequence=stamp.sequence)
-                coded = partial(filmed_key, picture, unit.width, unit.height)
-                self._begin(self._code(stream, coded, taken))
+                made = self._maker.of_filmed(picture, unit.width, unit.height)
+                self._begin(self._code(stream, made, taken))
                 return
 
-    async def _code(
-        self, stream: int, coded: Callable[[], bytes], taken: Callable[[bytes], bool]
-    ) -> None:
-        # In a thread, because it takes longer than pages may wait.
-        key = await asyncio.to_thread(coded)
+    async def _code(self, stream: int, made: Future[bytes], taken: Callable[[bytes], bool]) -> None:
+        key = await asyncio.wrap_future(made)
         self._coding.discard(stream)
         taken(key)
         self._settle()
