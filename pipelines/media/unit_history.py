@@ -16,11 +16,11 @@ from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.codecs.black_key import black_key
 from kontur_av.codecs.healing import recovery_pictures
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.media.local_key import black_key
 from pipelines.session.messages import UNKNOWN_US
 
 #: What a page may have to decode before its first picture: 0.4 s or less in Chromium, measured.

@@ -12,7 +12,7 @@ from kontur_av.meters import RateMeter
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.streams.voice_player import VoicePlayer
 from kontur_av.topics.bus import Lease, TopicBus
-from pipelines.media.local_key import key_of
+from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.media.unit_history import KeptUnit, UnitHistory
 from pipelines.partner.description import Kind
 from pipelines.partner.ice_servers import IceServers
@@ -259,6 +259,7 @@ class _Downlink:
         self._history = UnitHistory(pictures=True, most_pixels=_MOST_REPLAYED_PIXELS)
         self._waiting: set[RtcPeer] = set()
         self._pictures: Feed | None = None
+        self._maker = KeyPictureMaker()
         self._coding: asyncio.Future[bytes] | None = None
 
     def open(self) -> None:
@@ -269,6 +270,7 @@ class _Downlink:
         for feed in self._feeds:
             feed.close()
         self._forget_pictures()
+        self._maker.close()
 
     def _unit(self, lease: Lease) -> None:
         unit = CodedUnit.unpack(lease.octets())
@@ -306,12 +308,13 @@ class _Downlink:
         self._waiting.clear()
 
     def _picture(self, lease: Lease) -> None:
-        """A decoded picture has come: code it, in a thread, as a key picture."""
+        """A decoded picture has come: have it coded as a key picture."""
         timestamp = lease.stamp.rtp_timestamp
         if self._coding is not None or timestamp is None:
             return
         picture = lease.video().data.copy()
-        self._coding = self._loop.run_in_executor(None, key_of, picture, _QUANTIZER)
+        made = self._maker.of_picture(picture, _QUANTIZER)
+        self._coding = asyncio.wrap_future(made, loop=self._loop)
 
         def coded(done: asyncio.Future[bytes]) -> None:
             self._coding = None

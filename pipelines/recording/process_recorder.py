@@ -8,6 +8,7 @@ goes on, in a new part.
 """
 
 import select
+from concurrent.futures import Future, wait
 from pathlib import Path
 
 import msgspec
@@ -17,6 +18,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.following import Choice
+from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.recording.desk import MOST_TERMINALS, Ask, RecorderDesk, Reply, Start, Stop
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.messages import RecordedEvent
@@ -40,8 +42,6 @@ _IN_FLIGHT_OCTETS = 1 << 20
 _DRAIN_NS = 150 * NS_PER_MS
 #: How long a slow disk may take at the end.
 _CLOSE_S = 1.5
-#: A sample that took longer to handle has held up the others.
-_LONG_NS = 20 * NS_PER_MS
 #: Unread samples of a topic that are kept: the most that there can be.
 _DEPTH = 32
 
@@ -58,6 +58,8 @@ class _RecorderProcess:
         self._context, self._now_ns = context, context.clock.now_ns
         self._desk = RecorderDesk(read_wish(context.session), self._now_ns())
         self._recording: _Recording | None = None
+        # Before anything is recorded, so that the codecs are loaded then.
+        self._maker = KeyPictureMaker()
         #: Of all recordings that have ended in this life, and of the newest of them.
         self._past = self._newest = RecorderCounters()
         context.on_flush(self._tell)
@@ -65,7 +67,7 @@ class _RecorderProcess:
     def run(self) -> None:
         context, now_ns = self._context, self._now_ns
         if self._desk.wish is not None:
-            self._recording = _Recording(context, self._desk.wish)
+            self._recording = _Recording(context, self._desk.wish, self._maker)
         terminals = TerminalSockets(recorder_path(context.session), most=MOST_TERMINALS)
         while not context.stopping:
             wait_ns = PATIENCE_NS if self._recording is None else _WAKE_NS
@@ -83,6 +85,7 @@ class _RecorderProcess:
                 self._recording.handle_wake()
                 context.clock.sleep_until_ns(now_ns() + _WAKE_NS)
             self._end()
+        self._maker.close()
 
     def _serve(self, terminals: TerminalSockets, wait_ns: int) -> None:
         desk = self._desk
@@ -117,7 +120,7 @@ class _RecorderProcess:
             return str(error)
         except OSError as error:
             return f"{path} cannot be written: {error.strerror}"
-        self._recording = _Recording(self._context, start.wish)
+        self._recording = _Recording(self._context, start.wish, self._maker)
         return ""
 
     def _end(self) -> None:
@@ -152,7 +155,7 @@ class _RecorderProcess:
 class _Recording:
     """The topics and the files of one recording."""
 
-    def __init__(self, context: Context, wish: RecordingWish) -> None:
+    def __init__(self, context: Context, wish: RecordingWish, maker: KeyPictureMaker) -> None:
         self._now_ns = context.clock.now_ns
         topology, setup = context.topology, context.setup
         offset_ns = context.clock.wall_offset_ns
@@ -177,12 +180,12 @@ class _Recording:
             link_frames=wish.link_frames,
             limits=wish.limits,
         )
+        self._maker = maker
+        self._keys: dict[int, Future[bytes | None]] = {}
         self._files = PartFiles(Path(wish.file))
         self._open_part()
         self._bus = context.open_bus()
         sources = sources_of(topology, link_frames=wish.link_frames)
-        # Access units last; see `handle_wake`.
-        sources = tuple(sorted(sources, key=lambda source: source.content is Content.UNIT))
         self._readers = [
             (source, self._bus.reader(source.topic, depth=_DEPTH))
             for source in sources
@@ -229,19 +232,12 @@ class _Recording:
     def handle_wake(self) -> None:
         """Read what has come, and write what can be written."""
         recorder = self._recorder
-        pending = list(self._readers)
-        while pending:
-            source, reader = pending.pop(0)
+        for source, reader in self._readers:
             while (lease := reader.next()) is not None:
                 with lease:
                     octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
-                begun_ns = self._now_ns()
-                recorder.handle_sample(source, octets, stamp, begun_ns, published_ns=at_ns)
-                if self._now_ns() - begun_ns > _LONG_NS:
-                    # At a new part, a key picture of each stream is coded. That takes up to 0.2 s
-                    # each, and topics keep 0.6 s. So all others are read in between.
-                    pending = list(self._readers)
-                    break
+                recorder.handle_sample(source, octets, stamp, self._now_ns(), published_ns=at_ns)
+        self._exchange_keys()
         chosen = self._selected.latest()
         if chosen is not None:
             with chosen:
@@ -255,6 +251,8 @@ class _Recording:
         """End the recording, and return its counts."""
         for _, reader in self._readers:
             reader.close()
+        wait(self._keys.values(), _CLOSE_S)
+        self._exchange_keys()
         self._recorder.handle_end(self._now_ns())
         self._pump(most_octets=1 << 62)
         self._files.close(_CLOSE_S)
@@ -262,6 +260,14 @@ class _Recording:
         self._recorder.handle_abandoned()
         self._bus.close()
         return self._recorder.counters()
+
+    def _exchange_keys(self) -> None:
+        """Have the key pictures made that are wanted, and hand over those that are there."""
+        while (wanted := self._recorder.next_event()) is not None:
+            made = self._maker.of_units(wanted.units, wanted.width, wanted.height)
+            self._keys[wanted.number] = made
+        for number in [number for number, made in self._keys.items() if made.done()]:
+            self._recorder.handle_key_picture(number, self._keys.pop(number).result())
 
     def _follow(self, camera: str) -> None:
         carried = self._carried.get(camera, ())

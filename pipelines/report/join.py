@@ -386,6 +386,7 @@ def _recorder(ground: RecorderReport | None, space: RecorderReport | None) -> Re
         parts=ground.parts + space.parts,
         octets=ground.octets + space.octets,
         disk_faults=ground.disk_faults + space.disk_faults,
+        late_keys=ground.late_keys + space.late_keys,
         fault=ground.fault or space.fault,
         channels=dict(_named(ground, "ground")) | dict(_named(space, "space")),
     )

@@ -606,6 +606,8 @@ class RecorderReport(Report, frozen=True, kw_only=True):
     octets: int
     #: How often a file could not be opened or written.
     disk_faults: int
+    #: Key pictures that came too late: a black one is in their place.
+    late_keys: int
     #: Why nothing could be written at the end; null if all was well.
     fault: str | None
     #: By name.

@@ -19,6 +19,7 @@ def recorder_report(collector: Collector) -> RecorderReport | None:
         parts=counters.parts,
         octets=counters.octets,
         disk_faults=counters.disk_faults,
+        late_keys=counters.late_keys,
         fault=(gauges.fault or None) if gauges else None,
         channels={
             name: RecordedChannel(

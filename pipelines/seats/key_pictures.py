@@ -3,12 +3,13 @@
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from functools import partial
 
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.topics.bus import Lease, TopicBus
-from pipelines.media.local_key import filmed_key, key_of
+from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.seats.plan import SeatStream
 from pipelines.seats.seat import Seat
 from pipelines.session.feeds import Feed
@@ -34,6 +35,7 @@ class KeyPictures:
         #: By stream: the pictures that its sender may encode, and from which topic they come.
         self._filmed: dict[int, tuple[str, Feed, deque[tuple[int, I420]]]] = {}
         self._coding: set[int] = set()
+        self._maker = KeyPictureMaker()
 
     def handle_unit(self, stream: int, unit: CodedUnit, stamp: CaptureStamp) -> None:
         """A unit whose picture may be here, for those who cannot begin otherwise."""
@@ -43,8 +45,8 @@ class KeyPictures:
             if capture_ns == stamp.capture_ns:
                 self._coding.add(stream)
                 taken = partial(self._seat.media.handle_filmed, stream, sequence=stamp.sequence)
-                coded = partial(filmed_key, picture, unit.width, unit.height)
-                self._serving.begin(self._code(stream, coded, taken))
+                made = self._maker.of_filmed(picture, unit.width, unit.height)
+                self._serving.begin(self._code(stream, made, taken))
                 return
 
     def fetch(self) -> None:
@@ -63,6 +65,7 @@ class KeyPictures:
         """Leave all topics."""
         for feed in (*self._decoded.values(), *(feed for _, feed, _ in self._filmed.values())):
             feed.close()
+        self._maker.close()
 
     def _fetch_filmed(self) -> None:
         """Keep the newest pictures of the selected camera while a page waits for a stream of it."""
@@ -90,13 +93,10 @@ class KeyPictures:
         self._coding.add(stream.index)
         picture = lease.video().data.copy()
         taken = partial(self._seat.media.handle_decoded, stream.index, rtp_timestamp=timestamp)
-        self._serving.begin(self._code(stream.index, partial(key_of, picture), taken))
+        self._serving.begin(self._code(stream.index, self._maker.of_picture(picture), taken))
 
-    async def _code(
-        self, stream: int, coded: Callable[[], bytes], taken: Callable[[bytes], bool]
-    ) -> None:
-        # In a thread, because it takes longer than pages may wait.
-        key = await asyncio.to_thread(coded)
+    async def _code(self, stream: int, made: Future[bytes], taken: Callable[[bytes], bool]) -> None:
+        key = await asyncio.wrap_future(made)
         self._coding.discard(stream)
         taken(key)
         self._settle()

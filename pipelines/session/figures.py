@@ -538,6 +538,8 @@ class RecorderCounters(Counters):
     octets: int = 0
     #: How often a file could not be opened or written.
     disk_faults: int = 0
+    #: Key pictures that came too late: a black one is in their place.
+    late_keys: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -86,6 +86,7 @@ SHELLS = {
     "pipelines/seats/console_link.py": "the console's socket",
     "pipelines/seats/recorder_link.py": "the recorder's socket, the name of a file",
     "pipelines/session/feeds.py": "topics on an event loop",
+    "pipelines/media/key_picture_maker.py": "a thread",
     "pipelines/seats/server.py": "the sockets of browsers",
     "pipelines/seats/seat_sockets.py": "the sockets of browsers",
     "pipelines/seats/key_pictures.py": "a thread that codes",
