@@ -20,6 +20,7 @@ from pipelines.session.figures import (
 )
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.task_journal import TaskRow, TaskStep
 from pipelines.table import topology_of
 from telepresence.link.figures import ContactFigures, ContactWindows
@@ -102,9 +103,7 @@ def test_a_pass_begins_and_ends_when_its_orbit_says():
         nearest_km=1,
         farthest_km=1,
     )
-    radio = SimpleNamespace(start_s=-2.0)
-    session = Session()
-    session.log._setup = SimpleNamespace(radio_profile=radio, streams=(), inputs=())
+    session = Session(load_setup("taskboard", changes={"radio": "iss-pass"}, radio_start_s=-2.0))
     session.told("ground_gateway", gateway(windows=windows))
     assert session.look(1.9) == []
     assert session.look(2.2) == [(2_000_000, "link", "radio: the pass begins")]

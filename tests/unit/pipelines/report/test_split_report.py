@@ -19,6 +19,7 @@ from pipelines.session.figures import (
     SendingCounters,
 )
 from pipelines.session.rows import ShownRow
+from pipelines.session.session_switch import SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
@@ -107,6 +108,8 @@ def test_a_path_without_protection_is_warned_of_and_stands_in_the_event_log():
     assert (warning.what, warning.where) == ("not_protected", "ground_gateway")
     assert report_of(collector).gateways["ground"].peer.protected is False
     log = EventLog(SETUP, collector)
-    assert [text for _, _, text in log._peers()] == ["ground: the path is NOT PROTECTED"]
-    # Each event is told once.
-    assert list(log._peers()) == []
+    for now_ns in (NS_PER_S, 2 * NS_PER_S):
+        log.handle_look((), switch=SessionSwitch(), started_ns=0, now_ns=now_ns)
+        # Each event is told once.
+        told = [event.text for event in log.events if event.what == "link"]
+        assert told == ["ground: the path is NOT PROTECTED"]

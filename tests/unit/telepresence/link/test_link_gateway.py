@@ -196,6 +196,33 @@ def test_a_peer_that_starts_late_or_restarts_understands_the_next_packet(restart
     assert set(range(after + 1, 45)) <= set(heard)
 
 
+def test_a_reset_of_the_applications_forgets_what_the_peer_sent_before():
+    """Nothing comes for long: header contexts from before are no longer reported as held."""
+    radio = RadioProfile(name="test")
+    link = VirtualLink(
+        uplink_flows=[voice_flow("up")],
+        downlink_flows=[voice_flow("down")],
+        up=radio.path("uplink", seed=1, epoch_ns=0),
+        down=radio.path("downlink", seed=1, epoch_ns=0),
+    )
+    voice = []
+    for number in range(50):
+        packet = struct.pack("!BBHII", 0x80, 97, number, 960 * number, 7) + bytes(20)
+        voice.append((number * 20 * MS, "ground", "up", packet))
+        voice.append((number * 20 * MS, "space", "down", packet))
+    run(link, 1000 * MS, voice, samples=("ground", "space"))
+    ends = (link.ground, link.space)
+    assert all(end.receiver.context_ids()[0] for end in ends)
+    reset = []
+    while not reset:
+        run(link, link.now_ns + 50 * MS)
+        assert link.now_ns < 5000 * MS
+        counts = {end: end.report(link.now_ns).supervision.counts for end in ends}
+        reset = [end for end in ends if counts[end]["resets_idle"] + counts[end]["resets_broken"]]
+    for end in reset:
+        assert not any(end.receiver.context_ids())
+
+
 def test_garbage_on_a_telecommand_port_is_not_sent():
     sender = LinkSender(UPLINK, [tmtc_flow("telemetry")])
     select = pack_packet(SelectCamera("static", 7), 1)

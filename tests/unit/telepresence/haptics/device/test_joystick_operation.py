@@ -230,10 +230,11 @@ def test_a_persons_halt_ends_a_calibration_and_outlives_what_follows():
     session = Session()
     session.run(1)
     assert session.operation.state is JoystickState.STANDBY
-    assert hypot(session.device._force_x_n, session.device._force_y_n) > 0.1
+    motors = session.device.joystick
+    assert hypot(motors.motor_x_n, motors.motor_y_n) > 0.1
     assert session.handle.handle_command(JoystickEvent.HALT) == ""
     session.run(0.001)
-    assert (session.device._force_x_n, session.device._force_y_n) == (0.0, 0.0)
+    assert (motors.motor_x_n, motors.motor_y_n) == (0.0, 0.0)
     session.run(10)
     assert session.operation.state is JoystickState.STANDBY
     # A calibration that a person asks for does not end the halt.
@@ -337,6 +338,13 @@ readings = st.builds(
 def test_no_sensor_reading_lets_the_force_exceed_its_limit(script, calibrated):
     operation, now_ns = deepcopy(CALIBRATED) if calibrated else (Operation(SimulatedDevice()), 0)
     device = operation.device
+    write_force, written = device.write_force, [(0.0, 0.0)]
+
+    def watch_force(x_n, y_n):
+        written.append((x_n, y_n))
+        write_force(x_n, y_n)
+
+    device.write_force = watch_force
 
     def cycle(reading, force_n):
         nonlocal now_ns
@@ -345,7 +353,7 @@ def test_no_sensor_reading_lets_the_force_exceed_its_limit(script, calibrated):
         operation.handle_reading(now_ns)
         operation.handle_force(force_n, -force_n)
         device.advance(NS_PER_MS)
-        wanted = max(abs(device._force_x_n), abs(device._force_y_n))
+        wanted = max(map(abs, written[-1]))
         if operation.state is JoystickState.APPLICATION:
             assert wanted <= operation.force_limit_n <= FACTS.force_limit_n
             assert operation.reading.dead_man or wanted == 0.0
