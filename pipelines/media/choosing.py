@@ -1,123 +1,125 @@
-"""The choice of the camera by telecommand: the selector on the ground."""
+"""The selector on the ground: the application `camera` of telecommands, and tasks, select one."""
 
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
 
-from kontur_av.clock import NS_PER_S
-from kontur_av.errors import ProtocolError
-from pipelines.media.camera_selector import Selector
-from pipelines.media.following import Choice
+from pipelines.media.following import AGAIN_NS, Choice
+from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValues
 from pipelines.session.figures import SelectorCounters, SelectorGauges
 from pipelines.session.probe import Probe
-from pipelines.session.setup.table import Setup
-from telepresence.tmtc import (
-    Housekeeping,
-    SelectCamera,
-    TelecommandReceiver,
-)
-from telepresence.world import WorldState
+from telepresence.tmtc.pus.dictionary import Dictionary
 
-#: How often the robot's side reports its state. The link has room for it:
-#: `telepresence.link.arithmetic.RESERVE_BPS`.
-HOUSEKEEPING_INTERVAL_NS = 2 * NS_PER_S
-#: The console has one telecommand open at a time; beyond this the oldest is never acknowledged.
+CAMERA = "camera"
+SELECT = "select"
+_SUPERSEDED = "a later request came"
+#: Telecommands that wait for the sender; beyond this the oldest is never completed by it.
 _MOST_OPEN = 16
 
 
 class CameraChoice:
-    """Receives telecommands, and decides which camera the sender of the picture follows. A core.
+    """Decides which camera the sender of the picture follows. A core.
 
-    After `handle_packet` publish `choice` for the sender; pass its confirmations to
-    `handle_confirmed`. After each input send the packets of `poll_transmit` until None.
+    After each input publish `poll_choice`, and hand `next_event`'s requests to the TM/TC end of the
+    ground. Pass the sender's confirmations to `handle_confirmed`. Do so again at `poll_timeout`.
 
-    A telecommand is acknowledged when the sender has confirmed the choice that it led to. From then
-    on nothing of another camera is coded or sent. Either process may be killed at any time. A new
+    A telecommand is completed when the sender has confirmed the choice that it led to. From then on
+    nothing of another camera is coded or sent. Either process may be killed at any time. A new
     selector numbers its choice anew, and the repeated telecommand waits for that number. A new
-    sender confirms the first choice that it hears. Publish choice and confirmation repeatedly, for
-    a process that starts late.
+    sender confirms the first choice that it hears. A choice is told repeatedly, for a sender that
+    starts late.
+
+    cameras: their names. selected: the first one, if it is among them.
     """
 
-    def __init__(self, setup: Setup, probe: Probe, *, now_ns: int, selected: str = "") -> None:
+    def __init__(
+        self, cameras: Sequence[str], probe: Probe, *, now_ns: int, selected: str = ""
+    ) -> None:
+        self._cameras = tuple(cameras)
         self._probe = probe
-        self._telecommands = TelecommandReceiver()
-        known = selected if selected in setup.cameras else setup.cameras[0]
-        self._selector = Selector(setup.cameras, known)
+        self.selected = selected if selected in cameras else cameras[0]
+        self._switches = 0
         #: The clock never goes back: a restarted selector's first number is above all before.
         self._number = now_ns
         self._confirmed: int | None = None
-        #: Executed telecommands that are not acknowledged yet, with the numbers they wait for.
-        self._open: deque[tuple[SelectCamera, int]] = deque(maxlen=_MOST_OPEN)
-        self._housekeeping_ns = now_ns
+        self._told_ns: int | None = None
+        #: Telecommands that wait for the present choice.
+        self._open: deque[FunctionAsked] = deque(maxlen=_MOST_OPEN)
+        self._followed = ""
+        self._requests: deque[FunctionDone | SetValues] = deque()
 
-    @property
-    def selected(self) -> str:
-        return self._selector.selected
-
-    @property
-    def choice(self) -> Choice:
-        """What the sender has to know."""
-        return Choice(self._number, self.selected)
-
-    def handle_packet(self, datagram: bytes, now_ns: int) -> bool:
-        """A datagram of the telecommand port; True if another camera is selected now."""
-        self._telecommands.handle_packet(datagram, now_ns)
-        before = self.selected
-        while (request := self._telecommands.next_event()) is not None:
-            try:
-                changed = self._selector.handle_select(request.name, now_ns).changed
-            except ProtocolError:
-                self._telecommands.handle_result(
-                    request, ok=False, selected=self.selected, now_ns=now_ns
-                )
-                continue
-            if changed:
-                self._number = max(now_ns, self._number + 1)
-            self._open.append((request, self._number))
-        self._acknowledge(now_ns)
-        return self.selected != before
+    def handle_asked(self, asked: FunctionAsked, now_ns: int) -> bool:
+        """A telecommand has come, also one for another application; True if the camera changes."""
+        if (asked.application, asked.function) != (CAMERA, SELECT):
+            return False
+        name = str(asked.arguments[0])
+        if name not in self._cameras:
+            known = ", ".join(self._cameras)
+            self._answer(asked, f"unknown camera {name}: choose one of {known}")
+            return False
+        changed = self.select(name, now_ns)
+        self._open.append(asked)
+        self._complete()
+        return changed
 
     def select(self, name: str, now_ns: int) -> bool:
-        """The ground selects a camera; True if another one is selected now. ProtocolError."""
-        if not self._selector.handle_select(name, now_ns).changed:
+        """The ground selects a camera; True if it is a known one, and another than before."""
+        if name not in self._cameras or name == self.selected:
             return False
+        while self._open:
+            self._answer(self._open.popleft(), _SUPERSEDED)
+        self.selected = name
+        self._switches += 1
         self._number = max(now_ns, self._number + 1)
+        self._told_ns = None
         return True
 
-    def handle_confirmed(self, number: int, now_ns: int) -> None:
+    def handle_confirmed(self, number: int) -> None:
         """The sender has confirmed a choice: nothing of an earlier camera is coded or sent."""
         self._confirmed = number
-        self._acknowledge(now_ns)
+        self._complete()
 
-    def _acknowledge(self, now_ns: int) -> None:
-        while self._open and self._confirmed is not None and self._open[0][1] <= self._confirmed:
-            request, _ = self._open.popleft()
-            self._telecommands.handle_result(
-                request, ok=True, selected=self.selected, now_ns=now_ns
-            )
+    def poll_choice(self, now_ns: int) -> Choice | None:
+        """What the sender has to know, if it is to be told now."""
+        if self._told_ns is not None and now_ns - self._told_ns < AGAIN_NS:
+            return None
+        self._told_ns = now_ns
+        return Choice(self._number, self.selected)
 
     def poll_timeout(self) -> int:
-        """When `handle_state` is due."""
-        return self._housekeeping_ns
+        """When `poll_choice` has something; 0 for at once."""
+        return 0 if self._told_ns is None else self._told_ns + AGAIN_NS
 
-    def handle_state(self, state: WorldState, now_ns: int) -> None:
-        """The robot's state, for the telemetry."""
-        self._housekeeping_ns = now_ns + HOUSEKEEPING_INTERVAL_NS
-        self._telecommands.handle_housekeeping(
-            Housekeeping(self.selected, state.contact, state.force_n), now_ns
-        )
+    def next_event(self) -> FunctionDone | SetValues | None:
+        """Return the next request for the TM/TC end, or None."""
+        return self._requests.popleft() if self._requests else None
 
-    def poll_transmit(self, now_ns: int) -> bytes | None:
-        """The next packet of telemetry. Call until None."""
-        return self._telecommands.poll_transmit(now_ns)
+    def _complete(self) -> None:
+        if self._confirmed is None or self._confirmed < self._number:
+            return
+        if self._followed != self.selected:
+            self._followed = self.selected
+            self._requests.append(SetValues(CAMERA, {CAMERA: self.selected}))
+        while self._open:
+            self._answer(self._open.popleft(), "")
+
+    def _answer(self, asked: FunctionAsked, refusal: str) -> None:
+        self._requests.append(FunctionDone(CAMERA, asked.token, refusal))
 
     def tell(self) -> None:
         """Put the counters into the probe."""
-        telecommands = self._telecommands
         self._probe.gauge(SelectorGauges(selected=self.selected))
-        self._probe.count(
-            SelectorCounters(
-                switches=self._selector.switches,
-                telecommands=telecommands.executed,
-                telecommands_repeated=telecommands.duplicates,
-                garbage=telecommands.garbage,
-            )
-        )
+        self._probe.count(SelectorCounters(switches=self._switches))
+
+
+def session_dictionary(dictionary: Dictionary, cameras: Sequence[str]) -> Dictionary:
+    """Return `dictionary` with the cameras of a session, so that others are refused at once."""
+    table = dictionary.application(CAMERA)
+    known = [
+        replace(one, choices=tuple(cameras)) if one.name == CAMERA else one
+        for one in table.parameters
+    ]
+    session = replace(table, parameters=tuple(known))
+    return Dictionary(
+        applications=tuple(session if one is table else one for one in dictionary.applications)
+    )

@@ -52,7 +52,6 @@ _HAND_HZ = 1200
 #: By request: what the role of a page must permit.
 _DEEDS: Mapping[type[texts.SeatRequest], str] = MappingProxyType(
     {
-        texts.SelectRequest: "select",
         texts.JoystickRequest: "joystick",
         texts.HandRequest: "hand",
         texts.SessionRequest: "session",
@@ -71,14 +70,6 @@ class CommandGiven(NamedTuple):
     """A command for the joystick."""
 
     request: HandRequest
-
-
-class CameraAsked(NamedTuple):
-    """The console is to select a camera; pass the answer to `handle_selection`."""
-
-    page: int
-    request: int
-    camera: str
 
 
 class SessionOrdered(NamedTuple):
@@ -101,7 +92,7 @@ class TmtcAsked(NamedTuple):
     request: TmtcRequest
 
 
-Event = HandMoved | CommandGiven | CameraAsked | SessionOrdered | RecordingAsked | TmtcAsked
+Event = HandMoved | CommandGiven | SessionOrdered | RecordingAsked | TmtcAsked
 
 
 @dataclass
@@ -275,8 +266,6 @@ class Seat:
                 self._answer(number, request.request, refused)
                 return
         match request:
-            case texts.SelectRequest():
-                self._handle_select(number, request)
             case texts.JoystickRequest():
                 self._handle_command(number, request, now_ns)
             case texts.HandRequest():
@@ -287,12 +276,6 @@ class Seat:
                 self._handle_order(number, request)
             case texts.RecordRequest():
                 self._handle_record(number, request)
-
-    def _handle_select(self, number: int, request: texts.SelectRequest) -> None:
-        if self.plan.segment is not Segment.SPACE:
-            self._answer(number, request.request, "the operator selects the camera")
-            return
-        self._events.append(CameraAsked(number, request.request, request.camera))
 
     def _handle_command(self, number: int, request: texts.JoystickRequest, now_ns: int) -> None:
         if self.plan.segment is not Segment.SPACE:
@@ -443,14 +426,6 @@ class Seat:
             self._camera = camera
             self._tell_state(now_ns)
 
-    def handle_selection(
-        self, asked: CameraAsked, *, error: str, round_trip_ms: float, now_ns: int
-    ) -> None:
-        """The console's answer. error: "" if the camera is selected."""
-        self._answer(asked.page, asked.request, error, None if error else round_trip_ms)
-        if not error:
-            self.handle_camera(asked.camera, now_ns)
-
     def handle_recorder(self, asked: RecordingAsked, error: str) -> None:
         """The recorder's answer. error: "" if it does what was asked."""
         self._answer(asked.page, asked.request, error)
@@ -522,8 +497,9 @@ class Seat:
         while (request := self.mission.poll_transmit(now_ns)) is not None:
             self._events.append(TmtcAsked(request))
         while (answered := self.mission.next_event()) is not None:
-            number, request_number, error, round_trip_ms = answered
-            self._answer(number, request_number, error, round_trip_ms)
+            self._answer(answered.page, answered.request, answered.error, answered.round_trip_ms)
+            if answered.camera:
+                self.handle_camera(answered.camera, now_ns)
 
     def _settle_desk(self, now_ns: int) -> None:
         while (answered := self._desk.next_event()) is not None:

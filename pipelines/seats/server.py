@@ -30,12 +30,10 @@ from pipelines.media.following import Choice
 from pipelines.media.local_key import filmed_key, key_of
 from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
-from pipelines.seats.console_link import ask_console
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import SeatStream, Unpack, Via, seat_plan
 from pipelines.seats.recorder_link import ask_recorder
 from pipelines.seats.seat import (
-    CameraAsked,
     CommandGiven,
     HandMoved,
     RecordingAsked,
@@ -352,8 +350,6 @@ class PageServer:
                 case CommandGiven(request) if self._commands is not None:
                     stamp = CaptureStamp(self._now_ns(), next(self._numbers), "page")
                     self._commands.publish_octets(pack_request(request), stamp)
-                case CameraAsked():
-                    self._begin(self._ask(event))
                 case SessionOrdered(order):
                     self._context.order(order, self._now_ns())
                 case RecordingAsked():
@@ -392,16 +388,6 @@ class PageServer:
                 feed = Feed(self._loop, self._bus, topic, partial(_keep, kept), depth=_DEPTH)
                 self._filmed[index] = topic, feed, kept
                 feed.open()
-
-    async def _ask(self, asked: CameraAsked) -> None:
-        answer = await ask_console(self._context.session, asked.camera)
-        self._seat.handle_selection(
-            asked,
-            error="" if answer.ok else answer.error or "the selection failed",
-            round_trip_ms=answer.round_trip_ms,
-            now_ns=self._now_ns(),
-        )
-        self._settle()
 
     async def _record(self, asked: RecordingAsked) -> None:
         error = await ask_recorder(self._context.session, begin=asked.begin)

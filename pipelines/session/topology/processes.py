@@ -211,7 +211,7 @@ def _ground(session: Topology) -> Iterable[ProcessRow]:
             packets_topic(TELECOMMAND, sent=False),
             packets_topic(TELEMETRY, sent=True),
         ),
-        what="tells the sender which camera telecommands select; PUS of the ground",
+        what="PUS of the ground; tells the sender which camera telecommands select",
     )
     cameras = tuple(camera.topic for camera in session.cameras)
     tip = () if setup.region == "off" else (ROBOT_TOPIC,)
@@ -256,7 +256,7 @@ def _space(session: Topology, joystick: str, *, pages: bool) -> Iterable[Process
             packets_topic(TELECOMMAND, sent=True),
             packets_topic(TELEMETRY, sent=False),
         ),
-        what="sends telecommands, answers `kontur-av select`; PUS of space",
+        what="PUS of space: sends telecommands",
     )
     yield from _end(session, Segment.SPACE)
     for stream in (setup.downlink_video, setup.downlink_voice):

@@ -153,7 +153,7 @@ def travels(row: StreamRow, topology: Topology) -> str:
     return {
         Kind.RTCP: "RTCP of that stream",
         Kind.FEEDBACK: "RTCP of that stream",
-        Kind.TMTC: "telecommands and telemetry: space packets of up to 20 octets",
+        Kind.TMTC: "telecommands and telemetry: space packets of up to 256 octets",
         Kind.MAINTENANCE: "anything, when nothing else needs the slots",
     }[row.kind]
 
