@@ -26,6 +26,7 @@ from pipelines.mission.tmtc_messages import (
 from pipelines.session.figures import TmtcCounters
 from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.mediated.wall import is_wall
 from telepresence.tmtc.k2aci import Arrived, K2aciEndpoint
 from telepresence.tmtc.pus.application import FunctionRequest, PusApplication
 from telepresence.tmtc.pus.dictionary import Dictionary
@@ -115,8 +116,9 @@ class TmtcEnd:
         self._signal: bool | None = None
 
     def handle_packet(self, octets: bytes, now_ns: int) -> bool:
-        """A datagram of the flow; False, and nothing happens, if it is none of PUS."""
+        """A datagram of the flow; False if it is not one of PUS. Only walls may be beside them."""
         if not is_packet(octets):
+            self._garbage += not is_wall(octets)
             return False
         self._node.handle_packet(octets, now_ns)
         return True
@@ -261,11 +263,12 @@ class TmtcEnd:
         try:
             number = self._send(request, now_ns)
             reason = "too many telecommands are open" if number is None else ""
+            mistake = False
         except ConfigError as error:
-            number, reason = None, str(error)
+            number, reason, mistake = None, str(error), True
         if number is None:
             refused = CommandUpdate(
-                *asked, request.application, "refused", done=True, reason=reason
+                *asked, request.application, "refused", done=True, reason=reason, mistake=mistake
             )
             self._answer(asked, refused)
             return

@@ -43,7 +43,6 @@ from telepresence.link.figures import (
     SenderFigures,
     SupervisionFigures,
 )
-from telepresence.tmtc.packets import Housekeeping, SelectAck, SelectCamera, parse_packet
 from telepresence.tmtc.pus.head import apid_of, is_packet, is_telecommand, message_of
 
 H264, OPUS = "h264", "opus"
@@ -408,27 +407,22 @@ def unpack_haptics(octets: bytes) -> NDArray[np.void]:
     return samples
 
 
+def _call_words(data: bytes) -> str:
+    """Which function a telecommand calls, with its argument if that is a text."""
+    octets = data[11:-2]  # between the headers and the check
+    text = octets[1:].rstrip(b"\0").decode("latin-1")
+    words = f" {text}" if text.isascii() and text.isprintable() else ""
+    return f"function {octets[0]}{words}".rstrip() if octets else ""
+
+
 def packet_words(data: bytes) -> str:
     """Return what a space packet of telecommands or telemetry says, in words."""
     if is_packet(data):
         service, subtype = message_of(data)
         way = "telecommand to" if is_telecommand(data) else "report of"
-        return f"PUS {service},{subtype}: {way} application {apid_of(data):#x}"
-    try:
-        message = parse_packet(data).message
-    except ProtocolError:
-        return _wall_words(data)
-    if isinstance(message, SelectCamera):
-        return f"select {message.name}, token {message.token}"
-    if isinstance(message, SelectAck):
-        done = "done" if message.ok else "refused"
-        return f"select {done}, token {message.token}: {message.name} is selected"
-    assert isinstance(message, Housekeeping)
-    touch = "contact" if message.contact else "no contact"
-    return f"housekeeping: {message.name} is selected, {touch}, {message.force_n:.3f} N"
-
-
-def _wall_words(data: bytes) -> str:
+        words = f"PUS {service},{subtype}: {way} application {apid_of(data):#x}"
+        called = _call_words(data) if is_telecommand(data) and (service, subtype) == (8, 1) else ""
+        return f"{words}: {called}" if called else words
     try:
         wall = parse_wall(data).wall
     except ProtocolError:

@@ -18,12 +18,6 @@ class _Request(msgspec.Struct, frozen=True, tag_field="do", forbid_unknown_field
     request: _Number
 
 
-class SelectRequest(_Request, frozen=True, tag="select"):
-    """Select a camera for the uplink video."""
-
-    camera: _Name
-
-
 class JoystickRequest(_Request, frozen=True, tag="joystick"):
     """A person's command to the joystick."""
 
@@ -76,13 +70,7 @@ class ChatRequest(_Request, frozen=True, tag="chat"):
 
 
 SeatRequest = (
-    SelectRequest
-    | JoystickRequest
-    | HandRequest
-    | SessionRequest
-    | RecordRequest
-    | CommandRequest
-    | ChatRequest
+    JoystickRequest | HandRequest | SessionRequest | RecordRequest | CommandRequest | ChatRequest
 )
 
 _SEAT = msgspec.json.Decoder(SeatRequest)

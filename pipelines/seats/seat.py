@@ -28,13 +28,11 @@ from pipelines.seats.page_requests import (
     JoystickRequest,
     RecordRequest,
     SeatRequest,
-    SelectRequest,
     SessionRequest,
     parse_seat_request,
 )
 from pipelines.seats.plan import SeatPlan, Shown
 from pipelines.seats.seat_events import (
-    CameraAsked,
     CommandGiven,
     HandMoved,
     RecordingAsked,
@@ -66,7 +64,6 @@ class _Rule(NamedTuple):
 
 _RULES: Mapping[type[SeatRequest], _Rule] = MappingProxyType(
     {
-        SelectRequest: _Rule("select", (Segment.SPACE,), "the operator selects the camera"),
         JoystickRequest: _Rule(
             "joystick", (Segment.SPACE,), "the joystick is at the operator's seat"
         ),
@@ -229,11 +226,9 @@ class Seat:
     def _carry_out(
         self,
         number: int,
-        request: SelectRequest | JoystickRequest | HandRequest | SessionRequest | RecordRequest,
+        request: JoystickRequest | HandRequest | SessionRequest | RecordRequest,
     ) -> str | None:
         match request:
-            case SelectRequest():
-                self._events.append(CameraAsked(number, request.request, request.camera))
             case JoystickRequest():
                 event = JoystickEvent(request.event)
                 self._desk.handle_request(number, request.request, event)
@@ -296,14 +291,6 @@ class Seat:
         if camera != self.camera:
             self.camera = camera
             self._tell_state(now_ns)
-
-    def handle_selection(
-        self, asked: CameraAsked, *, error: str, round_trip_ms: float, now_ns: int
-    ) -> None:
-        """The console's answer. error: "" if the camera is selected."""
-        self._answer(asked.page, asked.request, error, None if error else round_trip_ms)
-        if not error:
-            self.handle_camera(asked.camera, now_ns)
 
     def handle_recorder(self, asked: RecordingAsked, error: str) -> None:
         """The recorder's answer. error: "" if it does what was asked."""
@@ -376,8 +363,9 @@ class Seat:
         while (request := self.mission.poll_transmit(now_ns)) is not None:
             self._events.append(TmtcAsked(request))
         while (answered := self.mission.next_event()) is not None:
-            number, request_number, error, round_trip_ms = answered
-            self._answer(number, request_number, error, round_trip_ms)
+            self._answer(answered.page, answered.request, answered.error, answered.round_trip_ms)
+            if answered.camera:
+                self.handle_camera(answered.camera, now_ns)
 
     def _settle_desk(self, now_ns: int) -> None:
         while (answered := self._desk.next_event()) is not None:

@@ -1,4 +1,4 @@
-"""Does what a seat decides: topics, console, recorder, launcher and the TM/TC end get it."""
+"""Does what a seat decides: topics, recorder, launcher and the TM/TC end get it."""
 
 from collections.abc import Callable
 from itertools import count
@@ -9,12 +9,10 @@ from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import INPUT_OCTETS, REQUEST_OCTETS, pack_input, pack_request
 from pipelines.mission.tmtc_socket import send_to_tmtc
-from pipelines.seats.console_link import ask_console
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.recorder_link import ask_recorder
 from pipelines.seats.seat import Seat
 from pipelines.seats.seat_events import (
-    CameraAsked,
     CommandGiven,
     HandMoved,
     RecordingAsked,
@@ -62,8 +60,6 @@ class SeatDeeds:
                 case CommandGiven(request) if self._commands is not None:
                     stamp = CaptureStamp(self._now_ns(), next(self._numbers), "page")
                     self._commands.publish_octets(pack_request(request), stamp)
-                case CameraAsked():
-                    self._serving.begin(self._ask(event))
                 case SessionOrdered(order):
                     self._context.order(order, self._now_ns())
                 case RecordingAsked():
@@ -81,16 +77,6 @@ class SeatDeeds:
         loan = writer.loan_picture(*size)
         loan.payload[:] = np.frombuffer(given.data, np.uint8)
         loan.publish(given.stamp)
-
-    async def _ask(self, asked: CameraAsked) -> None:
-        answer = await ask_console(self._context.session, asked.camera)
-        self._seat.handle_selection(
-            asked,
-            error="" if answer.ok else answer.error or "the selection failed",
-            round_trip_ms=answer.round_trip_ms,
-            now_ns=self._now_ns(),
-        )
-        self._settle()
 
     async def _record(self, asked: RecordingAsked) -> None:
         error = await ask_recorder(self._context.session, begin=asked.begin)

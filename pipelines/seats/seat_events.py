@@ -20,14 +20,6 @@ class CommandGiven(NamedTuple):
     request: HandRequest
 
 
-class CameraAsked(NamedTuple):
-    """The console is to select a camera; pass the answer to `Seat.handle_selection`."""
-
-    page: int
-    request: int
-    camera: str
-
-
 class SessionOrdered(NamedTuple):
     """The launcher is to stop or to start the session."""
 
@@ -48,4 +40,4 @@ class TmtcAsked(NamedTuple):
     request: TmtcRequest
 
 
-SeatEvent = HandMoved | CommandGiven | CameraAsked | SessionOrdered | RecordingAsked | TmtcAsked
+SeatEvent = HandMoved | CommandGiven | SessionOrdered | RecordingAsked | TmtcAsked

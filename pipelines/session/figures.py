@@ -356,12 +356,6 @@ class SelectorCounters(Counters):
 
     #: Changes of the camera.
     switches: int = 0
-    #: Telecommands executed.
-    telecommands: int = 0
-    #: Telecommands that came again.
-    telecommands_repeated: int = 0
-    #: Datagrams that are no telecommand.
-    garbage: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -369,20 +363,6 @@ class SelectorGauges(Gauges):
     """The selector: the selected camera."""
 
     selected: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ConsoleCounters(Counters):
-    """The operator's console."""
-
-    #: Telecommands sent.
-    telecommands: int = 0
-    #: Telecommands sent again.
-    telecommands_repeated: int = 0
-    #: Datagrams that are no telemetry.
-    garbage: int = 0
-    #: Reports of the robot's state.
-    housekeeping: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

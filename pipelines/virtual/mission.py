@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from pipelines.hand.haptics import JoystickEnd
 from pipelines.hand.robot_desk import RobotDesk
-from pipelines.media.choosing import CameraChoice
+from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.mission import MissionGround, Seen, robot_order
 from pipelines.mission.tmtc_messages import (
     K2aciArrived,

@@ -136,9 +136,10 @@ def test_the_operator_selects_a_camera(spacejustin):
     processes = spacejustin[1].processes
     assert processes["selector"].selected == "static"
     assert processes["selector"].counts["switches"] == 1
-    assert processes["console"].counts["telecommands"] == 1
-    assert processes["console"].counts["telecommands_repeated"] == 0
-    assert processes["console"].counts["housekeeping"] > 0
+    assert processes["selector"].counts["pus_executed"] == 1
+    assert processes["console"].counts["pus_telecommands"] == 1
+    assert processes["console"].counts["pus_telecommands_repeated"] == 0
+    assert processes["console"].counts["pus_reports"] > 0
 
 
 def test_reports_depend_on_the_seed_only(tmp_path):

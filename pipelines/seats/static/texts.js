@@ -250,8 +250,7 @@
 
 /**
  * What a page may ask for.
- * @typedef {{do: "select", camera: string}
- *   | {do: "joystick", event: "calibrate" | "start" | "halt" | "acknowledge" | "stop" | "resume"}
+ * @typedef {{do: "joystick", event: "calibrate" | "start" | "halt" | "acknowledge" | "stop" | "resume"}
  *   | {do: "hand", action: "take" | "give" | "ask" | "refuse"}
  *   | {do: "session", action: "start" | "stop"}
  *   | {do: "record", action: "start" | "stop"}

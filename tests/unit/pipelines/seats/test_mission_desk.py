@@ -114,7 +114,7 @@ def test_a_telecommand_is_answered_when_it_is_verified(desk):
         "page.1", sent.id, "tasks", "failed", done=True, verified=True, reason="it is running"
     )
     desk.handle_news(failed, 0)
-    assert desk.next_event() == (PAGE, 7, "it is running", 0.0)
+    assert desk.next_event() == (PAGE, 7, "it is running", 0.0, "")
     assert desk.next_event() is None
 
 

@@ -13,14 +13,15 @@ from kontur_av.media import CaptureStamp, Quality, empty_picture
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
+from pipelines.mission.tmtc_messages import CommandUpdate
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
 from pipelines.seats.seat_events import (
-    CameraAsked,
     CommandGiven,
     HandMoved,
     RecordingAsked,
     SessionOrdered,
+    TmtcAsked,
 )
 from pipelines.session.seat_roles import Role
 from pipelines.session.session_switch import Order
@@ -31,6 +32,8 @@ from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 DICTIONARY = built_in_dictionary()
+SELECT_HEAD = {"application": "camera", "name": "select", "arguments": ["head"]}
+NO_ANSWER = "select head: no acknowledgement came"
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"], pages=True)
 KEY, DELTA = b"\0\0\0\1\x67s\0\0\0\1\x68p\0\0\0\1\x65i", b"\0\0\0\1\x41d"
 
@@ -203,7 +206,7 @@ def test_a_viewer_watches_only():
     viewer = seat.handle_opened(Role.VIEWER, 0)
     sent(seat, viewer)
     ask(seat, viewer, "hand", action="take")
-    ask(seat, viewer, "select", camera="head")
+    ask(seat, viewer, "command", **SELECT_HEAD)
     ask(seat, viewer, "joystick", event="halt")
     seat.handle_message(viewer, hand(1), 0)
     assert events(seat) == []
@@ -252,15 +255,45 @@ def test_a_command_is_answered_when_the_joystick_has_carried_it_out():
 def test_the_operator_selects_the_camera():
     seat = seat_of()
     page = seat.handle_opened(Role.OPERATOR, 0)
-    ask(seat, page, "select", camera="head")
+    ask(seat, page, "command", **SELECT_HEAD)
     (asked,) = events(seat)
-    assert asked == CameraAsked(page, 7, "head")
+    command = asked.request
+    assert (command.application, command.name, command.arguments) == ("camera", "select", ("head",))
     sent(seat, page)
-    seat.handle_selection(asked, error="", round_trip_ms=12.5, now_ns=0)
+    end = {"done": True, "ok": True, "verified": True, "round_trip_ms": 12.5}
+    seat.handle_news(CommandUpdate(command.client, command.id, "camera", "completed", **end), 0)
     found = [json.loads(text) for text in sent(seat, page)]
     assert found[0]["round_trip_ms"] == 12.5
     assert found[1]["camera"] == "head"
-    seat.handle_selection(CameraAsked(99, 1, "head"), error="", round_trip_ms=1.0, now_ns=0)
+
+
+@pytest.mark.parametrize(
+    ("update", "error"),
+    [
+        ({"stage": "failed", "reason": "no verification came"}, NO_ANSWER),
+        ({"stage": "failed", "reason": "its end was not verified"}, NO_ANSWER),
+        (
+            {"stage": "failed", "reason": "a later request came"},
+            "select head: a later request came",
+        ),
+        ({"stage": "failed", "reason": "too late", "verified": True}, "too late"),
+        (
+            {"stage": "refused", "reason": "unknown camera head", "mistake": True},
+            "unknown camera head",
+        ),
+    ],
+)
+def test_a_camera_that_is_not_selected(update, error):
+    seat = seat_of()
+    page = seat.handle_opened(Role.OPERATOR, 0)
+    ask(seat, page, "command", **SELECT_HEAD)
+    (asked,) = events(seat)
+    sent(seat, page)
+    command = asked.request
+    seat.handle_news(CommandUpdate(command.client, command.id, "camera", done=True, **update), 0)
+    (answer,) = texts(seat, page, "answer")
+    assert not answer["ok"]
+    assert answer["error"] == error
 
 
 def test_each_seat_does_its_own():
@@ -268,11 +301,11 @@ def test_each_seat_does_its_own():
     for seat in (ground, space):
         page = seat.handle_opened(Role.OPERATOR, 0)
         ask(seat, page, "session", action="stop")
-        ask(seat, page, "select", camera="head")
+        ask(seat, page, "command", **SELECT_HEAD)
         ask(seat, page, "hand", action="take")
         ask(seat, page, "record", action="start")
     assert events(ground) == [SessionOrdered(Order.STOP), RecordingAsked(1, 7, begin=True)]
-    assert [type(event) for event in events(space)] == [SessionOrdered, CameraAsked]
+    assert [type(event) for event in events(space)] == [SessionOrdered, TmtcAsked]
 
 
 def test_in_space_a_session_at_two_machines_is_not_stopped():

@@ -9,12 +9,10 @@ from telepresence.link.flows import Level, packet_flow, tmtc_flow, video_flow, v
 from telepresence.link.radio import RadioPath
 from telepresence.link.received import HapticReceived
 from telepresence.link.virtual import VirtualLink
-from telepresence.tmtc.exchange import (
-    SelectDone,
-    SelectFailed,
-    TelecommandReceiver,
-    TelecommandSender,
-)
+from telepresence.tmtc.pus.application import PusApplication
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.packets import parse_packet
+from telepresence.tmtc.pus.user import CommandResult, PusUser
 
 MS = 1_000_000
 DELAY_MS = 12
@@ -52,8 +50,11 @@ class Session:
             uplink_flows=UP, downlink_flows=DOWN, up=self.up, down=self.down, seed=seed
         )
         self.at_ground, self.at_space = Arrivals(), Arrivals()
-        self.commands = TelecommandSender(first_token=1)
-        self.executor = TelecommandReceiver()
+        dictionary = built_in_dictionary()
+        self.commands = PusUser(
+            dictionary, source=1, first_count=1, timeout_ns=500 * MS, patience_ns=1500 * MS
+        )
+        self.executor = PusApplication(dictionary.application("camera"), now_ns=0)
         self.selected = []
         self.slot = 0
 
@@ -91,16 +92,14 @@ class Session:
         if isinstance(event, HapticReceived):
             arrivals.samples.append((event.now_ns, struct.unpack_from(">Q", event.sample)[0]))
         elif event.flow.name == "tc":
-            self.executor.handle_packet(event.data, event.now_ns)
+            self.executor.handle_telecommand(parse_packet(event.data), event.now_ns)
             while request := self.executor.next_event():
-                self.selected.append(request.name)
-                self.executor.handle_result(
-                    request, ok=True, selected=request.name, now_ns=event.now_ns
-                )
+                self.selected.append(*request.arguments)
+                self.executor.handle_result(request.token, "", event.now_ns)
             while data := self.executor.poll_transmit(event.now_ns):
                 link.space.handle_datagram("tm", data, event.now_ns)
         elif event.flow.name == "tm":
-            self.commands.handle_packet(event.data, event.now_ns)
+            self.commands.handle_telemetry(parse_packet(event.data), event.now_ns)
         else:
             offset = 0 if event.flow.name == "files" else 12
             (put_ns,) = struct.unpack_from(">Q", event.data, offset)
@@ -108,12 +107,13 @@ class Session:
                 arrivals.packets.append((event.now_ns, put_ns))
 
     def command(self, name):
-        self.commands.select(name, self.link.now_ns)
+        self.commands.call("camera", "select", [name], now_ns=self.link.now_ns)
 
     def answers(self):
         found = []
         while event := self.commands.next_event():
-            found.append(event)
+            if isinstance(event, CommandResult):
+                found.append(event)
         return found
 
     @property
@@ -185,7 +185,7 @@ def test_uplink_only_telecommands_work_without_acknowledgement():
     one = session()
     one.command("left")
     one.run(100)
-    assert [type(answer) for answer in one.answers()] == [SelectDone]
+    assert [answer.ok for answer in one.answers()] == [True]
     one.shut(one.down)
     one.run(100)
     assert one.states == ("SEARCH", "CONFIGURE")
@@ -194,8 +194,8 @@ def test_uplink_only_telecommands_work_without_acknowledgement():
     one.run(1600)
     assert one.selected == ["left", "right"]
     (failed,) = one.answers()
-    assert isinstance(failed, SelectFailed)
-    assert failed.tries == 3
+    assert not failed.ok and not failed.verified
+    assert failed.tries == 2
     # Everything else arrives as well, and nothing late.
     assert len(one.at_space.samples) - samples == 1600
     assert len(one.at_space.packets) - packets >= 1600 // 20
@@ -206,7 +206,7 @@ def test_uplink_only_telecommands_work_without_acknowledgement():
     assert one.states == ("CONNECTED", "CONNECTED")
     one.command("left")
     one.run(100)
-    assert [type(answer) for answer in one.answers()] == [SelectDone]
+    assert [answer.ok for answer in one.answers()] == [True]
     assert one.executor.executed == 3
 
 
@@ -219,7 +219,7 @@ def test_downlink_only_pictures_continue():
     one.command("right")
     one.run(5_000)
     assert not one.selected
-    assert [type(answer) for answer in one.answers()] == [SelectFailed]
+    assert [answer.verified for answer in one.answers()] == [False]
     assert len(one.at_ground.packets) - packets >= 0.98 * (5000 // 33 + 5000 // 20)
     one.shut()
     one.run(100)
