@@ -4,9 +4,9 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
+from pipelines.media.figures import SelectorFigures
 from pipelines.media.following import AGAIN_NS, Choice
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValues
-from pipelines.session.figures import SelectorCounters, SelectorGauges
 from pipelines.session.probe import Probe
 from telepresence.tmtc.pus.dictionary import Dictionary
 
@@ -108,8 +108,7 @@ class CameraChoice:
 
     def tell(self) -> None:
         """Put the counters into the probe."""
-        self._probe.gauge(SelectorGauges(selected=self.selected))
-        self._probe.count(SelectorCounters(switches=self._switches))
+        self._probe.tell(SelectorFigures(selected=self.selected, switches=self._switches))
 
 
 def session_dictionary(dictionary: Dictionary, cameras: Sequence[str]) -> Dictionary:

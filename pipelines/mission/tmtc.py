@@ -4,6 +4,7 @@ from collections import OrderedDict, deque
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
+from pipelines.mission.figures import TmtcFigures
 from pipelines.mission.tmtc_messages import (
     CommandUpdate,
     FunctionAsked,
@@ -23,7 +24,6 @@ from pipelines.mission.tmtc_messages import (
     plain_fields,
     unpack_request,
 )
-from pipelines.session.figures import TmtcCounters
 from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
 from telepresence.haptics.mediated.wall import is_wall
@@ -219,8 +219,8 @@ class TmtcEnd:
         """Put the counters into the probe."""
         node, user = self._node, self._user
         applications = self.applications.values()
-        probe.count(
-            TmtcCounters(
+        probe.tell(
+            TmtcFigures(
                 pus_sent=node.sent,
                 pus_sent_octets=node.sent_octets,
                 pus_received=node.received,

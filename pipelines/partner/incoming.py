@@ -149,13 +149,13 @@ class IncomingPicture(_Incoming):
         """The figures so far."""
         counts = self.receiver.counts
         return IncomingFigures(
-            packets=counts.rtp.received,
-            lost=counts.rtp.lost,
-            octets=counts.rtp.payload_octets,
+            packets=counts.rtp.rtp_packets,
+            lost=counts.rtp.rtp_lost,
+            octets=counts.rtp.rtp_payload_octets,
             jitter_ns=counts.jitter_ns,
-            units=counts.units,
-            damaged=counts.damaged,
-            keys_asked=counts.asked,
+            units=counts.frames_received,
+            damaged=counts.frames_damaged,
+            keys_asked=counts.pictures_asked_for,
             asked=0 if self._asker is None else self._asker.sent,
             mended=0 if self._asker is None else self._asker.mended,
             wish_bps=self._wish_bps,
@@ -199,12 +199,12 @@ class IncomingVoice(_Incoming):
         """The figures so far."""
         counts = self.receiver.counts
         return IncomingFigures(
-            packets=counts.rtp.received,
-            lost=counts.rtp.lost,
-            octets=counts.rtp.payload_octets,
+            packets=counts.rtp.rtp_packets,
+            lost=counts.rtp.rtp_lost,
+            octets=counts.rtp.rtp_payload_octets,
             jitter_ns=counts.jitter_ns,
-            units=counts.playout.played,
-            damaged=counts.playout.concealed,
+            units=counts.frames_decoded,
+            damaged=counts.frames_concealed,
         )
 
 

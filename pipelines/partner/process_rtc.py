@@ -15,6 +15,7 @@ from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.media.unit_history import KeptUnit, UnitHistory
 from pipelines.partner.description import Kind
+from pipelines.partner.figures import RtcFigures
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.partner.partner_time import PartnerTime
@@ -27,7 +28,6 @@ from pipelines.partner.server import RtcServer
 from pipelines.partner.tally import Tally
 from pipelines.partner.wish import WISH_OCTETS, Wish
 from pipelines.session.feeds import Feed
-from pipelines.session.figures import RtcCounters, RtcGauges
 from pipelines.session.messages import UNKNOWN_US
 from pipelines.session.process import Context
 from pipelines.session.sample_topic import SampleTopic
@@ -146,18 +146,6 @@ class _Leg:
     def _tell(self) -> None:
         self._count()
         totals, server = self._tally.totals(), self._server
-        probe = self._context.probe
-        probe.count(
-            RtcCounters(
-                connections=self._connections,
-                ice_restarts=self._restarts + sum(peer.restarts for peer in self._known),
-                refused=dict(server.door.refused),
-                garbage=self._tally.garbage + server.garbage + self._hands.garbage,
-                samples=self._hands.totals(),
-                rate_lowered=self._uplink.rate.lowered,
-                **totals,
-            )
-        )
         standing = [peer for peer in server.peers if peer.connected]
         route = next((peer.route for peer in reversed(standing) if peer.route), None)
         trips = [
@@ -167,12 +155,19 @@ class _Leg:
             for one in peer.media.figures.sent.values()
             if one.reception is not None and one.reception.round_trip_ns is not None
         ]
-        probe.gauge(
-            RtcGauges(
+        self._context.probe.tell(
+            RtcFigures(
+                connections=self._connections,
+                ice_restarts=self._restarts + sum(peer.restarts for peer in self._known),
+                refused=dict(server.door.refused),
+                garbage=self._tally.garbage + server.garbage + self._hands.garbage,
+                samples=self._hands.totals(),
+                rate_lowered=self._uplink.rate.lowered,
                 partners=len(standing),
                 rate_bps=self._uplink.rate.bps,
                 route=None if route is None else f"{route.local} to {route.remote}",
                 round_trip_ns=trips[-1] if trips else None,
+                streams=totals,
             )
         )
 

@@ -8,6 +8,7 @@ the name of the schema's field; `wall_ns` is the schema's `timestamp`. Haptic sa
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from math import nan
 from types import MappingProxyType
 from typing import Any, ClassVar, Final, TypeVar
 
@@ -23,6 +24,7 @@ from pipelines.hand import haptic_trace
 from pipelines.recording.schemas import (
     AUDIO,
     EVENT,
+    FIGURES,
     HAPTIC_SAMPLES,
     LINK_RECEIVED,
     LINK_SENT,
@@ -251,7 +253,7 @@ class LinkReceived(Recorded):
         """Return what a gateway counts of the direction that it receives."""
         return cls(
             session_ns=session_ns,
-            frames=receiver.frames,
+            frames=receiver.frames_received,
             frames_lost=receiver.frames_lost,
             frames_dropped=sum(receiver.frames_dropped.values()),
             haptic_received=receiver.haptic_received,
@@ -293,6 +295,32 @@ class RecorderLosses(Recorded):
     parts = MappingProxyType({"Loss": ChannelLoss})
     session_ns: int
     losses: Sequence[ChannelLoss]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedFigure:
+    """The value of a figure: a number, or a text."""
+
+    name: str
+    number: float
+    text: str
+
+    @classmethod
+    def of(cls, name: str, value: float | str | bool | None) -> "RecordedFigure":
+        """Return a figure of a report."""
+        if isinstance(value, str):
+            return cls(name=name, number=nan, text=value)
+        return cls(name=name, number=nan if value is None else float(value), text="")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedFigures(Recorded):
+    """Figures of the session that have changed."""
+
+    schema = FIGURES
+    parts = MappingProxyType({"Figure": RecordedFigure})
+    session_ns: int
+    figures: Sequence[RecordedFigure]
 
 
 Value = TypeVar("Value", bound=Recorded)

@@ -9,6 +9,7 @@ goes on, in a new part.
 
 import select
 from concurrent.futures import Future, wait
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -16,16 +17,17 @@ import msgspec
 from kontur_av import __version__
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
+from kontur_av.figures import plus
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.recording.desk import MOST_TERMINALS, Ask, RecorderDesk, Reply, Start, Stop
 from pipelines.recording.facts import RecordingFacts
+from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
 from pipelines.recording.recorder import Recorder
 from pipelines.recording.sources import Content, Source, sources_of
-from pipelines.session.figures import RecorderCounters, RecorderGauges
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.recorder_control import read_wish, recorder_path, remove_wish, write_wish
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
@@ -61,7 +63,7 @@ class _RecorderProcess:
         # Before anything is recorded, so that the codecs are loaded then.
         self._maker = KeyPictureMaker()
         #: Of all recordings that have ended in this life, and of the newest of them.
-        self._past = self._newest = RecorderCounters()
+        self._past = self._newest = RecorderFigures()
         context.on_flush(self._tell)
 
     def run(self) -> None:
@@ -126,30 +128,25 @@ class _RecorderProcess:
     def _end(self) -> None:
         if self._recording is not None:
             self._newest = self._recording.end()
-            self._past = self._past.plus(self._newest)
+            self._past = plus(self._past, self._newest)
             self._recording = None
 
     def _answer(self) -> RecordAnswer:
         recording = self._recording
-        counters = self._newest if recording is None else recording.counters
+        counters = self._newest if recording is None else recording.figures
         return RecordAnswer(
             ok=True,
             file="" if recording is None else str(recording.file),
             files=counters.parts,
-            messages=sum(counters.kept.values()),
-            lost=sum(counters.missed.values()) + sum(counters.dropped.values()),
+            messages=counters.messages,
+            lost=counters.lost,
             fault="" if recording is None else recording.fault,
         )
 
     def _tell(self) -> None:
         recording = self._recording
         probe = self._context.probe
-        if recording is None:
-            probe.count(self._past)
-            probe.gauge(RecorderGauges(file="", fault="", waiting_octets=0))
-        else:
-            probe.count(self._past.plus(recording.counters))
-            probe.gauge(recording.gauges)
+        probe.tell(self._past if recording is None else plus(self._past, recording.figures))
 
 
 class _Recording:
@@ -209,16 +206,15 @@ class _Recording:
         return self._recorder.fault
 
     @property
-    def counters(self) -> RecorderCounters:
-        return self._recorder.counters()
-
-    @property
-    def gauges(self) -> RecorderGauges:
-        return self._recorder.gauges(str(self.file))
+    def figures(self) -> RecorderFigures:
+        return self._recorder.figures(str(self.file))
 
     def handle_events(self, told: bytes) -> None:
-        """The launcher tells what happened; it also knows of what was before the recording."""
-        for event in msgspec.json.decode(told, type=SessionEvents).events:
+        """The launcher tells the figures, and what happened, also before the recording."""
+        news = msgspec.json.decode(told, type=SessionEvents)
+        if news.figures:
+            self._recorder.handle_figures(news.figures, news.at_us * NS_PER_US, self._now_ns())
+        for event in news.events:
             if event.at_us * NS_PER_US < self._begun_ns:
                 continue
             recorded = RecordedEvent(
@@ -247,7 +243,7 @@ class _Recording:
         recorder.handle_time(self._now_ns())
         self._pump()
 
-    def end(self) -> RecorderCounters:
+    def end(self) -> RecorderFigures:
         """End the recording, and return its counts."""
         for _, reader in self._readers:
             reader.close()
@@ -259,7 +255,7 @@ class _Recording:
         self._take_results()
         self._recorder.handle_abandoned()
         self._bus.close()
-        return self._recorder.counters()
+        return replace(self._recorder.figures(None), fault=None, waiting_octets=0)
 
     def _exchange_keys(self) -> None:
         """Have the key pictures made that are wanted, and hand over those that are there."""

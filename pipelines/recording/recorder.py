@@ -29,10 +29,12 @@ from pipelines.recording.channels import (
     RECEIVED,
     RECORDER_LOSSES,
     SENT,
+    SESSION_FIGURES,
     channels_of,
 )
 from pipelines.recording.contacts import ContactWatch
 from pipelines.recording.facts import FACTS, LIBRARY, RecordingFacts
+from pipelines.recording.figures import ChannelFigures, RecorderFigures
 from pipelines.recording.mcap_stream import McapStream, Piece
 from pipelines.recording.messages import (
     ChannelLoss,
@@ -41,6 +43,8 @@ from pipelines.recording.messages import (
     LogLevel,
     LogLine,
     RecordedEvent,
+    RecordedFigure,
+    RecordedFigures,
     RecordedFrames,
     RecordedPacket,
     RecordedPicture,
@@ -59,7 +63,6 @@ from pipelines.recording.stream_start import (
     KeyPictureWanted,
     StreamStart,
 )
-from pipelines.session.figures import RecorderCounters, RecorderGauges
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.topology import Topology
 from telepresence.link.figures import GatewayFigures
@@ -164,6 +167,9 @@ class Recorder:
         self._sequences: dict[str, int] = {}
         self._stream: McapStream | None = None
         self._part = 0
+        #: The figures that this part has, and how often any were told.
+        self._told_figures: dict[str, float | str | bool | None] = {}
+        self._figures = 0
         self._begun_ns = self._joined_ns = 0
         self._ended = False
         self._retry_ns: int | None = None
@@ -246,6 +252,25 @@ class Recorder:
         self._events += 1
         self._put(EVENTS, pack(event), wall_ns, self._events, at)
         self._put(LOG_LINES, pack(line), wall_ns, self._events, at)
+
+    def handle_figures(
+        self, figures: Mapping[str, float | str | bool | None], session_ns: int, now_ns: int
+    ) -> None:
+        """The figures of the session at `session_ns`, by name."""
+        if self._stream is None:
+            return
+        before = self._told_figures
+        fresh = {
+            name: value
+            for name, value in figures.items()
+            if name not in before or before[name] != value
+        }
+        self._told_figures = {**before, **fresh}
+        changed = [RecordedFigure.of(name, value) for name, value in fresh.items()]
+        told = RecordedFigures(session_ns=session_ns, figures=changed)
+        self._figures += 1
+        at = _Instants(now_ns, now_ns)
+        self._put(SESSION_FIGURES, pack(told), session_ns + self._offset_ns, self._figures, at)
 
     def _handle_unit(
         self, source: Source, unit: CodedUnit, stamp: CaptureStamp, at: _Instants
@@ -405,6 +430,7 @@ class Recorder:
             coder.handle_part()
         self._losses_ns = now_ns
         self._told_losses = 0
+        self._told_figures = {}
 
     def handle_fault(self, part: int | None, why: str, now_ns: int) -> None:
         """A file cannot be opened, or no more of a part be written.
@@ -513,23 +539,24 @@ class Recorder:
         """Why nothing is written at present; "" if all is well."""
         return self._fault
 
-    def counters(self) -> RecorderCounters:
-        """Return what was kept and lost so far."""
-        return RecorderCounters(
-            kept=self._named(self._kept),
-            missed=self._named(self._missed),
-            dropped=self._named(self._dropped),
+    def figures(self, file: str | None) -> RecorderFigures:
+        """Return what was kept and lost so far. file: the newest; None after the end."""
+        waiting = 0 if self._stream is None else self._stream.waiting_octets
+        waiting += sum(held.octets for held in self._held.values())
+        return RecorderFigures(
             parts=self._parts,
             octets=self._octets,
             disk_faults=self._faults,
             late_keys=self._keys_late,
+            file=file,
+            fault=self._fault or None,
+            waiting_octets=waiting,
+            channels={
+                self._topics[number]: ChannelFigures(
+                    kept=self._kept[number],
+                    missed=self._missed[number],
+                    dropped=self._dropped[number],
+                )
+                for number in sorted({*(+self._kept), *(+self._missed), *(+self._dropped)})
+            },
         )
-
-    def gauges(self, file: str) -> RecorderGauges:
-        """Return its present state. file: of the newest part."""
-        waiting = 0 if self._stream is None else self._stream.waiting_octets
-        waiting += sum(held.octets for held in self._held.values())
-        return RecorderGauges(file=file, fault=self._fault, waiting_octets=waiting)
-
-    def _named(self, counts: Mapping[int, int]) -> dict[str, int]:
-        return {self._topics[number]: count for number, count in counts.items() if count}

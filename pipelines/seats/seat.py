@@ -14,6 +14,7 @@ from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.mission.tmtc_messages import TmtcNews
 from pipelines.seats import texts
 from pipelines.seats.client_queue import ClientQueue, Message
+from pipelines.seats.figures import HOLDER
 from pipelines.seats.figures_log import FiguresLog
 from pipelines.seats.hand_gate import HandGate
 from pipelines.seats.joystick_desk import JoystickDesk
@@ -41,7 +42,6 @@ from pipelines.seats.seat_events import (
     TmtcAsked,
 )
 from pipelines.seats.seat_media import SeatMedia
-from pipelines.session.figures import HOLDER
 from pipelines.session.messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, refusal
 from pipelines.session.session_switch import Order

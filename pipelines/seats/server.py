@@ -8,6 +8,7 @@ from aiohttp import web
 
 from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import TopicBus
+from pipelines.seats.figures import PageFigures
 from pipelines.seats.key_pictures import KeyPictures
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import seat_plan
@@ -16,7 +17,6 @@ from pipelines.seats.seat_deeds import SeatDeeds
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.seats.seat_topics import SeatTopics
 from pipelines.session.access import AccessError, Kind
-from pipelines.session.figures import PageCounters, PageGauges
 from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.seat_roles import Role
@@ -208,10 +208,11 @@ class PageServer:
             answers.put_nowait(result)
 
     def _tell(self) -> None:
-        probe, sockets = self._context.probe, self._sockets
-        probe.gauge(PageGauges(watching=self._seat.watching, holder=self._seat.holder or 0))
-        probe.count(
-            PageCounters(
+        sockets = self._sockets
+        self._context.probe.tell(
+            PageFigures(
+                watching=self._seat.watching,
+                holder=self._seat.holder or 0,
                 connections=sockets.connections,
                 refused=dict(self._site.refused),
                 garbage=sockets.garbage,

@@ -14,32 +14,45 @@ from telepresence.tasks.scores import ScoreKeeper, Scores
 
 
 class TaskStep(msgspec.Struct, frozen=True, kw_only=True):
-    """A step of Fig. 14, at an instant."""
+    """A step of Fig. 14 of the paper."""
 
     at_ns: int
+    #: In words.
     step: str
 
 
 class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A run: the fields of `pipelines.report.model.TaskRunReport`, with instants in ns."""
+    """One run of a task. Its instants are on the session's clock, in a report since it began."""
 
     name: str
+    #: Its number in the session.
     run: int
+    #: `finished`, `aborted`, `timed_out`, `lost_signal`; `open` if the session ended during it.
     result: str
+    #: Why it did not finish; empty if it did.
     reason: str
+    #: When it was selected.
     selected_ns: int
+    #: From the cosmonaut's start to its end; null if it was never started.
     seconds: float | None
+    #: The tip's way while the cosmonaut drove.
     path_m: float
+    #: The board's force on the tip.
     force_max_n: float
     force_mean_n: float
+    #: Distance from what was to be reached or followed (m), or from the force to be held (N); null
+    #: where there was none.
     error_mean: float | None
     error_max: float | None
+    #: Of the link meanwhile, both ways.
     frames: int
     frames_lost: int
+    #: The longer delay of both directions at its end.
     delay_ms: float
+    #: Each is logged once.
     steps: list[TaskStep]
 
-    def with_steps_of(self, earlier: "TaskRow") -> "TaskRow":
+    def plus(self, earlier: "TaskRow") -> "TaskRow":
         """Return this row, with the steps of an earlier state of it if that has more."""
         more = len(earlier.steps) > len(self.steps)
         return msgspec.structs.replace(self, steps=earlier.steps) if more else self

@@ -121,7 +121,7 @@ class SimulatedMission:
     def _meanwhile(self, now_ns: int) -> LinkMeanwhile:
         reports = [gateway.report(now_ns) for gateway in self._gateways.values()]
         return LinkMeanwhile(
-            frames=sum(report.receive.frames for report in reports),
+            frames=sum(report.receive.frames_received for report in reports),
             frames_lost=sum(report.receive.frames_lost for report in reports),
             delay_ns=max(report.radio.delay_ns for report in reports),
         )

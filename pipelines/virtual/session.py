@@ -22,10 +22,10 @@ from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
 from pipelines.mission.choosing import CAMERA, SELECT, CameraChoice
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, SendCommand, TmtcNews
+from pipelines.report.arm_figures import run_since
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
-from pipelines.report.task_figures import task_report
 from pipelines.session.probe import FLUSH_NS, Probe
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
@@ -294,7 +294,7 @@ class Simulation:
         )
         mission = self.mission
         rows = None if mission is None else mission.journal.report()
-        tasks = None if rows is None else task_report(rows, self.start_ns)
+        tasks = None if rows is None else [run_since(self.start_ns, row) for row in rows]
         return msgspec.structs.replace(report, simulation=simulation, tasks=tasks)
 
     @property

@@ -354,7 +354,6 @@ class LinkSender:
     def report(self, now_ns: int) -> SenderFigures:
         """Return rates, the octets by what they carried, and each level's queue."""
         return SenderFigures(
-            name=self.profile.name,
             capacity_bps=self.profile.capacity_bps,
             frames=self.frames_sent,
             octets=self.octets(),

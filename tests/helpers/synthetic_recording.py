@@ -32,6 +32,8 @@ from pipelines.recording.messages import (
     LogLine,
     QueueState,
     RecordedEvent,
+    RecordedFigure,
+    RecordedFigures,
     RecordedFrames,
     RecordedPacket,
     RecordedPicture,
@@ -378,6 +380,8 @@ def command_messages(seconds, contacts):
     at_ns = BEGIN_NS + round(seconds * S) - MS
     losses = (ChannelLoss(channel="/camera/head", missed=2, dropped=1),)
     yield told("/recorder/losses", at_ns, 0, pack(RecorderLosses(session_ns=at_ns, losses=losses)))
+    figures = (RecordedFigure(name="uplink_video.state", number=0.0, text="fresh"),)
+    yield told("/figures", at_ns, 1, pack(RecordedFigures(session_ns=at_ns, figures=figures)))
 
 
 def packet(topic, at_ns, sequence, data):

@@ -23,7 +23,7 @@ def test_a_simulation_that_is_stopped_reports_the_time_until_then():
         stopped=lambda: next(looks) >= 30,
     )
     assert report.seconds == 1.5
-    assert report.haptic["up"].received > 1000
+    assert report.haptic["up"].receiver.received > 1000
 
 
 def test_a_run_in_pieces_gives_the_same_report():

@@ -155,11 +155,11 @@ def test_the_worst_load_of_tmtc_takes_from_video_what_the_bucket_allows_and_noth
     report = session.simulation.report()
     for way in ("up", "down"):
         assert report.haptic[way].latency_ms.max == 1.0
-        assert report.haptic[way].lost == 0
-    carried = report.link["uplink"].octets["tmtc"]
+        assert report.haptic[way].receiver.lost == 0
+    carried = report.link["uplink"].sender.octets["tmtc"]
     before, allowed = 200, 512 + 4 * PUS_RATE_BPS / 8
     assert 0.9 * allowed < carried < allowed + before
     video = report.streams["uplink_video"]
-    assert video.rtp_lost == video.stale_episodes == video.frozen_episodes == 0
+    assert video.rtp.rtp_lost == video.display.stale_episodes == video.display.frozen_episodes == 0
     # Whatever was sent is shown; the newest pictures are still on their way.
-    assert video.frames_sent - video.frames_displayed <= 2
+    assert video.sender.frames_sent - video.display.frames_displayed <= 2

@@ -62,8 +62,7 @@ class OpenPath:
         return PeerFigures(
             begun_ns=self._history.begun_ns,
             protected=False,
-            identity="",
-            address=address_text(self._address),
+            address=None if self._address is None else address_text(self._address),
             session_ns=self._session_ns,
             sessions=0,
             failed_attempts=0,

@@ -21,7 +21,7 @@ def test_it_is_decoded_at_once_and_black(size):
     assert (picture.width, picture.height, picture.timestamp) == (width, height, 7)
     shown = picture.to_i420()
     assert (shown[:height] == BLACK_LUMA).all() and (shown[height:] == NEUTRAL_CHROMA).all()
-    assert decoder.corrupt_units == 0
+    assert decoder.counts.frames_corrupt == 0
 
 
 def test_a_stream_goes_on_behind_it_without_a_delay():
@@ -38,7 +38,7 @@ def test_a_stream_goes_on_behind_it_without_a_delay():
         elif number > 9:
             (shown,) = decoder.decode(sets + unit if number == 10 else unit, number)
     assert np.abs(shown.to_i420().astype(int) - picture).mean() < 4
-    assert (decoder.corrupt_units, decoder.restarts) == (0, 0)
+    assert (decoder.counts.frames_corrupt, decoder.counts.decoder_restarts) == (0, 0)
 
 
 def test_a_size_that_no_picture_has_is_refused():

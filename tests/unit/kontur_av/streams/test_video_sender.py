@@ -77,9 +77,9 @@ def send(pictures, cap_bps, channel_bps=None):
     step_until(now_ns + NS_PER_S)
     sender.finish()
     counts = sender.counts
-    run.captured, run.refused = counts.captured, counts.refused
+    run.captured, run.refused = counts.frames_captured, counts.frames_refused
     assert run.captured == len(pictures) == encoder.encoded + run.refused
-    assert decoder.corrupt_units == decoder.units_before_start == 0
+    assert decoder.counts.frames_corrupt == decoder.counts.frames_before_start == 0
     return run
 
 

@@ -21,7 +21,7 @@ def received(ownership, source):
         if sample is not None:
             take(sample, now_ns)
         robot.handle_cycle(now_ns, NS_PER_MS)
-    found = robot.side.link.report()
+    found = robot.side.link.received_figures()
     return found.received + found.greetings
 
 

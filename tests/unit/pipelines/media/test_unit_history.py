@@ -58,7 +58,7 @@ def joined(history):
     decoder, shown = H264Decoder(), []
     for number, unit in enumerate(history.replay()):
         shown += decoder.decode(unit.data, number)
-    assert (decoder.corrupt_units, decoder.restarts) == (0, 0)
+    assert (decoder.counts.frames_corrupt, decoder.counts.decoder_restarts) == (0, 0)
     return shown[-1].to_i420()
 
 

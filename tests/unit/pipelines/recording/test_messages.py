@@ -46,6 +46,7 @@ BY_TYPE = {
     "string": TEXT,
     "uint32": st.integers(0, (1 << 32) - 1),
     "uint64": st.integers(0, (1 << 64) - 1),
+    "double": st.floats(allow_nan=False),
     "google.protobuf.Timestamp": st.integers(0, 1 << 63),
 }
 

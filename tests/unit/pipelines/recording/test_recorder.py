@@ -261,8 +261,8 @@ def test_no_unit_is_lost_however_late_its_key_picture_comes(late):
     pictures = shown(second, units[60][1])[1:]
     for picture, (_, _, right) in zip(pictures, units[60:], strict=True):
         assert np.abs(picture - right).mean() < 1.5
-    counters = disk.recorder.counters()
-    assert (counters.missed, counters.dropped, counters.late_keys) == ({}, {}, 0)
+    figures = disk.recorder.figures(None)
+    assert (figures.lost, figures.late_keys) == (0, 0)
 
 
 def test_while_a_key_picture_is_made_its_stream_waits_and_the_others_do_not():
@@ -291,14 +291,13 @@ def test_a_black_picture_takes_the_place_of_one_that_is_too_late(end, monkeypatc
     streamed(disk, count)
     if end == "time":
         disk.pump(first * NS_PER_S // 30 + KEY_PATIENCE_NS)
-    late_keys = disk.recorder.counters().late_keys
+    late_keys = disk.recorder.figures(None).late_keys
     if end != "recording":
         disk.make_keys()
     files = disk.end(count * NS_PER_S // 30)
     assert late_keys == (end != "recording")
     assert_sound(files[1], first, 120 if end == "part" else count)
-    dropped = disk.recorder.counters().dropped
-    assert not dropped, dropped
+    assert not any(one.dropped for one in disk.recorder.figures(None).channels.values())
 
 
 def test_what_waits_for_a_key_picture_on_a_failing_disk_is_counted():
@@ -308,10 +307,10 @@ def test_what_waits_for_a_key_picture_on_a_failing_disk_is_counted():
     disk.recorder.handle_fault(2, "full", 70 * NS_PER_S // 30)
     disk.make_keys()
     disk.pump(5 * NS_PER_S)
-    counters = disk.recorder.counters()
-    assert counters.kept["/uplink_video/sent"] == 60
-    assert counters.dropped["/uplink_video/sent"] == 10
-    assert counters.dropped["/uplink_video/sent/facts"] == 10
+    channels = disk.recorder.figures(None).channels
+    assert channels["/uplink_video/sent"].kept == 60
+    assert channels["/uplink_video/sent"].dropped == 10
+    assert channels["/uplink_video/sent/facts"].dropped == 10
 
 
 def test_a_sample_that_an_earlier_recording_has_read_is_no_loss():
@@ -330,7 +329,7 @@ def test_a_sample_that_an_earlier_recording_has_read_is_no_loss():
         )
     (file,) = disk.end(3 * NS_PER_S)
     assert_sound(file, 31, 60)
-    assert not disk.recorder.counters().missed
+    assert not any(one.missed for one in disk.recorder.figures(None).channels.values())
 
 
 def test_an_own_key_picture_of_the_stream_is_enough():
@@ -341,6 +340,12 @@ def test_an_own_key_picture_of_the_stream_is_enough():
     (file,) = disk.end(NS_PER_S)
     (message,) = file["/uplink_video/sent"]
     assert unpack(RecordedPicture, message.data).data == unit.data
+
+
+def counts_of(disk, fate):
+    """By channel, how many messages had a fate, if any."""
+    channels = disk.recorder.figures(None).channels
+    return {name: getattr(one, fate) for name, one in channels.items() if getattr(one, fate)}
 
 
 def test_missed_samples_are_counted_by_channel_in_the_file_and_in_the_report():
@@ -354,7 +359,7 @@ def test_missed_samples_are_counted_by_channel_in_the_file_and_in_the_report():
         "/haptic/up/sent": (3, 0),
         "/haptic/down/received": (3, 0),
     }
-    assert disk.recorder.counters().missed == {"/haptic/up/sent": 3, "/haptic/down/received": 3}
+    assert counts_of(disk, "missed") == {"/haptic/up/sent": 3, "/haptic/down/received": 3}
 
 
 @pytest.mark.parametrize("chunks_before", [0, 3])
@@ -372,9 +377,9 @@ def test_on_a_full_disk_every_message_is_kept_or_counted_as_dropped(chunks_befor
     found = [each for each in torn.items() if isinstance(each, FoundMessage)]
     kept = sum(each.channel.topic == "/haptic/up/sent" for each in found)
     assert (kept > 0) == (chunks_before > 0)
-    counters = disk.recorder.counters()
-    assert counters.kept["/haptic/up/sent"] == kept + len(last["/haptic/up/sent"])
-    assert counters.kept["/haptic/up/sent"] + counters.dropped["/haptic/up/sent"] == handled
+    counted = disk.recorder.figures(None).channels["/haptic/up/sent"]
+    assert counted.kept == kept + len(last["/haptic/up/sent"])
+    assert counted.kept + counted.dropped == handled
     # The new part begins with the first try after the disk has room.
     assert len(last["/haptic/up/sent"]) * 20 * NS_PER_MS >= 28 * NS_PER_S - RETRY_NS
     assert unpack(RecorderLosses, last["/recorder/losses"][0].data).losses
@@ -390,11 +395,11 @@ def test_a_disk_that_stands_still_costs_messages_but_no_memory():
         rows["fy_n"] = noise.random(20)
         now_ns = number * NS_PER_S
         disk.recorder.handle_sample(SOURCES[ROBOT], rows.tobytes(), stamp(number), now_ns)
-    dropped = disk.recorder.counters().dropped["/haptic/up/sent"]
+    dropped = counts_of(disk, "dropped")["/haptic/up/sent"]
     assert 0 < dropped < 400
     (file,) = disk.end(400 * NS_PER_S)
     assert len(file["/haptic/up/sent"]) + dropped == 400
-    assert disk.recorder.counters().kept["/haptic/up/sent"] == len(file["/haptic/up/sent"])
+    assert counts_of(disk, "kept")["/haptic/up/sent"] == len(file["/haptic/up/sent"])
 
 
 def test_a_part_ends_at_its_size_and_says_its_number():
@@ -463,7 +468,7 @@ def test_a_sample_from_before_the_recording_is_left_out():
         )
     (file,) = disk.end(now_ns + NS_PER_S)
     assert [each.sequence for each in file["/haptic/up/sent"]] == [800, 801]
-    assert not disk.recorder.counters().missed
+    assert not counts_of(disk, "missed")
 
 
 def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
@@ -496,4 +501,4 @@ def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
     assert only(LinkReceived, "/link/downlink/received").frames == 0
     frames = only(RecordedFrames, "/link/uplink/frames/sent")
     assert list(zip(frames.time_ns, frames.data, strict=True)) == gateway.frames_sent
-    assert disk.recorder.counters().kept["/link/uplink/frames/sent"] == 1
+    assert counts_of(disk, "kept")["/link/uplink/frames/sent"] == 1

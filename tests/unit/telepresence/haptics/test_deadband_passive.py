@@ -87,8 +87,8 @@ def test_forces_and_motions_are_nearly_the_same(delay_ms):
     # On average, because a contact one cycle earlier differs by the whole force for a moment.
     assert sum(off_n) / len(off_n) < 0.2
     # Four fifths of the robot's samples are not sent, and half of the joystick's.
-    assert some.robot_side.link.report().left_out > 0.75 * 12_000
-    assert some.joystick_side.link.report().left_out > 0.4 * 12_000
+    assert some.robot_side.link.sent_figures().left_out > 0.75 * 12_000
+    assert some.joystick_side.link.sent_figures().left_out > 0.4 * 12_000
     assert some.joystick_side.link.lost == some.robot_side.link.lost == 0
 
 

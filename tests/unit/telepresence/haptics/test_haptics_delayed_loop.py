@@ -137,7 +137,7 @@ def test_an_outage_during_contact_ends_at_rest_and_resumes_without_a_jump() -> N
     most_m = session.ground.controller.model.speed_m_s / 1000
     assert max(abs(b - a) for a, b in pairwise(references)) <= most_m + 1e-9
     assert robot.contact
-    assert session.ground.link.report().lost == 1_500
+    assert session.ground.link.lost == 1_500
 
 
 def test_a_restarted_joystick_begins_without_credit_and_continues() -> None:
@@ -149,7 +149,7 @@ def test_a_restarted_joystick_begins_without_credit_and_continues() -> None:
     for _ in range(8_000):
         session.cycle()
         lit.add(session.ground.lit)
-    assert session.ground.link.report().restarts == 1
+    assert session.ground.link.restarts == 1
     # The new totals begin at 0, which must not count as a gain.
     assert before < session.ground.controller.port.received_j < before + 2.0
     assert session.ground.controller.least_observed_uj >= -1.0

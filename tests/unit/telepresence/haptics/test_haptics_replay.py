@@ -190,7 +190,7 @@ def test_a_route_that_alternates_with_burst_loss_makes_no_energy() -> None:
         for side, peer in ((robot, joystick), (joystick, robot)):
             assert side.controller.port.received_j <= peer.controller.port.granted_j + COUNT_J
     for side in (robot, joystick):
-        report = side.link.report()
+        report = side.link
         assert report.restarts == 0 and report.late > 1000
         assert report.received > 8_000
         assert side.controller.least_observed_uj >= -1.0
