@@ -91,7 +91,7 @@ def _flat_items(record: Any) -> Iterator[tuple[str, Any, bool]]:
 def marks_of(kind: Any) -> dict[str, frozenset[str]]:
     """Return the marks of each field of a record: what `Newest`, `Flat` and the others put there.
 
-    Raises TypeError for a type that is no record.
+    Raises TypeError for a type that is not a record.
     """
     hints = get_type_hints(kind, include_extras=True)
     names = getattr(kind, "__struct_fields__", None) or [one.name for one in fields(kind)]

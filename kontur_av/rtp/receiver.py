@@ -73,7 +73,7 @@ class ReceiverCounts:
     rtp_duplicates: int = 0
     #: Packets that came after they were given up; dropped.
     rtp_late: int = 0
-    #: Datagrams that are no RTP, or of a foreign payload type or source. Of the RTCP port:
+    #: Datagrams that are not RTP, or of a foreign payload type or source. Of the RTCP port:
     #: malformed, of a foreign source, or neither report nor goodbye.
     garbage: int = 0
     #: How often a source was accepted: 1 and the restarts.

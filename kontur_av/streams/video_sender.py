@@ -45,7 +45,7 @@ class FeedbackCounts:
 
     #: Messages of losses and requests for key pictures.
     feedback_received: int = 0
-    #: Datagrams that are no feedback.
+    #: Datagrams that are not feedback.
     feedback_garbage: int = 0
 
 

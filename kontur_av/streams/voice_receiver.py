@@ -39,7 +39,7 @@ class VoiceReceiverCounts:
     frames_concealed: int = 0
     #: Blocks that were restored from forward error correction.
     frames_recovered: int = 0
-    #: Packets that were no Opus.
+    #: Packets that were not Opus.
     frames_corrupt: int = 0
     #: Blocks that came before a sender report gave their capture time.
     frames_undated: int = 0

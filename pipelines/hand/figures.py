@@ -11,5 +11,5 @@ class WallFigures:
     walls: int = 0
     #: Messages that were not newer than one before.
     walls_stale: int = 0
-    #: Datagrams that are no such message.
+    #: Datagrams that are not such a message.
     walls_garbage: int = 0

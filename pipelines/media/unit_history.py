@@ -162,7 +162,8 @@ class UnitHistory:
     def _begin(self, ahead: KeptUnit) -> None:
         """Begin with `ahead`, which has parameter sets of its own; the next unit has the stream's.
 
-        They are not sent alone, because that is no access unit: browsers close their decoder.
+        They are not sent alone: browsers do not take them for an access unit, and close their
+        decoder.
         """
         self._ahead, self._whole = ahead, True
         if self._units and not parameter_sets(self._units[0].data):

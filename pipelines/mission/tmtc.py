@@ -42,7 +42,7 @@ from telepresence.tmtc.pus.user import (
     PusUser,
     UserEvent,
 )
-from telepresence.tmtc.pus.verification import Stage
+from telepresence.tmtc.pus.verification import VerificationStage
 
 #: What PUS may take of its direction of the link: half of what the level TMTC may.
 PUS_RATE_BPS = 4_000
@@ -314,7 +314,7 @@ class TmtcEnd:
         if isinstance(event, CommandProgress):
             asked = self._commands.get(event.number)
             if asked is not None:
-                stage = "accepted" if event.stage is Stage.ACCEPTED else "started"
+                stage = "accepted" if event.stage is VerificationStage.ACCEPTED else "started"
                 self._answer(asked, CommandUpdate(*asked, event.application, stage, verified=True))
         elif isinstance(event, CommandUnanswered):
             asked = self._commands.get(event.number)

@@ -18,7 +18,7 @@ from pipelines.mission.choosing import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, FunctionAsked, pack_news
 from pipelines.mission.tmtc_socket import TmtcSocket
-from pipelines.mission.tmtc_sources import GatewaySource, JoystickDesk, RobotSource
+from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.mission_messages import MISSION_OCTETS, RobotStatus, pack, unpack
 from pipelines.session.process import Context
 from pipelines.session.robot_state import unpack_state
@@ -81,7 +81,7 @@ class TmtcDesk:
         #: Turns what an application is asked for into a request to its process; None: not its.
         self._request: Callable[[FunctionAsked, int], bytes | None]
         if segment is Segment.SPACE:
-            joystick = JoystickDesk(self.end, first_number=now_ns)
+            joystick = JoystickSource(self.end, first_number=now_ns)
             self._request = joystick.handle_asked
             self._commands = bus.writer(JOYSTICK_COMMAND_TOPIC, max_octets=REQUEST_OCTETS)
 

@@ -25,8 +25,8 @@ def command_from_words(
 ) -> SendCommand:
     """Return the telecommand of words such as `halt`, `report state` or `set limit=3`.
 
-    A function that is called like a short verb goes before it. Raises ConfigError for words that
-    are none, and for names and values that the application does not have.
+    A function that is called like a short verb goes before it. Raises ConfigError for other
+    words, and for names and values that the application does not have.
     """
     word, *rest = words
     functions = {one.name: one for one in application.functions}

@@ -34,7 +34,7 @@ class RtcFigures:
     ice_restarts: int = 0
     #: Requests of HTTP refused, by reason: `token`, `strangers`, `offers` or `viewers`.
     refused: Mapping[str, int] = field(default_factory=dict)
-    #: Offers that could not be used, and packets that were no RTP or RTCP.
+    #: Offers that could not be used, and packets that were not RTP or RTCP.
     garbage: int = 0
     #: Haptic samples: `taken` from the partner, `given` to it, or `left_out` for a slow network.
     samples: Mapping[str, int] = field(default_factory=dict)

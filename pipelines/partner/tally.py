@@ -40,7 +40,7 @@ class Tally:
 
     @property
     def garbage(self) -> int:
-        """Packets that were no RTP or RTCP."""
+        """Packets that were not RTP or RTCP."""
         return self._ended_garbage + sum(garbage for _, garbage in self._newest.values())
 
 

@@ -7,7 +7,7 @@ from kontur_av.figures import Newest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChannelFigures:
+class RecordedChannel:
     """One channel of a recording, in messages."""
 
     #: In the file.
@@ -40,7 +40,7 @@ class RecorderFigures:
     fault: Newest[str] | None = None
     #: What waits for the disk.
     waiting_octets: Newest[int] = 0
-    channels: Mapping[str, ChannelFigures] = field(default_factory=dict)
+    channels: Mapping[str, RecordedChannel] = field(default_factory=dict)
 
     @property
     def messages(self) -> int:

@@ -378,7 +378,7 @@ def parse_message(schema: MessageSchema, octets: bytes) -> Any:
 
 
 def _text(value: object) -> object:
-    """Protobuf refuses text that is no Unicode, such as a file's name on a foreign disk."""
+    """Protobuf refuses text that is not Unicode, such as a file's name on a foreign disk."""
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
 
 

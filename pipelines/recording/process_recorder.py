@@ -21,7 +21,7 @@ from kontur_av.figures import plus
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
-from pipelines.recording.desk import MOST_TERMINALS, Ask, RecorderDesk, Reply, Start, Stop
+from pipelines.recording.desk import MOST_TERMINALS, Ask, DeskReply, RecorderDesk, Start, Stop
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
@@ -100,7 +100,7 @@ class _RecorderProcess:
         desk.handle_time(self._now_ns())
         while (event := desk.next_event()) is not None:
             match event:
-                case Reply():
+                case DeskReply():
                     terminals.send(event.terminal, event.octets, last=event.last)
                 case Start():
                     desk.handle_started(event, self._start(event))

@@ -34,7 +34,7 @@ from pipelines.recording.channels import (
 )
 from pipelines.recording.contacts import ContactWatch
 from pipelines.recording.facts import FACTS, LIBRARY, RecordingFacts
-from pipelines.recording.figures import ChannelFigures, RecorderFigures
+from pipelines.recording.figures import RecordedChannel, RecorderFigures
 from pipelines.recording.mcap_stream import McapStream, Piece
 from pipelines.recording.messages import (
     ChannelLoss,
@@ -552,7 +552,7 @@ class Recorder:
             fault=self._fault or None,
             waiting_octets=waiting,
             channels={
-                self._topics[number]: ChannelFigures(
+                self._topics[number]: RecordedChannel(
                     kept=self._kept[number],
                     missed=self._missed[number],
                     dropped=self._dropped[number],

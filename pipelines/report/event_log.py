@@ -25,7 +25,7 @@ from telepresence.haptics.figures import JoystickFigures
 from telepresence.haptics.ownership import OwnershipFigures
 from telepresence.link.figures import SupervisionFigures
 from telepresence.link.peer.figures import PeerFigures
-from telepresence.tasks.experiment import Step
+from telepresence.tasks.experiment import RunStep
 
 #: How many events are kept.
 DEPTH = 200
@@ -164,10 +164,14 @@ class EventLog:
             result = f"{row.result}: {row.reason}" if row.reason else row.result
             ended = "" if row.result == OPEN else result
             for stage, (step, text) in enumerate(
-                ((Step.SELECTED, "selected"), (Step.STARTED, "started"), (Step.ENDED, ended))
+                (
+                    (RunStep.SELECTED, "selected"),
+                    (RunStep.STARTED, "started"),
+                    (RunStep.ENDED, ended),
+                )
             ):
                 # The end of a killed process's run has no instant.
-                came = step.value in at_ns or step is Step.ENDED
+                came = step.value in at_ns or step is RunStep.ENDED
                 if text and came and (row.run, stage) > self._task_told:
                     self._task_told = row.run, stage
                     words = f"task {row.name}, run {row.run}: {text}"

@@ -82,7 +82,7 @@ def build_link_report(
 def _failures(
     collector: Collector, ends: Sequence[Segment], restarts: Mapping[str, int]
 ) -> list[str]:
-    """What failed in the link itself. That nobody was heard is no failure: the radio decides it."""
+    """What failed in the link itself. Silence is not a failure: the radio decides it."""
     found = []
     for end in ends:
         name = collector.topology.gateway(end).name

@@ -733,7 +733,7 @@ def to_json(report: object) -> str:
 
 
 def from_json(text: str | bytes, kind: type[AnyReport]) -> AnyReport:
-    """The report in `text`; msgspec.ValidationError if it is none of this `kind`."""
+    """The report in `text`; msgspec.ValidationError if it is not of this `kind`."""
     return msgspec.convert(_nested(msgspec.json.decode(text), kind), kind)
 
 

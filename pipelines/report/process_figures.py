@@ -96,7 +96,7 @@ class ProcessFigures:
 
     @property
     def captured_ns(self) -> int | None:
-        """When an input captured last; None if it never did, or is none."""
+        """When an input captured last; None if it never did, or is not an input."""
         return self.total(CaptureFigures).captured_ns
 
     @property

@@ -241,7 +241,7 @@ def _direction(report: DirectionReport) -> SeatDirection:
 
 
 def _flat(prefix: str, value: Any) -> dict[str, Figure]:
-    """Names and values of all that is no list. Percentiles of nothing have no value."""
+    """Names and values of all but lists. Percentiles of nothing have no value."""
     if not isinstance(value, dict):
         return {} if isinstance(value, list | tuple) else {prefix: value}
     found: dict[str, Figure] = {}

@@ -17,7 +17,7 @@ class PageFigures:
     connections: int = 0
     #: Requests refused, by reason: `token`, `host` or `origin`.
     refused: Mapping[str, int] = field(default_factory=dict)
-    #: Messages of pages that were no valid message; each closed its socket.
+    #: Malformed messages of pages; each closed its socket.
     garbage: int = 0
     #: Units of pictures and sound that a page was too slow for.
     units_left_out: int = 0

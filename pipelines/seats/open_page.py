@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from pipelines.seats.client_queue import ClientQueue
-from pipelines.seats.rates import TokenBucket
+from pipelines.seats.rates import MessageRate
 from pipelines.session.seat_roles import Role
 
 _TEXT_HZ = _PING_HZ = 20
@@ -22,6 +22,6 @@ class OpenPage:
     queue: ClientQueue
     plain: bool = False
     idle: bool = True
-    texts: TokenBucket = field(default_factory=lambda: TokenBucket(_TEXT_HZ, _TEXT_HZ))
-    pings: TokenBucket = field(default_factory=lambda: TokenBucket(_PING_HZ, _PING_HZ))
-    hands: TokenBucket = field(default_factory=lambda: TokenBucket(_HAND_HZ, _HAND_HZ))
+    texts: MessageRate = field(default_factory=lambda: MessageRate(_TEXT_HZ, _TEXT_HZ))
+    pings: MessageRate = field(default_factory=lambda: MessageRate(_PING_HZ, _PING_HZ))
+    hands: MessageRate = field(default_factory=lambda: MessageRate(_HAND_HZ, _HAND_HZ))

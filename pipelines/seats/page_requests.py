@@ -24,7 +24,7 @@ class JoystickRequest(_Request, frozen=True, tag="joystick"):
     event: Literal["calibrate", "start", "halt", "acknowledge", "stop", "resume"]
 
 
-class HandRequest(_Request, frozen=True, tag="hand"):
+class HandleRequest(_Request, frozen=True, tag="hand"):
     """Who holds the handle."""
 
     action: Literal["take", "give", "ask", "refuse"]
@@ -36,7 +36,7 @@ class SessionRequest(_Request, frozen=True, tag="session"):
     action: Literal["start", "stop"]
 
 
-class RecordRequest(_Request, frozen=True, tag="record"):
+class RecordingRequest(_Request, frozen=True, tag="record"):
     """Begin or end a recording of the session."""
 
     action: Literal["start", "stop"]
@@ -70,7 +70,12 @@ class ChatRequest(_Request, frozen=True, tag="chat"):
 
 
 SeatRequest = (
-    JoystickRequest | HandRequest | SessionRequest | RecordRequest | CommandRequest | ChatRequest
+    JoystickRequest
+    | HandleRequest
+    | SessionRequest
+    | RecordingRequest
+    | CommandRequest
+    | ChatRequest
 )
 
 _SEAT = msgspec.json.Decoder(SeatRequest)

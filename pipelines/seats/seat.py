@@ -25,9 +25,9 @@ from pipelines.seats.ownership import HandleOwnership
 from pipelines.seats.page_requests import (
     ChatRequest,
     CommandRequest,
-    HandRequest,
+    HandleRequest,
     JoystickRequest,
-    RecordRequest,
+    RecordingRequest,
     SeatRequest,
     SessionRequest,
     parse_seat_request,
@@ -67,9 +67,9 @@ _RULES: Mapping[type[SeatRequest], _Rule] = MappingProxyType(
         JoystickRequest: _Rule(
             "joystick", (Segment.SPACE,), "the joystick is at the operator's seat"
         ),
-        HandRequest: _Rule("hand", (Segment.SPACE,), "the handle is at the operator's seat"),
+        HandleRequest: _Rule("hand", (Segment.SPACE,), "the handle is at the operator's seat"),
         SessionRequest: _Rule("session"),
-        RecordRequest: _Rule("record", (Segment.GROUND,), "ground control records the session"),
+        RecordingRequest: _Rule("record", (Segment.GROUND,), "ground control records the session"),
     }
 )
 
@@ -226,20 +226,20 @@ class Seat:
     def _carry_out(
         self,
         number: int,
-        request: JoystickRequest | HandRequest | SessionRequest | RecordRequest,
+        request: JoystickRequest | HandleRequest | SessionRequest | RecordingRequest,
     ) -> str | None:
         match request:
             case JoystickRequest():
                 event = JoystickEvent(request.event)
                 self._desk.handle_request(number, request.request, event)
-            case HandRequest():
+            case HandleRequest():
                 return self._hand_over(number, request.action)
             case SessionRequest():
                 if not self.plan.orders:
                     return "ground control starts and stops the session"
                 self._events.append(SessionOrdered(Order(request.action)))
                 return ""
-            case RecordRequest():
+            case RecordingRequest():
                 begin = request.action == "start"
                 self._events.append(RecordingAsked(number, request.request, begin))
         return None

@@ -13,7 +13,7 @@ from pipelines.seats.key_pictures import KeyPictures
 from pipelines.seats.plan import Unpack
 from pipelines.seats.seat import Seat
 from pipelines.seats.texts import Via
-from pipelines.session.feeds import Feed, State
+from pipelines.session.feeds import Feed, TopicState
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.topology import JOYSTICK_STATE_TOPIC, SELECTED_TOPIC, TMTC_TOPICS, Segment
 from telepresence.link.backlog import Backlog
@@ -70,7 +70,7 @@ class SeatTopics:
         ]
         self._always = [feed for feed, one in zip(feeds, fed, strict=True) if one.always]
         self._live = [feed for feed, one in zip(feeds, fed, strict=True) if not one.always]
-        self._looked = [(State(bus, one.topic), one.handle) for one in self._states()]
+        self._looked = [(TopicState(bus, one.topic), one.handle) for one in self._states()]
 
     def _fed(self) -> Iterator[_Fed]:
         plan = self._seat.plan
@@ -108,7 +108,7 @@ class SeatTopics:
 
     def watch(self, watching: bool) -> None:
         """Open what pages are shown with the first of them, and close it with the last."""
-        read: list[Feed | State] = [*self._live, *(state for state, _ in self._looked)]
+        read: list[Feed | TopicState] = [*self._live, *(state for state, _ in self._looked)]
         for feed in read:
             if watching:
                 feed.open()

@@ -16,7 +16,7 @@ from pipelines.seats.seat import Seat
 from pipelines.seats.seat_deeds import SeatDeeds
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.seats.seat_topics import SeatTopics
-from pipelines.session.access import AccessError, Kind
+from pipelines.session.access import AccessError, AccessKind
 from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.seat_roles import Role
@@ -114,9 +114,9 @@ class PageServer:
     async def _handle(self, request: web.BaseRequest) -> web.StreamResponse:
         try:
             found = self._site.find(request)
-            if found.kind is Kind.SEAT:
+            if found.kind is AccessKind.SEAT:
                 return await self._serve_seat(request, found.role)
-            if found.kind is Kind.MEDIA:
+            if found.kind is AccessKind.MEDIA:
                 return await self._serve_media(request, found.role)
             return self._site.file(request, found)
         except AccessError as refusal:

@@ -139,5 +139,5 @@ class TelemetryLog:
 
 
 def _plain(value: Value) -> Value | None:
-    """JSON has no number for what is none."""
+    """JSON has no NaN."""
     return None if isinstance(value, float) and not isfinite(value) else value

@@ -192,7 +192,7 @@ class CommandsText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", 
 
 
 class ValueText(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter's newest value. value: None if it is no number. at_us: when it was heard."""
+    """A parameter's newest value. value: None for NaN. at_us: when it was heard."""
 
     application: str
     name: str

@@ -15,7 +15,7 @@ _DEFAULT_PORTS = {"http": 80, "https": 443}
 _FILE = re.compile(r"[a-z0-9_]+(?:\.[a-z0-9]+)+")
 
 
-class Kind(Enum):
+class AccessKind(Enum):
     """What is asked for."""
 
     PAGE = "page"
@@ -27,7 +27,7 @@ class Kind(Enum):
 class Found(NamedTuple):
     """What a request may have. token: the one in its address. name: of the page or file."""
 
-    kind: Kind
+    kind: AccessKind
     role: Role
     token: str
     name: str = ""
@@ -85,15 +85,15 @@ class Access:
         path, _, query = target.partition("?")
         parts = path.split("/")[1:]
         if len(parts) == 1 and parts[0] in self._seats:
-            kind, token, name = Kind.PAGE, _token_of(query), parts[0]
+            kind, token, name = AccessKind.PAGE, _token_of(query), parts[0]
         elif len(parts) == 3 and parts[1] == "static":
-            kind, token, name = Kind.FILE, parts[0], parts[2]
+            kind, token, name = AccessKind.FILE, parts[0], parts[2]
         elif len(parts) == 2 and parts[1] in ("ws", "media"):
-            kind = Kind.SEAT if parts[1] == "ws" else Kind.MEDIA
+            kind = AccessKind.SEAT if parts[1] == "ws" else AccessKind.MEDIA
             token, name = parts[0], ""
         else:
-            # Whether a path exists is none of a stranger's business.
-            kind, token, name = Kind.FILE, parts[0] if parts else "", ""
+            # A stranger is not told whether a path exists.
+            kind, token, name = AccessKind.FILE, parts[0] if parts else "", ""
         role = self._role_of(token)
         if role is None:
             raise AccessError(403, "this address needs the token of the session", "token")
@@ -101,9 +101,9 @@ class Access:
             raise AccessError(405, "only GET")
         # Other origins' pages can open sockets here, and they know no token but a stolen one.
         own = f"{self._scheme}://{host}".lower()
-        if kind in (Kind.SEAT, Kind.MEDIA) and (origin or "").lower() != own:
+        if kind in (AccessKind.SEAT, AccessKind.MEDIA) and (origin or "").lower() != own:
             raise AccessError(403, "another site's page may not connect", "origin")
-        if kind is Kind.FILE and not _FILE.fullmatch(name):
+        if kind is AccessKind.FILE and not _FILE.fullmatch(name):
             raise AccessError(404, "no such file")
         return Found(kind, role, token, name)
 

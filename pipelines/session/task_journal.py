@@ -7,7 +7,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.tasks.definitions import Elemop
-from telepresence.tasks.experiment import Logged, Step, TaskRun
+from telepresence.tasks.experiment import Logged, RunStep, TaskRun
 from telepresence.tasks.kernel import KernelEvent
 from telepresence.tasks.panel_picture import PanelPicture
 from telepresence.tasks.scores import ScoreKeeper, Scores
@@ -96,7 +96,7 @@ class TaskJournal:
         """An event of the experiment."""
         self._newest = link
         if isinstance(event, Logged):
-            if event.step is Step.SELECTED:
+            if event.step is RunStep.SELECTED:
                 self._open, self._steps = event, []
             self._add_step(event)
         elif isinstance(event, TaskRun):
@@ -170,4 +170,4 @@ OPEN = "open"
 #: So many of the newest runs are told, and known to a next life. The collector keeps all.
 KEPT = 20
 #: In the order of Fig. 14.
-STEPS = tuple(step.value for step in Step)
+STEPS = tuple(step.value for step in RunStep)

@@ -152,7 +152,7 @@ def pack_line(content: TrainerRequest | TrainerAnswer) -> bytes:
 
 
 def parse_trainer_answer(line: bytes) -> TrainerAnswer | None:
-    """Return the answer in a line, or None if it is none."""
+    """Return the answer in a line, or None for anything else."""
     try:
         return msgspec.json.decode(line, type=TrainerAnswer)
     except msgspec.DecodeError:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from aiohttp import web
 
-from pipelines.session.access import Access, AccessError, Found, Kind, headers
+from pipelines.session.access import Access, AccessError, AccessKind, Found, headers
 from pipelines.session.page_listener import PageListener
 
 STATIC = Path(__file__).parents[1] / "seats" / "static"
@@ -66,7 +66,7 @@ class WebSite:
         words: Mapping[str, str] = MappingProxyType({}),
     ) -> web.Response:
         """Return a page, or one of its files. words: what else is replaced in a page."""
-        page = found.kind is Kind.PAGE
+        page = found.kind is AccessKind.PAGE
         path = STATIC / (f"{found.name}.html" if page else found.name)
         if path.suffix not in _TYPES or not path.is_file():
             raise AccessError(404, "no such file")
@@ -92,7 +92,7 @@ class WebSite:
 
 
 def quiet_log(name: str) -> logging.Logger:
-    """Return the log of a server. Requests that are no HTTP are not worth a line."""
+    """Return the log of a server. Requests that are not HTTP are not logged."""
     log = logging.getLogger(name)
     log.addHandler(logging.NullHandler())
     log.propagate = False

@@ -12,7 +12,7 @@ from pipelines.link.link_state import link_values
 from pipelines.mission.choosing import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked, TmtcNews, TmtcRequest
-from pipelines.mission.tmtc_sources import SAMPLE_NS, GatewaySource, JoystickDesk, RobotSource
+from pipelines.mission.tmtc_sources import SAMPLE_NS, GatewaySource, JoystickSource, RobotSource
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.agenda import Agenda, Timer
@@ -76,7 +76,7 @@ class SimulatedTmtc:
         }
         self._robot = RobotSource(self.ends[Segment.GROUND], first_number=0)
         self._robot_desk = robot
-        self._joystick = JoystickDesk(self.ends[Segment.SPACE], first_number=0)
+        self._joystick = JoystickSource(self.ends[Segment.SPACE], first_number=0)
         self._teller = None
         if isinstance(handle, OperatedHandle):
             self._teller = JoystickStatusTeller(handle)

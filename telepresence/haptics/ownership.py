@@ -6,7 +6,7 @@ the place of the ISS. Here that is one explicit state at the robot, next to the 
 An operator on the ground hands the port over. Then nobody drives: the datagrams of both are
 dropped, so the controller has no command and holds. Once the tip has rested for `REST_NS`, the new
 owner's datagrams are taken, and a haptic session with it begins (`session.py`). Its commands move
-nothing until one of them had the dead-man button released: whoever takes over presses it knowingly.
+nothing until one of them had the dead-man button released: who takes over presses it knowingly.
 
 In each cycle: ask `takes` for each datagram, pass the newest command through `admit`, then call
 `handle_robot`.

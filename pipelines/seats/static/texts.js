@@ -163,7 +163,7 @@
  */
 
 /**
- * A parameter's newest value. value: None if it is no number. at_us: when it was heard.
+ * A parameter's newest value. value: None for NaN. at_us: when it was heard.
  * @typedef {{application: string, name: string, value: Figure, level: Level, at_us: number}}
  *   ValueText
  */

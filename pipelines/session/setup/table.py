@@ -200,7 +200,7 @@ class Setup:
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).
     region: what of the uplink video is coded finer than the rest (docs/video.md).
-    region_points: for a camera that is no built-in scene, the four corners of the task board in
+    region_points: for a camera other than a built-in scene, the four corners of the task board in
         its pictures: upper left, upper right, lower right, lower left; (x, y) in pixels.
     """
 

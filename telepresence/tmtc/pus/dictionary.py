@@ -1,6 +1,6 @@
 """The dictionary: what each application reports and carries out. Everything in it is data.
 
-Whoever adds a parameter, an event or a rule changes the table and no code. A dictionary that
+To add a parameter, an event or a rule, change the table and no code. A dictionary that
 contradicts itself is refused when it is built, with one line.
 """
 

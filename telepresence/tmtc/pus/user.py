@@ -25,7 +25,7 @@ from telepresence.tmtc.pus.packets import (
     pack_packet,
 )
 from telepresence.tmtc.pus.values import Parameter, Value, pack_values, unpack_values
-from telepresence.tmtc.pus.verification import Stage
+from telepresence.tmtc.pus.verification import VerificationStage
 from telepresence.tmtc.retransmission import Retransmission
 
 _T = TypeVar("_T", Parameter, Structure, FunctionDefinition)
@@ -42,7 +42,7 @@ class CommandProgress(NamedTuple):
 
     number: int
     application: str
-    stage: Stage
+    stage: VerificationStage
 
 
 class CommandUnanswered(NamedTuple):
@@ -113,7 +113,7 @@ UserEvent = Report | CommandProgress | CommandUnanswered | CommandResult
 class _Open:
     command: Telecommand
     application: str
-    stage: Stage | None = None
+    stage: VerificationStage | None = None
 
 
 class PusUser:
@@ -266,7 +266,7 @@ class PusUser:
         if number is None:
             self.unexpected += 1
             return
-        if report.failure is None and report.stage is not Stage.COMPLETED:
+        if report.failure is None and report.stage is not VerificationStage.COMPLETED:
             sending = self._open.get(number)
             assert sending is not None
             one = sending.item

@@ -20,7 +20,7 @@ from pipelines.session.task_journal import TaskRow, TaskStep
 from pipelines.table import topology_of
 from telepresence.haptics.figures import JoystickFigures
 from telepresence.link.figures import ContactFigures, ContactWindows
-from telepresence.tasks.experiment import Step
+from telepresence.tasks.experiment import RunStep
 
 SETUP = BUILT_IN["taskboard"]
 CONNECTED = {"at_ns": 5000, "from": "configure", "to": "connected", "why": "data both ways"}
@@ -208,7 +208,7 @@ def test_runs_of_tasks_are_told_once_each_with_its_own_instants(session):
         figures = {"selected_ns": 0, "seconds": None, "steps": steps, **zero}
         return TaskRow(name="line", run=run, result=result, reason=reason, **figures)
 
-    first = row("open", [(50, Step.SELECTED), (60, Step.SHOWN), (70, Step.STARTED)])
+    first = row("open", [(50, RunStep.SELECTED), (60, RunStep.SHOWN), (70, RunStep.STARTED)])
     session.told("tasks", TaskFigures(runs={7: first}))
     assert session.look() == [
         (50, "session", "task line, run 7: selected"),
@@ -216,7 +216,7 @@ def test_runs_of_tasks_are_told_once_each_with_its_own_instants(session):
     ]
     # Its process was killed.
     killed = row("aborted", [], "the task's process was restarted")
-    runs = {7: killed, 8: row("open", [(900, Step.SELECTED)], run=8)}
+    runs = {7: killed, 8: row("open", [(900, RunStep.SELECTED)], run=8)}
     session.told("tasks", TaskFigures(runs=runs))
     words = "task line, run 7: aborted: the task's process was restarted"
     assert session.look(2) == [

@@ -5,7 +5,7 @@ import pickle
 from kontur_av.figures import over, plus
 from pipelines.mission.figures import TaskFigures
 from pipelines.session.task_journal import KEPT, OPEN, LinkMeanwhile, TaskJournal
-from telepresence.tasks.experiment import Logged, Step, TaskRun
+from telepresence.tasks.experiment import Logged, RunStep, TaskRun
 from telepresence.tmtc.k2aci import TaskResult
 
 LINK = LinkMeanwhile(0, 0, 0)
@@ -13,7 +13,7 @@ LINK = LinkMeanwhile(0, 0, 0)
 
 def begin(journal, run):
     journal.handle_begin(LINK)
-    for step in list(Step)[:-1]:
+    for step in list(RunStep)[:-1]:
         journal.handle_event(Logged(run * 100, run, "line", step), LINK)
 
 
@@ -28,7 +28,7 @@ def end(journal, run):
         ended_ns=run * 100 + 50,
     )
     journal.handle_event(over, LINK)
-    journal.handle_event(Logged(run * 100 + 60, run, "line", Step.SEEN), LINK)
+    journal.handle_event(Logged(run * 100 + 60, run, "line", RunStep.SEEN), LINK)
 
 
 def test_a_row_has_the_step_that_comes_after_its_end():
@@ -37,7 +37,7 @@ def test_a_row_has_the_step_that_comes_after_its_end():
     assert [row.result for row in journal.report()] == [OPEN]
     end(journal, 1)
     (row,) = journal.report()
-    assert [one.step for one in row.steps] == [step.value for step in Step]
+    assert [one.step for one in row.steps] == [step.value for step in RunStep]
     assert TaskJournal(journal.closed).report() == [row]
 
 
@@ -79,4 +79,4 @@ def test_a_run_that_a_killed_process_did_keeps_the_steps_that_were_told():
         LINK,
     )
     (row,) = plus(told, told_of(after)).runs.values()
-    assert row.result == "aborted" and len(row.steps) == len(Step) - 1
+    assert row.result == "aborted" and len(row.steps) == len(RunStep) - 1

@@ -11,7 +11,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.device.device import Reading
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.operation import Operation
+from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
 from telepresence.haptics.device.states import REQUESTS, JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
@@ -168,7 +168,7 @@ def test_silence_halts_it_and_the_first_sample_brings_it_back():
 
 
 def test_a_person_may_halt_and_resume_and_refusals_give_a_reason():
-    operation = Operation(SimulatedDevice(), automatic=False)
+    operation = JoystickOperation(SimulatedDevice(), automatic=False)
     now_ns = 0
 
     def run(milliseconds):
@@ -306,7 +306,7 @@ def test_motors_give_up_after_three_retries():
 
 
 def into_application():
-    operation, now_ns = Operation(SimulatedDevice()), 0
+    operation, now_ns = JoystickOperation(SimulatedDevice()), 0
     while operation.state is not JoystickState.APPLICATION:
         now_ns += NS_PER_MS
         operation.handle_reading(now_ns)
@@ -336,7 +336,9 @@ readings = st.builds(
     st.booleans(),
 )
 def test_no_sensor_reading_lets_the_force_exceed_its_limit(script, calibrated):
-    operation, now_ns = deepcopy(CALIBRATED) if calibrated else (Operation(SimulatedDevice()), 0)
+    operation, now_ns = (
+        deepcopy(CALIBRATED) if calibrated else (JoystickOperation(SimulatedDevice()), 0)
+    )
     device = operation.device
     write_force, written = device.write_force, [(0.0, 0.0)]
 
