@@ -24,7 +24,7 @@ from pipelines.media.stream_figures import tell_sender
 from pipelines.media.video_sending import LinkedVideoSender
 from pipelines.mission.choosing import CameraChoice, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
-from pipelines.mission.tmtc_messages import FunctionAsked, TmtcNews
+from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.recording.recorded_session import SentPacket, SentUnit
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
@@ -173,32 +173,28 @@ def run_telecommands_replay(
     context: Context, *, packets: Sequence[SentPacket], start: ReplayStart
 ) -> None:
     """Send the recorded telecommands, and count the telemetry that comes."""
-    take = _listener(context, Segment.SPACE, lambda _news, _now_ns: None)
+    take = _listener(context, Segment.SPACE, None)
     _run_packets(context, TELECOMMAND, TELEMETRY, packets, start, take)
 
 
 def run_telemetry_replay(
     context: Context, *, packets: Sequence[SentPacket], start: ReplayStart
 ) -> None:
-    """Send the recorded telemetry, and count the telecommands that come."""
+    """Send the recorded telemetry, and count the telecommands that come.
+
+    Selections of a camera are confirmed at once: the pictures are those of the recording.
+    """
     now_ns = context.clock.now_ns()
     choice = CameraChoice(context.setup.cameras, context.probe, now_ns=now_ns)
     context.on_flush(choice.tell)
-
-    def select(news: TmtcNews, now_ns: int) -> None:
-        if isinstance(news, FunctionAsked):
-            choice.handle_asked(news, now_ns)
-            while choice.next_event() is not None:
-                pass  # its reports are in the recording
-
-    take = _listener(context, Segment.GROUND, select)
+    take = _listener(context, Segment.GROUND, choice)
     _run_packets(context, TELEMETRY, TELECOMMAND, packets, start, take)
 
 
 def _listener(
-    context: Context, segment: Segment, hear: Callable[[TmtcNews, int], object]
+    context: Context, segment: Segment, choice: CameraChoice | None
 ) -> Callable[[bytes, int], None]:
-    """A TM/TC end that takes packets, and sends none."""
+    """A TM/TC end that takes packets, and sends none. choice: carries out selections."""
     end = TmtcEnd(
         segment,
         session_dictionary(built_in_dictionary(), context.setup.cameras),
@@ -208,12 +204,22 @@ def _listener(
     )
     context.on_flush(lambda: end.tell(context.probe))
 
-    def take(datagram: bytes, now_ns: int) -> None:
-        end.handle_packet(datagram, now_ns)
+    def drain(now_ns: int) -> None:
         while end.poll_transmit(now_ns) is not None:
             pass  # what it would send is in the recording
+
+    def take(datagram: bytes, now_ns: int) -> None:
+        end.handle_packet(datagram, now_ns)
+        drain(now_ns)
         while (news := end.next_event()) is not None:
-            hear(news, now_ns)
+            if choice is None or not isinstance(news, FunctionAsked):
+                continue
+            choice.handle_asked(news, now_ns)
+            if (chosen := choice.poll_choice(now_ns)) is not None:
+                choice.handle_confirmed(chosen.number)
+            while (done := choice.next_event()) is not None:
+                end.handle_request(done, now_ns)
+        drain(now_ns)
 
     return take
 

@@ -69,7 +69,7 @@ def test_sequence_numbers_are_complete(session):
     for name, stream in report.streams.items():
         sent = report.processes[f"{name}_send"].counts["rtp_packets_sent"]
         for count in ("rtp_lost", "rtp_reordered", "rtp_duplicates", "rtp_late", "garbage"):
-            assert getattr(stream, count) == 0
+            assert getattr(stream.rtp, count) == 0
         # At the end less than one picture and its successor is in flight.
         assert sent - 8 <= stream.rtp.rtp_packets <= sent
         looked_at = stream.sender.frames_encoded + stream.sender.frames_refused
@@ -117,10 +117,14 @@ def test_voice_waits_little_more_than_its_slots(spacejustin):
         # On the uplink, 19 octets and their header take two slots, and whole headers two more. A
         # packet may just miss a slot, and supervision may take one.
         assert stages.sent_to_received.p95 < DELAY_MS + 2
-        assert stages.sent_to_received.max < DELAY_MS + 5
+        assert stages.sent_to_received.p99 < DELAY_MS + 5
+        # On the uplink, one packet waits for the reports of the selection of a camera: acceptance,
+        # start and completion have 25 octets each, and take three slots each.
+        reports = 4 if name == "uplink_voice" else 0
+        assert stages.sent_to_received.max < DELAY_MS + 5 + reports
         assert report.streams[name].voice.frames_concealed == 0
     # Until the last octet is sent, so with the slots just named.
-    assert report.link["uplink"].sender.queue["voice"].max_age_ns <= 5_000_000
+    assert report.link["uplink"].sender.queue["voice"].max_age_ns <= 9_000_000
 
 
 def test_every_octet_is_counted(session):
